@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks and errors: kornia's, re-used, plus the few that concern files.
+
+Every error of this package is a ``SphericalVisionError`` and also the built-in error a Python user would expect,
+so ``except ValueError`` and ``except SphericalVisionError`` both work.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from kornia.core.check import KORNIA_CHECK, KORNIA_CHECK_IS_TENSOR, KORNIA_CHECK_SHAPE
+
+__all__ = [
+    "KORNIA_CHECK",
+    "KORNIA_CHECK_IS_TENSOR",
+    "KORNIA_CHECK_SHAPE",
+    "ArgumentError",
+    "FileFormatError",
+    "MissingFileError",
+    "ShapeError",
+    "SphericalVisionError",
+    "check_choice",
+    "check_file",
+    "check_last_dim",
+]
+
+
+class SphericalVisionError(Exception):
+    """Base of every error raised on purpose by this package."""
+
+
+class ArgumentError(SphericalVisionError, ValueError):
+    """An argument has a value that makes no sense; the message names it and the accepted values."""
+
+
+class ShapeError(SphericalVisionError, ValueError):
+    """A tensor has another shape than the docstring asks for."""
+
+
+class FileFormatError(SphericalVisionError, ValueError):
+    """A file exists but does not hold what its format promises; the message names file and line or key."""
+
+
+class MissingFileError(SphericalVisionError, FileNotFoundError):
+    """A file or folder is missing; the message names it and says what was expected there."""
+
+
+def check_last_dim(name: str, tensor: torch.Tensor, size: int) -> None:
+    """Raise ``ShapeError`` unless ``tensor`` is a tensor of shape ``(*, size)``.
+
+    Examples:
+        >>> check_last_dim("points", torch.zeros(4, 3), 3)
+    """
+    if not isinstance(tensor, torch.Tensor):
+        raise TypeError(f"{name}: expected a torch.Tensor of shape (*, {size}), got {type(tensor).__name__}")
+    if tensor.ndim == 0 or tensor.shape[-1] != size:
+        raise ShapeError(f"{name}: expected shape (*, {size}), got {tuple(tensor.shape)}")
+
+
+def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """Raise ``ArgumentError`` that lists the choices unless ``value`` is one of them.
+
+    Examples:
+        >>> check_choice("mode", "nearest", ("bilinear", "nearest"))
+    """
+    if value not in choices:
+        raise ArgumentError(f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}")
+
+
+def check_file(path: str | Path, what: str) -> Path:
+    """Return ``path`` as a ``Path`` or raise ``MissingFileError`` saying what was expected there."""
+    path = Path(path)
+    if not path.is_file():
+        near = "its folder does not exist either" if not path.parent.exists() else f"looked in {path.parent.resolve()}"
+        raise MissingFileError(f"{path}: no such file ({what} expected; {near})")
+    return path

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures that every test may use."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+
+@pytest.fixture(scope="session")
+def golden() -> Path:
+    """Folder with outputs of the original authors' implementation; tests that need it are skipped without it."""
+    default = Path(__file__).resolve().parents[1].parent / "shared" / "golden"
+    folder = Path(os.environ.get("SPHERICALVISION_GOLDEN", default))
+    if not folder.is_dir():
+        pytest.skip("reference numbers not found; set SPHERICALVISION_GOLDEN to their folder")
+    return folder
+
+
+@pytest.fixture
+def generator() -> torch.Generator:
+    """A random generator with a fixed seed."""
+    return torch.Generator().manual_seed(0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks and errors: kornia's, re-used, plus the few that concern files.
 
-Every error of this package is a ``SphericalVisionError`` and also the built-in error a Python user would expect,
-so ``except ValueError`` and ``except SphericalVisionError`` both work.
+Every error of this package is a ``SphericalVisionError`` and also the built-in error that a Python user would
+expect, so ``except ValueError`` and ``except SphericalVisionError`` both work.
 """
 
 from __future__ import annotations
@@ -73,6 +73,7 @@ def check_file(path: str | Path, what: str) -> Path:
     """Return ``path`` as a ``Path`` or raise ``MissingFileError`` saying what was expected there."""
     path = Path(path)
     if not path.is_file():
-        near = "its folder does not exist either" if not path.parent.exists() else f"looked in {path.parent.resolve()}"
+        folder = path.parent.resolve()
+        near = f"looked in {folder}" if folder.exists() else f"the folder {folder} does not exist either"
         raise MissingFileError(f"{path}: no such file ({what} expected; {near})")
     return path

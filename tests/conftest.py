@@ -12,7 +12,7 @@ import torch
 
 @pytest.fixture(scope="session")
 def golden() -> Path:
-    """Folder with outputs of the original authors' implementation; tests that need it are skipped without it."""
+    """Folder with outputs of the original authors' implementation; without it the test is skipped."""
     default = Path(__file__).resolve().parents[1].parent / "shared" / "golden"
     folder = Path(os.environ.get("SPHERICALVISION_GOLDEN", default))
     if not folder.is_dir():

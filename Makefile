@@ -1,0 +1,72 @@
+# What a newcomer types: make demo, make test. Everything happens inside $(VENV); nothing else on the machine changes.
+
+PYTHON ?= python3
+VENV   ?= .venv
+SHELL  := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+
+BIN := $(VENV)/bin
+# pip says a line for each package; keep those that tell progress. Errors go to stderr and are always shown.
+PIP := PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --progress-bar off -c constraints.txt
+PROGRESS := { grep --line-buffered -E '^ *(Collecting|Installing|Successfully)' || true; }
+
+.PHONY: help demo test test-all lint format docs clean
+
+help: ## list these targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+demo: $(VENV)/.installed-recipes ## four rendered fisheye images to a 360° depth map; prints where the results are
+	@$(BIN)/python -m sphericalvision.recipes.demo $(ARGS)
+
+test: lint ## linters, then every test that is not slow
+	@$(BIN)/python -m pytest -m "not slow" $(ARGS)
+
+test-all: lint ## linters, then every test
+	@$(BIN)/python -m pytest $(ARGS)
+
+lint: $(VENV)/.installed-all ## ruff, mypy and the import layers
+	@echo "==> ruff check";  $(BIN)/ruff check .
+	@echo "==> ruff format"; $(BIN)/ruff format --check .
+	@echo "==> mypy";        $(BIN)/mypy
+	@echo "==> lint-imports"
+	@# The linter reads folders, not the package-dir mapping of pyproject.toml: show it the installed layout.
+	@rm -rf build/layers && mkdir -p build/layers && cp -R sphericalvision build/layers/
+	@cp -R recipes conf build/layers/sphericalvision/
+	@cd build/layers && $(abspath $(BIN))/lint-imports --no-cache --config $(CURDIR)/pyproject.toml
+
+format: $(VENV)/.installed-all ## rewrite the code in the project's style
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+docs: $(VENV)/.installed-all ## build the documentation into site/; a warning is an error
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --clean
+
+clean: ## remove what can be made again (the environment too)
+	@rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info
+
+# --- environment: made once, installed again only when pyproject.toml or constraints.txt change ---
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "sphericalvision needs Python 3.11 or newer; '$(PYTHON)' is $$($(PYTHON) --version 2>&1 || echo missing)." >&2; \
+	  echo "Name another interpreter: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 1; }
+	@echo "==> making a virtual environment in $(VENV)"
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
+	  echo "'$(PYTHON) -m venv' failed; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
+
+# torch goes first and alone: it is by far the largest, and pinning it keeps pip from trying other versions.
+$(VENV)/.torch: $(VENV)/bin/python constraints.txt
+	@echo "==> installing torch (the largest download; later runs skip this)"
+	@$(PIP) torch | $(PROGRESS)
+	@touch $@
+
+$(VENV)/.installed-recipes: $(VENV)/.torch pyproject.toml
+	@echo "==> installing sphericalvision with its recipes"
+	@$(PIP) -e '.[recipes]' | $(PROGRESS)
+	@touch $@
+
+$(VENV)/.installed-all: $(VENV)/.torch pyproject.toml
+	@echo "==> installing sphericalvision with its recipes, documentation and development tools"
+	@$(PIP) -e '.[all]' | $(PROGRESS)
+	@touch $@ $(VENV)/.installed-recipes

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is built is what is in the tree: packages, configs, weights, console scripts, and the import layers."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+MAPPED = {"sphericalvision.recipes": ROOT / "recipes", "sphericalvision.conf": ROOT / "conf"}
+
+
+def run(*command: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(part) for part in command], cwd=cwd, capture_output=True, text=True, check=False
+    )
+
+
+def copy_sources(target: Path) -> Path:
+    """Copy what a build reads, so that the build leaves nothing behind in the working tree."""
+    for name in ("sphericalvision", "recipes", "conf"):
+        shutil.copytree(ROOT / name, target / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, target / name)
+    return target
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
+    """Names of the files inside a freshly built wheel."""
+    source = copy_sources(tmp_path_factory.mktemp("source"))
+    result = run(
+        sys.executable,
+        "-m",
+        "build",
+        "--wheel",
+        "--no-isolation",
+        "--outdir",
+        source / "dist",
+        source,
+        cwd=source,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    (path,) = (source / "dist").glob("*.whl")
+    with zipfile.ZipFile(path) as archive:
+        return set(archive.namelist())
+
+
+def in_wheel(path: Path) -> str:
+    """Where a file of the tree stands inside the wheel."""
+    relative = path.relative_to(ROOT)
+    prefix = "" if relative.parts[0] == "sphericalvision" else "sphericalvision/"
+    return prefix + relative.as_posix()
+
+
+@pytest.mark.parametrize(
+    ("folder", "pattern"),
+    [
+        ("sphericalvision", "**/*.py"),
+        ("recipes", "**/*.py"),
+        ("conf", "**/*.py"),
+        ("conf", "**/*.yaml"),
+        ("sphericalvision", "**/*.safetensors"),
+        ("sphericalvision", "**/*.md"),
+        ("sphericalvision", "py.typed"),
+    ],
+)
+def test_wheel_holds_every_file_of_the_tree(wheel: set[str], folder: str, pattern: str) -> None:
+    expected = {in_wheel(path) for path in (ROOT / folder).glob(pattern)}
+    assert expected, f"no {pattern} in {folder}"
+    missing = sorted(expected - wheel)
+    assert not missing, f"add their folder to [tool.setuptools] packages or package-data: {missing}"
+
+
+def test_wheel_holds_the_licence_and_no_tests(wheel: set[str]) -> None:
+    assert any(name.endswith("licenses/LICENSE") for name in wheel)
+    assert not [name for name in wheel if name.startswith(("tests/", "docs/", "recipes/", "conf/"))]
+
+
+def test_declared_packages_are_the_folders_on_disk() -> None:
+    on_disk = {
+        ".".join(init.parent.relative_to(ROOT).parts)
+        for init in (ROOT / "sphericalvision").rglob("__init__.py")
+    }
+    for name, folder in MAPPED.items():
+        for init in folder.rglob("__init__.py"):
+            on_disk.add(".".join((name, *init.parent.relative_to(folder).parts)))
+    assert set(PYPROJECT["tool"]["setuptools"]["packages"]) == on_disk
+
+
+@pytest.mark.parametrize("script", sorted(PYPROJECT["project"]["scripts"]))
+def test_console_scripts_are_installed_and_loadable(script: str) -> None:
+    (entry,) = metadata.entry_points(group="console_scripts", name=script)
+    assert callable(entry.load())
+
+
+def test_version_is_said_once_everywhere() -> None:
+    import sphericalvision
+
+    assert sphericalvision.__version__ == PYPROJECT["project"]["version"]
+    assert f"version: {sphericalvision.__version__}" in (ROOT / "CITATION.cff").read_text()
+
+
+def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
+    return run(Path(sys.executable).with_name("lint-imports"), "--no-cache", cwd=folder)
+
+
+def test_import_layers_hold_and_a_breach_is_caught(tmp_path: Path) -> None:
+    """The contract is kept by the tree, and broken when a camera imports Hydra or a layer above it.
+
+    import-linter reads folders and knows nothing of setuptools' mapping, so the copy holds recipes and conf
+    where an installed package has them (`make lint` does the same).
+    """
+    copy_sources(tmp_path)
+    for name in ("recipes", "conf"):
+        shutil.move(tmp_path / name, tmp_path / "sphericalvision" / name)
+    clean = lint_imports(tmp_path)
+    assert clean.returncode == 0, clean.stdout + clean.stderr
+
+    (tmp_path / "sphericalvision" / "cameras" / "breach.py").write_text(
+        "import hydra\nimport sphericalvision.models\n"
+    )
+    broken = lint_imports(tmp_path)
+    assert broken.returncode != 0
+    assert "sphericalvision.cameras.breach -> hydra" in broken.stdout
+    assert "sphericalvision.cameras.breach -> sphericalvision.models" in broken.stdout
+
+
+def test_mypy_refuses_an_untyped_function(tmp_path: Path) -> None:
+    module = tmp_path / "untyped.py"
+    module.write_text("def double(value):\n    return 2 * value\n")
+    result = run(sys.executable, "-m", "mypy", "--config-file", ROOT / "pyproject.toml", module, cwd=tmp_path)
+    assert result.returncode == 1, result.stdout + result.stderr
+    assert "missing a type annotation" in result.stdout

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is built is what is in the tree: packages, configs, weights, console scripts, and the import layers."""
+"""What is built is what is in the tree: packages, configs, weights, console scripts and import layers."""
 
 from __future__ import annotations
 

@@ -1,1 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Pictures, point clouds and meshes of what the rest of the package computes."""
+
+from sphericalvision.viz.color import depth_to_color, error_to_color
+from sphericalvision.viz.crown import crown_picture
+from sphericalvision.viz.figure import add_scale_bar, sheet
+from sphericalvision.viz.mesh import icosphere_mesh
+from sphericalvision.viz.panorama import (
+    depth_panorama,
+    error_panorama,
+    icosphere_to_panorama,
+    rgb_panorama,
+    save_depth_panorama,
+    save_error_panorama,
+)
+from sphericalvision.viz.pointcloud import PointCloud, panorama_point_cloud, save_point_cloud
+
+__all__ = [
+    "PointCloud",
+    "add_scale_bar",
+    "crown_picture",
+    "depth_panorama",
+    "depth_to_color",
+    "error_panorama",
+    "error_to_color",
+    "icosphere_mesh",
+    "icosphere_to_panorama",
+    "panorama_point_cloud",
+    "rgb_panorama",
+    "save_depth_panorama",
+    "save_error_panorama",
+    "save_point_cloud",
+    "sheet",
+]

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures with titles and scale bars, and several pictures on one sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import cv2
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from sphericalvision.core import ArgumentError, ShapeError
+
+__all__ = ["add_scale_bar", "sheet"]
+
+Picture = npt.NDArray[np.uint8]
+
+_DPI = 100
+_LEAST_WIDTH = 640  # titles and ticks fit; narrower pictures are enlarged by a whole factor
+
+
+def add_scale_bar(
+    picture: Picture, color_map: str, ticks: Sequence[tuple[float, str]], label: str, title: str | None = None
+) -> Picture:
+    """Put a colour bar below a picture and a title above it; the picture's pixels stay as they are.
+
+    Args:
+        picture: uint8 ``(h, w, 3)``; narrow ones are enlarged by a whole factor, without smoothing.
+        color_map: name of a matplotlib colour map.
+        ticks: position in [0, 1] along the colour map, and text.
+        label: quantity and unit.
+        title: text above the picture.
+
+    Raises:
+        ShapeError: the picture is not uint8 ``(h, w, 3)``.
+    """
+    picture = _enlarge(picture)
+    width = picture.shape[1]
+    figure = Figure(figsize=((width + 0.5) / _DPI, 0.64), dpi=_DPI, facecolor="white")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.03, 0.72, 0.94, 0.22))
+    gradient = matplotlib.colormaps[color_map](np.linspace(0, 1, 512))[None, :, :3]
+    axes.imshow(gradient, extent=(0, 1, 0, 1), aspect="auto", interpolation="nearest")
+    axes.set_yticks([])
+    axes.set_xticks([position for position, _ in ticks], [text for _, text in ticks], fontsize=9)
+    axes.set_xlabel(label, fontsize=9, labelpad=1)
+    canvas.draw()
+    bar = np.asarray(canvas.buffer_rgba())[..., :3]
+    rows = [picture, bar[:, :width]]
+    if title:
+        rows.insert(0, _text_row(title, width))
+    return np.ascontiguousarray(np.concatenate(rows))
+
+
+def sheet(pictures: Mapping[str, Picture] | Sequence[Picture], columns: int = 1, gap: int = 12) -> Picture:
+    """Lay out pictures on a white sheet, row by row, each below its title.
+
+    Smaller pictures stand in the middle of their cell; nothing is rescaled but pictures too narrow for
+    their title.
+
+    Args:
+        pictures: title -> uint8 ``(h, w, 3)``, or such pictures without titles.
+        columns: pictures side by side.
+        gap: pixels between them.
+
+    Raises:
+        ArgumentError: no pictures or no columns.
+        ShapeError: a picture is not uint8 ``(h, w, 3)``.
+
+    Examples:
+        >>> black, white = np.zeros((20, 300, 3), np.uint8), np.full((30, 400, 3), 255, np.uint8)
+        >>> sheet({"left": black, "right": white}, columns=2).shape
+        (78, 736, 3)
+    """
+    if not pictures or columns < 1:
+        raise ArgumentError(
+            f"sheet: expected pictures and at least one column, got {len(pictures)} pictures, {columns} "
+            "columns"
+        )
+    titled = pictures.items() if isinstance(pictures, Mapping) else [("", picture) for picture in pictures]
+    cells = []
+    for title, picture in titled:
+        _check_picture(picture)
+        cells.append(np.concatenate((_text_row(title, picture.shape[1]), picture)) if title else picture)
+    rows = [cells[start : start + columns] for start in range(0, len(cells), columns)]
+    widths = [max(row[k].shape[1] for row in rows if k < len(row)) for k in range(min(columns, len(cells)))]
+    heights = [max(cell.shape[0] for cell in row) for row in rows]
+    page_size = (sum(heights) + gap * (len(rows) + 1), sum(widths) + gap * (len(widths) + 1), 3)
+    page = np.full(page_size, 255, np.uint8)
+    top = gap
+    for row, height in zip(rows, heights, strict=True):
+        left = gap
+        for cell, width in zip(row, widths, strict=False):
+            start = left + (width - cell.shape[1]) // 2
+            page[top : top + cell.shape[0], start : start + cell.shape[1]] = cell
+            left += width + gap
+        top += height + gap
+    return page
+
+
+def _text_row(text: str, width: int) -> Picture:
+    """One line of black text on white, ``width`` pixels wide, at least 24 high; long text gets smaller."""
+    font, thickness, scale = cv2.FONT_HERSHEY_SIMPLEX, 1, 0.5
+    text = text.encode("ascii", "replace").decode()
+    extent = cv2.getTextSize(text, font, scale, thickness)[0][0]
+    scale *= min(1.0, (width - 8) / max(extent, 1))
+    row = np.full((24, width, 3), 255, np.uint8)
+    return cv2.putText(row, text, (4, 17), font, scale, (0, 0, 0), thickness, cv2.LINE_AA).astype(np.uint8)
+
+
+def _enlarge(picture: Picture) -> Picture:
+    _check_picture(picture)
+    factor = -(-_LEAST_WIDTH // picture.shape[1])
+    return picture.repeat(factor, axis=0).repeat(factor, axis=1) if factor > 1 else picture
+
+
+def _check_picture(picture: Picture) -> None:
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[-1] != 3:
+        raise ShapeError(f"picture: expected uint8 (h, w, 3), got {picture.dtype} {picture.shape}")

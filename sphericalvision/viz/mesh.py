@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth on the icosphere as a triangle mesh."""
+
+from __future__ import annotations
+
+import torch
+import trimesh
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+
+__all__ = ["icosphere_mesh"]
+
+
+def icosphere_mesh(depth: Tensor, colors: Tensor | None = None, max_jump: float = 1.2) -> trimesh.Trimesh:
+    """Surface through depth on the vertices of an icosphere, torn open at depth jumps.
+
+    Args:
+        depth: ``(V,)`` metres; triangles with a corner that is infinite, NaN or not positive are left out.
+        colors: ``(3, V)`` in [0, 1] at the vertices; grey when not given.
+        max_jump: largest ratio of the depths at a triangle's corners; above it the triangle is left out.
+
+    Returns:
+        A mesh in the rig's frame, facing the rig's centre; ``.export("room.ply")`` writes it.
+
+    Raises:
+        ShapeError: no icosphere has V vertices, or the colours do not fit.
+        ArgumentError: ``max_jump`` is not above 1.
+
+    Examples:
+        >>> mesh = icosphere_mesh(torch.full((42,), 2.0))
+        >>> len(mesh.faces), mesh.is_watertight
+        (80, True)
+    """
+    if max_jump <= 1:
+        raise ArgumentError(f"max_jump: expected a ratio above 1, got {max_jump!r}")
+    if depth.ndim != 1:
+        raise ShapeError(f"depth: expected (V,), got {tuple(depth.shape)}")
+    grid = Icosphere(level_from_num_vertices(len(depth)), device=depth.device)
+    if colors is None:
+        colors = depth.new_full((3, len(depth)), 0.7)
+    if tuple(colors.shape) != (3, len(depth)):
+        raise ShapeError(f"colors: expected {(3, len(depth))} to go with depth, got {tuple(colors.shape)}")
+    known = depth.isfinite() & (depth > 0)
+    safe = torch.where(known, depth, 1.0)
+    corners = safe[grid.faces]
+    kept = known[grid.faces].all(-1) & (corners.amax(-1) <= max_jump * corners.amin(-1))
+    faces = grid.faces[kept].flip(-1)  # seen from inside
+    levels = (colors.clamp(0, 1) * 255).round().to(torch.uint8)
+    mesh = trimesh.Trimesh(
+        vertices=(grid.vertices * safe[:, None]).detach().cpu().numpy(),
+        faces=faces.cpu().numpy(),
+        vertex_colors=levels.T.detach().cpu().numpy(),
+        process=False,
+    )
+    mesh.remove_unreferenced_vertices()
+    return mesh

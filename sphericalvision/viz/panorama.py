@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Panoramas to look at: depth with a scale in metres, errors, and colour stitched from a rig's images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ShapeError
+from sphericalvision.data.image_io import write_image
+from sphericalvision.data.panorama_grid import panorama_directions
+from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color
+from sphericalvision.viz.figure import add_scale_bar, sheet
+
+__all__ = [
+    "depth_panorama",
+    "depth_to_color",
+    "error_panorama",
+    "error_to_color",
+    "icosphere_to_panorama",
+    "rgb_panorama",
+    "save_depth_panorama",
+    "save_error_panorama",
+    "sheet",
+]
+
+Picture = npt.NDArray[Any]
+
+
+def depth_panorama(
+    depth: Tensor, min_depth: float, max_depth: float = math.inf, title: str | None = None
+) -> Picture:
+    """Colour a depth panorama and put a scale in metres below it.
+
+    Args:
+        depth: ``(H, W)`` metres along the rays; infinity is far away, NaN and values up to zero are unknown
+            (grey).
+        min_depth: metres, the near (red) end of the scale.
+        max_depth: metres, the far (blue) end; the scale is even in inverse depth, so infinity is a good end.
+        title: text above the picture.
+
+    Returns:
+        uint8 ``(H + margins, W, 3)``, RGB.
+    """
+    _check_panorama("depth", depth)
+    ticks = depth_ticks(min_depth, max_depth)
+    colors = depth_to_color(depth, min_depth, max_depth)
+    return add_scale_bar(colors, DEPTH_MAP, ticks, "depth (m)", title)
+
+
+def save_depth_panorama(
+    path: str | Path, depth: Tensor, min_depth: float, max_depth: float = math.inf, title: str | None = None
+) -> Path:
+    """Write the picture that ``depth_panorama`` makes and return its path."""
+    write_image(path, depth_panorama(depth, min_depth, max_depth, title))
+    return Path(path)
+
+
+def error_panorama(
+    error: Tensor, max_error: float, label: str = "error (% of N)", title: str | None = None
+) -> Picture:
+    """Colour a panorama of errors and put a scale below it.
+
+    Args:
+        error: ``(H, W)``, in the unit of the label: percent of the number of hypotheses, metres, ...; NaN
+            is unknown (grey), the sign does not count.
+        max_error: the bright end of the scale; larger errors look like it.
+        label: quantity and unit below the scale.
+        title: text above the picture.
+
+    Returns:
+        uint8 ``(H + margins, W, 3)``, RGB.
+    """
+    _check_panorama("error", error)
+    ticks = [(k / 5, f"{max_error * k / 5:.3g}") for k in range(5)] + [(1.0, f"≥ {max_error:.3g}")]
+    return add_scale_bar(error_to_color(error, max_error), ERROR_MAP, ticks, label, title)
+
+
+def save_error_panorama(
+    path: str | Path, error: Tensor, max_error: float, label: str = "error (% of N)", title: str | None = None
+) -> Path:
+    """Write the picture that ``error_panorama`` makes and return its path."""
+    write_image(path, error_panorama(error, max_error, label, title))
+    return Path(path)
+
+
+def icosphere_to_panorama(values: Tensor, height: int) -> Tensor:
+    """Interpolate values on an icosphere to an equirectangular panorama, linearly in each triangle.
+
+    Interpolate inverse depth rather than depth: it is finite, and planes are smoother in it.
+
+    Args:
+        values: ``(*, V)``, floating point.
+        height: rows; the panorama has twice as many columns.
+
+    Returns:
+        ``(*, height, 2 * height)``.
+
+    Examples:
+        >>> icosphere_to_panorama(torch.ones(3, 42), height=10).shape
+        torch.Size([3, 10, 20])
+    """
+    level = level_from_num_vertices(values.shape[-1])
+    directions = panorama_directions(height, 2 * height, dtype=torch.float64).to(values.device)
+    grid = Icosphere(level, torch.float64, values.device)
+    samples = grid.sample(values.reshape(-1, values.shape[-1]), directions.reshape(-1, 3))
+    return samples.reshape(*values.shape[:-1], height, 2 * height)
+
+
+def rgb_panorama(
+    rig: CameraRig,
+    images: Mapping[str, Tensor],
+    height: int,
+    depth: Tensor | float = math.inf,
+) -> tuple[Tensor, Tensor]:
+    """Stitch a rig's images to a panorama seen from the rig's centre.
+
+    Each point of the panorama, at its depth, is looked up in every camera that sees it; cameras that see it
+    nearer to their axis count more. Points that are hidden from a camera are not treated apart, so edges
+    may show ghosts.
+
+    Args:
+        rig: unbatched.
+        images: camera name -> ``(c, h, w)``.
+        height: rows; the panorama has twice as many columns.
+        depth: metres along the rays from the centre, ``(height, 2 * height)`` or one number; unknown depth
+            (NaN or up to zero) and infinity are looked up far away.
+
+    Returns:
+        Colours ``(c, height, 2 * height)``, zero where no camera looks, and where some camera does
+        ``(height, 2 * height)``.
+
+    Raises:
+        ShapeError: depth of another shape, or the images' names are not the cameras'.
+    """
+    if set(images) != set(rig.names):
+        raise ShapeError(f"images: expected those of the cameras {list(rig.names)}, got {list(images)}")
+    dtype, device = rig.world_from_camera.dtype, rig.world_from_camera.device
+    directions = panorama_directions(height, 2 * height, dtype).to(device).reshape(-1, 3)
+    far = torch.as_tensor(depth, dtype=dtype, device=device).reshape(-1, 1)
+    if far.numel() not in (1, len(directions)):
+        raise ShapeError(
+            f"depth: expected ({height}, {2 * height}) or a number, got {tuple(torch.as_tensor(depth).shape)}"
+        )
+    far = torch.where((far > 0) & (far < _FAR), far, _FAR)
+    points = rig.center + far * directions
+    total: Tensor | float = 0.0
+    weights = points.new_zeros(len(points))
+    for name, world_from_camera in zip(rig.names, rig.world_from_camera, strict=True):
+        camera, image = rig.cameras[name], images[name].to(device, dtype)
+        local = (points - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
+        colors, seen = camera.sample(image, local)
+        forward = (local[:, 2] / local.norm(dim=-1) + 1) / 2
+        weight = seen * forward.clamp(min=1e-3) ** 8
+        total = total + weight * torch.where(seen, colors, 0.0)
+        weights = weights + weight
+    panorama = total / weights.clamp(min=1e-12)
+    return panorama.reshape(-1, height, 2 * height), (weights > 0).reshape(height, 2 * height)
+
+
+_FAR = 1e4  # metres; no rig is so large that its cameras would see a difference beyond
+
+
+def _check_panorama(name: str, values: Tensor) -> None:
+    if values.ndim != 2:
+        raise ShapeError(f"{name}: expected a panorama (H, W), got {tuple(values.shape)}")

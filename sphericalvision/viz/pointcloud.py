@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth panoramas as coloured point clouds."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+import trimesh
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data.image_io import whole_file
+from sphericalvision.data.panorama_grid import panorama_directions
+
+__all__ = ["PointCloud", "panorama_point_cloud", "save_point_cloud"]
+
+
+class PointCloud(NamedTuple):
+    """Points ``(n, 3)`` in metres in the rig's frame (x right, y down, z forward) and colours ``(n, 3)`` "
+    "in [0, 1]."""
+
+    points: Tensor
+    colors: Tensor
+
+
+def panorama_point_cloud(
+    depth: Tensor, colors: Tensor | None = None, max_depth: float = math.inf, center: Tensor | None = None
+) -> PointCloud:
+    """Points of a depth panorama whose depth is known and finite.
+
+    Args:
+        depth: ``(H, W)`` metres along the rays, W = 2H or 4H; infinity, NaN and values up to zero are left
+            out.
+        colors: ``(3, H, W)`` in [0, 1]; grey when not given.
+        max_depth: metres; farther points are left out.
+        center: ``(3,)``, where the rays start; the origin when not given.
+
+    Raises:
+        ShapeError: the shapes do not fit.
+
+    Examples:
+        >>> cloud = panorama_point_cloud(torch.full((4, 8), 2.0))
+        >>> cloud.points.norm(dim=-1).unique().round(decimals=5)
+        tensor([2.])
+    """
+    if depth.ndim != 2:
+        raise ShapeError(f"depth: expected a panorama (H, W), got {tuple(depth.shape)}")
+    if colors is None:
+        colors = depth.new_full((3, *depth.shape), 0.7)
+    if tuple(colors.shape) != (3, *depth.shape):
+        raise ShapeError(f"colors: expected {(3, *depth.shape)} to go with depth, got {tuple(colors.shape)}")
+    known = (depth > 0) & depth.isfinite() & (depth <= max_depth)
+    rays = panorama_directions(depth.shape[0], depth.shape[1], depth.dtype).to(depth.device)
+    points = rays[known] * depth[known][:, None]
+    if center is not None:
+        points = points + center.to(points)
+    return PointCloud(points, colors.movedim(0, -1)[known])
+
+
+def save_point_cloud(path: str | Path, points: Tensor, colors: Tensor) -> Path:
+    """Write a coloured point cloud (binary .ply, or another format of trimesh) and return its path.
+
+    Args:
+        path: the suffix chooses the format.
+        points: ``(n, 3)`` metres.
+        colors: ``(n, 3)`` in [0, 1], or uint8.
+
+    Raises:
+        ShapeError: not ``(n, 3)`` both.
+        ArgumentError: no points, or some are not finite; viewers refuse such files.
+    """
+    path = Path(path)
+    if points.ndim != 2 or points.shape[-1] != 3 or points.shape != colors.shape:
+        raise ShapeError(
+            f"points, colors: expected (n, 3) both, got {tuple(points.shape)} and {tuple(colors.shape)}"
+        )
+    if not len(points) or not points.isfinite().all():
+        raise ArgumentError(
+            f"points: expected finite points to write {path.name}, got {len(points)} points, "
+            f"{int((~points.isfinite()).any(-1).sum())} of them not finite"
+        )
+    if colors.is_floating_point():
+        colors = (colors.clamp(0, 1) * 255).round().to(torch.uint8)
+    cloud = trimesh.PointCloud(points.detach().cpu().numpy(), colors=colors.detach().cpu().numpy())
+    with whole_file(path) as temporary:
+        cloud.export(temporary)
+    return path

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Colours follow inverse depth, ends and unknowns are what the docstrings say."""
+
+from __future__ import annotations
+
+import math
+
+import matplotlib
+import numpy as np
+import pytest
+import torch
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.viz.color import UNKNOWN_GREY, depth_ticks, depth_to_color, error_to_color
+
+
+def test_depth_colours_are_even_in_inverse_depth() -> None:
+    position = np.linspace(0, 1, 256)
+    near, far = 1 / 0.5, 1 / 10.0
+    depth = torch.from_numpy(1 / (far + position * (near - far)))
+    expected = (np.array(matplotlib.colormaps["turbo"](position))[:, :3] * 255).round()
+    difference = np.abs(depth_to_color(depth, 0.5, 10.0) - expected)
+    assert difference.max() <= 6  # a value on the edge of two of the 256 colours may take either
+
+
+def test_ends_saturate_and_unknown_is_grey() -> None:
+    depth = torch.tensor([0.5, 0.1, 10.0, 99.0, math.inf, math.nan, 0.0, -1.0])
+    colors = depth_to_color(depth, 0.5, 10.0)
+    assert (colors[0] == colors[1]).all()
+    assert (colors[2] == colors[3]).all()
+    assert (colors[2] == colors[4]).all()
+    assert (colors[5:] == UNKNOWN_GREY).all()
+    assert colors[0, 0] > colors[0, 2]  # near is red
+    assert colors[2, 0] < colors[2, 2]  # far is blue
+
+
+def test_errors_grow_brighter() -> None:
+    brightness = error_to_color(torch.linspace(0, 5, 50), 5.0).sum(-1)
+    assert (np.diff(brightness.astype(int)) >= 0).all()
+    assert (error_to_color(torch.tensor([math.nan]), 5.0) == UNKNOWN_GREY).all()
+
+
+@pytest.mark.parametrize(("near", "far"), [(0.55, math.inf), (1.65, 30.0), (0.013, 0.02), (5.0, math.inf)])
+def test_ticks_stand_where_the_colour_of_their_depth_is(near: float, far: float) -> None:
+    ticks = depth_ticks(near, far)
+    positions = np.array([position for position, _ in ticks])
+    assert positions[0] == 1
+    assert positions[-1] == 0
+    assert (-np.diff(positions) >= 0.07 - 1e-12).all()
+    for position, label in ticks:
+        depth = math.inf if label == "∞" else float(label)
+        assert position == pytest.approx((1 / depth - 1 / far) / (1 / near - 1 / far), abs=0.02)
+
+
+@pytest.mark.parametrize(("near", "far"), [(0.0, 1.0), (2.0, 1.0), (-1.0, math.inf), (math.nan, 1.0)])
+def test_impossible_ranges_are_refused(near: float, far: float) -> None:
+    with pytest.raises(ArgumentError, match="0 < min_depth < max_depth"):
+        depth_to_color(torch.ones(2), near, far)
+
+
+def test_impossible_error_scale_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="max_error: expected a positive number"):
+        error_to_color(torch.ones(2), 0.0)

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Meshes from depth on the icosphere."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.viz import icosphere_mesh
+
+
+def test_constant_depth_is_a_sphere_seen_from_inside() -> None:
+    mesh = icosphere_mesh(torch.full((2562,), 2.0))
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(-4 / 3 * math.pi * 8, rel=3e-3)  # inward normals: negative
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=-1), 2.0, atol=1e-6)
+
+
+def test_it_is_torn_at_jumps_and_unknown_depth() -> None:
+    vertices = Icosphere(3).vertices
+    depth = torch.where(vertices[:, 2] > 0, 1.0, 5.0)
+    mesh = icosphere_mesh(depth, torch.rand(3, 642))
+    distances = np.linalg.norm(mesh.vertices[mesh.faces], axis=-1)
+    assert np.ptp(distances, axis=-1).max() < 1e-5
+    assert mesh.body_count == 2
+    depth[vertices[:, 2] > 0] = math.nan
+    assert np.linalg.norm(icosphere_mesh(depth).vertices, axis=-1).min() == pytest.approx(5.0)
+
+
+def test_bad_arguments_are_refused() -> None:
+    with pytest.raises(ArgumentError, match="above 1"):
+        icosphere_mesh(torch.ones(42), max_jump=0.9)
+    with pytest.raises(ShapeError, match=r"colors: expected \(3, 42\)"):
+        icosphere_mesh(torch.ones(42), torch.ones(42, 3))

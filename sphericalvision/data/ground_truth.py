@@ -18,12 +18,12 @@ import torch
 
 from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
 from sphericalvision.data.image_io import read_pages, write_pages
+from sphericalvision.data.panorama_grid import latitude_limit
 
 __all__ = [
     "PNG_SCALE",
     "GroundTruth",
     "inverse_depth_from_png",
-    "latitude_limit",
     "png_from_inverse_depth",
     "read_ground_truth",
     "write_ground_truth",
@@ -61,24 +61,6 @@ def png_from_inverse_depth(inverse_depth: torch.Tensor, min_depth: float) -> tor
     """
     levels = (inverse_depth.to(torch.float64) * (PNG_SCALE * min_depth)).round()
     return levels.clamp(0, 65535).to(torch.int32)
-
-
-def latitude_limit(height: int, width: int) -> float:
-    """Latitude in radians of the upper edge of a panorama: pi/2 for W = 2H, pi/4 for W = 4H (the urban sets).
-
-    Raises:
-        ShapeError: the panorama is neither; pixels must be square and columns go once around.
-
-    Examples:
-        >>> latitude_limit(160, 640) == torch.pi / 4
-        True
-    """
-    if width not in (2 * height, 4 * height):
-        raise ShapeError(
-            f"panorama: expected width = 2 x height (full sphere) or 4 x height (latitudes within "
-            f"45 degrees), got height {height}, width {width}"
-        )
-    return np.pi * height / width
 
 
 def read_ground_truth(path: str | Path, min_depth: float) -> GroundTruth:

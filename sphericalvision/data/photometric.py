@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Photometric augmentation by kornia, repeatable by a seed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from kornia.augmentation import ColorJiggle, RandomGaussianNoise
+from torch import Tensor, nn
+from torch.nn.functional import pad
+
+from sphericalvision.core import ShapeError
+
+__all__ = ["PhotometricAugmentation"]
+
+Sample = dict[str, Any]
+
+
+class PhotometricAugmentation(nn.Module):
+    """Change brightness, contrast, colour and noise of a sample's images as different sensors would.
+
+    The defaults follow the published training for real images: brightness by up to 0.1 (25 of 255),
+    contrast by up to a fifth, noise of up to a hundredth, for each camera on its own. Works before
+    ``ToSphere`` (images by camera name) and after it (one tensor); there, points outside the field of view
+    stay 0.
+
+    Args:
+        brightness: largest amount added or taken away, of the range [0, 1].
+        contrast: largest change of the factor 1 on grey levels.
+        saturation: largest change of the factor 1 on saturation.
+        hue: largest turn of the hue, as a part of the circle, up to 0.5.
+        noise: standard deviation of Gaussian noise, of the range [0, 1].
+        per_camera: draw colours for each camera, else once for all; noise differs always.
+        generator: source of randomness; torch's global one when not given.
+
+    References:
+        Komatsu et al., IROS 2020, augmentation for real images.
+
+    Examples:
+        >>> augment = PhotometricAugmentation(generator=torch.Generator().manual_seed(0))
+        >>> images = torch.rand(4, 3, 8, 8)
+        >>> torch.equal(augment.apply_to(images, seed=1), augment.apply_to(images, seed=1))
+        True
+        >>> torch.equal(augment.apply_to(images, seed=1), augment.apply_to(images, seed=2))
+        False
+    """
+
+    def __init__(
+        self,
+        brightness: float = 0.1,
+        contrast: float = 0.2,
+        saturation: float = 0.0,
+        hue: float = 0.0,
+        noise: float = 0.01,
+        per_camera: bool = True,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__()
+        self.generator = generator
+        self.color = ColorJiggle(brightness, contrast, saturation, hue, same_on_batch=not per_camera)
+        self.noise = RandomGaussianNoise(mean=0.0, std=noise, p=0.5)
+
+    def apply_to(self, images: Tensor, seed: int) -> Tensor:
+        """Augment images ``(n, 3, h, w)`` in [0, 1]; the same seed does the same again.
+
+        Raises:
+            ShapeError: images of another shape.
+        """
+        if images.ndim != 4 or images.shape[1] != 3:
+            raise ShapeError(f"images: expected (n, 3, h, w), got {tuple(images.shape)}")
+        devices = [images.device] if images.device.type == "cuda" else []
+        with torch.random.fork_rng(devices):  # kornia draws from the global generator only
+            torch.manual_seed(seed)
+            return self.noise(self.color(images)).clamp(0, 1)
+
+    def forward(self, sample: Sample) -> Sample:
+        """The sample with augmented images."""
+        seed = int(torch.randint(2**62, (), generator=self.generator))
+        images = sample["images"]
+        if isinstance(images, Tensor):
+            colored = self.apply_to((images[:, :, None] + 1) / 2, seed)[:, :, 0] * 2 - 1
+            looked_at = (images != 0).any(1, keepdim=True)
+            return {**sample, "images": torch.where(looked_at, colored, 0.0)}
+        height, width = (max(image.shape[axis] for image in images.values()) for axis in (-2, -1))
+        padded = [
+            pad(image, (0, width - image.shape[-1], 0, height - image.shape[-2])) for image in images.values()
+        ]
+        colored = self.apply_to(torch.stack(padded), seed)  # pixel by pixel, so the padding changes nothing
+        cut = {
+            name: changed[:, : image.shape[-2], : image.shape[-1]]
+            for (name, image), changed in zip(images.items(), colored, strict=True)
+        }
+        return {**sample, "images": cut}

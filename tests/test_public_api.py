@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The public names, checked against a list that is kept in the repository.
+
+`tests/public_api.txt` is that list: one `module: name` a line. A name that appears or disappears is a decision, so
+the list is changed by hand or with `python tests/test_public_api.py > tests/public_api.txt` and read in review.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from pathlib import Path
+
+import pytest
+
+INVENTORY = Path(__file__).with_name("public_api.txt")
+
+PACKAGES = (
+    "sphericalvision.cameras",
+    "sphericalvision.core",
+    "sphericalvision.crown",
+    "sphericalvision.data",
+    "sphericalvision.data.transforms",
+    "sphericalvision.geometry",
+    "sphericalvision.icosphere",
+    "sphericalvision.losses",
+    "sphericalvision.metrics",
+    "sphericalvision.models",
+    "sphericalvision.models.weights",
+    "sphericalvision.sphere",
+    "sphericalvision.sweep",
+    "sphericalvision.viz",
+)
+
+# Names, and the arguments they are called with, that code outside this repository relies on.
+SIGNATURES = {
+    "sphericalvision.cameras.Camera.project": ("points",),
+    "sphericalvision.cameras.Camera.unproject": ("pixels",),
+    "sphericalvision.cameras.Camera.sample": ("image", "points"),
+    "sphericalvision.cameras.FisheyeCamera": (
+        "projection",
+        "focal_length",
+        "principal_point",
+        "image_size",
+        "max_angle",
+    ),
+    "sphericalvision.cameras.OCamCamera": (
+        "polynomial",
+        "inverse_polynomial",
+        "principal_point",
+        "affine",
+        "image_size",
+        "max_angle",
+    ),
+    "sphericalvision.cameras.EquirectangularCamera": ("image_size",),
+    "sphericalvision.cameras.CameraRig": ("cameras", "world_from_camera", "masks"),
+    "sphericalvision.cameras.read_rig": ("path", "translation_unit", "max_angle"),
+    "sphericalvision.icosphere.Icosphere": ("level", "dtype", "device"),
+    "sphericalvision.icosphere.Icosphere.locate": ("directions",),
+    "sphericalvision.icosphere.Icosphere.sample": ("values", "directions"),
+    "sphericalvision.sphere.Equirectangular": ("height", "width"),
+    "sphericalvision.sphere.resample": ("values", "source", "target", "rotation"),
+    "sphericalvision.crown.to_crown": ("values",),
+    "sphericalvision.crown.from_crown": ("crown",),
+    "sphericalvision.crown.CrownConv2d": ("in_channels", "out_channels", "stride"),
+    "sphericalvision.crown.CrownConv3d": ("in_channels", "out_channels", "stride"),
+    "sphericalvision.sweep.inverse_depth_hypotheses": ("num_hypotheses", "min_depth"),
+    "sphericalvision.sweep.SphereSweep": ("level", "num_hypotheses", "min_depth"),
+    "sphericalvision.sweep.depth_from_index": ("index", "num_hypotheses", "min_depth"),
+    "sphericalvision.sweep.index_from_depth": ("depth", "num_hypotheses", "min_depth"),
+    "sphericalvision.sweep.soft_argmax": ("logits",),
+    "sphericalvision.models.IcoSweepNet": (
+        "level",
+        "num_hypotheses",
+        "min_depth",
+        "feature_channels",
+        "num_cameras",
+    ),
+    "sphericalvision.models.weights.save_weights": ("net", "path"),
+    "sphericalvision.models.weights.load_weights": ("path",),
+    "sphericalvision.models.weights.load_reference_checkpoint": ("path",),
+    "sphericalvision.models.weights.pretrained": ("name",),
+    "sphericalvision.metrics.DepthIndexError": ("num_hypotheses",),
+    "sphericalvision.metrics.DepthError": (),
+    "sphericalvision.losses.depth_index_huber": ("pred", "target", "mask", "delta"),
+    "sphericalvision.data.OmniStereoDataset": ("root",),
+    "sphericalvision.data.collate_samples": (),
+}
+
+
+def public_names() -> list[str]:
+    """What every public package offers now, as lines of the inventory."""
+    return sorted(
+        f"{package}: {name}" for package in PACKAGES for name in importlib.import_module(package).__all__
+    )
+
+
+def resolve(dotted: str) -> object:
+    """The object a dotted name stands for, importing as much of it as is a module."""
+    parts = dotted.split(".")
+    for length in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:length]))
+        except ModuleNotFoundError:
+            continue
+        for name in parts[length:]:
+            found = getattr(found, name)
+        return found
+    raise ModuleNotFoundError(dotted)
+
+
+def test_public_names_are_the_inventory() -> None:
+    expected = INVENTORY.read_text().splitlines()
+    now = public_names()
+    appeared, gone = sorted(set(now) - set(expected)), sorted(set(expected) - set(now))
+    assert now == expected, (
+        f"new: {appeared}; gone: {gone}; if meant, update {INVENTORY.name} (see the top of this file)"
+    )
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_public_name_exists_and_says_what_it_is(package: str) -> None:
+    module = importlib.import_module(package)
+    for name in module.__all__:
+        found = getattr(module, name)
+        if inspect.isclass(found) or inspect.isfunction(found):
+            assert inspect.getdoc(found), f"{package}.{name} has no docstring"
+
+
+@pytest.mark.parametrize("dotted", sorted(SIGNATURES))
+def test_signature(dotted: str) -> None:
+    """The promised arguments exist, under their names and in their order."""
+    parameters = [name for name in inspect.signature(resolve(dotted)).parameters if name != "self"]  # type: ignore[arg-type]
+    promised = [name for name in parameters if name in SIGNATURES[dotted]]
+    assert promised == list(SIGNATURES[dotted])
+
+
+if __name__ == "__main__":
+    print("\n".join(public_names()))

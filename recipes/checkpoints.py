@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Networks from files: weights, Lightning checkpoints, the authors' format, or what ships with the package."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import torch
+from pytorch_lightning.plugins.io import TorchCheckpointIO
+from torch import nn
+
+from sphericalvision.core import ArgumentError, FileFormatError, check_file
+from sphericalvision.models import IcoSweepNet
+from sphericalvision.models.weights import load_reference_checkpoint, load_weights, pretrained, save_weights
+
+__all__ = ["WeightsBesideCheckpoint", "initialize", "load_network"]
+
+SHAPED_BY = ("num_cameras", "feature_channels")
+"""Hyper-parameters that give parameters their shapes; the others may change after training."""
+
+
+class WeightsBesideCheckpoint(TorchCheckpointIO):
+    """Lightning's checkpoints, and beside each ``.ckpt`` the network's weights alone as ``.safetensors``.
+
+    Either file appears whole or not at all, so an interruption while saving leaves the previous ones.
+    """
+
+    def __init__(self, net: nn.Module) -> None:
+        super().__init__()
+        self.net = net
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None
+    ) -> None:
+        """Write both files, each to a temporary name first."""
+        path = Path(path)
+        temporary = path.with_name(f".{path.name}.tmp")
+        super().save_checkpoint(checkpoint, temporary, storage_options)
+        temporary.replace(path)
+        weights = path.with_suffix(".safetensors")
+        temporary = weights.with_name(f".{weights.stem}.tmp.safetensors")
+        save_weights(self.net, temporary)
+        temporary.replace(weights)
+
+    def remove_checkpoint(self, path: Any) -> None:
+        """Remove both files."""
+        super().remove_checkpoint(path)
+        Path(path).with_suffix(".safetensors").unlink(missing_ok=True)
+
+
+def load_network(
+    checkpoint: str | Path | None = None, level: int | None = None, min_depth: float | None = None
+) -> IcoSweepNet:
+    """Load a network in evaluation mode.
+
+    Its parameters depend neither on ``level`` nor on ``min_depth``, so both may be replaced.
+
+    Args:
+        checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or another suffix for the authors' format; the
+            network that ships with the package when not given.
+        level: of the images on the icosphere, instead of the level trained at.
+        min_depth: nearest hypothesis in metres, instead of the one trained with.
+
+    Raises:
+        MissingFileError: no such file.
+        FileFormatError: the file holds no network of this package.
+    """
+    net = _read(checkpoint)
+    changes = {"level": level, "min_depth": min_depth}
+    wanted = {**net.hyperparameters, **{key: value for key, value in changes.items() if value is not None}}
+    if wanted != net.hyperparameters:
+        state = net.state_dict()
+        net = IcoSweepNet(**wanted)
+        net.load_state_dict(state)
+    return net.eval()
+
+
+def initialize(net: IcoSweepNet, weights: str | Path) -> None:
+    """Start ``net`` from the parameters of another checkpoint, trained at any level.
+
+    Raises:
+        ArgumentError: the other network has another number of cameras or channels; the message names both.
+    """
+    other = load_network(weights)
+    mine, theirs = net.hyperparameters, other.hyperparameters
+    for key in SHAPED_BY:
+        if mine[key] != theirs[key]:
+            raise ArgumentError(
+                f"init_weights: {weights} has {key} = {theirs[key]}, the network to train has {mine[key]}; "
+                f"set model.{key}={theirs[key]} or take other weights"
+            )
+    net.load_state_dict(other.state_dict())
+
+
+def _read(checkpoint: str | Path | None) -> IcoSweepNet:
+    if checkpoint is None:
+        return pretrained()
+    path = check_file(checkpoint, "a checkpoint (.safetensors, .ckpt, or the authors' format)")
+    if path.suffix == ".safetensors":
+        return load_weights(path)
+    if path.suffix != ".ckpt":
+        return load_reference_checkpoint(path)
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        hyperparameters, state = content["hyper_parameters"], content["state_dict"]
+        names = ("level", "num_hypotheses", "min_depth", "feature_channels", "num_cameras")
+        net = IcoSweepNet(**{name: hyperparameters[name] for name in names})
+        net.load_state_dict({key[4:]: value for key, value in state.items() if key.startswith("net.")})
+    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
+        raise FileFormatError(
+            f"{path}: is not a checkpoint of sphericalvision-train, or is damaged "
+            f"({str(error).splitlines()[0]:.200}). Give a .ckpt or .safetensors file from the checkpoints folder of a training run."
+        ) from error
+    return net

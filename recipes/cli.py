@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands share: paths taken literally, errors in one paragraph, configs made into objects."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
+from rich.syntax import Syntax
+from rich.table import Table
+from rich.tree import Tree
+
+from sphericalvision.core import SphericalVisionError
+
+__all__ = [
+    "build",
+    "command",
+    "console",
+    "output_folder",
+    "plain_errors",
+    "print_config",
+    "print_table",
+    "quote_paths",
+]
+
+console = Console()
+
+PATH_KEYS = {
+    "rig",
+    "images",
+    "masks",
+    "checkpoint",
+    "output",
+    "resume",
+    "init_weights",
+    "root",
+    "cache_dir",
+    "path",
+}
+"""Last parts of the keys whose values are file names: what stands there is a name, never Hydra's grammar."""
+
+
+def quote_paths(arguments: list[str]) -> list[str]:
+    """Quote values of path keys, so that braces, commas and equal signs in file names need no second quoting.
+
+    Examples:
+        >>> quote_paths(["images=/data/cam{camera}/{frame:05d}.png", "frames=[1,2]"])
+        ["images='/data/cam{camera}/{frame:05d}.png'", 'frames=[1,2]']
+    """
+    return [_quote_path(argument) for argument in arguments]
+
+
+def _quote_path(argument: str) -> str:
+    match = re.match(r"^([\w./@]+)=(.*)$", argument, re.DOTALL)
+    if match is None or match[1].split(".")[-1] not in PATH_KEYS:
+        return argument
+    value = match[2]
+    if value in ("", "null", "auto") or value[0] in "'\"" or "${" in value:
+        return argument
+    escaped = re.sub(r"(\\*)'", lambda quote: quote[1] * 2 + r"\'", os.path.expanduser(value))
+    return f"{match[1]}='{escaped}'"
+
+
+def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+    """Make a command line of ``task``, which gets the config ``config_name`` with the user's changes."""
+
+    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+        hydra_main = hydra.main(
+            version_base="1.3", config_path="pkg://sphericalvision.conf", config_name=config_name
+        )(plain_errors(task))
+
+        @functools.wraps(task)
+        def main() -> None:
+            sys.argv[1:] = quote_paths(sys.argv[1:])
+            hydra_main()
+
+        return main
+
+    return decorate
+
+
+def plain_errors(task: Callable[[DictConfig], None]) -> Callable[[DictConfig], None]:
+    """Print errors that a user can mend without their traceback and exit with status 1.
+
+    Other errors are faults of the program and pass; with ``HYDRA_FULL_ERROR=1`` all do.
+    """
+
+    @functools.wraps(task)
+    def guarded(config: DictConfig) -> None:
+        try:
+            task(config)
+        except KeyboardInterrupt:
+            print("\nInterrupted.", file=sys.stderr)
+            raise SystemExit(130) from None
+        except Exception as error:
+            message = _user_message(error)
+            if message is None or os.environ.get("HYDRA_FULL_ERROR") == "1":
+                raise
+            print(f"\nError: {message}", file=sys.stderr)
+            raise SystemExit(1) from None
+
+    return guarded
+
+
+def _user_message(error: BaseException | None) -> str | None:
+    """Message of the first error in the chain that is meant for users."""
+    outermost = error
+    while error is not None:
+        if isinstance(error, SphericalVisionError):
+            return str(error)
+        error = error.__cause__ or error.__context__
+    if isinstance(outermost, OmegaConfBaseException):
+        key = outermost.full_key or outermost.key
+        if "issing" in type(outermost).__name__:
+            return f"{key}: a value is needed here; give it on the command line as {key}=..."
+        return f"{key}: {str(outermost).splitlines()[0]}"
+    if isinstance(outermost, HydraException):
+        return textwrap.shorten(str(outermost), 600)
+    return None
+
+
+def build(config: Any, *args: Any, **kwargs: Any) -> Any:
+    """Instantiate a config node's ``_target_``; the only place where configs become objects."""
+    return hydra.utils.instantiate(config, *args, _convert_="all", **kwargs)
+
+
+def output_folder() -> Path:
+    """The folder of this run, absolute; also right in multi-runs."""
+    return Path(HydraConfig.get().runtime.output_dir).absolute()
+
+
+def print_config(config: DictConfig, folder: Path | None = None) -> None:
+    """Print the resolved config as a tree; keep it as ``config.yaml`` in ``folder``."""
+    resolved = OmegaConf.create(OmegaConf.to_container(config, resolve=True, throw_on_missing=False))
+    tree = Tree("config")
+    for key, value in resolved.items():
+        if isinstance(value, (DictConfig, ListConfig)):
+            tree.add(str(key)).add(
+                Syntax(OmegaConf.to_yaml(value).rstrip(), "yaml", background_color="default")
+            )
+        else:
+            tree.add(f"{key}: {value}", highlight=True)
+    console.print(tree)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(resolved, folder / "config.yaml")
+
+
+def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
+    """Print rows of text as a table, numbers to the right."""
+    table = Table(title=title, title_justify="left")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The training loop's one object: a depth network, its loss, its metrics and its optimiser."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytorch_lightning as pl
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.losses import depth_index_huber
+from sphericalvision.metrics import DepthIndexError
+from sphericalvision.models import IcoSweepNet
+from sphericalvision.sweep import index_from_inverse_depth
+
+__all__ = ["METRICS", "DepthModule", "learning_rate_factor"]
+
+METRICS = (">1", ">3", ">5", "MAE", "RMS")
+"""Columns of the paper's tables, in order; percent of the number of hypotheses."""
+
+
+def learning_rate_factor(
+    step: int,
+    schedule: str,
+    num_steps: int,
+    warmup_steps: int = 0,
+    decay_after: int = 0,
+    decay_factor: float = 0.1,
+) -> float:
+    """Factor on the learning rate at ``step`` of ``num_steps``.
+
+    ``"step"`` multiplies by ``decay_factor`` from ``decay_after`` on; ``"cosine"`` falls from 1 to
+    ``decay_factor`` at ``num_steps``. Either rises linearly from 0 during ``warmup_steps``.
+
+    Raises:
+        ArgumentError: ``schedule`` is none of ``"constant"``, ``"step"``, ``"cosine"``.
+
+    Examples:
+        >>> [learning_rate_factor(s, "step", 6, decay_after=4) for s in (0, 3, 4, 5)]
+        [1.0, 1.0, 0.1, 0.1]
+        >>> round(learning_rate_factor(5, "cosine", 10, decay_factor=0.0), 3)
+        0.5
+    """
+    check_choice("optimizer.schedule", schedule, ("constant", "step", "cosine"))
+    warmup = min(1.0, (step + 1) / warmup_steps) if warmup_steps else 1.0
+    if schedule == "step":
+        return warmup * (decay_factor if step >= decay_after else 1.0)
+    if schedule == "cosine":
+        progress = min(1.0, step / max(1, num_steps))
+        return warmup * (decay_factor + (1.0 - decay_factor) * 0.5 * (1.0 + math.cos(math.pi * progress)))
+    return warmup
+
+
+class DepthModule(pl.LightningModule):
+    """IcoSweepNet with the Huber loss on the hypothesis index, Adam, and the paper's metrics.
+
+    Every argument is a plain scalar, so checkpoints load with ``weights_only=True`` and rebuild the network.
+
+    Args:
+        level: icosphere level of the images; depth is estimated at ``level - 2``.
+        num_hypotheses: number of inverse-depth hypotheses N.
+        min_depth: nearest hypothesis in metres.
+        feature_channels: width C of the features.
+        num_cameras: number of cameras of the rig.
+        learning_rate: of Adam, at its highest.
+        weight_decay: of Adam.
+        schedule: ``"constant"``, ``"step"`` or ``"cosine"``; see ``learning_rate_factor``.
+        schedule_steps: iteration at which a cosine ends.
+        warmup_steps: iterations of linear rise.
+        decay_after: iteration at which a step schedule drops.
+        decay_factor: factor of that drop, or of the cosine's end.
+        huber_delta: where the loss turns from quadratic to linear, in hypothesis indices.
+        seed: with the iteration's number it seeds each training step, so that resuming changes nothing.
+    """
+
+    def __init__(
+        self,
+        level: int = 7,
+        num_hypotheses: int = 32,
+        min_depth: float = 0.55,
+        feature_channels: int = 32,
+        num_cameras: int = 4,
+        learning_rate: float = 1e-3,
+        weight_decay: float = 0.0,
+        schedule: str = "step",
+        schedule_steps: int = 54_000,
+        warmup_steps: int = 0,
+        decay_after: int = 36_000,
+        decay_factor: float = 0.1,
+        huber_delta: float = 1.0,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        learning_rate_factor(0, schedule, schedule_steps)
+        if schedule == "cosine" and schedule_steps <= 0:
+            raise ArgumentError(
+                f"optimizer.schedule_steps: a cosine needs the number of iterations, got {schedule_steps}; "
+                "set trainer.max_steps or optimizer.schedule_steps"
+            )
+        self.save_hyperparameters()
+        self.net = IcoSweepNet(level, num_hypotheses, min_depth, feature_channels, num_cameras)
+        self.validation_metric = DepthIndexError(num_hypotheses)
+
+    def forward(self, images: Tensor, rig: Any) -> Tensor:
+        """Hypothesis index ``(B, V)`` of sphere images ``(B, n, 3, V_level)`` seen by ``rig``."""
+        return self.net(images, rig)
+
+    def target(self, batch: dict[str, Any]) -> Tensor:
+        """Hypothesis index ``(B, V)`` of the true inverse depth; fractional, not rounded."""
+        return index_from_inverse_depth(
+            batch["inverse_depth"],
+            self.net.hyperparameters["num_hypotheses"],
+            self.net.hyperparameters["min_depth"],
+        )
+
+    def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
+        """Seed what is drawn at random inside the step from its number alone."""
+        torch.manual_seed(self.hparams["seed"] * 1_000_003 + self.global_step)
+
+    def training_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
+        """Huber loss of one batch."""
+        index = self(batch["images"], batch["rig"])
+        loss = depth_index_huber(index, self.target(batch), batch["valid"], delta=self.hparams["huber_delta"])
+        self.log("train/loss", loss, prog_bar=True, batch_size=len(index))
+        return loss
+
+    def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
+        """Gather the paper's errors of one batch; returns the index ``(B, V)``."""
+        index = self(batch["images"], batch["rig"])
+        self.validation_metric.update(index, self.target(batch), batch["valid"])
+        return index
+
+    def on_validation_epoch_end(self) -> None:
+        """Log ``val/over_1``, ``val/over_3``, ``val/over_5``, ``val/MAE`` and ``val/RMS``."""
+        values = self.validation_metric.compute()
+        self.validation_metric.reset()
+        for name in METRICS:
+            self.log(f"val/{name.replace('>', 'over_')}", values[name], prog_bar=name == "MAE")
+
+    def configure_optimizers(self) -> Any:
+        """Adam with the schedule stepped at every iteration."""
+        h = self.hparams
+        optimizer = torch.optim.Adam(
+            self.net.parameters(), h["learning_rate"], weight_decay=h["weight_decay"]
+        )
+        scheduler = torch.optim.lr_scheduler.LambdaLR(
+            optimizer,
+            lambda step: learning_rate_factor(
+                step,
+                h["schedule"],
+                h["schedule_steps"],
+                h["warmup_steps"],
+                h["decay_after"],
+                h["decay_factor"],
+            ),
+        )
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}

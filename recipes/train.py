@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Train a depth network: ``sphericalvision-train experiment=quickstart``.
+
+Everything goes to one folder: the resolved config, checkpoints with the weights beside them, metrics (CSV and
+TensorBoard), depth panels and the final table.
+"""
+
+from __future__ import annotations
+
+import shlex
+import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytorch_lightning as pl
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
+
+from sphericalvision.core import ArgumentError, check_file
+from sphericalvision.recipes.callbacks import training_callbacks
+from sphericalvision.recipes.checkpoints import WeightsBesideCheckpoint, initialize, load_network
+from sphericalvision.recipes.cli import build, command, console, output_folder, print_config
+from sphericalvision.recipes.datamodules import DepthDataModule
+from sphericalvision.recipes.evaluation import Row, print_rows, save_rows
+from sphericalvision.recipes.lit_depth import METRICS, DepthModule
+
+__all__ = ["Run", "instantiate_run", "main", "train"]
+
+
+class Run(NamedTuple):
+    """The objects of a training run."""
+
+    module: DepthModule
+    data: DepthDataModule
+    trainer: pl.Trainer
+
+
+def instantiate_run(config: DictConfig, folder: Path) -> Run:
+    """Make network, data and trainer of a config; results go to ``folder``."""
+    pl.seed_everything(config.seed, workers=True, verbose=False)
+    module = build(config.model, **config.optimizer, seed=config.seed)
+    data = build(config.data)
+    trainer = build(
+        config.trainer,
+        default_root_dir=str(folder),
+        callbacks=training_callbacks(folder, config.checkpoint_minutes, config.panel_frames),
+        logger=[
+            CSVLogger(str(folder), name="", version="metrics", flush_logs_every_n_steps=20),
+            TensorBoardLogger(str(folder), name="", version="tensorboard", default_hp_metric=False),
+        ],
+        plugins=[WeightsBesideCheckpoint(module.net)],
+    )
+    return Run(module, data, trainer)
+
+
+def resume_path(resume: str | None, folder: Path) -> Path | None:
+    """The checkpoint to resume from: ``auto`` is this folder's last one, if there is any."""
+    if resume is None:
+        return None
+    if resume == "auto":
+        last = folder / "checkpoints" / "last.ckpt"
+        return last if last.is_file() else None
+    return check_file(resume, "a Lightning checkpoint to resume from, such as checkpoints/last.ckpt")
+
+
+def check_resume(path: Path | None, module: DepthModule) -> None:
+    """Refuse to resume a network of another shape or scale; its step count would mean nothing here.
+
+    Raises:
+        ArgumentError: the first hyper-parameter that differs, with both values.
+    """
+    if path is None:
+        return
+    stored = load_network(path).hyperparameters
+    for key, value in module.net.hyperparameters.items():
+        if stored[key] != value:
+            raise ArgumentError(
+                f"resume: {path} was trained with {key} = {stored[key]}, this run has model.{key} = {value}; "
+                f"set model.{key}={stored[key]} to go on, or start anew from it with init_weights={path}"
+            )
+
+
+def train(config: DictConfig, folder: Path) -> dict[str, float]:
+    """Train as ``config`` says and return the validation metrics of the best checkpoint."""
+    warnings.filterwarnings("ignore", ".*not resumable.*|.*does not have many workers.*|.*num_workers.*")
+    print_config(config, folder)
+    module, data, trainer = instantiate_run(config, folder)
+    checkpoint = resume_path(config.resume, folder)
+    check_resume(checkpoint, module)
+    if config.init_weights is not None and checkpoint is None:
+        initialize(module.net, config.init_weights)
+    last = folder / "checkpoints" / "last.ckpt"
+    trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
+    trainer.save_checkpoint(last)
+    if trainer.interrupted:
+        console.print(f"\nInterrupted at step {trainer.global_step}. Go on with:")
+        print(resume_command(last))
+        raise KeyboardInterrupt
+    best = Path(trainer.checkpoint_callback.best_model_path or last)  # type: ignore[union-attr]
+    trainer.validate(module, data, ckpt_path=best, weights_only=True, verbose=False)
+    values = {name: float(trainer.callback_metrics[f"val/{name.replace('>', 'over_')}"]) for name in METRICS}
+    if trainer.is_global_zero:
+        rows = [Row(f"step {trainer.global_step}, best checkpoint", values)]
+        print_rows("validation (percent of N)", rows)
+        save_rows(folder / "validation", rows)
+        print(f"\nResults are in {folder}")
+        print(f"Resume:   {resume_command(last)}")
+        print(f"Evaluate: {evaluate_command(best, config)}")
+    return values
+
+
+def resume_command(last: Path) -> str:
+    """Command line that goes on with this run, in the same folder."""
+    given = [x for x in HydraConfig.get().overrides.task if not x.startswith(("resume=", "output="))]
+    given += [f"output={last.parent.parent}", f"resume={last}"]
+    return shlex.join(["sphericalvision-train", *given])
+
+
+def evaluate_command(best: Path, config: DictConfig) -> str:
+    """Command line that evaluates the best checkpoint on the same kind of data."""
+    choices: dict[str, Any] = dict(HydraConfig.get().runtime.choices)
+    words = [f"checkpoint={best.with_suffix('.safetensors')}", f"data={choices['data']}"]
+    words.append(
+        f"scene_rig={choices['scene_rig']}" if "rig" in config.data else f"data.root={config.data.root}"
+    )
+    return shlex.join(["sphericalvision-evaluate", *words])
+
+
+@command("train")
+def main(config: DictConfig) -> None:
+    """Command line of training."""
+    train(config, output_folder())
+
+
+if __name__ == "__main__":
+    main()

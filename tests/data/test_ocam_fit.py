@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Other cameras as OCam models: within the stated residual, both ways."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from sphericalvision.cameras import DoubleSphereCamera, EquirectangularCamera, FisheyeCamera, OCamCamera
+from sphericalvision.core import ArgumentError
+from sphericalvision.data.ocam_fit import fit_ocam, ocam_from_camera
+
+
+def cameras() -> dict[str, object]:
+    double = {"dtype": torch.float64}
+    return {
+        "equidistant": FisheyeCamera.from_field_of_view((800, 768), math.radians(220)),
+        "equisolid": FisheyeCamera.from_field_of_view((800, 768), math.radians(220), projection="equisolid"),
+        "stereographic": FisheyeCamera.from_field_of_view(
+            (800, 768), math.radians(185), projection="stereographic"
+        ),
+        "two scales": FisheyeCamera(
+            "equidistant",
+            torch.tensor([200.0, 210.0], **double),
+            torch.tensor([390.0, 401.5], **double),
+            (800, 768),
+            math.radians(100),
+        ),
+        "double sphere": DoubleSphereCamera(
+            torch.tensor([300.0, 300.0], **double),
+            torch.tensor([610.0, 600.0], **double),
+            torch.tensor(-0.2, **double),
+            torch.tensor(0.6, **double),
+            (1216, 1216),
+            math.radians(100),
+        ),
+    }
+
+
+@pytest.mark.parametrize("name", list(cameras()))
+def test_the_fit_images_alike_both_ways(name: str, generator: torch.Generator) -> None:
+    camera = cameras()[name].to(torch.float64)
+    ocam, residual = fit_ocam(camera)
+    assert residual < 0.02
+    points = torch.randn(4000, 3, dtype=torch.float64, generator=generator)
+    expected = camera.project(points)
+    gap = (ocam.project(points).pixels - expected.pixels)[expected.valid].norm(dim=-1)
+    assert gap.max() <= residual + 1e-6
+    rays = ocam.unproject(expected.pixels[expected.valid]).directions
+    again = (camera.project(rays).pixels - expected.pixels[expected.valid]).norm(dim=-1)
+    assert again.max() <= 1.5 * residual + 1e-6
+
+
+def test_an_equidistant_lens_has_the_polynomial_known_by_hand() -> None:
+    """rho = f * (theta + pi / 2), theta from the image plane."""
+    camera = FisheyeCamera.from_field_of_view((800, 768), math.radians(220)).to(torch.float64)
+    focal = float(camera.focal_length.flatten()[0])
+    ocam = ocam_from_camera(camera)
+    assert ocam.inverse_polynomial.tolist() == pytest.approx([focal * math.pi / 2, focal], abs=1e-6)
+    assert ocam.polynomial[0].item() == pytest.approx(-focal, rel=1e-3)
+    assert ocam.polynomial[1].item() == 0
+
+
+def test_complete_ocam_cameras_pass_and_incomplete_ones_are_completed() -> None:
+    complete = ocam_from_camera(cameras()["equidistant"])
+    assert ocam_from_camera(complete) is complete
+    incomplete = OCamCamera(
+        complete.polynomial,
+        None,
+        complete.principal_point,
+        torch.tensor([1.0003, -0.00027, -0.00092], dtype=torch.float64),
+        complete.image_size,
+        complete.max_angle,
+    )
+    completed, residual = fit_ocam(incomplete)
+    assert residual < 0.01
+    assert torch.equal(completed.polynomial, incomplete.polynomial)
+    assert torch.equal(completed.affine, incomplete.affine)
+
+
+def test_what_no_polynomial_can_follow_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="OCam model"):
+        ocam_from_camera(EquirectangularCamera((100, 200)))

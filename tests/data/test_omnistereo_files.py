@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Splits against the published numbers; frames by number of digits; scales."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.data.omnistereo_files import (
+    RELEASES,
+    check_scale,
+    find_release,
+    index_frames,
+    read_min_depth,
+    split_frames,
+)
+
+
+@pytest.mark.parametrize(
+    ("dataset", "protocol", "split", "first", "last", "count"),
+    [
+        ("omnithings", "paper", "train", 1, 8240, 7216),
+        ("omnithings", "paper", "val", 8241, 10240, 2000),
+        ("omnihouse", "paper", "test", 1, 2048, 2048),
+        ("omnithings", "official", "train", 1, 10240, 9216),
+        ("omnithings", "official", "test", 4097, 5120, 1024),
+        ("omnihouse", "official", "train", 1, 2048, 2048),
+        ("omnihouse", "official", "test", 2049, 2560, 512),
+        ("sunny", "official", "train", 1, 700, 700),
+        ("cloudy", "official", "test", 701, 1000, 300),
+        ("sunset", "official", "test", 701, 1000, 300),
+        ("omnithings", "paper", "all", 1, 10240, 10240),
+    ],
+)
+def test_convention_splits(
+    dataset: str, protocol: str, split: str, first: int, last: int, count: int
+) -> None:
+    frames = split_frames(dataset, split, protocol)
+    assert (frames[0], frames[-1], len(frames)) == (first, last, count)
+    assert len(set(frames)) == count
+
+
+@pytest.mark.parametrize("protocol", ["paper", "official"])
+def test_training_frames_are_in_no_other_split(protocol: str) -> None:
+    train = set(split_frames("omnithings", "train", protocol))
+    held_out = set(split_frames("omnithings", "val" if protocol == "paper" else "test", protocol))
+    assert not train & held_out
+
+
+def test_a_split_that_does_not_exist_is_refused_with_those_that_do() -> None:
+    with pytest.raises(
+        ArgumentError, match=r"omnithings has 'all', 'train', 'val' in the 'paper' protocol.*'test'"
+    ):
+        split_frames("omnithings", "test", "paper")
+    with pytest.raises(ArgumentError, match="dataset: expected one of 'omnithings'"):
+        split_frames("kitti", "train")
+    with pytest.raises(ArgumentError, match="protocol: expected one of"):
+        split_frames("omnithings", "train", "mine")
+
+
+def test_frames_are_found_by_number_whatever_the_digits(tmp_path: Path) -> None:
+    for name in ("00001.png", "0001.png", "0002.png", "10240.png", "thumbs.png", "3.txt", ".0007.png"):
+        (tmp_path / name).touch()
+    files = index_frames(tmp_path, "images")
+    assert {number: file.name for number, file in files.items()} == {
+        1: "00001.png",
+        2: "0002.png",
+        10240: "10240.png",
+    }
+    with pytest.raises(MissingFileError, match=r"no such folder .images of cam2 expected"):
+        index_frames(tmp_path / "cam2", "images of cam2")
+
+
+def layout(root: Path, *names: str) -> Path:
+    for name in names:
+        if "." in name:
+            (root / name).touch()
+        else:
+            (root / name).mkdir()
+    return root
+
+
+def test_each_release_is_told_by_ground_truth_and_calibration(tmp_path: Path) -> None:
+    assert find_release(layout(tmp_path, "depth_train_640", "poses.txt")) is RELEASES["png"]
+    (tmp_path / "omnidepth_gt_640").mkdir()  # an incomplete second release does not disturb
+    assert find_release(tmp_path) is RELEASES["png"]
+    layout(tmp_path, "config.yaml")
+    with pytest.raises(ArgumentError, match="both releases"):
+        find_release(tmp_path)
+    assert find_release(tmp_path, "tiff") is RELEASES["tiff"]
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (("depth_train_640", "config.yaml"), "PNG ground truth in depth_train_640/ with config.yaml"),
+        (("omnidepth_gt_640", "poses.txt"), "TIFF ground truth in omnidepth_gt_640/ with poses.txt"),
+    ],
+)
+def test_mixed_releases_are_refused_saying_what_was_found(
+    tmp_path: Path, names: tuple[str, ...], found: str
+) -> None:
+    with pytest.raises(
+        FileFormatError, match=rf"mixed releases: found {found}\..*1\.65 m, rig radius 0\.60 m"
+    ):
+        find_release(layout(tmp_path, *names))
+
+
+def test_missing_data_names_folder_files_and_description(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError) as caught:
+        find_release(tmp_path / "omnithings")
+    message = str(caught.value)
+    for part in (
+        str(tmp_path / "omnithings"),
+        "cam1/",
+        "poses.txt",
+        "config.yaml",
+        "omnidepth_gt_640",
+        "http",
+    ):
+        assert part in message
+    with pytest.raises(MissingFileError, match="incomplete data set"):
+        find_release(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("min_depth", "radius"), [(0.55, 0.20), (1.65, 0.60), (0.5, 0.21), (0.55, 0.04), (3.0, 0.6)]
+)
+def test_consistent_scales_pass(tmp_path: Path, min_depth: float, radius: float) -> None:
+    for release in RELEASES.values():
+        check_scale(tmp_path, release, min_depth, radius)
+
+
+@pytest.mark.parametrize(("min_depth", "radius"), [(0.55, 0.60), (1.65, 0.20), (0.55, 20.0)])
+def test_mixed_scales_are_refused_with_both_numbers(tmp_path: Path, min_depth: float, radius: float) -> None:
+    with pytest.raises(FileFormatError, match=f"minimum depth {min_depth:g} m, rig radius {radius:.3g} m"):
+        check_scale(tmp_path, RELEASES["png"], min_depth, radius)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("config: {omnimvs_sweep_min_depth: near}", "omnimvs_sweep_min_depth: expected a positive number"),
+        ("config: {omnimvs_sweep_min_depth: -1}", "omnimvs_sweep_min_depth: expected a positive number"),
+        ("config: [", "not readable as YAML"),
+    ],
+)
+def test_bad_minimum_depth_names_file_and_key(tmp_path: Path, text: str, fault: str) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text(text)
+    with pytest.raises(FileFormatError, match=rf"config\.yaml: .*{fault}"):
+        read_min_depth(config)
+
+
+def test_minimum_depth_is_read_or_none(tmp_path: Path) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text("config: {omnimvs_sweep_min_depth: 1.65}")
+    assert read_min_depth(config) == 1.65
+    config.write_text("cameras: []")
+    assert read_min_depth(config) is None

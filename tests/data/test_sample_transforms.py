@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples onto the icosphere, and augmentations that change what they say and nothing else."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data.panorama_grid import panorama_directions
+from sphericalvision.data.photometric import PhotometricAugmentation
+from sphericalvision.data.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
+from sphericalvision.icosphere import Icosphere
+
+Sample = dict[str, Any]
+Make = Callable[..., Any]
+
+
+@pytest.fixture
+def with_truth(make_frames: Callable[..., list[Sample]]) -> Callable[..., Sample]:
+    """Function of a rig and the panorama's size: one whole sample."""
+
+    def build(rig: CameraRig, **size: int) -> Sample:
+        sample = make_frames(rig, [1], **size)[0]
+        known = torch.ones_like(sample["inverse_depth"], dtype=torch.bool)
+        return {**sample, "valid": known, "rig": rig}
+
+    return build
+
+
+def test_images_agree_with_the_rigs_own_lookup(rig: CameraRig, with_truth: Make) -> None:
+    sample = with_truth(rig)
+    to_sphere = ToSphere(4)
+    values, seen = rig.sample_sphere(sample["images"], Icosphere(4).vertices, fill=0.5)
+    for _ in range(2):  # computed, then from the table
+        result = to_sphere(sample)
+        torch.testing.assert_close(result["images"], values * 2 - 1, rtol=0, atol=1e-5)
+        assert (result["images"].movedim(1, -1)[~seen] == 0).all()
+    assert result["images"].shape == (4, 3, 2562)
+    assert result["inverse_depth"].shape == result["valid"].shape == (162,)
+    assert result["frame"] == sample["frame"]
+    assert result["rig"] is rig
+
+
+def test_convention_images_are_world_aligned(rig: CameraRig) -> None:
+    """Each camera sees brightness (1 + height) / 2: on the icosphere all agree, wherever they look."""
+    images = {}
+    for (name, camera), world_from_camera in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
+        rows, columns = torch.meshgrid(*map(torch.arange, camera.image_size), indexing="ij")
+        rays = camera.unproject(torch.stack((columns, rows), dim=-1).float()).directions
+        up = -(rays @ world_from_camera[:3, :3].T)[..., 1]
+        images[name] = ((1 + up) / 2).nan_to_num(0.5)[None].expand(3, -1, -1)
+    result = ToSphere(3).images(images, rig)
+    up = -Icosphere(3).vertices[:, 1]
+    seen = math.cos(math.radians(100)) < (Icosphere(3).vertices @ rig.world_from_camera[:, :3, 2].T).T
+    assert ((result[:, 0] - up)[seen]).abs().max() < 0.02
+
+
+def test_another_rig_gets_another_table(make_rig: Make, with_truth: Make) -> None:
+    narrow, wide = make_rig(), make_rig(num_cameras=3)
+    to_sphere = ToSphere(3)
+    assert to_sphere(with_truth(narrow))["images"].shape[0] == 4
+    assert to_sphere(with_truth(wide))["images"].shape[0] == 3
+    fresh = ToSphere(3)(with_truth(narrow))["images"]
+    assert torch.equal(to_sphere(with_truth(narrow))["images"], fresh)
+    assert torch.equal(pickle.loads(pickle.dumps(to_sphere))(with_truth(narrow))["images"], fresh)
+
+
+def test_ground_truth_is_the_nearest_pixel_not_a_mixture(rig: CameraRig, with_truth: Make) -> None:
+    sample = with_truth(rig, height=32, width=64)
+    result = ToSphere(4)(sample)
+    pixels = panorama_directions(32, 64).reshape(-1, 3)
+    for vertex, value in zip(Icosphere(2).vertices, result["inverse_depth"], strict=True):
+        place = (sample["inverse_depth"].flatten() == value).nonzero().flatten()
+        angle = torch.rad2deg((pixels[place] @ vertex).clamp(-1, 1).acos()).min()
+        assert angle <= math.hypot(2.8125, 2.8125) + 1e-3
+
+
+def test_urban_truth_is_valid_near_the_horizon_only(rig: CameraRig, with_truth: Make) -> None:
+    result = ToSphere(5, depth_level=4)(with_truth(rig, height=16, width=64))
+    latitude = torch.asin(-Icosphere(4).vertices[:, 1]).rad2deg()
+    assert torch.equal(result["valid"], latitude.abs() <= 45)
+    assert (result["inverse_depth"][~result["valid"]] == 0).all()
+
+
+def test_unknown_truth_stays_unknown(rig: CameraRig, with_truth: Make) -> None:
+    sample = with_truth(rig)
+    sample["valid"][:8] = False  # the upper half
+    result = ToSphere(4)(sample)
+    y = Icosphere(2).vertices[:, 1]
+    assert not result["valid"][y < -0.2].any()
+    assert result["valid"][y > 0.2].all()
+
+
+def test_shift_moves_pixels_and_the_rig_stays(rig: CameraRig, with_truth: Make) -> None:
+    u = torch.arange(48.0).expand(3, 50, 48) / 100
+    sample = {**with_truth(rig), "images": dict.fromkeys(rig.names, u)}
+    shifts = []
+    for seed in range(100):
+        result = RandomShift(0.5, torch.Generator().manual_seed(seed))(sample)
+        moved = (u - result["images"]["cam1"])[:, 5:-5, 5:-5] * 100
+        torch.testing.assert_close(moved, moved[0, 0, 0].expand_as(moved), rtol=0, atol=1e-3)
+        shifts.append(moved[0, 0, 0])
+    assert result["rig"] is rig
+    spread = torch.stack(shifts)
+    assert spread.mean().abs() < 0.2
+    assert 0.4 < spread.std() < 0.6
+    same = RandomShift(0.0)(with_truth(rig))["images"]["cam2"]
+    torch.testing.assert_close(same, with_truth(rig)["images"]["cam2"], rtol=0, atol=1e-5)
+
+
+def test_cameras_are_shuffled_with_their_poses(rig: CameraRig, with_truth: Make) -> None:
+    sample = ToSphere(3)(with_truth(rig))
+    result = ShuffleCameras(torch.Generator().manual_seed(3))(sample)
+    again = ToSphere(3).images(with_truth(rig)["images"], result["rig"])
+    assert torch.equal(result["images"], again)
+    assert not torch.equal(result["images"], sample["images"])
+
+
+def test_the_same_seed_augments_alike(rig: CameraRig, with_truth: Make) -> None:
+    sample = with_truth(rig)
+    state = torch.get_rng_state()
+
+    def first(seed: int) -> torch.Tensor:
+        augment = PhotometricAugmentation(generator=torch.Generator().manual_seed(seed))
+        return augment(sample)["images"]["cam1"]
+
+    assert torch.equal(first(1), first(1))
+    assert not torch.equal(first(1), first(2))
+    assert torch.equal(torch.get_rng_state(), state)  # kornia's draws do not leak
+
+
+@pytest.mark.parametrize("per_camera", [True, False])
+def test_brightness_changes_by_no_more_than_asked(per_camera: bool) -> None:
+    augment = PhotometricAugmentation(0.1, contrast=0.0, noise=0.0, per_camera=per_camera)
+    images = torch.full((4, 3, 2, 2), 0.5)
+    offsets = torch.stack([augment.apply_to(images, seed)[:, 0, 0, 0] - 0.5 for seed in range(50)])
+    assert 0.08 < offsets.abs().max() <= 0.1 + 1e-6
+    assert (offsets.std(dim=1).max() < 1e-6) != per_camera
+
+
+def test_cameras_of_different_sizes_are_augmented_pixel_by_pixel() -> None:
+    augment = PhotometricAugmentation(noise=0.0, per_camera=False, generator=torch.Generator().manual_seed(0))
+    small = torch.rand(3, 4, 5)
+    large = torch.nn.functional.pad(small, (0, 3, 0, 2), value=0.3)
+    result = augment({"images": {"a": small, "b": large}})["images"]
+    assert result["a"].shape == small.shape
+    torch.testing.assert_close(result["b"][:, :4, :5], result["a"])
+
+
+def test_outside_the_field_of_view_stays_zero_after_augmentation() -> None:
+    images = torch.rand(4, 3, 162) - 0.5
+    images[:, :, :50] = 0.0
+    result = PhotometricAugmentation()({"images": images})["images"]
+    assert (result[:, :, :50] == 0).all()
+    assert (result[:, :, 50:] != images[:, :, 50:]).any()
+    assert result.abs().max() <= 1
+
+
+def test_wrong_order_and_wrong_images_are_refused(rig: CameraRig, with_truth: Make) -> None:
+    sample = with_truth(rig)
+    with pytest.raises(ArgumentError, match="belongs before ToSphere"):
+        Compose(ToSphere(3), RandomShift())(sample)
+    with pytest.raises(ArgumentError, match="belongs after ToSphere"):
+        ShuffleCameras()(sample)
+    sample["images"]["cam2"] = torch.zeros(3, 10, 10)
+    with pytest.raises(ShapeError, match=r"images\['cam2'\]: expected \(h, w\) = \(50, 48\)"):
+        ToSphere(3)(sample)
+    del sample["images"]["cam2"]
+    with pytest.raises(ShapeError, match="expected those of the cameras"):
+        ToSphere(3)(sample)

@@ -1,1 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
+"""The crown: an icosphere laid out as ten rectangles, and the layers that work on it."""
+
+from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, crown_conv2d, crown_conv3d
+from sphericalvision.crown.layout import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
+from sphericalvision.crown.norm import CrownBatchNorm2d, CrownBatchNorm3d
+from sphericalvision.crown.pool import CrownAvgPool2d, crown_avg_pool2d
+
+__all__ = [
+    "Crown",
+    "CrownAvgPool2d",
+    "CrownBatchNorm2d",
+    "CrownBatchNorm3d",
+    "CrownConv2d",
+    "CrownConv3d",
+    "crown_avg_pool2d",
+    "crown_conv2d",
+    "crown_conv3d",
+    "crown_map",
+    "crown_relu",
+    "exchange",
+    "from_crown",
+    "to_crown",
+]

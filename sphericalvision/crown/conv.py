@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hexagonal convolutions on a crown: the centre and six neighbours, turned to fit each kind of rectangle."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.crown.layout import Crown, check_crown
+
+__all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d"]
+
+# Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.
+COL_TAPS = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
+ROW_TAPS = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
+
+
+def _planar_kernel(weight: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
+    """Arrange seven taps ``(*, 7)`` as a planar kernel ``(*, 3, 3)``."""
+    index = torch.tensor(taps, device=weight.device).flatten()
+    return F.pad(weight, (0, 1)).index_select(-1, index).unflatten(-1, (3, 3))
+
+
+def _check_conv(crown: Crown, weight: Tensor, spatial_dims: int, stride: int) -> None:
+    check_crown(crown, spatial_dims)
+    taps = 7 if spatial_dims == 2 else 21
+    if weight.ndim != 3 or weight.shape[-1] != taps:
+        raise ShapeError(f"weight: expected shape (out, in, {taps}), got {tuple(weight.shape)}")
+    if weight.shape[1] != crown.col.shape[2]:
+        raise ShapeError(
+            f"crown: expected {weight.shape[1]} channels (dimension 2), got {crown.col.shape[2]}"
+        )
+    if stride not in (1, 2) or (stride == 2 and crown.level == 0):
+        raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
+
+
+def crown_conv2d(crown: Crown, weight: Tensor, bias: Tensor | None = None, stride: int = 1) -> Crown:
+    """Convolve a crown with seven taps; borders are continued by their own values.
+
+    The taps of a col rectangle are ``[[., 5, 4], [0, 6, 3], [1, 2, .]]``, of a row rectangle
+    ``[[., 0, 5], [1, 6, 4], [2, 3, .]]``: the same directions on the sphere up to a sixth of a turn.
+
+    Args:
+        crown: rectangles ``(B, 5, in, h, w)``.
+        weight: ``(out, in, 7)``, shared by all rectangles.
+        bias: ``(out,)``.
+        stride: 1, or 2 to keep the vertices of the next coarser level.
+
+    Raises:
+        ShapeError: if the crown, its channels or the weight do not fit.
+        ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
+
+    References:
+        Komatsu et al. (2020), CrownConv; Hoogeboom et al. (2018), "HexaConv".
+
+    Examples:
+        >>> from sphericalvision.crown import to_crown
+        >>> crown_conv2d(to_crown(torch.ones(1, 4, 42)), torch.ones(8, 4, 7), stride=2).col.shape
+        torch.Size([1, 5, 8, 3, 2])
+    """
+    _check_conv(crown, weight, 2, stride)
+
+    def convolve(rectangles: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
+        padded = F.pad(rectangles.flatten(0, 1), (1, 1, 1, 1), mode="replicate")
+        return F.conv2d(padded, _planar_kernel(weight, taps), bias, stride).unflatten(0, (-1, 5))
+
+    return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
+
+
+def crown_conv3d(crown: Crown, weight: Tensor, bias: Tensor | None = None, stride: int = 1) -> Crown:
+    """Convolve a crown of volumes with seven taps at three neighbouring hypotheses.
+
+    Args:
+        crown: rectangles ``(B, 5, in, N, h, w)``.
+        weight: ``(out, in, 21)``, index ``7 * depth + tap``, shared by all rectangles.
+        bias: ``(out,)``.
+        stride: 1, or 2 to keep the vertices of the next coarser level; all N hypotheses are kept.
+
+    Raises:
+        ShapeError: if the crown, its channels or the weight do not fit.
+        ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
+
+    Examples:
+        >>> from sphericalvision.crown import to_crown
+        >>> crown_conv3d(to_crown(torch.ones(1, 4, 16, 42)), torch.ones(8, 4, 21)).row.shape
+        torch.Size([1, 5, 8, 16, 3, 5])
+    """
+    _check_conv(crown, weight, 3, stride)
+    taps_by_depth = weight.unflatten(-1, (3, 7))
+
+    def convolve(volumes: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
+        padded = F.pad(volumes.flatten(0, 1), (1, 1, 1, 1, 1, 1), mode="replicate")
+        kernel = _planar_kernel(taps_by_depth, taps)
+        return F.conv3d(padded, kernel, bias, (1, stride, stride)).unflatten(0, (-1, 5))
+
+    return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
+
+
+class _CrownConv(nn.Module):
+    """Weights of a crown convolution."""
+
+    taps: int
+
+    def __init__(self, in_channels: int, out_channels: int, stride: int = 1, bias: bool = False) -> None:
+        super().__init__()
+        if stride not in (1, 2):
+            raise ArgumentError(f"stride: expected 1 or 2, got {stride}")
+        self.stride = stride
+        self.weight = nn.Parameter(torch.empty(out_channels, in_channels, self.taps))
+        self.bias = nn.Parameter(torch.empty(out_channels)) if bias else None
+        self.reset_parameters()
+
+    def reset_parameters(self) -> None:
+        """Draw weights as ``torch.nn.Conv2d`` does, for a fan-in of ``in_channels * taps``."""
+        nn.init.kaiming_uniform_(self.weight, a=math.sqrt(5))
+        if self.bias is not None:
+            bound = 1 / math.sqrt(self.weight[0].numel())
+            nn.init.uniform_(self.bias, -bound, bound)
+
+    def extra_repr(self) -> str:
+        out_channels, in_channels, _ = self.weight.shape
+        return f"{in_channels}, {out_channels}, stride={self.stride}, bias={self.bias is not None}"
+
+
+class CrownConv2d(_CrownConv):
+    """Hexagonal convolution on a crown with weight ``(out, in, 7)``; see ``crown_conv2d``.
+
+    Args:
+        in_channels: channels of the crown given.
+        out_channels: channels of the crown returned.
+        stride: 1, or 2 to keep the vertices of the next coarser level.
+        bias: whether to add a learned bias.
+
+    Examples:
+        >>> CrownConv2d(3, 32, stride=2)
+        CrownConv2d(3, 32, stride=2, bias=False)
+    """
+
+    taps = 7
+
+    def forward(self, crown: Crown) -> Crown:
+        return crown_conv2d(crown, self.weight, self.bias, self.stride)
+
+
+class CrownConv3d(_CrownConv):
+    """Hexagonal convolution on a crown of volumes with weight ``(out, in, 21)``; see ``crown_conv3d``.
+
+    Args:
+        in_channels: channels of the crown given.
+        out_channels: channels of the crown returned.
+        stride: 1, or 2 to keep the vertices of the next coarser level; hypotheses are always kept.
+        bias: whether to add a learned bias.
+
+    Examples:
+        >>> CrownConv3d(64, 32)
+        CrownConv3d(64, 32, stride=1, bias=False)
+    """
+
+    taps = 21
+
+    def forward(self, crown: Crown) -> Crown:
+        return crown_conv3d(crown, self.weight, self.bias, self.stride)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Panoramas from icospheres and from a rig's images, and their pictures on disk."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, FisheyeCamera
+from sphericalvision.core import ShapeError
+from sphericalvision.data.panorama_grid import panorama_directions
+from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.viz import (
+    depth_to_color,
+    error_to_color,
+    icosphere_to_panorama,
+    rgb_panorama,
+    save_depth_panorama,
+    save_error_panorama,
+)
+
+HALF = torch.tensor([2.0, 1.2, 4.0])
+
+
+def wall_color(points: Tensor) -> Tensor:
+    """Smooth colours (*, 3) in [0, 1] painted on the walls of a box."""
+    return (1 + torch.sin(points * torch.tensor([1.0, 1.5, 0.7]))) / 2
+
+
+def box_depth(origin: Tensor, directions: Tensor) -> Tensor:
+    """Distance to the walls of the box |x| <= HALF, from a point inside, worked out wall by wall."""
+    return ((torch.copysign(HALF, directions) - origin) / directions).amin(-1)
+
+
+@pytest.fixture
+def rig() -> CameraRig:
+    camera = FisheyeCamera.from_field_of_view((200, 200), math.radians(220))
+    turns = torch.arange(4) * (math.pi / 2)
+    zero = torch.zeros(4)
+    position = torch.stack((0.3 * turns.sin(), zero, 0.3 * turns.cos()), dim=-1)
+    poses = transform_from_axis_angle(torch.stack((zero, turns, zero), dim=-1), position)
+    return CameraRig({f"cam{k}": camera for k in range(1, 5)}, poses)
+
+
+def paint(rig: CameraRig) -> dict[str, Tensor]:
+    images = {}
+    for (name, camera), world_from_camera in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
+        rows, columns = torch.meshgrid(*map(torch.arange, camera.image_size), indexing="ij")
+        rays = camera.unproject(torch.stack((columns, rows), dim=-1).float()).directions
+        rays = rays @ world_from_camera[:3, :3].T
+        origin = world_from_camera[:3, 3]
+        colors = wall_color(origin + box_depth(origin, rays)[..., None] * rays)
+        images[name] = colors.nan_to_num(0.0).movedim(-1, 0)
+    return images
+
+
+def test_a_linear_function_stays_nearly_linear_on_the_way_to_a_panorama() -> None:
+    values = Icosphere(5).vertices.T
+    panorama = icosphere_to_panorama(values, height=64)
+    assert panorama.shape == (3, 64, 128)
+    assert panorama.dtype == values.dtype
+    torch.testing.assert_close(panorama, panorama_directions(64, 128).movedim(-1, 0), rtol=0, atol=1e-3)
+
+
+def test_at_the_right_depth_all_cameras_agree_on_the_colours(rig: CameraRig) -> None:
+    directions = panorama_directions(64, 128)
+    depth = box_depth(torch.zeros(3), directions)
+    expected = wall_color(depth[..., None] * directions).movedim(-1, 0)
+    colors, seen = rgb_panorama(rig, paint(rig), 64, depth)
+    assert seen.all()
+    assert (colors - expected).abs().max() < 0.05
+    at_infinity, _ = rgb_panorama(rig, paint(rig), 64)
+    assert (at_infinity - expected).abs().mean() > 5 * (colors - expected).abs().mean()
+
+
+def test_what_no_camera_sees_is_black_and_marked(rig: CameraRig) -> None:
+    front = CameraRig({"cam1": rig.cameras["cam1"]}, rig.world_from_camera[:1])
+    colors, seen = rgb_panorama(front, {"cam1": paint(rig)["cam1"]}, 32)
+    angle = torch.atan2(
+        panorama_directions(32, 64)[..., :2].norm(dim=-1), panorama_directions(32, 64)[..., 2]
+    )
+    assert torch.equal(seen, angle <= math.radians(110))
+    assert (colors[:, ~seen] == 0).all()
+
+
+def test_pictures_on_disk_hold_the_colours(tmp_path: Path) -> None:
+    depth = box_depth(torch.zeros(3), panorama_directions(320, 640))
+    for path, colors in (
+        (save_depth_panorama(tmp_path / "depth.png", depth, 0.55), depth_to_color(depth, 0.55)),
+        (
+            save_error_panorama(tmp_path / "new" / "error.png", depth, 5.0, "error (m)"),
+            error_to_color(depth, 5.0),
+        ),
+    ):
+        picture = cv2.imread(str(path))[..., ::-1]
+        np.testing.assert_array_equal(picture[:320], colors)
+        assert picture.shape[0] > 350  # the scale
+
+
+def test_wrong_shapes_are_refused(rig: CameraRig, tmp_path: Path) -> None:
+    with pytest.raises(ShapeError, match=r"depth: expected a panorama \(H, W\), got \(1, 4, 8\)"):
+        save_depth_panorama(tmp_path / "a.png", torch.ones(1, 4, 8), 0.5)
+    with pytest.raises(ShapeError, match="images: expected those of the cameras"):
+        rgb_panorama(rig, {}, 16)
+    with pytest.raises(ShapeError, match=r"depth: expected \(16, 32\) or a number, got \(8, 16\)"):
+        rgb_panorama(rig, paint(rig), 16, torch.ones(8, 16))

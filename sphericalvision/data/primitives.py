@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What scenes are made of: affine images of four unit shapes, kept as one table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, check_choice
+
+__all__ = ["SHAPES", "Part", "Primitives", "pack"]
+
+#: Unit shapes, in their local frame: the square [-1, 1]² at z = 0, the cube [-1, 1]³, the unit ball, and the
+#: cylinder x² + z² <= 1, |y| <= 1. Every primitive is one of them, stretched by ``half``, turned and moved.
+SHAPES = ("rectangle", "box", "ellipsoid", "cylinder")
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Part:
+    """One primitive while a scene is being put together: plain numbers, metres and radians.
+
+    It is turned by ``yaw`` about the vertical, from +z towards +x; ``rotation`` (rows are the local axes)
+    replaces ``yaw`` for what does not stand upright.
+    """
+
+    shape: str
+    center: Vector
+    half: Vector
+    material: int = 0
+    yaw: float = 0.0
+    rotation: Sequence[Sequence[float]] | None = None
+    casts_shadow: bool = True
+    uv_origin: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Primitives:
+    """A table of P primitives.
+
+    Attributes:
+        shape: ``(P,)`` index into :data:`SHAPES`.
+        center: ``(P, 3)`` metres, world frame.
+        rotation: ``(P, 3, 3)`` local_from_world rotations; the rows are the local axes in the world.
+        half: ``(P, 3)`` half sizes along the local axes, metres.
+        material: ``(P,)`` index into the scene's materials.
+        uv_origin: ``(P, 2)`` metres, where the surface coordinates start; lets the parts of a split wall
+            share a texture.
+        casts_shadow: ``(P,)`` bool.
+    """
+
+    shape: Tensor
+    center: Tensor
+    rotation: Tensor
+    half: Tensor
+    material: Tensor
+    uv_origin: Tensor
+    casts_shadow: Tensor
+
+    def __len__(self) -> int:
+        return int(self.shape.shape[0])
+
+    @cached_property
+    def local_from_world(self) -> Tensor:
+        """``(P, 3, 3)`` linear maps that turn the primitive into its unit shape."""
+        return self.rotation / self.half[:, :, None]
+
+    @cached_property
+    def radius(self) -> Tensor:
+        """``(P,)`` radii of bounding spheres."""
+        x, y, z = self.half.unbind(-1)
+        by_shape = torch.stack(
+            [
+                torch.hypot(x, y),
+                self.half.norm(dim=-1),
+                self.half.amax(-1),
+                torch.hypot(torch.maximum(x, z), y),
+            ]
+        )
+        return by_shape.gather(0, self.shape[None])[0]
+
+    @cached_property
+    def by_shape(self) -> dict[str, tuple[Tensor, Primitives]]:
+        """For each shape that occurs: row numbers, and those rows as a table of their own."""
+        rows = {name: (self.shape == k).nonzero()[:, 0] for k, name in enumerate(SHAPES)}
+        return {name: (ids, self.select(ids)) for name, ids in rows.items() if len(ids)}
+
+    @cached_property
+    def shadow_casters(self) -> Primitives:
+        """The rows that cast shadows."""
+        return self.select(self.casts_shadow.nonzero()[:, 0])
+
+    def select(self, rows: Tensor) -> Primitives:
+        """The given rows as a table."""
+        return Primitives(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Primitives:
+        """The table on another device, or with another floating-point type."""
+
+        def move(value: Tensor) -> Tensor:
+            return value.to(device, dtype if value.is_floating_point() else None)
+
+        return Primitives(**{f.name: move(getattr(self, f.name)) for f in fields(self)})
+
+    def transformed(self, rotation: Tensor | None = None, translation: Tensor | None = None) -> Primitives:
+        """The table turned by ``rotation`` ``(3, 3)`` then moved by ``translation`` (metres)."""
+        center, local_from_world = self.center, self.rotation
+        if rotation is not None:
+            center, local_from_world = center @ rotation.T, local_from_world @ rotation.T
+        if translation is not None:
+            center = center + translation
+        return replace(self, center=center, rotation=local_from_world)
+
+    def scaled(self, factor: float) -> Primitives:
+        """The table with every length multiplied by ``factor``, about the world's origin."""
+        return replace(
+            self, center=self.center * factor, half=self.half * factor, uv_origin=self.uv_origin * factor
+        )
+
+    def distance_from(self, point: Tensor) -> Tensor:
+        """``(P,)`` distances in metres from ``point`` to each primitive's bounding oriented box; 0 inside."""
+        local = (self.rotation @ (point - self.center)[:, :, None])[:, :, 0]
+        half = self.half.clone()
+        half[self.shape == SHAPES.index("rectangle"), 2] = 0
+        return (local.abs() - half).clamp(min=0).norm(dim=-1)
+
+    @staticmethod
+    def concatenate(tables: Iterable[Primitives]) -> Primitives:
+        """One table with the rows of all."""
+        tables = list(tables)
+        return Primitives(
+            **{f.name: torch.cat([getattr(t, f.name) for t in tables]) for f in fields(Primitives)}
+        )
+
+
+def pack(parts: Sequence[Part]) -> Primitives:
+    """Make the table of a list of parts (float32, CPU).
+
+    Raises:
+        ArgumentError: no parts, an unknown shape, or a size that is not positive.
+
+    Examples:
+        >>> len(pack([Part("box", (0.0, 0.5, 2.0), (0.2, 0.5, 0.2))]))
+        1
+    """
+    if not parts:
+        raise ArgumentError("parts: expected at least one part, got none")
+    for part in parts:
+        check_choice("shape", part.shape, SHAPES)
+        if min(part.half) <= 0:
+            raise ArgumentError(f"half: expected three positive half sizes in metres, got {part.half}")
+    upright = torch.tensor([part.yaw for part in parts], dtype=torch.float32)
+    sin, cos = upright.sin(), upright.cos()
+    zero, one = torch.zeros_like(sin), torch.ones_like(sin)
+    rotation = torch.stack([cos, zero, -sin, zero, one, zero, sin, zero, cos], -1).reshape(-1, 3, 3)
+    for row, part in enumerate(parts):
+        if part.rotation is not None:
+            rotation[row] = torch.as_tensor(part.rotation, dtype=torch.float32)
+    return Primitives(
+        shape=torch.tensor([SHAPES.index(part.shape) for part in parts]),
+        center=torch.tensor([part.center for part in parts], dtype=torch.float32),
+        rotation=rotation,
+        half=torch.tensor([part.half for part in parts], dtype=torch.float32),
+        material=torch.tensor([part.material for part in parts]),
+        uv_origin=torch.tensor([part.uv_origin for part in parts], dtype=torch.float32),
+        casts_shadow=torch.tensor([part.casts_shadow for part in parts]),
+    )

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Textures of rendered scenes: the photographs inside scikit-image's wheel, and patterns computed from a
+seed.
+
+All textures are squares of one size with their mip pyramids, in one table of bytes, so that a look-up for any
+mixture of textures and levels is a handful of gathers. The bytes hold square roots of linear intensities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import skimage.data
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate
+
+from sphericalvision.core import FileFormatError, check_choice, check_file
+
+__all__ = ["PATTERNS", "PHOTOGRAPHS", "TextureBank", "pattern", "photograph", "texture_bank"]
+
+#: Photographs that scikit-image ships inside its wheel (no download).
+PHOTOGRAPHS = (
+    "astronaut.png", "brick.png", "camera.png", "cell.png", "chelsea.png", "clock_motion.png", "coffee.png",
+    "coins.png", "color.png", "grass.png", "gravel.png", "hubble_deep_field.jpg", "ihc.png", "moon.png",
+    "motorcycle_left.png", "page.png", "retina.jpg", "rocket.jpg", "text.png",
+)  # fmt: skip
+#: Procedural patterns, see `pattern`.
+PATTERNS = ("noise", "checks", "stripes", "bricks", "wood", "tiles", "mosaic", "dots", "marble", "weave")
+#: Variants of each pattern in the bank, and side length of every texture in pixels.
+VARIANTS, SIZE = 4, 256
+
+
+def photograph(name: str, size: int = SIZE) -> Tensor:
+    """One of :data:`PHOTOGRAPHS`, cropped to a square: ``(3, size, size)`` linear intensities in [0, 1].
+
+    Raises:
+        MissingFileError: the file is not part of the installed scikit-image.
+    """
+    path = check_file(
+        Path(skimage.data.__file__).parent / name,
+        "a photograph of scikit-image's wheel; reinstall scikit-image",
+    )
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise FileFormatError(f"{path}: not a readable image; reinstall scikit-image")
+    height, width = image.shape[:2]
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    image = cv2.resize(
+        image[top : top + side, left : left + side], (size, size), interpolation=cv2.INTER_AREA
+    )
+    return (torch.from_numpy(image[:, :, ::-1].copy()).permute(2, 0, 1).float() / 255) ** 2.2
+
+
+def _value_noise(generator: torch.Generator, size: int, cells: tuple[int, int], octaves: int = 4) -> Tensor:
+    """Fractal value noise ``(size, size)`` in about [0, 1]; ``cells`` (down, across) of the coarsest
+    octave."""
+    total, weight = torch.zeros(size, size), 0.0
+    for octave in range(octaves):
+        down, across = (min(count * 2**octave, size // 2) for count in cells)
+        grid = torch.rand(1, 1, down + 1, across + 1, generator=generator)
+        amplitude = 0.6**octave
+        total += amplitude * interpolate(grid, (size, size), mode="bicubic", align_corners=True)[0, 0]
+        weight += amplitude
+    return (0.5 + 1.4 * (total / weight - 0.5)).clamp(0, 1)
+
+
+def pattern(name: str, generator: torch.Generator, size: int = SIZE) -> Tensor:
+    """A procedural pattern ``(3, size, size)`` in [0, 1], grey except for the mosaic; materials give it its
+    colours.
+
+    Examples:
+        >>> pattern("checks", torch.Generator().manual_seed(0), size=32).shape
+        torch.Size([3, 32, 32])
+
+    Raises:
+        ArgumentError: the name is not in `PATTERNS`.
+    """
+    check_choice("name", name, PATTERNS)
+
+    def choose(low: int, high: int) -> int:
+        return int(torch.randint(low, high + 1, (), generator=generator))
+
+    row, column = torch.meshgrid(torch.arange(size) / size, torch.arange(size) / size, indexing="ij")
+    grain = _value_noise(generator, size, (16, 16))
+    if name == "noise":
+        image = _value_noise(generator, size, (choose(2, 8), choose(2, 8)), octaves=6)
+    elif name == "checks":
+        count = choose(2, 6) * 2
+        image = ((row * count).floor() + (column * count).floor()) % 2 * 0.8 + 0.2 * grain
+    elif name == "stripes":
+        count, share = choose(3, 12), 0.2 + 0.6 * float(torch.rand((), generator=generator))
+        image = ((column * count) % 1 < share).float() * 0.8 + 0.2 * grain
+    elif name in ("bricks", "tiles"):
+        down, across = (choose(6, 10), choose(2, 4)) if name == "bricks" else (choose(3, 6),) * 2
+        line = (row * down).floor()
+        shifted = column * across + (0.5 * (line % 2) if name == "bricks" else 0)
+        tone = torch.rand(down, across + 1, generator=generator)[line.long(), shifted.floor().long()]
+        joint = torch.maximum((row * down % 1 - 0.5).abs() / down, (shifted % 1 - 0.5).abs() / across)
+        edge = torch.minimum(
+            (0.5 - (row * down % 1 - 0.5).abs()) / down, (0.5 - (shifted % 1 - 0.5).abs()) / across
+        )
+        image = torch.where(edge < 0.008, 0.05 * joint, 0.35 + 0.4 * tone + 0.25 * grain)
+    elif name == "wood":
+        planks = choose(2, 6)
+        which = (column * planks).floor().long()
+        tone, phase = torch.rand(2, planks, generator=generator)
+        bend = _value_noise(generator, size, (2, 3 * planks), octaves=3)
+        rings = 0.5 + 0.5 * torch.sin(40 * (column * planks % 1 + 0.7 * bend + phase[which]))
+        seam = (column * planks % 1 < 0.03).float()
+        image = (0.25 + 0.4 * tone[which] + 0.25 * rings * bend + 0.1 * grain) * (1 - 0.8 * seam)
+    elif name == "mosaic":
+        cells = choose(4, 12)
+        place = ((row * cells).long(), (column * cells).long())
+        colors = torch.rand(3, cells, cells, generator=generator)
+        return (colors[:, place[0], place[1]] * (0.8 + 0.2 * grain)).clamp(0, 1)
+    elif name == "dots":
+        count, radius = choose(3, 10), 0.2 + 0.2 * float(torch.rand((), generator=generator))
+        middle = torch.hypot(row * count % 1 - 0.5, column * count % 1 - 0.5)
+        image = (middle < radius).float() * 0.8 + 0.2 * grain
+    elif name == "marble":
+        swirl = _value_noise(generator, size, (3, 3), octaves=6)
+        image = (0.5 + 0.5 * torch.sin(choose(8, 20) * (row + column + 1.5 * swirl))) ** 2 * 0.7 + 0.3 * grain
+    elif name == "weave":
+        count = choose(12, 24)
+        over = ((row * count).floor() + (column * count).floor()) % 2
+        thread = torch.where(over > 0, (row * count % 1 - 0.5).abs(), (column * count % 1 - 0.5).abs())
+        image = (1 - thread) * (0.6 + 0.4 * _value_noise(generator, size, (4, 4)))
+    else:
+        raise AssertionError(f"{name!r} is in PATTERNS but has no rule")
+    return image.clamp(0, 1).expand(3, -1, -1)
+
+
+@dataclass(frozen=True)
+class TextureBank:
+    """Square textures with their mip pyramids.
+
+    Attributes:
+        texels: ``(N, 4)`` bytes, textures one after another, each finest level first; the fourth is padding.
+        names: what the textures are called.
+        size: side length of the finest level.
+    """
+
+    texels: Tensor
+    names: tuple[str, ...]
+    size: int
+
+    @property
+    def num_levels(self) -> int:
+        return self.size.bit_length()
+
+    @property
+    def num_photographs(self) -> int:
+        """How many come first that are photographs."""
+        return sum("." in name for name in self.names)
+
+    def sample(self, texture: Tensor, uv: Tensor, footprint: Tensor) -> Tensor:
+        """Trilinear look-up, mirrored beyond [0, 1].
+
+        Args:
+            texture: ``(n,)`` texture numbers.
+            uv: ``(n, 2)`` across and down, 1 is the texture's side.
+            footprint: ``(n,)`` width to average over, in texture sides.
+
+        Returns:
+            ``(n, 3)`` linear intensities.
+        """
+        level = (footprint * self.size).clamp(min=1).log2().clamp(max=self.num_levels - 1)
+        fine = level.floor()
+        blend = (level - fine)[:, None]
+        fine = fine.long()
+        low = self._bilinear(texture, uv, fine)
+        high = self._bilinear(texture, uv, (fine + 1).clamp(max=self.num_levels - 1))
+        return torch.lerp(low, high, blend)[:, :3]
+
+    def _bilinear(self, texture: Tensor, uv: Tensor, level: Tensor) -> Tensor:
+        side = self.size >> level
+        # A pyramid of side s has (4 s² - 1) / 3 texels; the part below level l has (4 side² - 1) / 3.
+        base = texture * ((4 * self.size**2 - 1) // 3) + (4 * (self.size**2 - side**2)) // 3
+        place = uv.T * side - 0.5
+        whole = place.floor()
+        across, down = (place - whole)[..., None]
+        near = [_mirror(whole.long() + step, side) for step in (0, 1)]
+        rows = [base + near[i][1] * side for i in (0, 1)]
+        corners = [[self._texel(rows[i] + near[j][0]) for j in (0, 1)] for i in (0, 1)]
+        upper, lower = (torch.lerp(left, right, across) for left, right in corners)
+        return torch.lerp(upper, lower, down)
+
+    def _texel(self, index: Tensor) -> Tensor:
+        return (self.texels.index_select(0, index).float() * (1 / 255)).square()
+
+
+def _mirror(index: Tensor, side: Tensor) -> Tensor:
+    """Indices reflected into [0, side)."""
+    folded = index.remainder(2 * side)
+    return torch.minimum(folded, 2 * side - 1 - folded)
+
+
+@lru_cache(maxsize=4)
+def texture_bank(device: str = "cpu") -> TextureBank:
+    """All photographs and `VARIANTS` of each pattern; made once for each device and shared by all scenes."""
+    generator = torch.Generator().manual_seed(0)
+    images = [photograph(name) for name in PHOTOGRAPHS]
+    images += [pattern(name, generator) for name in PATTERNS for _ in range(VARIANTS)]
+    level = torch.stack(images)
+    pyramid = []
+    while True:
+        pyramid.append(level.flatten(2).mT)
+        if level.shape[-1] == 1:
+            break
+        level = avg_pool2d(level, 2)
+    linear = torch.cat(pyramid, 1).flatten(0, 1)
+    texels = torch.zeros(len(linear), 4, dtype=torch.uint8)
+    texels[:, :3] = (linear.sqrt() * 255).round().to(torch.uint8)
+    names = PHOTOGRAPHS + tuple(f"{name} {k}" for name in PATTERNS for k in range(VARIANTS))
+    return TextureBank(texels.to(device), names, SIZE)

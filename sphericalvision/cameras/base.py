@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contract of every camera: points to pixels and pixels to directions, each with a validity mask."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.geometry import angle_from_axis, bilinear_sample
+
+__all__ = ["Camera", "Projection", "Unprojection"]
+
+AnyCamera = TypeVar("AnyCamera", bound="Camera")
+
+
+class Projection(NamedTuple):
+    """Pixels and whether the camera sees them."""
+
+    pixels: Tensor
+    """(u, v), shape (*, 2), also where not valid."""
+    valid: Tensor
+    """bool (*)."""
+
+
+class Unprojection(NamedTuple):
+    """Directions and whether the camera looks there."""
+
+    directions: Tensor
+    """Unit vectors (*, 3), also where not valid."""
+    valid: Tensor
+    """bool (*)."""
+
+
+class Camera(ABC):
+    """A central camera: it maps points or directions, never the plane z = 1, and so reaches beyond 180°.
+
+    Intrinsics are tensors that share batch dimensions ``*b`` (none for a single camera); points and pixels given to a
+    batched camera start with the same dimensions. Intrinsics take the dtype and device of the points or pixels, so one
+    camera serves float32 and float64, and gradients reach them.
+
+    Convention:
+        x right, y down, z forward along the optical axis. Pixels are (u, v) = (column, row) with integer pixel centres;
+        the image covers [−0.5, w − 0.5] x [−0.5, h − 0.5]. ``max_angle`` is measured from the optical axis in radians:
+        half the field of view.
+
+    A model is one subclass with two methods, ``_project`` and ``_unproject``, that know nothing about the image borders
+    and ``max_angle``.
+    """
+
+    model: ClassVar[str]
+    """Name of the model in files."""
+    intrinsic_names: ClassVar[tuple[str, ...]] = ()
+    """The tensor attributes, in the constructor's order."""
+    option_names: ClassVar[tuple[str, ...]] = ()
+    """Constructor arguments that are not tensors."""
+
+    image_size: tuple[int, int]
+    max_angle: Tensor
+
+    def __init__(self, image_size: Sequence[int], max_angle: float | Tensor, **intrinsics: Any) -> None:
+        if len(image_size) != 2 or any(int(side) != side or side < 1 for side in image_size):
+            raise ArgumentError(f"image_size: expected (height, width) in pixels, got {image_size!r}")
+        self.image_size = (int(image_size[0]), int(image_size[1]))
+        given = [value for value in (*intrinsics.values(), max_angle) if isinstance(value, Tensor)]
+        floating = [value for value in given if value.is_floating_point()]
+        like = floating[0] if floating else torch.empty(())
+        for name, value in intrinsics.items():
+            tensor = None if value is None else torch.as_tensor(value, dtype=like.dtype, device=like.device)
+            setattr(self, name, tensor)
+        angle = torch.as_tensor(max_angle, dtype=like.dtype, device=like.device)
+        if not bool(((angle > 0) & (angle <= torch.pi + 1e-6)).all()):
+            raise ArgumentError(
+                f"max_angle: expected radians from the optical axis in (0, π], got {max_angle}; it is half the field "
+                "of view, e.g. math.radians(110) for a lens of 220°"
+            )
+        self.max_angle = angle
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """The leading dimensions ``*b`` of the intrinsics."""
+        return tuple(self.max_angle.shape)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the intrinsics are."""
+        return self.max_angle.device
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """The intrinsics' floating point type."""
+        return self.max_angle.dtype
+
+    @abstractmethod
+    def _project(self, points: Tensor) -> Projection:
+        """The model's pixels, valid where the model itself is defined."""
+
+    @abstractmethod
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        """The model's unit directions, valid where the model itself is defined."""
+
+    def project(self, points: Tensor) -> Projection:
+        """Pixels (*, 2) of ``points`` (*, 3) in the camera's frame, of any length.
+
+        Valid means: not the camera centre, within ``max_angle``, where the model is defined, and inside the image.
+
+        Raises:
+            ShapeError: ``points`` is not (*, 3), or does not start with the camera's batch dimensions.
+        """
+        check_last_dim("points", points, 3)
+        pixels, valid = self._project(points)
+        valid = valid & (points != 0).any(-1) & self._within_max_angle(points) & self.contains(pixels)
+        return Projection(pixels, valid)
+
+    def unproject(self, pixels: Tensor) -> Unprojection:
+        """Unit directions (*, 3) in the camera's frame of ``pixels`` (*, 2), given as (u, v).
+
+        Valid means: inside the image, where the model is defined, and within ``max_angle``.
+
+        Raises:
+            ShapeError: ``pixels`` is not (*, 2), or does not start with the camera's batch dimensions.
+        """
+        check_last_dim("pixels", pixels, 2)
+        directions, valid = self._unproject(pixels)
+        return Unprojection(directions, valid & self._within_max_angle(directions) & self.contains(pixels))
+
+    def contains(self, pixels: Tensor) -> Tensor:
+        """Whether ``pixels`` (*, 2) lie on the image, half a pixel around the outermost centres included, (*)."""
+        height, width = self.image_size
+        u, v = pixels.unbind(-1)
+        return (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
+
+    def sample(self, image: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Values (*b, c, n) of ``image`` (*b, c, h, w) where ``points`` (*b, n, 3) appear, and validity (*b, n).
+
+        Bilinear; 0 where not valid.
+
+        Raises:
+            ShapeError: the image is not of the camera's size.
+        """
+        if image.ndim < 3 or tuple(image.shape[-2:]) != self.image_size:
+            height, width = self.image_size
+            raise ShapeError(
+                f"image: this camera's images are {height} x {width} (height x width), got shape {tuple(image.shape)}; "
+                "resize the image or use the calibration of this image size"
+            )
+        pixels, valid = self.project(points)
+        pixels = torch.where(valid.unsqueeze(-1), pixels, 0.0)
+        values = self._interpolate(image, pixels)
+        return torch.where(valid.unsqueeze(-2), values, 0.0), valid
+
+    def pixel_grid(self, dtype: torch.dtype | None = None) -> Tensor:
+        """All pixel centres (h, w, 2) as (u, v)."""
+        height, width = self.image_size
+        v = torch.arange(height, dtype=dtype or self.dtype, device=self.device)
+        u = torch.arange(width, dtype=dtype or self.dtype, device=self.device)
+        return torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1)
+
+    def to(self: AnyCamera, *args: Any, **kwargs: Any) -> AnyCamera:
+        """The same camera with its tensors moved or converted, as ``torch.Tensor.to``."""
+        return self._map(lambda tensor: tensor.to(*args, **kwargs))
+
+    def select(self: AnyCamera, index: int) -> AnyCamera:
+        """One camera of a batch."""
+        return self._map(lambda tensor: tensor[index])
+
+    @classmethod
+    def stack(cls: type[AnyCamera], cameras: Sequence[AnyCamera]) -> AnyCamera:
+        """A batch of cameras of one model, image size and number of parameters.
+
+        Raises:
+            ArgumentError: the cameras differ in more than the values of their intrinsics.
+        """
+        first = cameras[0]
+        for other in cameras[1:]:
+            if other._signature() != first._signature():
+                raise ArgumentError(
+                    "cameras: a batch needs one model, image size and number of parameters; got "
+                    f"{first!r} and {other!r}"
+                )
+        stacked = copy.copy(first)
+        for name in first._tensor_names():
+            setattr(stacked, name, torch.stack([getattr(camera, name) for camera in cameras]))
+        return stacked
+
+    def equals(self, other: Camera) -> bool:
+        """Whether the other camera has the same model, image size and values."""
+        return self._signature() == other._signature() and all(
+            torch.equal(getattr(self, name), getattr(other, name)) for name in self._tensor_names()
+        )
+
+    def __repr__(self) -> str:
+        degrees = (2 * torch.rad2deg(self.max_angle.detach().double())).flatten()[:1].item()
+        batch = f", batch_shape={self.batch_shape}" if self.batch_shape else ""
+        return f"{type(self).__name__}(image_size={self.image_size}, field of view {degrees:.1f}°{batch})"
+
+    # What subclasses use -------------------------------------------------------------------------------------------
+
+    def _interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
+        return bilinear_sample(image, pixels)
+
+    def _aligned(self, values: Tensor) -> list[Tensor]:
+        """Intrinsics shaped to broadcast with ``values`` (*b, *, k), in its dtype and on its device."""
+        return [self._align(getattr(self, name), values) for name in self.intrinsic_names]
+
+    def _align(self, tensor: Tensor, values: Tensor) -> Tensor:
+        batch = self.batch_shape
+        lead = values.shape[: min(len(batch), values.ndim - 1)]
+        if len(lead) == len(batch) and any(a not in (b, 1) and b != 1 for a, b in zip(lead, batch, strict=True)):
+            raise ShapeError(
+                f"points or pixels: a camera of batch shape {batch} expects ({', '.join(map(str, batch))}, *, "
+                f"{values.shape[-1]}), got {tuple(values.shape)}"
+            )
+        ones = (1,) * max(values.ndim - 1 - len(batch), 0)
+        return tensor.to(values).reshape(*batch, *ones, *tensor.shape[len(batch) :])
+
+    def _within_max_angle(self, points: Tensor) -> Tensor:
+        slack = 8 * torch.finfo(points.dtype).eps  # so that a round trip does not lose the very edge
+        return angle_from_axis(points) <= self._align(self.max_angle, points) + slack
+
+    def _set_batch(self, *shape: int) -> None:
+        """Give ``max_angle`` the batch dimensions of the intrinsics."""
+        if self.max_angle.ndim > len(shape):
+            raise ShapeError(
+                f"max_angle: expected a number or shape {shape}, as the other intrinsics, got "
+                f"{tuple(self.max_angle.shape)}"
+            )
+        self.max_angle = self.max_angle.expand(shape)
+
+    def _tensor_names(self) -> tuple[str, ...]:
+        return tuple(name for name in (*self.intrinsic_names, "max_angle") if getattr(self, name) is not None)
+
+    def _signature(self) -> tuple[Any, ...]:
+        shapes = tuple((name, tuple(getattr(self, name).shape)) for name in self._tensor_names())
+        return (type(self), self.image_size, shapes, *(getattr(self, name) for name in self.option_names))
+
+    def _map(self: AnyCamera, function: Callable[[Tensor], Tensor]) -> AnyCamera:
+        mapped = copy.copy(self)
+        for name in self._tensor_names():
+            setattr(mapped, name, function(getattr(self, name)))
+        return mapped

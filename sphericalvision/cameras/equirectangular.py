@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The equirectangular panorama as a camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.core import ArgumentError
+from sphericalvision.geometry import (
+    bilinear_sample,
+    directions_from_longitude_latitude,
+    longitude_latitude_from_directions,
+)
+
+__all__ = ["EquirectangularCamera", "project_equirectangular", "unproject_equirectangular"]
+
+
+def project_equirectangular(
+    points: Tensor, image_size: Sequence[int], vertical_field_of_view: float = math.pi
+) -> Projection:
+    """Pixels (*, 2) of ``points`` (*, 3) on a panorama of ``image_size`` (height, width).
+
+    Forward (+z) is the middle column, the right (+x) three quarters across, up (−y) the top row. Pixel centre i of
+    width W has longitude (i + 0.5)·2π/W − π.
+
+    Examples:
+        >>> project_equirectangular(torch.tensor([0.0, 0.0, 1.0]), (100, 200)).pixels.tolist()
+        [99.5, 49.5]
+    """
+    height, width = image_size
+    longitude, latitude = longitude_latitude_from_directions(points)
+    u = (longitude + math.pi) * (width / (2 * math.pi)) - 0.5
+    v = (vertical_field_of_view / 2 - latitude) * (height / vertical_field_of_view) - 0.5
+    return Projection(torch.stack((u, v), dim=-1), (points != 0).any(-1))
+
+
+def unproject_equirectangular(
+    pixels: Tensor, image_size: Sequence[int], vertical_field_of_view: float = math.pi
+) -> Unprojection:
+    """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_equirectangular``.
+
+    Examples:
+        >>> up = unproject_equirectangular(torch.tensor([99.5, -0.5]), (100, 200)).directions
+        >>> up[1].item()
+        -1.0
+    """
+    height, width = image_size
+    u, v = pixels.unbind(-1)
+    longitude = (u + 0.5) * (2 * math.pi / width) - math.pi
+    latitude = vertical_field_of_view / 2 - (v + 0.5) * (vertical_field_of_view / height)
+    directions = directions_from_longitude_latitude(longitude, latitude)
+    return Unprojection(directions, latitude.abs() <= math.pi / 2 + 8 * torch.finfo(pixels.dtype).eps)
+
+
+class EquirectangularCamera(Camera):
+    """An equirectangular panorama; it sees everything, and its left and right edges meet.
+
+    Args:
+        image_size: (height, width).
+        vertical_field_of_view: in radians, centred on the horizon; less than π leaves out the poles.
+
+    Examples:
+        >>> camera = EquirectangularCamera((160, 320))
+        >>> camera.project(torch.tensor([1.0, 0.0, 0.0])).pixels.round().tolist()  # to the right
+        [240.0, 80.0]
+    """
+
+    model = "equirectangular"
+    option_names: ClassVar[tuple[str, ...]] = ("vertical_field_of_view",)
+
+    def __init__(self, image_size: Sequence[int], vertical_field_of_view: float = math.pi) -> None:
+        if not 0 < vertical_field_of_view <= math.pi + 1e-9:
+            raise ArgumentError(
+                f"vertical_field_of_view: expected radians in (0, π], got {vertical_field_of_view}"
+            )
+        super().__init__(image_size, math.pi)
+        self.vertical_field_of_view = float(vertical_field_of_view)
+
+    def contains(self, pixels: Tensor) -> Tensor:
+        """As for any camera, up to rounding at the seam, where the outermost half pixels meet."""
+        height, width = self.image_size
+        slack = 8 * torch.finfo(pixels.dtype).eps * max(height, width)
+        u, v = pixels.unbind(-1)
+        inside_u = (u >= -0.5 - slack) & (u <= width - 0.5 + slack)
+        return inside_u & (v >= -0.5 - slack) & (v <= height - 0.5 + slack)
+
+    def _project(self, points: Tensor) -> Projection:
+        return project_equirectangular(points, self.image_size, self.vertical_field_of_view)
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        return unproject_equirectangular(pixels, self.image_size, self.vertical_field_of_view)
+
+    def _interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
+        return bilinear_sample(image, pixels, wrap_longitude=True)

@@ -1,0 +1,379 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several cameras that are rigidly fixed to each other.
+
+Convention:
+    ``world_from_camera`` takes camera coordinates to the world's. The world has x right, y down, z forward; up is -y.
+    The rig's centre is the mean of the camera positions.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.fisheye import FisheyeCamera, FisheyeProjection
+from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.geometry import (
+    bilinear_sample,
+    directions_from_longitude_latitude,
+    invert_transform,
+    transform_from_axis_angle,
+)
+
+__all__ = ["CameraRig", "ring_rig"]
+
+
+class CameraRig:
+    """Ordered, named cameras and their poses.
+
+    Args:
+        cameras: by name, or a sequence that gets the names ``cam1``, ``cam2``, ...
+        world_from_camera: ``(*b, n, 4, 4)`` rigid transforms, metres; leading dimensions are rigs of a batch.
+        masks: for some or all names, ``(h, w)`` bool, True where the image is usable.
+
+    Raises:
+        ShapeError: if the poses do not fit the cameras, or a mask its image.
+        ArgumentError: if a pose is not finite or not rigid, or a mask has an unknown name.
+
+    Examples:
+        >>> rig = ring_rig(4, radius=0.2)
+        >>> rig
+        CameraRig(cam1, cam2, cam3, cam4: 4 x FisheyeCamera, radius 0.200 m)
+        >>> rig.center.abs().max() < 1e-6
+        tensor(True)
+    """
+
+    def __init__(
+        self,
+        cameras: Mapping[str, Camera] | Sequence[Camera],
+        world_from_camera: Tensor,
+        masks: Mapping[str, Tensor] | None = None,
+    ) -> None:
+        named = cameras if isinstance(cameras, Mapping) else {f"cam{i + 1}": c for i, c in enumerate(cameras)}
+        self.cameras: dict[str, Camera] = dict(named)
+        self.masks: dict[str, Tensor] = dict(masks or {})
+        _check_poses(self.names, world_from_camera)
+        for name, mask in self.masks.items():
+            if name not in self.cameras:
+                raise ArgumentError(f"masks: expected names among {', '.join(self.names)}, got {name!r}")
+            if tuple(mask.shape) != self.cameras[name].image_size:
+                raise ShapeError(
+                    f"masks[{name!r}]: expected shape {self.cameras[name].image_size}, got {tuple(mask.shape)}"
+                )
+        self.world_from_camera = world_from_camera
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the cameras, in order."""
+        return list(self.cameras)
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    @property
+    def camera_from_world(self) -> Tensor:
+        """Inverse poses ``(*b, n, 4, 4)``."""
+        return invert_transform(self.world_from_camera)
+
+    @property
+    def positions(self) -> Tensor:
+        """Where the cameras are ``(*b, n, 3)``, metres."""
+        return self.world_from_camera[..., :3, 3]
+
+    @property
+    def center(self) -> Tensor:
+        """Mean position of the cameras ``(*b, 3)``, metres."""
+        return self.positions.mean(-2)
+
+    @property
+    def radius(self) -> Tensor:
+        """Mean distance of the cameras from the centre ``(*b)``, metres."""
+        return (self.positions - self.center[..., None, :]).norm(dim=-1).mean(-1)
+
+    @property
+    def axes(self) -> Tensor:
+        """Optical axes in the world ``(*b, n, 3)``, unit length."""
+        return self.world_from_camera[..., :3, 2]
+
+    @property
+    def max_angles(self) -> Tensor:
+        """Half fields of view ``(*b, n)``, radians."""
+        poses = self.world_from_camera
+        angles = (camera.max_angle.to(poses).expand(poses.shape[:-3]) for camera in self.cameras.values())
+        return torch.stack(list(angles), -1)
+
+    def to(
+        self, device: torch.device | str | None = None, dtype: torch.dtype | None = None, **_: object
+    ) -> CameraRig:
+        """The rig with all its tensors on another device or of another floating point type."""
+        if isinstance(device, torch.dtype):
+            device, dtype = None, device
+        cameras = {name: camera.to(device, dtype) for name, camera in self.cameras.items()}
+        masks = {name: mask.to(device) for name, mask in self.masks.items()}
+        return CameraRig(cameras, self.world_from_camera.to(device, dtype), masks)
+
+    def subset(self, which: Sequence[str | int]) -> CameraRig:
+        """The rig with only these cameras, by name or index, in this order.
+
+        Examples:
+            >>> ring_rig(4).subset(["cam3", 0]).names
+            ['cam3', 'cam1']
+        """
+        names = self.names
+        for key in which:
+            known = key in names if isinstance(key, str) else -len(names) <= key < len(names)
+            if not known:
+                raise ArgumentError(
+                    f"cameras: expected names among {', '.join(names)} or indices, got {key!r}"
+                )
+        index = [names.index(key) if isinstance(key, str) else range(len(names))[key] for key in which]
+        if not index or len(set(index)) != len(index):
+            raise ArgumentError(f"cameras: expected each camera once and at least one, got {list(which)}")
+        chosen = [names[i] for i in index]
+        masks = {name: self.masks[name] for name in chosen if name in self.masks}
+        return CameraRig(
+            {n: self.cameras[n] for n in chosen}, self.world_from_camera[..., index, :, :], masks
+        )
+
+    def permuted(self, order: Sequence[int] | Tensor) -> CameraRig:
+        """The rig with its cameras in another order, a permutation of 0 ... n - 1."""
+        order = [int(i) for i in order]
+        if sorted(order) != list(range(len(self))):
+            raise ArgumentError(f"order: expected a permutation of 0 to {len(self) - 1}, got {order}")
+        return self.subset(order)
+
+    def rotated(self, tilt: float | Tensor = 0.0, rotation: Tensor | None = None) -> CameraRig:
+        """The rig with other orientations; positions of tilted cameras stay where they are.
+
+        Args:
+            tilt: radians by which every camera looks further down, about its own x axis (the paper's rotated rigs).
+            rotation: ``(*b, 3, 3)`` turns the whole rig about the world's origin, after the tilt.
+
+        References:
+            Komatsu et al. (2020), section IV-C.
+
+        Examples:
+            >>> ring_rig(4).rotated(tilt=math.radians(30)).axes[0]  # the front camera looks 30° down, and down is +y
+            tensor([0.0000, 0.5000, 0.8660])
+        """
+        poses = self.world_from_camera
+        angle = torch.as_tensor(tilt, dtype=poses.dtype, device=poses.device)
+        zero = torch.zeros_like(angle)
+        down = transform_from_axis_angle(torch.stack((-angle, zero, zero), -1), poses.new_zeros(3))
+        poses = poses @ down
+        if rotation is not None:
+            if rotation.shape[-2:] != (3, 3):
+                raise ShapeError(f"rotation: expected shape (*, 3, 3), got {tuple(rotation.shape)}")
+            turn = torch.eye(4, dtype=poses.dtype, device=poses.device).repeat(*rotation.shape[:-2], 1, 1)
+            turn[..., :3, :3] = rotation.to(poses)
+            poses = turn[..., None, :, :] @ poses
+        return CameraRig(self.cameras, poses, self.masks)
+
+    def scaled(self, factor: float) -> CameraRig:
+        """The rig with all positions multiplied by ``factor``; depths seen by it scale alike."""
+        poses = self.world_from_camera.clone()
+        poses[..., :3, 3] *= factor
+        return CameraRig(self.cameras, poses, self.masks)
+
+    def select(self, index: int) -> CameraRig:
+        """One rig of a batch."""
+        if self.world_from_camera.ndim < 4:
+            raise ArgumentError("select: this rig has no batch dimension; its poses are (n, 4, 4)")
+        cameras = {name: camera.select(index) for name, camera in self.cameras.items()}
+        return CameraRig(cameras, self.world_from_camera[index], self.masks)
+
+    @staticmethod
+    def stack(rigs: Sequence[CameraRig]) -> CameraRig:
+        """One rig with poses ``(B, n, 4, 4)``; camera parameters are shared where equal, and stacked elsewhere.
+
+        Raises:
+            ArgumentError: if the rigs differ in names, models, image sizes or masks.
+
+        Examples:
+            >>> CameraRig.stack([ring_rig(4), ring_rig(4, radius=0.1)]).center.shape
+            torch.Size([2, 3])
+        """
+        if not rigs:
+            raise ArgumentError("rigs: expected at least one rig, got none")
+        first = rigs[0]
+        for rig in rigs[1:]:
+            if rig.names != first.names:
+                raise ArgumentError(
+                    f"rigs: expected the same camera names, got {first.names} and {rig.names}"
+                )
+        cameras = {name: _stack_cameras(name, [rig.cameras[name] for rig in rigs]) for name in first.names}
+        poses = torch.stack([rig.world_from_camera for rig in rigs])
+        same = all(_equal_masks(rig.masks, first.masks) for rig in rigs[1:])
+        if not same:
+            raise ArgumentError(
+                "rigs: expected the same masks in all rigs of a batch; project images before stacking"
+            )
+        return CameraRig(cameras, poses, first.masks)
+
+    def sample_sphere(
+        self,
+        images: Mapping[str, Tensor] | Sequence[Tensor],
+        directions: Tensor,
+        fill: float = 0.5,
+        antialias: bool = False,
+    ) -> tuple[Tensor, Tensor]:
+        """Look each camera's image up in directions of the world, as if from its own position (rotation only).
+
+        Args:
+            images: by camera name, or in the rig's order: ``(*b, c, h, w)``, as large as the camera is calibrated for.
+            directions: ``(V, 3)`` in the world, so that up is up in every result.
+            fill: value outside of the field of view, the image or the mask.
+            antialias: average pixels first where the image is finer than the directions, taken as evenly spread.
+
+        Returns:
+            Values ``(*b, n, c, V)`` and validity ``(*b, n, V)`` (without ``*b`` for a rig shared by the batch).
+
+        Raises:
+            ArgumentError: if the number or the names of the images are not those of the rig.
+            ShapeError: if an image has another size than its camera.
+        """
+        check_last_dim("directions", directions, 3)
+        values, valid = [], []
+        for i, (name, image) in enumerate(self._named_images(images).items()):
+            camera = self.cameras[name]
+            if image.ndim < 3 or tuple(image.shape[-2:]) != camera.image_size:
+                raise ShapeError(
+                    f"images[{name!r}]: expected shape (*b, c, {camera.image_size[0]}, {camera.image_size[1]}) as "
+                    f"calibrated, got {tuple(image.shape)}"
+                )
+            world_from_camera = self.world_from_camera[..., i, :3, :3].to(directions)
+            pixels, seen = camera.project(directions @ world_from_camera)
+            pixels = torch.where(seen[..., None], pixels, 0.0)
+            if name in self.masks:
+                usable = self.masks[name].to(pixels.device, pixels.dtype)[None]
+                seen = seen & (bilinear_sample(usable, pixels)[..., 0, :] > 0.999)
+            value = _look_up(camera, image, pixels, _shrinking(camera, directions) if antialias else 1)
+            values.append(torch.where(seen[..., None, :], value, fill))
+            valid.append(seen)
+        return torch.stack(values, -3), torch.stack(valid, -2)
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Write the rig as this package's own YAML, which ``read_rig`` reads; masks are not written."""
+        from sphericalvision.cameras.calibration.native import write_rig  # the reader needs this module
+
+        write_rig(self, path)
+
+    def _named_images(self, images: Mapping[str, Tensor] | Sequence[Tensor]) -> dict[str, Tensor]:
+        if isinstance(images, Mapping):
+            if set(images) != set(self.cameras):
+                raise ArgumentError(
+                    f"images: expected one for each of {', '.join(self.names)}, got {', '.join(map(str, images))}"
+                )
+            return {name: images[name] for name in self.names}
+        if len(images) != len(self):
+            raise ArgumentError(f"images: expected {len(self)}, one a camera, got {len(images)}")
+        return dict(zip(self.names, images, strict=True))
+
+    def __repr__(self) -> str:
+        kinds = {type(camera).__name__ for camera in self.cameras.values()}
+        radius = f"radius {float(self.radius.mean()):.3f} m"
+        return f"CameraRig({', '.join(self.names)}: {len(self)} x {'/'.join(sorted(kinds))}, {radius})"
+
+
+def ring_rig(
+    num_cameras: int = 4,
+    radius: float = 0.2,
+    image_size: Sequence[int] = (768, 800),
+    field_of_view: float = math.radians(220),
+    projection: FisheyeProjection = "equidistant",
+) -> CameraRig:
+    """Equal fisheyes evenly on a horizontal ring that look outwards, the first forward, then clockwise seen from above.
+
+    The default is like the rig of OmniThings: front, right, back and left at 0.2 m, 220°.
+
+    Args:
+        num_cameras: 2 or more.
+        radius: metres from the world's origin to each camera.
+        image_size: (height, width) in pixels; the image circle fills the shorter side.
+        field_of_view: full angle in radians.
+        projection: of the fisheye.
+
+    Examples:
+        >>> ring_rig(4).world_from_camera[1, :3, 3]  # the second camera stands to the right, on +x
+        tensor([0.2000, 0.0000, 0.0000])
+    """
+    if num_cameras < 2 or radius <= 0:
+        raise ArgumentError(
+            f"ring_rig: expected 2 or more cameras and radius > 0, got {num_cameras} and {radius}"
+        )
+    camera = FisheyeCamera.from_field_of_view(image_size, field_of_view, projection)
+    longitude = torch.arange(num_cameras, dtype=torch.float64) * (2 * math.pi / num_cameras)
+    zero = torch.zeros_like(longitude)
+    position = radius * directions_from_longitude_latitude(longitude, zero)
+    poses = transform_from_axis_angle(torch.stack((zero, longitude, zero), -1), position)
+    exact = poses.round(decimals=12) + 0.0  # quarter turns without rounding, and no negative zeros
+    return CameraRig([camera] * num_cameras, exact.to(torch.get_default_dtype()))
+
+
+def _check_poses(names: list[str], poses: Tensor) -> None:
+    if not names:
+        raise ArgumentError("cameras: expected at least one camera, got none")
+    if poses.ndim < 3 or tuple(poses.shape[-3:]) != (len(names), 4, 4):
+        raise ShapeError(
+            f"world_from_camera: expected shape (*b, {len(names)}, 4, 4) for {len(names)} cameras, "
+            f"got {tuple(poses.shape)}"
+        )
+    detached = poses.detach()
+    finite = detached.isfinite().flatten(-2).all(-1).reshape(-1, len(names)).all(0)
+    for name, fine in zip(names, finite.tolist(), strict=True):
+        if not fine:
+            raise ArgumentError(
+                f"world_from_camera: the pose of {name} has NaN or infinite numbers; correct it"
+            )
+    rotation = detached[..., :3, :3].double()
+    eye = torch.eye(3, dtype=torch.float64, device=poses.device)
+    rigid = ((rotation @ rotation.mT - eye).abs().amax() < 1e-3) and bool(
+        (torch.linalg.det(rotation) > 0).all()
+    )
+    if not rigid:
+        raise ArgumentError(
+            "world_from_camera: expected rotations (orthonormal, determinant +1) in the upper left 3 x 3"
+        )
+
+
+def _stack_cameras(name: str, cameras: list[Camera]) -> Camera:
+    first = cameras[0]
+    if all(camera is first for camera in cameras):
+        return first
+    for camera in cameras[1:]:
+        same = type(camera) is type(first) and camera.image_size == first.image_size
+        same = same and getattr(camera, "projection", None) == getattr(first, "projection", None)
+        if not same or camera.tensors.keys() != first.tensors.keys():
+            raise ArgumentError(f"rigs: camera {name} differs in model or image size: {first} and {camera}")
+    if all(torch.equal(c.tensors[key], value) for c in cameras[1:] for key, value in first.tensors.items()):
+        return first
+    stacked = copy.copy(first)
+    for key in first.tensors:
+        setattr(stacked, key, torch.stack([camera.tensors[key] for camera in cameras]))
+    return stacked
+
+
+def _equal_masks(a: Mapping[str, Tensor], b: Mapping[str, Tensor]) -> bool:
+    return a is b or (a.keys() == b.keys() and all(a[k] is b[k] or torch.equal(a[k], b[k]) for k in a))
+
+
+def _shrinking(camera: Camera, directions: Tensor) -> int:
+    """How many pixels in a row lie between neighbouring directions, on average, at least 1."""
+    spacing = math.sqrt(4 * math.pi / directions.shape[-2])
+    pixel = 2 * float(camera.max_angle.max()) / min(camera.image_size)
+    return max(1, int(spacing / pixel))
+
+
+def _look_up(camera: Camera, image: Tensor, pixels: Tensor, shrink: int) -> Tensor:
+    if shrink > 1:
+        flat = image.reshape(-1, *image.shape[-3:])
+        small = F.avg_pool2d(flat, shrink, ceil_mode=True)
+        image, pixels = small.reshape(*image.shape[:-2], *small.shape[-2:]), (pixels + 0.5) / shrink - 0.5
+    return bilinear_sample(image, pixels, wrap_longitude=camera._wraps)

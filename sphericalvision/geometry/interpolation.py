@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bilinear interpolation at pixel coordinates.
+
+Convention:
+    Pixel centres have integer coordinates: the top-left pixel's centre is (u, v) = (0, 0).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_last_dim
+
+__all__ = ["bilinear_sample"]
+
+
+def _wrap_panorama(image: Tensor) -> Tensor:
+    """One more column on either side and, beyond each pole, one more row: the pole's row seen from behind."""
+    width = image.shape[-1]
+
+    def behind(row: Tensor) -> Tensor:  # an odd width has no pixel exactly behind, hence the mean of its two
+        return (row.roll(width // 2, -1) + row.roll((width + 1) // 2, -1)) / 2
+
+    image = torch.cat((behind(image[..., :1, :]), image, behind(image[..., -1:, :])), dim=-2)
+    return torch.cat((image[..., -1:], image, image[..., :1]), dim=-1)
+
+
+def bilinear_sample(
+    image: Tensor, pixels: Tensor, wrap_longitude: bool = False, padding: str = "border"
+) -> Tensor:
+    """Values (*b, c, n) of ``image`` (*b, c, h, w) at ``pixels`` (*b, n, 2), given as (u, v).
+
+    Args:
+        image: floating point; its leading dimensions broadcast with those of ``pixels``.
+        pixels: (u, v) with integer pixel centres.
+        wrap_longitude: the image is a full equirectangular panorama: its left and right edges meet, and beyond
+            a pole the panorama continues on the opposite side.
+        padding: beyond the outermost pixel centres ``"border"`` repeats them and ``"zeros"`` fades to zero.
+
+    Raises:
+        ArgumentError: the image is of an integer type, or ``padding`` is unknown.
+        ShapeError: the shapes are not as above.
+
+    Examples:
+        >>> image = torch.tensor([[[0.0, 10.0], [20.0, 30.0]]])
+        >>> bilinear_sample(image, torch.tensor([[1.0, 0.0], [0.5, 0.5]])).tolist()
+        [[10.0, 15.0]]
+        >>> seam = torch.tensor([[1.5, 0.0]])
+        >>> bilinear_sample(image[:, :1], seam, wrap_longitude=True).tolist()
+        [[5.0]]
+    """
+    check_choice("padding", padding, ("border", "zeros"))
+    check_last_dim("pixels", pixels, 2)
+    if image.ndim < 3 or pixels.ndim < 2:
+        raise ShapeError(
+            "image and pixels: expected shapes (*b, c, h, w) and (*b, n, 2), "
+            f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
+        )
+    if not image.is_floating_point():
+        raise ArgumentError(f"image: expected floating point values, got {image.dtype}; convert it first")
+    height, width = image.shape[-2:]
+    size = pixels.new_tensor([width, height])
+    if wrap_longitude:
+        u = torch.remainder(pixels[..., 0] + 0.5, width) - 0.5
+        pixels = torch.stack((u, pixels[..., 1]), dim=-1) + 1
+        image, size = _wrap_panorama(image), size + 2
+    batch = torch.broadcast_shapes(image.shape[:-3], pixels.shape[:-2])
+    flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
+    # grid_sample(align_corners=False) puts the centre of pixel i at (2 i + 1) / size - 1.
+    grid = ((2 * pixels + 1) / size - 1).to(image.dtype).expand(*batch, *pixels.shape[-2:])
+    grid = grid.reshape(-1, 1, *pixels.shape[-2:])
+    values = F.grid_sample(flat_image, grid, padding_mode=padding, align_corners=False)
+    return values.reshape(*batch, image.shape[-3], pixels.shape[-2])

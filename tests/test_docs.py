@@ -14,6 +14,8 @@ import yaml
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 
+from sphericalvision.recipes.cli import quote_paths
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(
@@ -54,11 +56,13 @@ def test_python_of_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(("page", "command"), commands())
-def test_command_line_is_understood(page: str, command: str, tmp_path: Path) -> None:
+def test_command_line_is_understood(page: str, command: str) -> None:
     """Every `key=value` of a printed command is a key of that recipe's configuration."""
     program, *arguments = shlex.split(command, comments=True)
     importlib.import_module(f"sphericalvision.recipes.{program.removeprefix('sphericalvision-')}")
-    overrides = [argument for argument in arguments if "=" in argument and not argument.startswith("--")]
+    overrides = [
+        argument for argument in quote_paths(arguments) if not argument.startswith("-") and "=" in argument
+    ]
     GlobalHydra.instance().clear()
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         compose(program.removeprefix("sphericalvision-"), overrides=overrides)

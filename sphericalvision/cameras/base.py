@@ -211,13 +211,15 @@ class Camera(ABC):
     def _align(self, tensor: Tensor, values: Tensor) -> Tensor:
         batch = self.batch_shape
         lead = values.shape[: min(len(batch), values.ndim - 1)]
-        if len(lead) == len(batch) and any(a not in (b, 1) and b != 1 for a, b in zip(lead, batch, strict=True)):
+        if len(lead) == len(batch) and any(
+            a not in (b, 1) and b != 1 for a, b in zip(lead, batch, strict=True)
+        ):
             raise ShapeError(
                 f"points or pixels: a camera of batch shape {batch} expects ({', '.join(map(str, batch))}, *, "
                 f"{values.shape[-1]}), got {tuple(values.shape)}"
             )
         ones = (1,) * max(values.ndim - 1 - len(batch), 0)
-        return tensor.to(values).reshape(*batch, *ones, *tensor.shape[len(batch) :])
+        return tensor.to(values).reshape((*batch, *ones, *tensor.shape[len(batch) :]))
 
     def _within_max_angle(self, points: Tensor) -> Tensor:
         slack = 8 * torch.finfo(points.dtype).eps  # so that a round trip does not lose the very edge

@@ -24,7 +24,12 @@ _RADIUS: dict[str, Callable[[float], float]] = {  # image radius over focal leng
     "stereographic": lambda angle: 2 * math.tan(angle / 2),
     "orthographic": math.sin,
 }
-_WIDEST = {"equidistant": math.pi, "equisolid": math.pi, "stereographic": math.pi, "orthographic": math.pi / 2}
+_WIDEST = {
+    "equidistant": math.pi,
+    "equisolid": math.pi,
+    "stereographic": math.pi,
+    "orthographic": math.pi / 2,
+}
 
 
 def _length_plus_z(points: Tensor) -> tuple[Tensor, Tensor]:
@@ -73,7 +78,11 @@ def project_fisheye(
         scale = 2 / length_plus_z
     else:
         scale = 1 / length
-    valid = points[..., 2] >= 0 if projection == "orthographic" else (points[..., :2] != 0).any(-1) | (points[..., 2] > 0)
+    valid = (
+        points[..., 2] >= 0
+        if projection == "orthographic"
+        else (points[..., :2] != 0).any(-1) | (points[..., 2] > 0)
+    )
     return Projection(points[..., :2] * scale.unsqueeze(-1) * focal_length + principal_point, valid)
 
 
@@ -171,7 +180,9 @@ class FisheyeCamera(Camera):
         """
         check_choice("projection", projection, FISHEYE_PROJECTIONS)
         widest = _WIDEST[projection]
-        if not 0 < field_of_view <= 2 * widest + 1e-9 or (projection == "stereographic" and field_of_view > 6.28):
+        if not 0 < field_of_view <= 2 * widest + 1e-9 or (
+            projection == "stereographic" and field_of_view > 6.28
+        ):
             raise ArgumentError(
                 f"field_of_view: an {projection} lens shows more than 0 and at most {math.degrees(2 * widest):.0f}°, got "
                 f"{math.degrees(field_of_view):.1f}° ({field_of_view} rad)"

@@ -8,7 +8,6 @@ Convention:
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.fisheye import FisheyeCamera, FisheyeProjection
+from sphericalvision.cameras.fisheye import FisheyeCamera
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import (
     bilinear_sample,
@@ -186,7 +185,7 @@ class CameraRig:
         """One rig of a batch."""
         if self.world_from_camera.ndim < 4:
             raise ArgumentError("select: this rig has no batch dimension; its poses are (n, 4, 4)")
-        cameras = {name: camera.select(index) for name, camera in self.cameras.items()}
+        cameras = {n: c.select(index) if c.batch_shape else c for n, c in self.cameras.items()}
         return CameraRig(cameras, self.world_from_camera[index], self.masks)
 
     @staticmethod
@@ -287,7 +286,7 @@ def ring_rig(
     radius: float = 0.2,
     image_size: Sequence[int] = (768, 800),
     field_of_view: float = math.radians(220),
-    projection: FisheyeProjection = "equidistant",
+    projection: str = "equidistant",
 ) -> CameraRig:
     """Equal fisheyes evenly on a horizontal ring that look outwards, the first forward, then clockwise seen from above.
 
@@ -345,19 +344,12 @@ def _check_poses(names: list[str], poses: Tensor) -> None:
 
 def _stack_cameras(name: str, cameras: list[Camera]) -> Camera:
     first = cameras[0]
-    if all(camera is first for camera in cameras):
+    if all(camera is first or camera.equals(first) for camera in cameras[1:]):
         return first
-    for camera in cameras[1:]:
-        same = type(camera) is type(first) and camera.image_size == first.image_size
-        same = same and getattr(camera, "projection", None) == getattr(first, "projection", None)
-        if not same or camera.tensors.keys() != first.tensors.keys():
-            raise ArgumentError(f"rigs: camera {name} differs in model or image size: {first} and {camera}")
-    if all(torch.equal(c.tensors[key], value) for c in cameras[1:] for key, value in first.tensors.items()):
-        return first
-    stacked = copy.copy(first)
-    for key in first.tensors:
-        setattr(stacked, key, torch.stack([camera.tensors[key] for camera in cameras]))
-    return stacked
+    try:
+        return type(first).stack(cameras)
+    except ArgumentError as error:
+        raise ArgumentError(f"rigs: camera {name} cannot be stacked: {error}") from error
 
 
 def _equal_masks(a: Mapping[str, Tensor], b: Mapping[str, Tensor]) -> bool:
@@ -376,4 +368,4 @@ def _look_up(camera: Camera, image: Tensor, pixels: Tensor, shrink: int) -> Tens
         flat = image.reshape(-1, *image.shape[-3:])
         small = F.avg_pool2d(flat, shrink, ceil_mode=True)
         image, pixels = small.reshape(*image.shape[:-2], *small.shape[-2:]), (pixels + 0.5) / shrink - 0.5
-    return bilinear_sample(image, pixels, wrap_longitude=camera._wraps)
+    return camera._interpolate(image, pixels)

@@ -1,1 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Networks, composed of the rooms below, and their weights."""
+
+from sphericalvision.models.features import FeatureExtractor
+from sphericalvision.models.icosweepnet import IcoSweepNet
+from sphericalvision.models.regularization import CostRegularizer
+from sphericalvision.models.weights import (
+    available_weights,
+    load_reference_checkpoint,
+    load_weights,
+    pretrained,
+    save_weights,
+    state_dict_from_reference,
+)
+
+__all__ = [
+    "CostRegularizer",
+    "FeatureExtractor",
+    "IcoSweepNet",
+    "available_weights",
+    "load_reference_checkpoint",
+    "load_weights",
+    "pretrained",
+    "save_weights",
+    "state_dict_from_reference",
+]

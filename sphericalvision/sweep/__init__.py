@@ -1,1 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Sphere sweeping: hypotheses of depth, the volume that cameras see at them, and the way back to a depth."""
+
+from sphericalvision.sweep.cost import photo_consistency
+from sphericalvision.sweep.hypotheses import (
+    depth_from_index,
+    index_from_depth,
+    index_from_inverse_depth,
+    inverse_depth_from_index,
+    inverse_depth_hypotheses,
+)
+from sphericalvision.sweep.regression import DepthIndex, soft_argmax, soft_argmax_confidence
+from sphericalvision.sweep.sphere_sweep import (
+    SphereSweep,
+    SweepTables,
+    SweepVolume,
+    sphere_sweep,
+    sweep_tables,
+)
+
+__all__ = [
+    "DepthIndex",
+    "SphereSweep",
+    "SweepTables",
+    "SweepVolume",
+    "depth_from_index",
+    "index_from_depth",
+    "index_from_inverse_depth",
+    "inverse_depth_from_index",
+    "inverse_depth_hypotheses",
+    "photo_consistency",
+    "soft_argmax",
+    "soft_argmax_confidence",
+    "sphere_sweep",
+    "sweep_tables",
+]

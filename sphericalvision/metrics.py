@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of hypothesis indices and of depths in metres, per image and then averaged over images."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import torch
+from torch import Tensor
+from torchmetrics import Metric
+
+from sphericalvision.core import ArgumentError, ShapeError
+
+__all__ = ["DepthError", "DepthIndexError", "depth_error", "depth_index_error"]
+
+
+def depth_index_error(
+    pred_index: Tensor,
+    target_index: Tensor,
+    num_hypotheses: int,
+    mask: Tensor | None = None,
+    weights: Tensor | None = None,
+) -> dict[str, Tensor]:
+    """Return the errors of hypothesis indices for each image, in percent of the number of hypotheses.
+
+    With ``e = 100 * |pred - target| / N``: ``">1"``, ``">3"`` and ``">5"`` are the percentages of points with
+    e strictly above, ``"MAE"`` is the mean of e and ``"RMS"`` the root of the mean of its square. The numbers
+    scale with ``(N - 1) / N``: compare only at one N.
+
+    Args:
+        pred_index: ``(B, V)`` predicted indices.
+        target_index: ``(B, V)`` true indices, not rounded.
+        num_hypotheses: N.
+        mask: ``(B, V)``, True where the truth counts; everywhere when not given.
+        weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.
+
+    Returns:
+        The five errors ``(B,)``; NaN for an image without a valid point.
+
+    Raises:
+        ShapeError: if shapes do not agree.
+        ArgumentError: if ``num_hypotheses`` is not positive.
+
+    References:
+        Won, Ryu and Lim (2019), "OmniMVS: end-to-end learning for omnidirectional stereo matching", section
+        4.
+
+    Examples:
+        >>> errors = depth_index_error(torch.tensor([[1.0, 2.0]]), torch.tensor([[1.0, 2.8]]),
+        ...     num_hypotheses=20)
+        >>> {name: round(value.item(), 3) for name, value in errors.items()}
+        {'>1': 50.0, '>3': 50.0, '>5': 0.0, 'MAE': 2.0, 'RMS': 2.828}
+    """
+    if num_hypotheses < 1:
+        raise ArgumentError(f"num_hypotheses: expected a positive number, got {num_hypotheses!r}")
+    shares = _shares(pred_index, target_index, mask, weights)
+    error = (pred_index - target_index).abs().to(shares.dtype) * (100 / num_hypotheses)
+    above = {f">{threshold}": _mean(100.0 * (error > threshold), shares) for threshold in (1, 3, 5)}
+    return above | {"MAE": _mean(error, shares), "RMS": _mean(error.square(), shares).sqrt()}
+
+
+def depth_error(
+    pred_depth: Tensor,
+    target_depth: Tensor,
+    mask: Tensor | None = None,
+    weights: Tensor | None = None,
+    max_depth: float = 100.0,
+) -> dict[str, Tensor]:
+    """Return the errors of depths in metres for each image.
+
+    ``"AbsRel"`` is the mean of ``|pred - target| / target``, ``"RMSE"`` is in metres, ``"d<1.25"`` is the
+    share (0 to 1) of points with ``max(pred / target, target / pred) < 1.25``.
+
+    Args:
+        pred_depth: ``(B, V)`` in metres along the ray; larger values count as ``max_depth``.
+        target_depth: ``(B, V)``; points beyond ``max_depth``, at infinity or not positive are left out.
+        mask: ``(B, V)``, True where the truth counts; everywhere when not given.
+        weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.
+        max_depth: in metres.
+
+    Returns:
+        The three errors ``(B,)``; NaN for an image without a valid point.
+
+    Raises:
+        ShapeError: if shapes do not agree.
+        ArgumentError: if ``max_depth`` is not positive.
+
+    References:
+        Eigen, Puhrsch and Fergus (2014), "Depth map prediction from a single image using a multi-scale deep
+        network".
+
+    Examples:
+        >>> errors = depth_error(torch.tensor([[2.0, 3.0]]), torch.tensor([[1.0, 3.0]]))
+        >>> {name: round(value.item(), 3) for name, value in errors.items()}
+        {'AbsRel': 0.5, 'RMSE': 0.707, 'd<1.25': 0.5}
+    """
+    if not max_depth > 0:
+        raise ArgumentError(f"max_depth: expected a positive number of metres, got {max_depth!r}")
+    in_range = (target_depth > 0) & (target_depth <= max_depth)
+    shares = _shares(pred_depth, target_depth, in_range if mask is None else in_range & mask, weights)
+    pred = pred_depth.clamp(max=max_depth).to(shares.dtype)
+    target = target_depth.to(shares.dtype)
+    error = (pred - target).abs()
+    ratio = torch.maximum(pred / target, target / pred)
+    return {
+        "AbsRel": _mean(error / target, shares),
+        "RMSE": _mean(error.square(), shares).sqrt(),
+        "d<1.25": _mean((ratio < 1.25).to(shares.dtype), shares),
+    }
+
+
+def _shares(pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None) -> Tensor:
+    """Return float64 weights ``(B, V)``: zero outside the mask, one in total per image (NaN if empty)."""
+    if pred.ndim != 2:
+        raise ShapeError(f"prediction: expected shape (B, V), got {tuple(pred.shape)}")
+    named = {"target": target, "mask": pred if mask is None else mask}
+    for name, tensor in named.items():
+        if tensor.shape != pred.shape:
+            raise ShapeError(
+                f"{name}: expected the shape of the prediction {tuple(pred.shape)}, got {tuple(tensor.shape)}"
+            )
+    shares = torch.ones(pred.shape, dtype=torch.float64, device=pred.device)
+    if weights is not None:
+        if weights.shape not in (pred.shape, pred.shape[1:]):
+            raise ShapeError(f"weights: expected shape ({pred.shape[1]},), got {tuple(weights.shape)}")
+        shares = shares * weights
+    if mask is not None:
+        shares = shares.masked_fill(~mask.bool(), 0)
+    return shares / shares.sum(1, keepdim=True)
+
+
+def _mean(values: Tensor, shares: Tensor) -> Tensor:
+    """Return the weighted mean ``(B,)``; values without weight are ignored, NaN included."""
+    return torch.where(shares == 0, 0.0, values * shares).sum(1)
+
+
+class _MeanOverImages(Metric):
+    """Means over images of errors known for each image; states are sums, so processes add up."""
+
+    full_state_update = False
+    error_names: tuple[str, ...]
+    sums: Tensor
+    num_images: Tensor
+
+    def __init__(self, **kwargs: object) -> None:
+        super().__init__(**kwargs)
+        zeros = torch.zeros(len(self.error_names), dtype=torch.float64)
+        self.add_state("sums", default=zeros, dist_reduce_fx="sum")
+        self.add_state("num_images", default=torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+
+    @abstractmethod
+    def _errors(
+        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
+    ) -> dict[str, Tensor]:
+        """Return the errors of each image ``(B,)`` by name; NaN for an image that does not count."""
+
+    def update(
+        self, pred: Tensor, target: Tensor, mask: Tensor | None = None, weights: Tensor | None = None
+    ) -> None:
+        """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and ``(V,)`` weights."""
+        errors = self._errors(pred, target, mask, weights)
+        table = torch.stack([errors[name] for name in self.error_names])
+        counts = ~table.isnan().all(0)
+        self.sums += table[:, counts].sum(1)
+        self.num_images += counts.sum()
+
+    def compute(self) -> dict[str, Tensor]:
+        """Return the means over all images with at least one valid point, by name; NaN if there was none."""
+        means = (self.sums / self.num_images).float()
+        return dict(zip(self.error_names, means, strict=True))
+
+
+class DepthIndexError(_MeanOverImages):
+    """The field's table row: ``>1 >3 >5 MAE RMS`` in percent of N, per image and then averaged over images.
+
+    See ``depth_index_error``; images without a valid point do not count.
+
+    Args:
+        num_hypotheses: N, the number of hypotheses that the indices refer to.
+
+    Examples:
+        >>> metric = DepthIndexError(num_hypotheses=100)
+        >>> metric.update(torch.tensor([[0.0, 4.0]]), torch.tensor([[0.0, 0.0]]))
+        >>> metric.update(torch.tensor([[9.0, 9.0]]), torch.tensor([[9.0, 0.0]]), mask=torch.tensor([[True,
+        ...     False]]))
+        >>> {name: value.item() for name, value in metric.compute().items()}["MAE"]
+        1.0
+    """
+
+    error_names = (">1", ">3", ">5", "MAE", "RMS")
+
+    def __init__(self, num_hypotheses: int, **kwargs: object) -> None:
+        super().__init__(**kwargs)
+        if num_hypotheses < 1:
+            raise ArgumentError(f"num_hypotheses: expected a positive number, got {num_hypotheses!r}")
+        self.num_hypotheses = num_hypotheses
+
+    def _errors(
+        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
+    ) -> dict[str, Tensor]:
+        return depth_index_error(pred, target, self.num_hypotheses, mask, weights)
+
+
+class DepthError(_MeanOverImages):
+    """``AbsRel``, ``RMSE`` (m) and ``d<1.25`` of depths in metres, per image and then averaged over images.
+
+    See ``depth_error``; images without a valid point do not count.
+
+    Args:
+        max_depth: in metres; predictions are cut there, and true depths beyond are left out.
+
+    Examples:
+        >>> metric = DepthError()
+        >>> metric.update(torch.tensor([[2.0, 1.1]]), torch.tensor([[1.0, 1.0]]))
+        >>> {name: round(value.item(), 2) for name, value in metric.compute().items()}
+        {'AbsRel': 0.55, 'RMSE': 0.71, 'd<1.25': 0.5}
+    """
+
+    error_names = ("AbsRel", "RMSE", "d<1.25")
+
+    def __init__(self, max_depth: float = 100.0, **kwargs: object) -> None:
+        super().__init__(**kwargs)
+        if not max_depth > 0:
+            raise ArgumentError(f"max_depth: expected a positive number of metres, got {max_depth!r}")
+        self.max_depth = max_depth
+
+    def _errors(
+        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
+    ) -> dict[str, Tensor]:
+        return depth_error(pred, target, mask, weights, self.max_depth)

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Features of an image on the icosphere: crown convolutions and residual blocks, two levels coarser."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+from sphericalvision.crown import (
+    Crown,
+    CrownAvgPool2d,
+    CrownBatchNorm2d,
+    CrownConv2d,
+    crown_relu,
+    exchange,
+    from_crown,
+    to_crown,
+)
+
+__all__ = ["ConvNorm2d", "FeatureExtractor", "ResidualBlock"]
+
+
+class ConvNorm2d(nn.Module):
+    """A crown convolution and the batch normalisation after it."""
+
+    def __init__(self, in_channels: int, out_channels: int, stride: int = 1) -> None:
+        super().__init__()
+        self.conv = CrownConv2d(in_channels, out_channels, stride=stride)
+        self.norm = CrownBatchNorm2d(out_channels)
+
+    def forward(self, crown: Crown) -> Crown:
+        return self.norm(self.conv(crown))
+
+
+class ResidualBlock(nn.Module):
+    """Two normalised convolutions with a ReLU between them, added to the input, and a ReLU.
+
+    With ``stride=2`` the first convolution goes to the next coarser level, and the input joins it through a 3
+    x 3 mean.
+
+    References:
+        He et al. (2016), "Deep residual learning for image recognition".
+    """
+
+    def __init__(self, channels: int, stride: int = 1) -> None:
+        super().__init__()
+        self.first = ConvNorm2d(channels, channels, stride)
+        self.second = ConvNorm2d(channels, channels)
+        self.shortcut = CrownAvgPool2d(stride) if stride > 1 else nn.Identity()
+
+    def forward(self, crown: Crown) -> Crown:
+        residual = self.second(crown_relu(self.first(crown)))
+        return crown_relu(residual + self.shortcut(crown))
+
+
+class FeatureExtractor(nn.Module):
+    """Map an image on the icosphere ``(B, in_channels, V_level)`` to features ``(B, channels, V_{level-2})``.
+
+    The weights do not depend on the level; the directions of each crown exchange what they know at every
+    change of level.
+
+    References:
+        Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
+        representation of icosahedron", table of layers.
+
+    Examples:
+        >>> import torch
+        >>> FeatureExtractor(channels=4)(torch.zeros(1, 3, 642)).shape  # level 3 to level 1
+        torch.Size([1, 4, 42])
+    """
+
+    def __init__(self, channels: int = 32, in_channels: int = 3) -> None:
+        super().__init__()
+        self.entry = ConvNorm2d(in_channels, channels, stride=2)
+        self.second = ConvNorm2d(channels, channels)
+        self.fine = nn.Sequential(*(ResidualBlock(channels) for _ in range(3)))
+        self.coarse = nn.Sequential(
+            ResidualBlock(channels, stride=2), *(ResidualBlock(channels) for _ in range(4))
+        )
+        self.last = CrownConv2d(channels, channels)
+
+    def forward(self, images: Tensor) -> Tensor:
+        crown = crown_relu(self.entry(to_crown(images)))
+        crown = exchange(crown_relu(self.second(crown)))
+        crown = exchange(self.fine(crown))
+        crown = exchange(self.coarse(crown))
+        return from_crown(self.last(crown))

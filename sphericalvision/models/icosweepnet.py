@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""IcoSweepNet: features on icospheres, a sphere sweep, and regularisation of its cost volume."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.models.features import FeatureExtractor
+from sphericalvision.models.regularization import CostRegularizer
+from sphericalvision.sweep import (
+    DepthIndex,
+    SphereSweep,
+    SweepTables,
+    depth_from_index,
+    soft_argmax,
+    soft_argmax_confidence,
+)
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import CameraRig
+
+__all__ = ["IcoSweepNet"]
+
+
+class IcoSweepNet(nn.Module):
+    """Depth all around from the images of any rig, projected onto icospheres.
+
+    The weights depend neither on the level nor on the number of hypotheses or the rig: all three may be
+    changed after training, though a network is best at what it was trained for.
+
+    Convention:
+        Images are in [-1, 1] and 0 outside the field of view, on icospheres aligned with the world
+        (``rig.sample_sphere``), in the order of ``rig.names``. The result is a hypothesis index seen from
+        ``rig.center``: 0 is infinity, N - 1 is ``min_depth``; ``depth`` turns it into metres along the ray.
+
+    Args:
+        level: of the icospheres that hold the images; the result is two levels coarser.
+        num_hypotheses: N, the number of icospheres swept.
+        min_depth: radius of the smallest one in metres.
+        feature_channels: channels of a camera's features; all other widths are proportional.
+        num_cameras: number of cameras of the rigs.
+        shuffle_cameras: whether to concatenate the cameras in random order in training mode.
+
+    References:
+        Komatsu, Fujii, Tamura, Yamashita and Asama (2020), "360° depth estimation from multiple fisheye
+        images with origami crown representation of icosahedron".
+
+    Examples:
+        >>> from sphericalvision.cameras import CameraRig, FisheyeCamera
+        >>> camera = FisheyeCamera.from_field_of_view((64, 64), torch.pi)
+        >>> poses = torch.eye(4).repeat(2, 1, 1)
+        >>> poses[1, 0, 3] = 0.2  # the second camera stands 20 cm to the right
+        >>> rig = CameraRig({"left": camera, "right": camera}, poses)
+        >>> net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2, num_cameras=2).eval()
+        >>> net(torch.zeros(1, 2, 3, 642), rig).shape
+        torch.Size([1, 42])
+    """
+
+    def __init__(
+        self,
+        level: int = 7,
+        num_hypotheses: int = 32,
+        min_depth: float = 0.55,
+        feature_channels: int = 32,
+        num_cameras: int = 4,
+        shuffle_cameras: bool = True,
+    ) -> None:
+        super().__init__()
+        if not isinstance(level, int) or level < 2:
+            raise ArgumentError(
+                f"level: expected 2 or more (the result is two levels coarser), got {level!r}"
+            )
+        if num_cameras < 1 or feature_channels < 1:
+            raise ArgumentError(
+                "num_cameras, feature_channels: expected positive numbers, "
+                f"got {num_cameras!r} and {feature_channels!r}"
+            )
+        self.level = level
+        self.feature_channels = feature_channels
+        self.num_cameras = num_cameras
+        self.shuffle_cameras = shuffle_cameras
+        self.features = FeatureExtractor(feature_channels)
+        self.sweep = SphereSweep(level - 2, num_hypotheses, min_depth)
+        self.regularizer = CostRegularizer(num_cameras * feature_channels, feature_channels)
+
+    @property
+    def num_hypotheses(self) -> int:
+        """N, the number of hypotheses."""
+        return self.sweep.num_hypotheses
+
+    @property
+    def min_depth(self) -> float:
+        """The smallest depth in metres."""
+        return self.sweep.min_depth
+
+    @property
+    def hyperparameters(self) -> dict[str, int | float | bool]:
+        """Plain scalars that rebuild this network: ``IcoSweepNet(**net.hyperparameters)``."""
+        return {
+            "level": self.level,
+            "num_hypotheses": self.num_hypotheses,
+            "min_depth": self.min_depth,
+            "feature_channels": self.feature_channels,
+            "num_cameras": self.num_cameras,
+            "shuffle_cameras": self.shuffle_cameras,
+        }
+
+    def forward(
+        self,
+        images: Tensor,
+        rig: CameraRig | SweepTables,
+        camera_order: Sequence[int] | None = None,
+        generator: torch.Generator | None = None,
+    ) -> Tensor:
+        """Return the hypothesis index ``(B, V_{level-2})``, 0 to N - 1.
+
+        Args:
+            images: ``(B, n, 3, V_level)``.
+            rig: of all samples or, with batched poses, a rig a sample; or the ``sweep.tables`` of either.
+            camera_order: order in which the cameras are concatenated; when not given, that of the rig, or in
+            training mode with
+                ``shuffle_cameras`` a random one.
+            generator: of the random order; the global generator of torch when not given.
+
+        Raises:
+            ShapeError: if the images have another shape than the network or the rig asks for.
+        """
+        return soft_argmax(self.logits(images, rig, camera_order, generator))
+
+    def predict(self, images: Tensor, rig: CameraRig | SweepTables) -> DepthIndex:
+        """Return the hypothesis index and the confidence in it; arguments as for ``forward``."""
+        logits = self.logits(images, rig)
+        return DepthIndex(soft_argmax(logits), soft_argmax_confidence(logits))
+
+    def depth(self, index: Tensor) -> Tensor:
+        """Return depths in metres of hypothesis indices ``(*)``."""
+        return depth_from_index(index, self.num_hypotheses, self.min_depth)
+
+    def logits(
+        self,
+        images: Tensor,
+        rig: CameraRig | SweepTables,
+        camera_order: Sequence[int] | None = None,
+        generator: torch.Generator | None = None,
+    ) -> Tensor:
+        """Return the score of every hypothesis ``(B, N, V_{level-2})``; arguments as for ``forward``."""
+        self._check_images(images)
+        features = self.extract_features(images)
+        tables = rig if isinstance(rig, SweepTables) else self.sweep.tables(rig)
+        order = self._camera_order(camera_order, generator)
+        if order is not None:
+            order = order.to(images.device)
+            features, tables = features[:, order], tables.permuted(order)
+        volume = self.sweep(features, tables).values
+        return self.regularizer(volume.flatten(1, 2))
+
+    def extract_features(self, images: Tensor) -> Tensor:
+        """Return the features ``(B, n, C, V_{level-2})`` of images ``(B, n, 3, V_level)``.
+
+        In training mode batch statistics are those of one camera at a time, and running statistics take one
+        step a camera.
+        """
+        if self.training:
+            return torch.stack([self.features(camera_images) for camera_images in images.unbind(1)], 1)
+        return self.features(images.flatten(0, 1)).unflatten(0, images.shape[:2])
+
+    def _camera_order(
+        self, camera_order: Sequence[int] | None, generator: torch.Generator | None
+    ) -> Tensor | None:
+        if camera_order is not None:
+            if sorted(camera_order) != list(range(self.num_cameras)):
+                raise ArgumentError(
+                    f"camera_order: expected 0 to {self.num_cameras - 1} once each, got {list(camera_order)}"
+                )
+            return torch.as_tensor(camera_order)
+        if self.training and self.shuffle_cameras:
+            device = None if generator is None else generator.device
+            return torch.randperm(self.num_cameras, generator=generator, device=device)
+        return None
+
+    def _check_images(self, images: Tensor) -> None:
+        expected = (self.num_cameras, 3, num_icosphere_vertices(self.level))
+        if images.ndim != 4 or images.shape[1:] != expected:
+            raise ShapeError(
+                f"images: expected shape (B, {', '.join(map(str, expected))}) for {self.num_cameras} cameras "
+                f"on icospheres of level {self.level}, got {tuple(images.shape)}"
+            )
+
+    def extra_repr(self) -> str:
+        return ", ".join(f"{name}={value}" for name, value in self.hyperparameters.items())

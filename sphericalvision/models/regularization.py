@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Regularisation of a cost volume on icospheres: 3D crown convolutions over directions and hypotheses."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+from sphericalvision.crown import (
+    Crown,
+    CrownBatchNorm3d,
+    CrownConv3d,
+    crown_relu,
+    from_crown,
+    to_crown,
+)
+
+__all__ = ["ConvNorm3d", "CostBlock", "CostRegularizer"]
+
+
+class ConvNorm3d(nn.Module):
+    """A 3D crown convolution and the batch normalisation after it."""
+
+    def __init__(self, in_channels: int, out_channels: int) -> None:
+        super().__init__()
+        self.conv = CrownConv3d(in_channels, out_channels)
+        self.norm = CrownBatchNorm3d(out_channels)
+
+    def forward(self, crown: Crown) -> Crown:
+        return self.norm(self.conv(crown))
+
+
+class CostBlock(nn.Module):
+    """Two normalised 3D convolutions with a ReLU between them, from vertices to vertices."""
+
+    def __init__(self, in_channels: int, hidden_channels: int, out_channels: int) -> None:
+        super().__init__()
+        self.first = ConvNorm3d(in_channels, hidden_channels)
+        self.second = ConvNorm3d(hidden_channels, out_channels)
+
+    def forward(self, volume: Tensor) -> Tensor:
+        return from_crown(self.second(crown_relu(self.first(to_crown(volume)))))
+
+
+class CostRegularizer(nn.Module):
+    """Map the features of all cameras ``(B, in_channels, N, V)`` to a score of each hypothesis ``(B, N, V)``.
+
+    A block ends with the mean of the crown's two directions, which is where they exchange what they know.
+    That mean is linear and leaves values that both agree on as they are, so the residual connections are kept
+    on vertices, not on crowns.
+
+    References:
+        Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
+        representation of icosahedron", table of layers.
+
+    Examples:
+        >>> import torch
+        >>> CostRegularizer(in_channels=8, channels=2)(torch.zeros(1, 8, 4, 42)).shape
+        torch.Size([1, 4, 42])
+    """
+
+    def __init__(self, in_channels: int = 128, channels: int = 32) -> None:
+        super().__init__()
+        self.fusion = CostBlock(in_channels, in_channels, 2 * channels)
+        self.blocks = nn.ModuleList(CostBlock(*[2 * channels] * 3) for _ in range(4))
+        self.reduction = ConvNorm3d(2 * channels, channels)
+        self.score = CrownConv3d(channels, 1)
+
+    def forward(self, volume: Tensor) -> Tensor:
+        volume = self.fusion(volume)
+        for block in self.blocks:
+            volume = volume + block(volume)
+        crown = crown_relu(self.reduction(to_crown(volume)))
+        return from_crown(self.score(crown)).squeeze(1)

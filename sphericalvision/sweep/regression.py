@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From scores of hypotheses to one index: the expectation under a softmax, and how much to trust it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ShapeError
+
+__all__ = ["DepthIndex", "soft_argmax", "soft_argmax_confidence"]
+
+
+class DepthIndex(NamedTuple):
+    """A hypothesis index and the confidence in it (0 to 1), both ``(*b, V)``."""
+
+    index: Tensor  # type: ignore[assignment]  # hides tuple.index, which nobody needs here
+    confidence: Tensor
+
+
+def _check_logits(logits: Tensor) -> None:
+    if logits.ndim < 2:
+        raise ShapeError(f"logits: expected shape (*b, N, V), got {tuple(logits.shape)}")
+
+
+def soft_argmax(logits: Tensor) -> Tensor:
+    """Return the expected hypothesis index ``(*b, V)``, 0 to N - 1, of scores ``(*b, N, V)``.
+
+    The probability of a hypothesis is the softmax of the scores over all hypotheses: a higher score is more
+    likely.
+
+    Raises:
+        ShapeError: if there are fewer than two dimensions.
+
+    References:
+        Kendall et al. (2017), "End-to-end learning of geometry and context for deep stereo regression", eq.
+        1.
+
+    Examples:
+        >>> soft_argmax(torch.tensor([[0.0], [0.0], [0.0]]))
+        tensor([1.])
+    """
+    _check_logits(logits)
+    index = torch.arange(logits.shape[-2], dtype=logits.dtype, device=logits.device)
+    return torch.einsum("...nv,n->...v", logits.softmax(-2), index)
+
+
+def soft_argmax_confidence(logits: Tensor) -> Tensor:
+    """Return how concentrated the softmax of scores ``(*b, N, V)`` is around its mean, ``(*b, V)``, 0 to 1.
+
+    It is the softmax summed over the four hypotheses around the expectation (fewer at the ends): near 1 for
+    one clear peak, small where the distribution is flat or the expectation falls between two peaks.
+
+    References:
+        Yao et al. (2018), "MVSNet: depth inference for unstructured multi-view stereo", section 3.3.
+
+    Examples:
+        >>> logits = torch.full((8, 1), -20.0)
+        >>> logits[3] = 20.0
+        >>> soft_argmax_confidence(logits)
+        tensor([1.])
+    """
+    _check_logits(logits)
+    index = torch.arange(logits.shape[-2], dtype=logits.dtype, device=logits.device)
+    probability = logits.softmax(-2)
+    expectation = torch.einsum("...nv,n->...v", probability, index)
+    near = (index[:, None] - expectation.floor().unsqueeze(-2) - 0.5).abs() < 2
+    return (probability * near).sum(-2)

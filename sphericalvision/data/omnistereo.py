@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig, read_rig
@@ -26,7 +25,7 @@ from sphericalvision.data.omnistereo_files import (
     split_frames,
 )
 
-__all__ = ["OmniStereoDataset", "rig_radius"]
+__all__ = ["OmniStereoDataset"]
 
 Sample = dict[str, Any]
 
@@ -99,7 +98,7 @@ class OmniStereoDataset(Dataset[Sample]):
         self.release = find_release(root, release)
         self.rig = _read_calibration(self.root, self.release, translation_unit, max_angle)
         self.min_depth = self._choose_min_depth(min_depth)
-        check_scale(root, self.release, self.min_depth, rig_radius(self.rig))
+        check_scale(root, self.release, self.min_depth, float(self.rig.radius))
         self._truths = index_frames(
             self.root / self.release.ground_truth_folder, "ground truth", (self.release.suffix, ".tif")
         )
@@ -166,12 +165,6 @@ class OmniStereoDataset(Dataset[Sample]):
             f"incomplete: {counts}. Names have four or five digits. For a partial copy use missing='skip'; "
             f"for a set of one's own use split='all' or frames=[...]. Described in {DESCRIBED_AT}."
         )
-
-
-def rig_radius(rig: CameraRig) -> float:
-    """Mean distance in metres of the cameras from the rig's centre, the mean of their positions."""
-    positions = rig.world_from_camera[..., :3, 3].to(torch.float64)
-    return float((positions - positions.mean(-2, keepdim=True)).norm(dim=-1).mean())
 
 
 def _read_calibration(root: Path, release: Release, unit: str, max_angle: float | None) -> CameraRig:

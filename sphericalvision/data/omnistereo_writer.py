@@ -19,7 +19,6 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.ground_truth import write_ground_truth
 from sphericalvision.data.image_io import whole_file, write_image
 from sphericalvision.data.ocam_fit import ocam_from_camera
-from sphericalvision.data.omnistereo import rig_radius
 from sphericalvision.data.omnistereo_files import RELEASES, Release, check_scale
 
 __all__ = ["write_omnistereo"]
@@ -37,7 +36,7 @@ def write_omnistereo(
     Lengths are written as they are: a scene of one's own has one scale, and both releases of it the same.
     Images lose half a grey level, the PNG release's inverse depth half of 1 / (65500 * min_depth) 1/m, the
     TIFF release's nothing. Cameras that are no ``OCamCamera`` are written as OCam fits (within 0.1 px).
-    Files of the same name are replaced.
+    Masks are part of the TIFF release only. Files of the same name are replaced.
 
     Args:
         root: folder, made if need be; it must not hold the other release.
@@ -67,7 +66,7 @@ def write_omnistereo(
             raise ArgumentError(
                 f"root: {root} holds a {other.name.upper()} release; write into another folder"
             )
-    check_scale(root, layout, min_depth, rig_radius(rig))
+    check_scale(root, layout, min_depth, float(rig.radius))
     ocams = [ocam_from_camera(camera) for camera in rig.cameras.values()]
     _write_calibration(root, layout, rig, ocams, min_depth, [])
     written: list[int] = []
@@ -105,10 +104,6 @@ def _write_calibration(
 ) -> None:
     """The cameras and poses; written before the frames, and again after them for config.yaml to name the "
     "range."""
-    masks = getattr(rig, "masks", None) or {}
-    for number, name in enumerate(rig.names, start=1):
-        if masks.get(name) is not None:  # in these sets a mask marks what must not be used
-            write_image(root / f"mask{number}.png", (~masks[name].cpu()).to(torch.float32)[None])
     poses = [_pose_numbers(pose) for pose in rig.world_from_camera.detach().to("cpu", torch.float64).numpy()]
     if layout.name == "png":
         for number, ocam in enumerate(ocams, start=1):
@@ -116,6 +111,9 @@ def _write_calibration(
         in_cm = [[*pose[:3], *(100 * value for value in pose[3:])] for pose in poses]
         _write_text(root / "poses.txt", "".join(_line(pose) for pose in in_cm))
         return
+    for number, name in enumerate(rig.names, start=1):
+        if name in rig.masks:  # in these sets a mask marks what must not be used
+            write_image(root / f"mask{number}.png", (~rig.masks[name]).to(torch.float32)[None])
     cameras = [_ocam_entry(number, ocam, poses[number - 1]) for number, ocam in enumerate(ocams, start=1)]
     config = {
         "config": {"omnimvs_sweep_min_depth": float(min_depth)},

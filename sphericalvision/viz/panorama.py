@@ -158,6 +158,9 @@ def rgb_panorama(
         camera, image = rig.cameras[name], images[name].to(device, dtype)
         local = (points - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
         colors, seen = camera.sample(image, local)
+        if name in rig.masks:
+            usable, _ = camera.sample(rig.masks[name].to(image)[None], local)
+            seen = seen & (usable[0] > 0.999)
         forward = (local[:, 2] / local.norm(dim=-1) + 1) / 2
         weight = seen * forward.clamp(min=1e-3) ** 8
         total = total + weight * torch.where(seen, colors, 0.0)

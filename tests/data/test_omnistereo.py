@@ -201,3 +201,16 @@ def test_a_loader_with_workers_gives_the_same_batches(tmp_path: Path, rig: Camer
         assert torch.equal(batch["inverse_depth"], expected["inverse_depth"])
         assert torch.equal(batch["images"]["cam2"], expected["images"]["cam2"])
         assert torch.equal(batch["rig"].world_from_camera, expected["rig"].world_from_camera)
+
+
+def test_masks_travel_with_the_tiff_release(tmp_path: Path, rig: CameraRig, frames: Frames) -> None:
+    mask = torch.ones(50, 48, dtype=torch.bool)
+    mask[30:, 10:40] = False
+    masked = CameraRig(rig.cameras, rig.world_from_camera, {"cam2": mask})
+    write_omnistereo(tmp_path, frames(1), masked, "tiff")
+    stored = cv2.imread(str(tmp_path / "mask2.png"), cv2.IMREAD_UNCHANGED)
+    assert ((stored == 0) == mask.numpy()).all()  # these sets mark what is not to be used
+    assert not (tmp_path / "mask1.png").exists()
+    again = OmniStereoDataset(tmp_path, split="all").rig.masks
+    assert list(again) == ["cam2"]
+    assert torch.equal(again["cam2"], mask)

@@ -30,7 +30,7 @@ class _CrownBatchNorm(_BatchNorm):
         # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
         col, row = (rectangles.flatten(0, 1).flatten(-2) for rectangles in crown)
         both = super().forward(torch.cat((col, row)))
-        col, row = both.unflatten(0, (2, -1, 5))
+        col, row = both.chunk(2)  # unlike unbind, its gradient keeps the channels innermost in memory
         return Crown(col.view(crown.col.shape), row.view(crown.row.shape))
 
 

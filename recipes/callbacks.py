@@ -76,6 +76,13 @@ class DepthPanels(Callback):
         return np.concatenate(columns, axis=1)
 
 
+class TrainingBar(RichProgressBar):
+    """Lightning's bar without its count of epochs: training is counted in iterations."""
+
+    def _get_train_description(self, current_epoch: int) -> str:
+        return "training"
+
+
 class PlainProgress(Callback):
     """A line of progress every few seconds where no terminal can draw a bar (log files, job queues)."""
 
@@ -107,7 +114,7 @@ class PlainProgress(Callback):
 
     def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Say how validation went."""
-        if not trainer.sanity_checking and trainer.is_global_zero:
+        if trainer.state.fn == "fit" and not trainer.sanity_checking and trainer.is_global_zero:
             values = ", ".join(
                 f"{k} {float(v):.2f}" for k, v in trainer.callback_metrics.items() if "val/" in k
             )
@@ -133,5 +140,5 @@ def training_callbacks(folder: Path, checkpoint_minutes: float, panel_frames: in
     callbacks: list[Callback] = [best, last, LearningRateMonitor("step")]
     if panel_frames:
         callbacks.append(DepthPanels(folder / "panels", panel_frames))
-    callbacks.append(RichProgressBar() if sys.stdout.isatty() else PlainProgress())
+    callbacks.append(TrainingBar() if sys.stdout.isatty() else PlainProgress())
     return callbacks

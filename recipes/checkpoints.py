@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks from files: weights, Lightning checkpoints, the authors' format, or what ships with the package."""
+"""Networks from files: weights, Lightning checkpoints, the authors' format, or what ships in the package."""
 
 from __future__ import annotations
 
@@ -111,6 +111,7 @@ def _read(checkpoint: str | Path | None) -> IcoSweepNet:
     except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
         raise FileFormatError(
             f"{path}: is not a checkpoint of sphericalvision-train, or is damaged "
-            f"({str(error).splitlines()[0]:.200}). Give a .ckpt or .safetensors file from the checkpoints folder of a training run."
+            f"({str(error).splitlines()[0]:.200}). Give a .ckpt or .safetensors file from the checkpoints "
+            "folder of a training run."
         ) from error
     return net

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
@@ -22,10 +23,11 @@ from rich.syntax import Syntax
 from rich.table import Table
 from rich.tree import Tree
 
-from sphericalvision.core import SphericalVisionError
+from sphericalvision.core import ArgumentError, SphericalVisionError
 
 __all__ = [
     "build",
+    "choose_device",
     "command",
     "console",
     "output_folder",
@@ -33,6 +35,7 @@ __all__ = [
     "print_config",
     "print_table",
     "quote_paths",
+    "unquote_paths",
 ]
 
 console = Console()
@@ -60,6 +63,20 @@ def quote_paths(arguments: list[str]) -> list[str]:
         ["images='/data/cam{camera}/{frame:05d}.png'", 'frames=[1,2]']
     """
     return [_quote_path(argument) for argument in arguments]
+
+
+def unquote_paths(arguments: list[str]) -> list[str]:
+    """Take off the quotes that ``quote_paths`` put on, for showing a command line.
+
+    Examples:
+        >>> unquote_paths(quote_paths(["output=my run"]))
+        ['output=my run']
+    """
+    matches = [re.match(r"^([\w./@]+)='(.*)'$", argument, re.DOTALL) for argument in arguments]
+    return [
+        f"{match[1]}={match[2]}".replace("\\'", "'") if match else argument
+        for match, argument in zip(matches, arguments, strict=True)
+    ]
 
 
 def _quote_path(argument: str) -> str:
@@ -166,3 +183,18 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     for row in rows:
         table.add_row(*row)
     console.print(table)
+
+
+def choose_device(device: str) -> torch.device:
+    """The device of a ``device=`` value; ``auto`` is a GPU where there is one.
+
+    Raises:
+        ArgumentError: torch does not know the device, or this machine does not have it.
+    """
+    if device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        return torch.empty(0, device=device).device
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ArgumentError(f"device: expected auto, cpu or cuda, got {device!r} ({reason})") from None

@@ -19,6 +19,7 @@ from sphericalvision.data import (
     OmniStereoDataset,
     PhotometricAugmentation,
     RandomShift,
+    RotateFivefold,
     SceneDataset,
     ToSphere,
     collate_samples,
@@ -69,6 +70,19 @@ class TrainingStream(Dataset[Sample]):
             return self.dataset[self.index_at(position)]
 
 
+class Augmented(Dataset[Sample]):
+    """A data set with a transform on each sample."""
+
+    def __init__(self, dataset: Dataset[Sample], transform: Callable[[Sample], Sample]) -> None:
+        self.dataset, self.transform = dataset, transform
+
+    def __len__(self) -> int:
+        return len(self.dataset)  # type: ignore[arg-type]
+
+    def __getitem__(self, index: int) -> Sample:
+        return self.transform(self.dataset[index])
+
+
 class DepthDataModule(pl.LightningDataModule):
     """Loaders over data sets that subclasses make; ``dataset(split)`` is all they need to say.
 
@@ -92,6 +106,9 @@ class DepthDataModule(pl.LightningDataModule):
     def plain_train_dataset(self) -> Dataset[Sample]:
         """The training samples without augmentation, in order."""
         return self.dataset("train")
+
+    def render(self, split: str) -> None:
+        """Make the samples of a split ready, with progress; data on disk are."""
 
     def train_dataloader(self) -> DataLoader[Sample]:
         """Endless training batches up to ``trainer.max_steps``, from where a resumed run stopped."""
@@ -145,6 +162,8 @@ class SceneDataModule(DepthDataModule):
         val_seed: seed of the first validation scene.
         test_seed: seed of the first test scene.
         samples_per_pixel: rays per image pixel.
+        antialias: average images over the area between vertices before they are looked up.
+        augment: in training, turn the world by random multiples of 72 degrees and vary colours.
         cache_dir: folder where rendered samples are kept; rendered again each time when not given.
         batch_size: samples in a batch.
         num_workers: processes that prepare samples, and that render before training.
@@ -164,19 +183,27 @@ class SceneDataModule(DepthDataModule):
         val_seed: int = 1_000_000,
         test_seed: int = 2_000_000,
         samples_per_pixel: int = 4,
+        antialias: bool = True,
+        augment: bool = True,
         cache_dir: str | None = None,
         batch_size: int = 4,
         num_workers: int = 0,
         seed: int = 0,
     ) -> None:
         super().__init__(batch_size, num_workers, seed)
-        self.rig, self.cache_dir = rig, cache_dir
+        self.rig, self.cache_dir, self.augment = rig, cache_dir, augment
         self.options = {
-            "level": level, "kind": kind, "samples_per_pixel": samples_per_pixel, "min_depth": min_depth
-        }  # fmt: skip
+            "level": level,
+            "kind": kind,
+            "samples_per_pixel": samples_per_pixel,
+            "antialias": antialias,
+            "min_depth": min_depth,
+        }
         self.scenes = {
-            "train": (num_train, train_seed), "val": (num_val, val_seed), "test": (num_test, test_seed)
-        }  # fmt: skip
+            "train": (num_train, train_seed),
+            "val": (num_val, val_seed),
+            "test": (num_test, test_seed),
+        }
         self._check_disjoint()
 
     def _check_disjoint(self) -> None:
@@ -188,14 +215,25 @@ class SceneDataModule(DepthDataModule):
                     f"starts at {start}); set data.{other}_seed to {end} or more"
                 )
 
-    def dataset(self, split: str) -> SceneDataset:
-        """Scenes of one split."""
+    def dataset(self, split: str) -> Dataset[Sample]:
+        """Scenes of one split, augmented in "train"."""
+        scenes = self.scene_dataset(split)
+        if split != "train" or not self.augment:
+            return scenes
+        return Augmented(scenes, Compose(RotateFivefold(), PhotometricAugmentation()))
+
+    def plain_train_dataset(self) -> SceneDataset:
+        """Training scenes without augmentation."""
+        return self.scene_dataset("train")
+
+    def scene_dataset(self, split: str) -> SceneDataset:
+        """Scenes of one split, as rendered."""
         number, first_seed = self.scenes[split]
         cache = None if self.cache_dir is None else Path(self.cache_dir)
         return SceneDataset(number, self.rig, first_seed=first_seed, cache_dir=cache, **self.options)
 
     def prepare_data(self) -> None:
-        """Render what training and validation will read, so that its progress shows."""
+        """Render, where a cache keeps it, what training and validation will read, so that its progress shows."""
         for split in ("train", "val"):
             self.render(split)
 
@@ -203,7 +241,7 @@ class SceneDataModule(DepthDataModule):
         """Render the scenes of a split that are not in the cache yet; does nothing without a cache."""
         if self.cache_dir is None:
             return
-        scenes = self.dataset(split)
+        scenes = self.scene_dataset(split)
         missing = [i for i in range(len(scenes)) if not scenes.is_cached(i)]
         if not missing:
             return
@@ -257,8 +295,12 @@ class OmniStereoDataModule(DepthDataModule):
         self.splits = {"train": train_split, "val": val_split, "test": test_split}
         self.photometric, self.shift = photometric, shift
         self.options = {
-            "root": root, "dataset": dataset, "protocol": protocol, "release": release, "missing": missing
-        }  # fmt: skip
+            "root": root,
+            "dataset": dataset,
+            "protocol": protocol,
+            "release": release,
+            "missing": missing,
+        }
 
     def dataset(self, split: str) -> OmniStereoDataset:
         """Frames of one split, augmented in "train"."""

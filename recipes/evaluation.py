@@ -14,7 +14,6 @@ from rich.progress import track
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.cli import print_table
@@ -95,16 +94,11 @@ def constant_estimators(loader: Iterable[Batch], net: IcoSweepNet) -> dict[str, 
 
 
 def sweep_estimator(net: IcoSweepNet) -> Estimator:
-    """The training-free photo-consistency sweep with the hypotheses of ``net``, at the images' level."""
+    """The training-free photo-consistency sweep with the hypotheses of ``net``."""
     number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
 
     def estimate(batch: Batch) -> Tensor:
-        index = photo_consistency(batch["images"], batch["rig"], num_hypotheses=number, min_depth=min_depth)[
-            0
-        ]
-        while index.shape[-1] > batch["inverse_depth"].shape[-1]:
-            index = index[..., Icosphere(level_from_num_vertices(index.shape[-1])).coarse_ids]
-        return index
+        return photo_consistency(batch["images"], batch["rig"], number, min_depth).index
 
     return estimate
 

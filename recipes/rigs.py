@@ -1,55 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs that scenes are rendered through."""
+"""Rigs as configs describe them: angles in degrees, files by name."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
-import torch
+from sphericalvision.cameras import CameraRig, read_rig, ring_rig
 
-from sphericalvision.cameras import CameraRig, FisheyeCamera
-from sphericalvision.core import ArgumentError
-from sphericalvision.geometry import directions_from_longitude_latitude, transform_from_axis_angle
-
-__all__ = ["ring_rig"]
+__all__ = ["make_ring", "rig_from_file"]
 
 
-def ring_rig(
+def make_ring(
     num_cameras: int = 4,
     radius: float = 0.2,
     image_size: Sequence[int] = (320, 320),
     field_of_view_deg: float = 220.0,
-    projection: str = "equidistant",
+    projection: Literal["equidistant", "equisolid", "stereographic", "orthographic"] = "equidistant",
 ) -> CameraRig:
-    """Cameras on a horizontal ring that look outwards, the first one forward, then clockwise seen from above.
-
-    With the default numbers this is the rig of OmniThings (front, right, back, left), centred on the origin.
-
-    Args:
-        num_cameras: how many, evenly around the ring.
-        radius: metres from the centre to each camera.
-        image_size: (height, width) in pixels; the image circle fills the shorter side.
-        field_of_view_deg: full angle of each fisheye in degrees.
-        projection: of the fisheye: "equidistant", "equisolid", "stereographic" or "orthographic".
+    """A ring of fisheyes that look outwards; see ``sphericalvision.cameras.ring_rig``.
 
     Examples:
-        >>> ring_rig(4).world_from_camera[1, :3, 3]  # the second camera stands to the right, on +x
-        tensor([0.2000, 0.0000, 0.0000])
+        >>> make_ring(3, radius=0.1)
+        CameraRig(cam1, cam2, cam3: 3 x FisheyeCamera, radius 0.100 m)
     """
-    if num_cameras < 2 or radius <= 0:
-        raise ArgumentError(
-            f"ring rig: expected 2 or more cameras and radius > 0, got {num_cameras} and {radius}"
-        )
-    height, width = image_size
-    camera = FisheyeCamera.from_field_of_view(
-        (int(height), int(width)), math.radians(field_of_view_deg), projection=projection
-    )
-    longitude = torch.arange(num_cameras, dtype=torch.float64) * (2 * math.pi / num_cameras)
-    zero = torch.zeros_like(longitude)
-    position = radius * directions_from_longitude_latitude(longitude, zero)
-    turn = torch.stack([zero, longitude, zero], -1)
-    return CameraRig(
-        {f"cam{i + 1}": camera for i in range(num_cameras)},
-        transform_from_axis_angle(turn, position).round(decimals=12).to(torch.get_default_dtype()),
-    )
+    size = (int(image_size[0]), int(image_size[1]))
+    return ring_rig(num_cameras, radius, size, math.radians(field_of_view_deg), projection)
+
+
+def rig_from_file(
+    path: str, translation_unit: str | None = None, max_angle_deg: float | None = None
+) -> CameraRig:
+    """A rig from a calibration file of any format that ``sphericalvision.cameras.read_rig`` knows.
+
+    Args:
+        path: file, or folder with ``ocam*.txt`` and ``poses.txt``.
+        translation_unit: of ``poses.txt``: "m", "cm" or "mm".
+        max_angle_deg: half the field of view in degrees, where the file does not say it.
+    """
+    max_angle = None if max_angle_deg is None else math.radians(max_angle_deg)
+    return read_rig(path, translation_unit=translation_unit, max_angle=max_angle)

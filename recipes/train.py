@@ -7,20 +7,23 @@ TensorBoard), depth panels and the final table.
 
 from __future__ import annotations
 
+import logging
 import shlex
+import sys
 import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytorch_lightning as pl
+from hydra import compose
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
 
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.recipes.callbacks import training_callbacks
 from sphericalvision.recipes.checkpoints import WeightsBesideCheckpoint, initialize, load_network
-from sphericalvision.recipes.cli import build, command, console, output_folder, print_config
+from sphericalvision.recipes.cli import build, command, console, output_folder, print_config, unquote_paths
 from sphericalvision.recipes.datamodules import DepthDataModule
 from sphericalvision.recipes.evaluation import Row, print_rows, save_rows
 from sphericalvision.recipes.lit_depth import METRICS, DepthModule
@@ -46,10 +49,11 @@ def instantiate_run(config: DictConfig, folder: Path) -> Run:
         default_root_dir=str(folder),
         callbacks=training_callbacks(folder, config.checkpoint_minutes, config.panel_frames),
         logger=[
-            CSVLogger(str(folder), name="", version="metrics", flush_logs_every_n_steps=20),
+            CSVLogger(str(folder), name="metrics", flush_logs_every_n_steps=20),
             TensorBoardLogger(str(folder), name="", version="tensorboard", default_hp_metric=False),
         ],
         plugins=[WeightsBesideCheckpoint(module.net)],
+        enable_progress_bar=sys.stdout.isatty(),
     )
     return Run(module, data, trainer)
 
@@ -83,7 +87,15 @@ def check_resume(path: Path | None, module: DepthModule) -> None:
 
 def train(config: DictConfig, folder: Path) -> dict[str, float]:
     """Train as ``config`` says and return the validation metrics of the best checkpoint."""
-    warnings.filterwarnings("ignore", ".*not resumable.*|.*does not have many workers.*|.*num_workers.*")
+    for known in (
+        ".*exists and is not empty.*",
+        ".*not resumable.*",
+        ".*many workers.*",
+        ".*LeafSpec.*",
+        ".*logging interval.*",
+    ):
+        warnings.filterwarnings("ignore", known)
+    logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
     print_config(config, folder)
     module, data, trainer = instantiate_run(config, folder)
     checkpoint = resume_path(config.resume, folder)
@@ -105,26 +117,38 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
         print_rows("validation (percent of N)", rows)
         save_rows(folder / "validation", rows)
         print(f"\nResults are in {folder}")
-        print(f"Resume:   {resume_command(last)}")
+        print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")
         print(f"Evaluate: {evaluate_command(best, config)}")
     return values
 
 
-def resume_command(last: Path) -> str:
-    """Command line that goes on with this run, in the same folder."""
-    given = [x for x in HydraConfig.get().overrides.task if not x.startswith(("resume=", "output="))]
-    given += [f"output={last.parent.parent}", f"resume={last}"]
-    return shlex.join(["sphericalvision-train", *given])
+def resume_command(last: Path, max_steps: int | None = None) -> str:
+    """Command line that goes on with this run in the same folder, to ``max_steps`` if given."""
+    replaced = ("resume=", "output=", *(["trainer.max_steps="] if max_steps else []))
+    given = [word for word in HydraConfig.get().overrides.task if not word.startswith(replaced)]
+    longer = [f"trainer.max_steps={max_steps}"] if max_steps else []
+    words = [*unquote_paths(given), *longer, f"output={last.parent.parent}", f"resume={last}"]
+    return shlex.join(["sphericalvision-train", *words])
 
 
 def evaluate_command(best: Path, config: DictConfig) -> str:
-    """Command line that evaluates the best checkpoint on the same kind of data."""
-    choices: dict[str, Any] = dict(HydraConfig.get().runtime.choices)
-    words = [f"checkpoint={best.with_suffix('.safetensors')}", f"data={choices['data']}"]
-    words.append(
-        f"scene_rig={choices['scene_rig']}" if "rig" in config.data else f"data.root={config.data.root}"
+    """Command line that evaluates the best checkpoint on the test split of the same data."""
+    choices = HydraConfig.get().runtime.choices
+    groups = [f"data={choices['data']}"] + (
+        [f"scene_rig={choices['scene_rig']}"] if "rig" in config.data else []
     )
-    return shlex.join(["sphericalvision-evaluate", *words])
+    usual = compose("evaluate", groups)
+    changes = [
+        f"{group}.{key}={value}".replace(" ", "").replace("None", "null")
+        for group in ("scene_rig", "data")
+        for key, value in config[group].items()
+        if key in usual[group] and key not in ("level", "min_depth", "rig", "seed")
+        if group == "data" or "rig" in config.data
+        if OmegaConf.is_missing(usual[group], key) or usual[group][key] != value
+    ]
+    return shlex.join(
+        ["sphericalvision-evaluate", f"checkpoint={best.with_suffix('.safetensors')}", *groups, *changes]
+    )
 
 
 @command("train")

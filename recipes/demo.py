@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Four rendered fisheye images to a depth map of the full sphere: ``python -m sphericalvision.recipes.demo``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+from torch.utils.data import DataLoader
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.data import ToSphere, collate_samples
+from sphericalvision.data.image_io import write_image
+from sphericalvision.models import IcoSweepNet
+from sphericalvision.recipes.checkpoints import load_network
+from sphericalvision.recipes.cli import build, choose_device, command, console, output_folder
+from sphericalvision.recipes.evaluation import (
+    Row,
+    constant_estimators,
+    evaluate,
+    print_rows,
+    save_rows,
+    sweep_estimator,
+)
+from sphericalvision.recipes.frames import RenderedFrames, SceneDepths
+from sphericalvision.recipes.results import DepthResult, estimate_depth, save_result
+from sphericalvision.sweep import index_from_inverse_depth
+from sphericalvision.viz import save_depth_panorama, save_error_panorama
+
+__all__ = ["demo", "main"]
+
+NATURAL_MIN_DEPTH = 0.55
+"""Metres: the nearest hypothesis that scenes of scale 1 are made for."""
+
+
+def demo(config: DictConfig, folder: Path) -> list[Row]:
+    """Render a scene, estimate its depth, write everything to ``folder`` and return the table."""
+    folder.mkdir(parents=True, exist_ok=True)
+    net = load_network(config.checkpoint).to(choose_device(config.device))
+    h = net.hyperparameters
+    scale = h["min_depth"] / NATURAL_MIN_DEPTH
+    rig: CameraRig = build(config.scene_rig)
+    with console.status(f"rendering {len(rig)} fisheye images of a {config.kind} (seed {config.scene_seed})"):
+        frames = RenderedFrames(
+            rig, [1], config.scene_seed, config.kind, config.samples_per_pixel, config.height, scale
+        )
+        frame = frames[0]
+    for name, image in frame["images"].items():
+        write_image(folder / f"input_{name}.png", image)
+    with console.status(f"estimating depth: level {h['level']}, {h['num_hypotheses']} hypotheses"):
+        sample = ToSphere(h["level"], antialias=True)(frame)
+        result = estimate_depth(net, sample["images"], rig, config.height)
+        save_result(folder, "", result, frame["images"], rig)
+        _save_truth(folder, frame, result, net)
+    depths = SceneDepths(rig, config.baseline_scenes, h["level"], config.train_seed, config.kind, scale)
+    rows = _table(net, sample, DataLoader(depths, batch_size=8))
+    print_rows(f"errors of this scene, percent of N = {h['num_hypotheses']} (smaller is better)", rows)
+    save_rows(folder / "metrics", rows)
+    _print_contents(folder)
+    return rows
+
+
+def _save_truth(folder: Path, frame: dict[str, Any], result: DepthResult, net: IcoSweepNet) -> None:
+    """Ground truth and error beside the estimate, both as pictures."""
+    number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
+    truth = frame["inverse_depth"]
+    save_depth_panorama(folder / "ground_truth.png", truth.reciprocal(), result.min_depth)
+    estimate = index_from_inverse_depth(result.panorama.reciprocal(), number, min_depth)
+    error = (estimate - index_from_inverse_depth(truth, number, min_depth)).abs() * (100 / number)
+    save_error_panorama(folder / "error.png", error, max_error=10.0, label=f"error (% of N = {number})")
+
+
+def _table(net: IcoSweepNet, sample: dict[str, Any], depths: DataLoader[dict[str, Any]]) -> list[Row]:
+    """Errors of the network and of what it must beat."""
+    estimators = {
+        "IcoSweepNet": lambda batch: net(batch["images"], batch["rig"]),
+        "photo-consistency sweep": sweep_estimator(net),
+        **constant_estimators(depths, net),
+    }
+    with torch.inference_mode():
+        return evaluate(estimators, [collate_samples([sample])], net)
+
+
+CONTENTS = {
+    "input_*.png": "the fisheye images",
+    "depth.png": "estimated depth, equirectangular, with its scale in metres",
+    "ground_truth.png": "true depth",
+    "error.png": "where the two differ",
+    "points.ply": "coloured point cloud, metres",
+    "depth.npz": "arrays: depth, inverse_depth, index, directions, depth_panorama, ...",
+    "metrics.md": "the table above (also .json and .csv)",
+}
+
+
+def _print_contents(folder: Path) -> None:
+    console.print("\nResults:")
+    for name, meaning in CONTENTS.items():
+        console.print(f"  {name:18} {meaning}", highlight=False)
+    print(folder)
+
+
+@command("demo")
+def main(config: DictConfig) -> None:
+    """Command line of the demonstration."""
+    demo(config, output_folder())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's table row of a checkpoint: ``sphericalvision-evaluate checkpoint=... data=...``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import pytorch_lightning as pl
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from sphericalvision.core import check_choice
+from sphericalvision.models import IcoSweepNet
+from sphericalvision.recipes.checkpoints import load_network
+from sphericalvision.recipes.cli import build, choose_device, command, output_folder, print_config
+from sphericalvision.recipes.datamodules import DepthDataModule
+from sphericalvision.recipes.evaluation import (
+    Estimator,
+    Row,
+    constant_estimators,
+    evaluate,
+    print_rows,
+    save_rows,
+    sweep_estimator,
+)
+
+__all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation", "main"]
+
+
+class Evaluation(NamedTuple):
+    """A network and the data it is evaluated on."""
+
+    net: IcoSweepNet
+    data: DepthDataModule
+
+
+def instantiate_evaluation(config: DictConfig) -> Evaluation:
+    """Load the network and make the data in its level and scale, unless ``config.model`` says otherwise."""
+    net = load_network(config.checkpoint, config.model.level, config.model.min_depth)
+    for key in ("level", "min_depth"):
+        OmegaConf.update(config, f"model.{key}", net.hyperparameters[key])
+    return Evaluation(net.to(choose_device(config.device)), build(config.data))
+
+
+def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
+    """Evaluate as ``config`` says; the table goes to ``folder`` as ``metrics.md``, ``.json`` and ``.csv``."""
+    check_choice("split", config.split, ("train", "val", "test"))
+    pl.seed_everything(config.seed, verbose=False)
+    net, data = instantiate_evaluation(config)
+    print_config(config, folder)
+    data.render(config.split)
+    frames = data.plain_train_dataset() if config.split == "train" else data.dataset(config.split)
+    name = "IcoSweepNet" if config.checkpoint is None else Path(config.checkpoint).stem
+    estimators: dict[str, Estimator] = {name: lambda batch: net(batch["images"], batch["rig"])}
+    if config.baselines:
+        data.render("train")
+        estimators |= constant_estimators(data.loader(data.plain_train_dataset()), net)
+        estimators["photo-consistency sweep"] = sweep_estimator(net)
+    with torch.inference_mode():
+        rows = evaluate(estimators, data.loader(frames), net)
+    h = net.hyperparameters
+    print_rows(f"{config.split}, level {h['level']}, percent of N = {h['num_hypotheses']}", rows)
+    save_rows(folder / "metrics", rows)
+    print(f"Saved in {folder}")
+    return rows
+
+
+@command("evaluate")
+def main(config: DictConfig) -> None:
+    """Command line of evaluation."""
+    evaluate_checkpoint(config, output_folder())
+
+
+if __name__ == "__main__":
+    main()

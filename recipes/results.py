@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that one depth estimate becomes: a picture, a point cloud, and arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.data.image_io import whole_file
+from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.models import IcoSweepNet
+from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
+from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama, save_depth_panorama
+from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_cloud
+
+__all__ = ["DepthResult", "estimate_depth", "save_result"]
+
+
+class DepthResult(NamedTuple):
+    """What a network says about one frame; ``H`` rows and ``2 * H`` columns of panorama.
+
+    Attributes:
+        index: ``(V,)`` hypothesis index on the icosphere.
+        inverse_depth: ``(V,)`` 1/m.
+        panorama: ``(H, 2 * H)`` depth in metres along the rays from the rig's centre.
+        min_depth: nearest hypothesis in metres.
+        max_depth: metres; farther is not told from infinity: half a hypothesis away from it.
+    """
+
+    index: Tensor
+    inverse_depth: Tensor
+    panorama: Tensor
+    min_depth: float
+    max_depth: float
+
+
+@torch.inference_mode()
+def estimate_depth(net: IcoSweepNet, sphere_images: Tensor, rig: CameraRig, height: int = 320) -> DepthResult:
+    """Estimate the depth of one frame, sphere images ``(n, 3, V)`` of an unbatched rig, on the network's device."""
+    device = next(net.parameters()).device
+    index = net(sphere_images[None].to(device), rig.to(device))[0].float().cpu()
+    number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
+    inverse_depth = inverse_depth_from_index(index, number, min_depth)
+    panorama = icosphere_to_panorama(inverse_depth, height).reciprocal()
+    max_depth = float(depth_from_index(torch.tensor(0.5), number, min_depth))
+    return DepthResult(index, inverse_depth, panorama, min_depth, max_depth)
+
+
+def save_result(
+    folder: Path, prefix: str, result: DepthResult, images: Mapping[str, Tensor], rig: CameraRig
+) -> list[Path]:
+    """Write ``<prefix>depth.png``, ``<prefix>points.ply`` and ``<prefix>depth.npz``; returns their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    picture = save_depth_panorama(folder / f"{prefix}depth.png", result.panorama, result.min_depth)
+    colors, seen = rgb_panorama(rig, images, result.panorama.shape[0], result.panorama)
+    depth = result.panorama.where(seen, math.nan)
+    cloud = panorama_point_cloud(depth, colors, max_depth=result.max_depth, center=rig.center)
+    written = [picture]
+    if len(cloud.points):
+        written.append(save_point_cloud(folder / f"{prefix}points.ply", cloud.points, cloud.colors))
+    directions = Icosphere(level_from_num_vertices(len(result.index))).vertices
+    arrays = {
+        "index": result.index,
+        "inverse_depth": result.inverse_depth,
+        "depth": result.inverse_depth.reciprocal(),
+        "directions": directions,
+        "depth_panorama": result.panorama,
+        "color_panorama": colors,
+        "seen_panorama": seen,
+        "center": rig.center,
+    }
+    path = folder / f"{prefix}depth.npz"
+    with whole_file(path) as temporary:
+        np.savez_compressed(temporary, **{key: value.cpu().numpy() for key, value in arrays.items()})
+    return [*written, path]

@@ -165,6 +165,13 @@ class Camera(ABC):
         """The same camera with its tensors moved or converted, as ``torch.Tensor.to``."""
         return self._map(lambda tensor: tensor.to(*args, **kwargs))
 
+    def with_max_angle(self: AnyCamera, max_angle: float | Tensor) -> AnyCamera:
+        """The same camera with another limit of its field of view, in radians from the optical axis."""
+        changed = copy.copy(self)
+        angle = torch.as_tensor(max_angle, dtype=self.dtype, device=self.device)
+        changed.max_angle = angle.expand(self.batch_shape)
+        return changed
+
     def select(self: AnyCamera, index: int) -> AnyCamera:
         """One camera of a batch."""
         return self._map(lambda tensor: tensor[index])

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import ClassVar
+from typing import ClassVar, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -14,9 +14,16 @@ from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.core import ArgumentError, check_choice, check_last_dim
 from sphericalvision.geometry import angle_over_radius, cosine_and_sinc, safe_sqrt
 
-__all__ = ["FISHEYE_PROJECTIONS", "FisheyeCamera", "project_fisheye", "unproject_fisheye"]
+__all__ = [
+    "FISHEYE_PROJECTIONS",
+    "FisheyeCamera",
+    "FisheyeProjection",
+    "project_fisheye",
+    "unproject_fisheye",
+]
 
-FISHEYE_PROJECTIONS = ("equidistant", "equisolid", "stereographic", "orthographic")
+FisheyeProjection = Literal["equidistant", "equisolid", "stereographic", "orthographic"]
+FISHEYE_PROJECTIONS: tuple[str, ...] = get_args(FisheyeProjection)
 
 _RADIUS: dict[str, Callable[[float], float]] = {  # image radius over focal length, from the angle
     "equidistant": lambda angle: angle,
@@ -27,7 +34,7 @@ _RADIUS: dict[str, Callable[[float], float]] = {  # image radius over focal leng
 _WIDEST = {
     "equidistant": math.pi,
     "equisolid": math.pi,
-    "stereographic": math.pi,
+    "stereographic": math.radians(179),  # at 180° its image is infinite
     "orthographic": math.pi / 2,
 }
 
@@ -180,12 +187,10 @@ class FisheyeCamera(Camera):
         """
         check_choice("projection", projection, FISHEYE_PROJECTIONS)
         widest = _WIDEST[projection]
-        if not 0 < field_of_view <= 2 * widest + 1e-9 or (
-            projection == "stereographic" and field_of_view > 6.28
-        ):
+        if not 0 < field_of_view <= 2 * widest + 1e-9:
             raise ArgumentError(
-                f"field_of_view: an {projection} lens shows more than 0 and at most {math.degrees(2 * widest):.0f}°, got "
-                f"{math.degrees(field_of_view):.1f}° ({field_of_view} rad)"
+                f"field_of_view: expected up to {math.degrees(2 * widest):.0f}° ({2 * widest:.4f} rad) for an "
+                f"{projection} lens, got {math.degrees(field_of_view):.1f}° ({field_of_view} rad)"
             )
         height, width = image_size
         focal_length = min(height, width) / 2 / _RADIUS[projection](field_of_view / 2)
@@ -193,7 +198,7 @@ class FisheyeCamera(Camera):
         return cls(projection, focal_length, principal_point, image_size, min(field_of_view / 2, widest))
 
     def _project(self, points: Tensor) -> Projection:
-        return project_fisheye(points, *self._aligned(points), self.projection)
+        return project_fisheye(points, *self._aligned(points), projection=self.projection)
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
-        return unproject_fisheye(pixels, *self._aligned(pixels), self.projection)
+        return unproject_fisheye(pixels, *self._aligned(pixels), projection=self.projection)

@@ -259,7 +259,7 @@ class CameraRig:
         return torch.stack(values, -3), torch.stack(valid, -2)
 
     def to_yaml(self, path: str | Path) -> None:
-        """Write the rig as this package's own YAML, which ``read_rig`` reads; masks are not written."""
+        """Write the rig as this package's own YAML, which ``read_rig`` reads; masks become images beside it."""
         from sphericalvision.cameras.calibration.native import write_rig  # the reader needs this module
 
         write_rig(self, path)

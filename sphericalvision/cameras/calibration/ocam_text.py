@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OCamCalib text files, alone or with ``poses.txt`` as the older release of the stereo sets has them.
+
+A file has ``#`` comments, blank lines and five lines of data: direct polynomial and inverse polynomial, each preceded
+by its number of coefficients, centre as **row, column** from 0, affine c d e, and height width.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import torch
+
+from sphericalvision.cameras.calibration.numbers import check_radius, metres_per, numbers, widest_angle
+from sphericalvision.cameras.ocam import OCamCamera
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
+from sphericalvision.geometry import transform_from_axis_angle
+
+__all__ = ["make_ocam", "read_ocam_folder", "read_ocam_text"]
+
+STEREO_SETS_MAX_ANGLE = math.radians(110)
+"""Half the field of view of the omnidirectional stereo sets' lenses, which their text files do not tell."""
+
+_LINES = (
+    "direct polynomial (count, then coefficients)",
+    "inverse polynomial (count, then coefficients)",
+    "centre (row column)",
+    "affine (c d e)",
+    "image size (height width)",
+)
+
+
+def _data_lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Line numbers from 1 and the words of lines that hold data."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="strict")
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{path}: expected a text file, got binary data") from None
+    lines = ((number, line.split("#")[0].split()) for number, line in enumerate(text.splitlines(), start=1))
+    return [(number, words) for number, words in lines if words]
+
+
+def _counted(values: list[float], where: str) -> list[float]:
+    """Coefficients from ``[count, *coefficients]``."""
+    count, coefficients = values[0], values[1:]
+    if count != len(coefficients):
+        raise FileFormatError(
+            f"{where}: announces {count:g} coefficients but holds {len(coefficients)}; is the file truncated?"
+        )
+    return coefficients
+
+
+def make_ocam(
+    direct: list[float],
+    inverse: list[float] | None,
+    center: list[float],
+    affine: list[float],
+    size: list[float],
+    max_angle: float | None,
+    where: str,
+    dtype: torch.dtype | None = None,
+) -> OCamCamera:
+    """A camera from numbers as files hold them: polynomials with their count in front, centre as (row, column)."""
+    row, column = center
+    height, width = size
+    try:
+        camera = OCamCamera(
+            polynomial=torch.tensor(_counted(direct, f"{where}, direct polynomial"), dtype=torch.float64),
+            inverse_polynomial=None if inverse is None else _counted(inverse, f"{where}, inverse polynomial"),
+            principal_point=[column, row],
+            affine=affine,
+            image_size=(height, width),  # type: ignore[arg-type]  # checked to be whole numbers there
+            max_angle=math.pi if max_angle is None else max_angle,
+        )
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: {error}") from None
+    if max_angle is None:
+        camera = camera.with_max_angle(widest_angle(camera))
+    return camera.to(dtype or torch.get_default_dtype())
+
+
+def read_ocam_text(
+    path: str | Path, *, max_angle: float | None = None, dtype: torch.dtype | None = None
+) -> OCamCamera:
+    """The camera of an OCamCalib text file.
+
+    Args:
+        path: the file.
+        max_angle: half the field of view in radians, which the file does not tell; by default the angle at the
+            farthest pixel of the image.
+        dtype: of the intrinsics, by default torch's default.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is truncated, or holds something else than numbers; the message names the line.
+    """
+    path = check_file(path, "an OCamCalib text file")
+    lines = _data_lines(path)
+    if len(lines) < len(_LINES):
+        last = lines[-1][0] if lines else 0
+        raise FileFormatError(
+            f"{path}: truncated after line {last}: the {_LINES[len(lines)]} is missing "
+            f"(an OCamCalib file has {len(_LINES)} lines of data, this one {len(lines)})"
+        )
+    counts = (None, None, 2, 3, 2)
+    direct, inverse, center, affine, size = (
+        numbers(words, f"{path}, line {number}, {name}", count)
+        for (number, words), name, count in zip(lines, _LINES, counts, strict=False)
+    )
+    for values, (number, _), name in zip((direct, inverse), lines, _LINES, strict=False):
+        _counted(values, f"{path}, line {number}, {name}")
+    return make_ocam(direct, inverse, center, affine, size, max_angle, str(path), dtype)
+
+
+def _natural(path: Path) -> list[int | str]:
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.stem)]
+
+
+def read_ocam_folder(
+    folder: str | Path,
+    *,
+    translation_unit: str | None,
+    max_angle: float | None = None,
+    dtype: torch.dtype | None = None,
+) -> CameraRig:
+    """The rig of a folder with ``ocam1.txt``, ``ocam2.txt``, ... and ``poses.txt``; cameras are ``cam1``, ``cam2``, ...
+
+    Each line of ``poses.txt`` is rx ry rz tx ty tz, axis-angle in radians and translation, camera to rig.
+
+    Args:
+        folder: the folder.
+        translation_unit: ``"m"``, ``"cm"`` or ``"mm"``; published files use the latter two and do not say which.
+        max_angle: half the field of view in radians; by default the 110° of the omnidirectional stereo sets.
+        dtype: of intrinsics and poses, by default torch's default.
+
+    Raises:
+        ArgumentError: ``translation_unit`` is not given.
+        FileFormatError: files and poses differ in number, or a file is broken; the message names file and line.
+    """
+    folder = Path(folder)
+    poses_path = check_file(folder / "poses.txt", "the poses of the cameras")
+    files = sorted(folder.glob("ocam*.txt"), key=_natural)
+    if not files:
+        raise MissingFileError(
+            f"{folder}: no ocam1.txt, ocam2.txt, ... beside poses.txt (one for each camera expected)"
+        )
+    if translation_unit is None:
+        raise ArgumentError(
+            f"translation_unit: {poses_path} does not tell its unit; pass 'm', 'cm' or 'mm' "
+            "(OmniThings, OmniHouse and the urban sets: 'cm')"
+        )
+    unit = metres_per(translation_unit)
+    lines = _data_lines(poses_path)
+    if len(lines) != len(files):
+        raise FileFormatError(
+            f"{poses_path}: holds {len(lines)} poses, but the folder has {len(files)} cameras "
+            f"({', '.join(file.name for file in files)}); one line for each camera expected"
+        )
+    rows = [numbers(words, f"{poses_path}, line {number}", 6) for number, words in lines]
+    poses = torch.tensor(rows, dtype=torch.float64)
+    world_from_camera = transform_from_axis_angle(poses[:, :3], poses[:, 3:] * unit)
+    angle = STEREO_SETS_MAX_ANGLE if max_angle is None else max_angle
+    cameras = {
+        f"cam{file.stem.removeprefix('ocam').lstrip('_') or number}": read_ocam_text(
+            file, max_angle=angle, dtype=dtype
+        )
+        for number, file in enumerate(files, start=1)
+    }
+    rig = CameraRig(cameras, world_from_camera.to(dtype or torch.get_default_dtype()))
+    return check_radius(rig, poses_path)

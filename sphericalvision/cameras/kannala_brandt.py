@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Kannala-Brandt model with four coefficients: OpenCV's fisheye, Kalibr's equidistant, Basalt's kb4."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.core import check_last_dim
+from sphericalvision.geometry import (
+    angle_from_axis,
+    angle_over_radius,
+    cosine_and_sinc,
+    increasing_limit,
+    normalize,
+    polynomial,
+    solve_increasing,
+)
+
+__all__ = ["KannalaBrandtCamera", "project_kannala_brandt", "unproject_kannala_brandt"]
+
+
+def _with_leading_one(distortion: Tensor) -> Tensor:
+    """Coefficients of g with radius = θ g(θ²)."""
+    return torch.cat((torch.ones_like(distortion[..., :1]), distortion), dim=-1)
+
+
+def _radius_slope(coefficients: Tensor, squared: Tensor) -> Tensor:
+    """Derivative of θ g(θ²) with respect to θ, from θ²."""
+    value, derivative = polynomial(coefficients, squared)
+    return value + 2 * squared * derivative
+
+
+def _widest_angle(coefficients: Tensor) -> Tensor:
+    """The angle (*) in [0, π] up to which the image radius grows."""
+    start = torch.full_like(coefficients[..., 0], math.pi)
+    return increasing_limit(
+        lambda angle: _radius_slope(coefficients.unsqueeze(-2), angle * angle), start, samples=512
+    )
+
+
+def project_kannala_brandt(
+    points: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
+) -> Projection:
+    """Pixels (*, 2) of ``points`` (*, 3): the image radius is θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹ focal lengths.
+
+    θ is the angle from the axis, so the model reaches past 90°. Valid up to the angle where the radius stops growing.
+
+    Args:
+        points: (*, 3) in the camera's frame, any length.
+        focal_length: (*, 2) in pixels.
+        principal_point: (*, 2) as (u, v).
+        distortion: (*, 4) as (k1, k2, k3, k4), or any other number of coefficients.
+
+    References:
+        J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional, wide-angle, and fish-eye
+        lenses", PAMI 28 (2006), eq. 6.
+
+    Examples:
+        >>> ideal = [torch.tensor(x) for x in ([100.0, 100.0], [320.0, 240.0], [0.0, 0.0, 0.0, 0.0])]
+        >>> project_kannala_brandt(torch.tensor([0.0, 0.0, 1.0]), *ideal).pixels.tolist()
+        [320.0, 240.0]
+    """
+    check_last_dim("points", points, 3)
+    coefficients = _with_leading_one(distortion)
+    over_radius = angle_over_radius(points)
+    squared = over_radius * over_radius * (points[..., 0] ** 2 + points[..., 1] ** 2)
+    scale = over_radius * polynomial(coefficients, squared)[0]
+    valid = angle_from_axis(points.detach()) <= _widest_angle(coefficients)
+    return Projection(points[..., :2] * scale.unsqueeze(-1) * focal_length + principal_point, valid)
+
+
+def unproject_kannala_brandt(
+    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
+) -> Unprojection:
+    """Unit directions (*, 3) of ``pixels`` (*, 2), by Newton's method on the squared angle; past 90° too.
+
+    The squared radius is a polynomial of the squared angle, which keeps all derivatives exact at the principal point.
+    The arguments are those of ``project_kannala_brandt``.
+
+    Examples:
+        >>> ideal = [torch.tensor(x) for x in ([100.0, 100.0], [320.0, 240.0], [0.0, 0.0, 0.0, 0.0])]
+        >>> unproject_kannala_brandt(torch.tensor([320.0, 240.0]), *ideal).directions.tolist()
+        [0.0, 0.0, 1.0]
+    """
+    check_last_dim("pixels", pixels, 2)
+    coefficients = _with_leading_one(distortion)
+
+    def squared_radius(squared_angle: Tensor) -> tuple[Tensor, Tensor]:
+        value, derivative = polynomial(coefficients, squared_angle)
+        return squared_angle * value * value, value * (value + 2 * squared_angle * derivative)
+
+    offset = (pixels - principal_point) / focal_length
+    target = (offset * offset).sum(-1)
+    widest = _widest_angle(coefficients)
+    squared, converged = solve_increasing(
+        squared_radius, target, torch.zeros_like(widest), widest * widest, start=target.detach()
+    )
+    cosine, sinc = cosine_and_sinc(squared)
+    scale = sinc / polynomial(coefficients, squared)[0]
+    directions = torch.cat((offset * scale.unsqueeze(-1), cosine.unsqueeze(-1)), dim=-1)
+    return Unprojection(normalize(directions), converged)
+
+
+class KannalaBrandtCamera(Camera):
+    """A Kannala-Brandt camera with four coefficients, correct past 90°.
+
+    Args:
+        focal_length: (*b, 2) in pixels.
+        principal_point: (*b, 2) as (u, v).
+        distortion: (*b, 4) as (k1, k2, k3, k4), OpenCV's and Kalibr's order.
+        image_size: (height, width).
+        max_angle: half the field of view in radians, a number or (*b,).
+
+    Examples:
+        >>> camera = KannalaBrandtCamera([190.0, 190.0], [255.0, 257.0], [0.003, 0.0, -0.002, 0.0], (512, 512), 1.7)
+        >>> camera.unproject(camera.project(torch.tensor([0.6, 0.0, 0.8])).pixels).directions
+        tensor([0.6000, 0.0000, 0.8000])
+    """
+
+    model = "kannala_brandt"
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
+
+    focal_length: Tensor
+    principal_point: Tensor
+    distortion: Tensor
+
+    def __init__(
+        self,
+        focal_length: Sequence[float] | Tensor,
+        principal_point: Sequence[float] | Tensor,
+        distortion: Sequence[float] | Tensor,
+        image_size: Sequence[int],
+        max_angle: float | Tensor,
+    ) -> None:
+        super().__init__(
+            image_size,
+            max_angle,
+            focal_length=focal_length,
+            principal_point=principal_point,
+            distortion=distortion,
+        )
+        check_last_dim("focal_length", self.focal_length, 2)
+        check_last_dim("principal_point", self.principal_point, 2)
+        check_last_dim("distortion", self.distortion, 4)
+        self._set_batch(*self.principal_point.shape[:-1])
+
+    def _project(self, points: Tensor) -> Projection:
+        return project_kannala_brandt(points, *self._aligned(points))
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        return unproject_kannala_brandt(pixels, *self._aligned(pixels))

@@ -53,7 +53,7 @@ class Crown(NamedTuple):
 
 
 def check_crown(crown: Crown, spatial_dims: int | None = None) -> None:
-    """Raise ``ShapeError`` unless ``crown`` has ten matching rectangles, of ``spatial_dims`` (2 or 3) if given."""
+    """Raise ``ShapeError`` unless ``crown`` has ten rectangles that match, of ``spatial_dims`` 2 or 3 if given."""
     col, row = crown
     n = col.shape[-1] - 1 if col.ndim >= 5 else 0
     sizes_match = n > 0 and n & (n - 1) == 0 and tuple(col.shape[-2:]) == (2 * n + 1, n + 1)

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``SphereGrid``: what every grid of directions offers, whatever its shape."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
+
+__all__ = ["SphereGrid"]
+
+
+@runtime_checkable
+class SphereGrid(Protocol):
+    """A grid of directions that covers the sphere, with values interpolated between them.
+
+    ``Icosphere`` and ``Equirectangular`` are such grids; a class with these members is one too, without
+    inheriting.
+
+    Examples:
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> isinstance(Icosphere(1), SphereGrid)
+        True
+    """
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of values on the grid, without batch and channels."""
+
+    @property
+    def directions(self) -> Tensor:
+        """Unit directions ``(*shape, 3)`` at which values are given; x right, y down, z forward."""
+
+    @property
+    def solid_angles(self) -> Tensor:
+        """Solid angles ``(*shape)`` in steradians, which sum to 4π."""
+
+    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+        """Interpolate ``(*b, c, *shape)`` at ``(*b, n, 3)`` or ``(n, 3)``, giving ``(*b, c, n)``."""
+
+    def nearest(self, directions: Tensor) -> Tensor:
+        """Return the index ``(*)``, into the flattened grid, of the value nearest to ``(*, 3)``."""

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The equirectangular grid: rows of equal latitude, columns of equal longitude."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.geometry import (
+    bilinear_sample,
+    directions_from_longitude_latitude,
+    longitude_latitude_from_directions,
+)
+
+__all__ = ["Equirectangular"]
+
+
+class Equirectangular(nn.Module):
+    """A full panorama of ``height`` rows and ``width`` columns as a grid of directions.
+
+    Convention:
+        Forward (+z) is the middle of the picture, longitude grows to the right (+x), latitude is +π/2 (up,
+        -y) above the top row. Pixel centre i of width W has longitude (i + 0.5)·2π/W - π, and row j of
+        height H latitude π/2 - (j + 0.5)·π/H. Interpolation continues across the left and right edges and
+        over the poles.
+
+    Args:
+        height: number of rows, over 180° of latitude.
+        width: number of columns, over 360° of longitude.
+        dtype: of the directions; the default dtype of torch when not given.
+        device: of all tables.
+
+    Raises:
+        ArgumentError: if a size is not a positive integer.
+
+    Examples:
+        >>> grid = Equirectangular(3, 5)
+        >>> grid
+        Equirectangular(height=3, width=5)
+        >>> grid.directions[1, 2]  # the middle of the picture looks forward
+        tensor([0., -0., 1.])
+    """
+
+    directions: Tensor
+
+    def __init__(
+        self,
+        height: int,
+        width: int,
+        dtype: torch.dtype | None = None,
+        device: torch.device | str | None = None,
+    ) -> None:
+        super().__init__()
+        for name, size in (("height", height), ("width", width)):
+            if isinstance(size, bool) or not isinstance(size, int) or size < 1:
+                raise ArgumentError(f"{name}: expected a positive number of pixels, got {size!r}")
+        self.height = height
+        self.width = width
+        # (2i + 1 - W) / W keeps the middle column of an odd width at longitude zero to the last bit.
+        column = torch.arange(width, dtype=torch.float64, device=device)
+        row = torch.arange(height, dtype=torch.float64, device=device)
+        longitude = (2 * column + 1 - width) * (math.pi / width)
+        latitude = (height - 1 - 2 * row) * (math.pi / 2 / height)
+        directions = directions_from_longitude_latitude(longitude, latitude[:, None])
+        self.register_buffer(
+            "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape of values on this grid, ``(height, width)``."""
+        return (self.height, self.width)
+
+    @property
+    def solid_angles(self) -> Tensor:
+        """Exact solid angle of each pixel ``(height, width)`` in steradians."""
+        edges = torch.linspace(math.pi / 2, -math.pi / 2, self.height + 1, dtype=torch.float64)
+        rows = (edges[:-1].sin() - edges[1:].sin()) * (2 * math.pi / self.width)
+        return rows.to(self.directions)[:, None].expand(self.shape)
+
+    def pixels(self, directions: Tensor) -> Tensor:
+        """Return the pixel coordinates (u, v) ``(*, 2)`` of directions ``(*, 3)``; integers are pixel centres.
+
+        Examples:
+            >>> Equirectangular(2, 4).pixels(torch.tensor([0.0, 0.0, 1.0]))
+            tensor([1.5000, 0.5000])
+        """
+        longitude, latitude = longitude_latitude_from_directions(directions)
+        u = longitude * (self.width / (2 * math.pi)) + (self.width - 1) / 2
+        v = (self.height - 1) / 2 - latitude * (self.height / math.pi)
+        return torch.stack((u, v), -1)
+
+    def nearest(self, directions: Tensor) -> Tensor:
+        """Return the index ``(*)``, ``row * width + column``, of the pixel that contains each direction ``(*, 3)``.
+
+        Examples:
+            >>> Equirectangular(3, 5).nearest(torch.tensor([0.0, 0.0, 1.0]))
+            tensor(7)
+        """
+        check_last_dim("directions", directions, 3)
+        column, row = (self.pixels(directions) + 0.5).floor().long().unbind(-1)
+        return row.clamp(0, self.height - 1) * self.width + column % self.width
+
+    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+        """Interpolate values bilinearly in longitude and latitude, across the seam and over the poles.
+
+        Args:
+            values: ``(*b, c, height, width)``, floating point.
+            directions: ``(*b, n, 3)``, or ``(n, 3)`` for all of the batch.
+
+        Returns:
+            ``(*b, c, n)``, differentiable in both arguments.
+
+        Raises:
+            ShapeError: if the values are not on this grid.
+        """
+        if values.ndim < 3 or tuple(values.shape[-2:]) != self.shape:
+            raise ShapeError(
+                f"values: expected shape (*b, c, {self.height}, {self.width}), got {tuple(values.shape)}"
+            )
+        return bilinear_sample(values, self.pixels(directions), wrap_longitude=True)
+
+    def extra_repr(self) -> str:
+        return f"height={self.height}, width={self.width}"

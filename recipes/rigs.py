@@ -7,7 +7,8 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from sphericalvision.cameras import CameraRig, read_rig, ring_rig
+from sphericalvision import cameras
+from sphericalvision.cameras import CameraRig, ring_rig
 
 __all__ = ["make_ring", "rig_from_file"]
 
@@ -40,4 +41,4 @@ def rig_from_file(
         max_angle_deg: half the field of view in degrees, where the file does not say it.
     """
     max_angle = None if max_angle_deg is None else math.radians(max_angle_deg)
-    return read_rig(path, translation_unit=translation_unit, max_angle=max_angle)
+    return cameras.read_rig(path, translation_unit=translation_unit, max_angle=max_angle)

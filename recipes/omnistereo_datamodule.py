@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OmniThings and its kin as training, validation and test data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift, ToSphere
+from sphericalvision.data.transforms import Compose
+from sphericalvision.recipes.datamodules import DepthDataModule, Sample
+
+__all__ = ["OmniStereoDataModule"]
+
+
+class OmniStereoDataModule(DepthDataModule):
+    """OmniThings and its kin from disk, split and augmented as in the paper.
+
+    Args:
+        root: folder of the set that is trained on.
+        level: icosphere level of the images.
+        min_depth: nearest hypothesis in metres of the network; checked against the release.
+        dataset: "omnithings", "omnihouse", "sunny", "cloudy" or "sunset".
+        protocol: whose splits, "paper" or "official".
+        release: "png" or "tiff"; detected when not given.
+        missing: "error", or "skip" for a partial copy.
+        photometric: augment colours in training.
+        shift: standard deviation of the random shift in training, pixels; 0 for none.
+        val_split: split that validates.
+        test_split: split that tests.
+        train_split: split that trains.
+        batch_size: samples in a batch.
+        num_workers: processes that read samples.
+        seed: of order and augmentation in training.
+    """
+
+    def __init__(
+        self,
+        root: str,
+        level: int,
+        min_depth: float,
+        dataset: str = "omnithings",
+        protocol: str = "paper",
+        release: str | None = None,
+        missing: str = "error",
+        photometric: bool = True,
+        shift: float = 0.5,
+        train_split: str = "train",
+        val_split: str = "val",
+        test_split: str = "test",
+        batch_size: int = 4,
+        num_workers: int = 4,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(batch_size, num_workers, seed)
+        self.level, self.min_depth = level, min_depth
+        self.splits = {"train": train_split, "val": val_split, "test": test_split}
+        self.photometric, self.shift = photometric, shift
+        self.options = {
+            "root": root,
+            "dataset": dataset,
+            "protocol": protocol,
+            "release": release,
+            "missing": missing,
+        }
+
+    def dataset(self, split: str) -> OmniStereoDataset:
+        """Frames of one split, augmented in "train"."""
+        augment = split == "train"
+        stages: list[Callable[[Sample], Sample]] = []
+        if augment and self.photometric:
+            stages.append(PhotometricAugmentation())
+        if augment and self.shift:
+            stages.append(RandomShift(self.shift))
+        return self._read(split, stages)
+
+    def plain_train_dataset(self) -> OmniStereoDataset:
+        """Training frames as they are on disk."""
+        return self._read("train", [])
+
+    def _read(self, split: str, stages: list[Callable[[Sample], Sample]]) -> OmniStereoDataset:
+        transform = Compose(*stages, ToSphere(self.level))
+        frames = OmniStereoDataset(split=self.splits[split], transform=transform, **self.options)
+        if abs(frames.min_depth / self.min_depth - 1) > 0.02:
+            raise ArgumentError(
+                f"data.root: {self.options['root']} has the minimum depth {frames.min_depth:g} m "
+                f"({frames.release}), the network {self.min_depth:g} m; set "
+                f"model.min_depth={frames.min_depth:g} to work at the scale of the set"
+            )
+        return frames

@@ -1,7 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes that are rendered, data sets on disk, and transforms of their samples."""
 
+from sphericalvision.data.collate import collate_samples
 from sphericalvision.data.fivefold import RotateFivefold, rotate_fivefold
+from sphericalvision.data.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
+from sphericalvision.data.image_io import read_image, write_image
+from sphericalvision.data.ocam_fit import ocam_from_camera
+from sphericalvision.data.omnistereo import OmniStereoDataset
+from sphericalvision.data.omnistereo_files import split_frames
+from sphericalvision.data.omnistereo_writer import write_omnistereo
+from sphericalvision.data.photometric import PhotometricAugmentation
 from sphericalvision.data.scene_dataset import SceneDataset
 from sphericalvision.data.scenes import (
     Scene,
@@ -11,15 +19,31 @@ from sphericalvision.data.scenes import (
     render_directions,
     render_rig,
 )
+from sphericalvision.data.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
 
 __all__ = [
+    "Compose",
+    "GroundTruth",
+    "OmniStereoDataset",
+    "PhotometricAugmentation",
+    "RandomShift",
     "RotateFivefold",
     "Scene",
     "SceneDataset",
+    "ShuffleCameras",
+    "ToSphere",
+    "collate_samples",
     "make_scene",
+    "ocam_from_camera",
     "ray_depth",
+    "read_ground_truth",
+    "read_image",
     "render_camera",
     "render_directions",
     "render_rig",
     "rotate_fivefold",
+    "split_frames",
+    "write_ground_truth",
+    "write_image",
+    "write_omnistereo",
 ]

@@ -17,7 +17,6 @@ from sphericalvision.data.ground_truth import read_ground_truth
 from sphericalvision.data.image_io import read_image
 from sphericalvision.data.omnistereo_files import (
     DESCRIBED_AT,
-    Release,
     check_scale,
     find_release,
     index_frames,
@@ -96,7 +95,9 @@ class OmniStereoDataset(Dataset[Sample]):
         self.root = Path(root)
         self.transform = transform
         self.release = find_release(root, release)
-        self.rig = _read_calibration(self.root, self.release, translation_unit, max_angle)
+        unit = translation_unit if self.release.name == "png" else None  # config.yaml is in metres
+        calibration = self.root / self.release.calibration
+        self.rig: CameraRig = read_rig(calibration, translation_unit=unit, max_angle=max_angle)
         self.min_depth = self._choose_min_depth(min_depth)
         check_scale(root, self.release, self.min_depth, float(self.rig.radius))
         self._truths = index_frames(
@@ -165,9 +166,3 @@ class OmniStereoDataset(Dataset[Sample]):
             f"incomplete: {counts}. Names have four or five digits. For a partial copy use missing='skip'; "
             f"for a set of one's own use split='all' or frames=[...]. Described in {DESCRIBED_AT}."
         )
-
-
-def _read_calibration(root: Path, release: Release, unit: str, max_angle: float | None) -> CameraRig:
-    if release.name == "tiff":
-        return read_rig(root / release.calibration, max_angle=max_angle)
-    return read_rig(root, translation_unit=unit, max_angle=max_angle or math.radians(110))

@@ -198,7 +198,9 @@ class FisheyeCamera(Camera):
         return cls(projection, focal_length, principal_point, image_size, min(field_of_view / 2, widest))
 
     def _project(self, points: Tensor) -> Projection:
-        return project_fisheye(points, *self._aligned(points), projection=self.projection)
+        focal_length, principal_point = self._aligned(points)
+        return project_fisheye(points, focal_length, principal_point, self.projection)
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
-        return unproject_fisheye(pixels, *self._aligned(pixels), projection=self.projection)
+        focal_length, principal_point = self._aligned(pixels)
+        return unproject_fisheye(pixels, focal_length, principal_point, self.projection)

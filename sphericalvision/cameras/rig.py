@@ -13,14 +13,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.fisheye import FisheyeCamera
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.cameras.sphere_images import sample_sphere
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import (
-    bilinear_sample,
     directions_from_longitude_latitude,
     invert_transform,
     transform_from_axis_angle,
@@ -35,7 +34,7 @@ class CameraRig:
     Args:
         cameras: by name, or a sequence that gets the names ``cam1``, ``cam2``, ...
         world_from_camera: ``(*b, n, 4, 4)`` rigid transforms, metres; leading dimensions are rigs of a batch.
-        masks: for some or all names, ``(h, w)`` bool, True where the image is usable.
+        masks: for some or all names, ``(*b, h, w)`` bool, True where the image is usable.
 
     Raises:
         ShapeError: if the poses do not fit the cameras, or a mask its image.
@@ -62,7 +61,7 @@ class CameraRig:
         for name, mask in self.masks.items():
             if name not in self.cameras:
                 raise ArgumentError(f"masks: expected names among {', '.join(self.names)}, got {name!r}")
-            if tuple(mask.shape) != self.cameras[name].image_size:
+            if tuple(mask.shape[-2:]) != self.cameras[name].image_size:
                 raise ShapeError(
                     f"masks[{name!r}]: expected shape {self.cameras[name].image_size}, got {tuple(mask.shape)}"
                 )
@@ -152,7 +151,8 @@ class CameraRig:
         """The rig with other orientations; positions of tilted cameras stay where they are.
 
         Args:
-            tilt: radians by which every camera looks further down, about its own x axis (the paper's rotated rigs).
+            tilt: radians by which every camera looks further down, about its own x axis (the paper's rotated rigs);
+                a number, or an angle for each camera, ``(*b, n)``.
             rotation: ``(*b, 3, 3)`` turns the whole rig about the world's origin, after the tilt.
 
         References:
@@ -162,6 +162,10 @@ class CameraRig:
             >>> ring_rig(4).rotated(tilt=math.radians(30)).axes[0]  # the front camera looks 30° down, and down is +y
             tensor([0.0000, 0.5000, 0.8660])
         """
+        if isinstance(tilt, Tensor) and tilt.shape[-2:] == (3, 3):
+            raise ArgumentError(
+                "tilt: expected angles in radians, got 3 x 3 matrices; pass them as rotation=..."
+            )
         poses = self.world_from_camera
         angle = torch.as_tensor(tilt, dtype=poses.dtype, device=poses.device)
         zero = torch.zeros_like(angle)
@@ -186,14 +190,15 @@ class CameraRig:
         if self.world_from_camera.ndim < 4:
             raise ArgumentError("select: this rig has no batch dimension; its poses are (n, 4, 4)")
         cameras = {n: c.select(index) if c.batch_shape else c for n, c in self.cameras.items()}
-        return CameraRig(cameras, self.world_from_camera[index], self.masks)
+        masks = {name: mask[index] if mask.ndim > 2 else mask for name, mask in self.masks.items()}
+        return CameraRig(cameras, self.world_from_camera[index], masks)
 
     @staticmethod
     def stack(rigs: Sequence[CameraRig]) -> CameraRig:
-        """One rig with poses ``(B, n, 4, 4)``; camera parameters are shared where equal, and stacked elsewhere.
+        """One rig with poses ``(B, n, 4, 4)``; camera parameters and masks are shared where equal.
 
         Raises:
-            ArgumentError: if the rigs differ in names, models, image sizes or masks.
+            ArgumentError: if the rigs differ in names, models or image sizes.
 
         Examples:
             >>> CameraRig.stack([ring_rig(4), ring_rig(4, radius=0.1)]).center.shape
@@ -209,12 +214,7 @@ class CameraRig:
                 )
         cameras = {name: _stack_cameras(name, [rig.cameras[name] for rig in rigs]) for name in first.names}
         poses = torch.stack([rig.world_from_camera for rig in rigs])
-        same = all(_equal_masks(rig.masks, first.masks) for rig in rigs[1:])
-        if not same:
-            raise ArgumentError(
-                "rigs: expected the same masks in all rigs of a batch; project images before stacking"
-            )
-        return CameraRig(cameras, poses, first.masks)
+        return CameraRig(cameras, poses, _stack_masks(rigs))
 
     def sample_sphere(
         self,
@@ -238,42 +238,13 @@ class CameraRig:
             ArgumentError: if the number or the names of the images are not those of the rig.
             ShapeError: if an image has another size than its camera.
         """
-        check_last_dim("directions", directions, 3)
-        values, valid = [], []
-        for i, (name, image) in enumerate(self._named_images(images).items()):
-            camera = self.cameras[name]
-            if image.ndim < 3 or tuple(image.shape[-2:]) != camera.image_size:
-                raise ShapeError(
-                    f"images[{name!r}]: expected shape (*b, c, {camera.image_size[0]}, {camera.image_size[1]}) as "
-                    f"calibrated, got {tuple(image.shape)}"
-                )
-            world_from_camera = self.world_from_camera[..., i, :3, :3].to(directions)
-            pixels, seen = camera.project(directions @ world_from_camera)
-            pixels = torch.where(seen[..., None], pixels, 0.0)
-            if name in self.masks:
-                usable = self.masks[name].to(pixels.device, pixels.dtype)[None]
-                seen = seen & (bilinear_sample(usable, pixels)[..., 0, :] > 0.999)
-            value = _look_up(camera, image, pixels, _shrinking(camera, directions) if antialias else 1)
-            values.append(torch.where(seen[..., None, :], value, fill))
-            valid.append(seen)
-        return torch.stack(values, -3), torch.stack(valid, -2)
+        return sample_sphere(self, images, directions, fill, antialias)
 
     def to_yaml(self, path: str | Path) -> None:
         """Write the rig as this package's own YAML, which ``read_rig`` reads; masks become images beside it."""
         from sphericalvision.cameras.calibration.native import write_rig  # the reader needs this module
 
         write_rig(self, path)
-
-    def _named_images(self, images: Mapping[str, Tensor] | Sequence[Tensor]) -> dict[str, Tensor]:
-        if isinstance(images, Mapping):
-            if set(images) != set(self.cameras):
-                raise ArgumentError(
-                    f"images: expected one for each of {', '.join(self.names)}, got {', '.join(map(str, images))}"
-                )
-            return {name: images[name] for name in self.names}
-        if len(images) != len(self):
-            raise ArgumentError(f"images: expected {len(self)}, one a camera, got {len(images)}")
-        return dict(zip(self.names, images, strict=True))
 
     def __repr__(self) -> str:
         kinds = {type(camera).__name__ for camera in self.cameras.values()}
@@ -352,20 +323,19 @@ def _stack_cameras(name: str, cameras: list[Camera]) -> Camera:
         raise ArgumentError(f"rigs: camera {name} cannot be stacked: {error}") from error
 
 
-def _equal_masks(a: Mapping[str, Tensor], b: Mapping[str, Tensor]) -> bool:
-    return a is b or (a.keys() == b.keys() and all(a[k] is b[k] or torch.equal(a[k], b[k]) for k in a))
-
-
-def _shrinking(camera: Camera, directions: Tensor) -> int:
-    """How many pixels in a row lie between neighbouring directions, on average, at least 1."""
-    spacing = math.sqrt(4 * math.pi / directions.shape[-2])
-    pixel = 2 * float(camera.max_angle.max()) / min(camera.image_size)
-    return max(1, int(spacing / pixel))
-
-
-def _look_up(camera: Camera, image: Tensor, pixels: Tensor, shrink: int) -> Tensor:
-    if shrink > 1:
-        flat = image.reshape(-1, *image.shape[-3:])
-        small = F.avg_pool2d(flat, shrink, ceil_mode=True)
-        image, pixels = small.reshape(*image.shape[:-2], *small.shape[-2:]), (pixels + 0.5) / shrink - 0.5
-    return camera._interpolate(image, pixels)
+def _stack_masks(rigs: Sequence[CameraRig]) -> dict[str, Tensor]:
+    """Masks by name, shared where all rigs have the same and stacked elsewhere; no mask means all is usable."""
+    stacked = {}
+    for name, camera in rigs[0].cameras.items():
+        masks = [rig.masks.get(name) for rig in rigs]
+        given = [mask for mask in masks if mask is not None]
+        if not given:
+            continue
+        if len(given) == len(masks) and all(
+            mask is given[0] or torch.equal(mask, given[0]) for mask in given
+        ):
+            stacked[name] = given[0]
+        else:
+            usable = torch.ones(camera.image_size, dtype=torch.bool, device=given[0].device)
+            stacked[name] = torch.stack([usable if mask is None else mask for mask in masks])
+    return stacked

@@ -73,11 +73,11 @@ def find_capture(pattern: str, names: Sequence[str], frames: Iterable[int | str]
     else:
         chosen = wanted
     for frame in chosen:
-        for name, files in found.items():
+        for (name, files), label in zip(found.items(), labels, strict=True):
             if frame not in files:
                 raise MissingFileError(
-                    f"images: frame {frame} of camera {name} is missing: no file {_path(pattern, labels[0], frame)!r}"
-                    f"-like for it; frames found: {', '.join(sorted(files, key=_natural)[:8])}"
+                    f"images: {_path(pattern, label, frame)}: no such file, frame {frame} of camera {name}; its first "
+                    f"frames are {', '.join(sorted(files, key=_natural)[:4])}. Correct frames=... or the pattern."
                 )
     return Capture({frame: {name: found[name][frame] for name in names} for frame in chosen})
 
@@ -155,8 +155,8 @@ def _frame_text(pattern: str, frame: int | str) -> str:
 
 
 def _path(pattern: str, label: str, frame: str) -> str:
-    parts = string.Formatter().parse(pattern)
-    return "".join(text + {"camera": label, "frame": frame, None: ""}[field] for text, field, _, _ in parts)
+    values = {"camera": label, "frame": frame, None: ""}
+    return "".join(text + values[field] for text, field, _, _ in string.Formatter().parse(pattern))
 
 
 def _natural(text: str) -> list[tuple[int, str]]:

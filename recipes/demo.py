@@ -27,7 +27,7 @@ from sphericalvision.recipes.evaluation import (
 from sphericalvision.recipes.frames import RenderedFrames, SceneDepths
 from sphericalvision.recipes.results import DepthResult, estimate_depth, save_result
 from sphericalvision.sweep import index_from_inverse_depth
-from sphericalvision.viz import save_depth_panorama, save_error_panorama
+from sphericalvision.viz import depth_panorama, error_panorama, sheet
 
 __all__ = ["demo", "main"]
 
@@ -53,7 +53,7 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
         sample = ToSphere(h["level"], antialias=True)(frame)
         result = estimate_depth(net, sample["images"], rig, config.height)
         save_result(folder, "", result, frame["images"], rig)
-        _save_truth(folder, frame, result, net)
+        _save_comparison(folder, frame, result, net)
     depths = SceneDepths(rig, config.baseline_scenes, h["level"], config.train_seed, config.kind, scale)
     rows = _table(net, sample, DataLoader(depths, batch_size=8))
     print_rows(f"errors of this scene, percent of N = {h['num_hypotheses']} (smaller is better)", rows)
@@ -62,14 +62,22 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
     return rows
 
 
-def _save_truth(folder: Path, frame: dict[str, Any], result: DepthResult, net: IcoSweepNet) -> None:
-    """Ground truth and error beside the estimate, both as pictures."""
+def _save_comparison(folder: Path, frame: dict[str, Any], result: DepthResult, net: IcoSweepNet) -> None:
+    """Ground truth and error as pictures, and everything side by side."""
     number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
     truth = frame["inverse_depth"]
-    save_depth_panorama(folder / "ground_truth.png", truth.reciprocal(), result.min_depth)
     estimate = index_from_inverse_depth(result.panorama.reciprocal(), number, min_depth)
     error = (estimate - index_from_inverse_depth(truth, number, min_depth)).abs() * (100 / number)
-    save_error_panorama(folder / "error.png", error, max_error=10.0, label=f"error (% of N = {number})")
+    pictures = {
+        "ground truth": depth_panorama(truth.reciprocal(), min_depth),
+        "error": error_panorama(error, max_error=10.0, label=f"error (% of N = {number})"),
+    }
+    write_image(folder / "ground_truth.png", pictures["ground truth"])
+    write_image(folder / "error.png", pictures["error"])
+    depth = {"estimated depth": depth_panorama(result.panorama, min_depth)}
+    views = {name: (view * 255).byte().permute(1, 2, 0).numpy() for name, view in frame["images"].items()}
+    overview = {"input": sheet(views, columns=2), **depth, **pictures}
+    write_image(folder / "overview.png", sheet(overview, columns=2))
 
 
 def _table(net: IcoSweepNet, sample: dict[str, Any], depths: DataLoader[dict[str, Any]]) -> list[Row]:
@@ -84,12 +92,14 @@ def _table(net: IcoSweepNet, sample: dict[str, Any], depths: DataLoader[dict[str
 
 
 CONTENTS = {
+    "overview.png": "everything in one picture",
     "input_*.png": "the fisheye images",
     "depth.png": "estimated depth, equirectangular, with its scale in metres",
+    "color.png": "the images as one panorama",
     "ground_truth.png": "true depth",
     "error.png": "where the two differ",
     "points.ply": "coloured point cloud, metres",
-    "depth.npz": "arrays: depth, inverse_depth, index, directions, depth_panorama, ...",
+    "depth.npz": "arrays: index, depth, inverse_depth, directions, ...",
     "metrics.md": "the table above (also .json and .csv)",
 }
 
@@ -97,7 +107,7 @@ CONTENTS = {
 def _print_contents(folder: Path) -> None:
     console.print("\nResults:")
     for name, meaning in CONTENTS.items():
-        console.print(f"  {name:18} {meaning}", highlight=False)
+        console.print(f"  {name:18} {meaning}", highlight=False, soft_wrap=True)
     print(folder)
 
 

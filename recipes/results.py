@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.data.image_io import whole_file
+from sphericalvision.data.image_io import whole_file, write_image
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
@@ -56,13 +56,14 @@ def estimate_depth(net: IcoSweepNet, sphere_images: Tensor, rig: CameraRig, heig
 def save_result(
     folder: Path, prefix: str, result: DepthResult, images: Mapping[str, Tensor], rig: CameraRig
 ) -> list[Path]:
-    """Write ``<prefix>depth.png``, ``<prefix>points.ply`` and ``<prefix>depth.npz``; returns their paths."""
+    """Write pictures of depth and colour, point cloud and arrays; file names start with ``prefix``. Returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     picture = save_depth_panorama(folder / f"{prefix}depth.png", result.panorama, result.min_depth)
     colors, seen = rgb_panorama(rig, images, result.panorama.shape[0], result.panorama)
+    write_image(folder / f"{prefix}color.png", colors)
     depth = result.panorama.where(seen, math.nan)
     cloud = panorama_point_cloud(depth, colors, max_depth=result.max_depth, center=rig.center)
-    written = [picture]
+    written = [picture, folder / f"{prefix}color.png"]
     if len(cloud.points):
         written.append(save_point_cloud(folder / f"{prefix}points.ply", cloud.points, cloud.colors))
     directions = Icosphere(level_from_num_vertices(len(result.index))).vertices

@@ -148,9 +148,11 @@ def _shell(room: _Room, openings: dict[int, Opening], skip: int | None = None) -
     middle = ((x0 + x1) / 2, (z0 + z1) / 2)
     half = ((x1 - x0) / 2, (z1 - z0) / 2, 1.0)
     flat = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    # Only with an opening can a lamp stand on the other side of these.
+    casts = bool(openings)
     for y, material in ((room.floor, ground), (room.ceiling, roof)):
         room.parts.append(
-            Part("rectangle", (middle[0], y, middle[1]), half, material, rotation=flat, casts_shadow=False)
+            Part("rectangle", (middle[0], y, middle[1]), half, material, rotation=flat, casts_shadow=casts)
         )
     wall = palette.paint() if palette.chance(0.4) else palette.any_surface(2.5)
     for side, (yaw, x, z, start, end) in enumerate(room.sides()):
@@ -158,7 +160,7 @@ def _shell(room: _Room, openings: dict[int, Opening], skip: int | None = None) -
             continue
         material = wall if palette.chance(0.6) else palette.any_surface(2.5)
         if side not in openings:
-            room.parts += _rectangle(material, yaw, x, z, (start, end, room.ceiling, room.floor), casts=False)
+            room.parts += _rectangle(material, yaw, x, z, (start, end, room.ceiling, room.floor), casts)
             continue
         first, last, upper, lower = openings[side]
         pieces = (

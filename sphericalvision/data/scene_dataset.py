@@ -23,7 +23,7 @@ from sphericalvision.icosphere import Icosphere
 __all__ = ["SceneDataset"]
 
 #: Raised whenever the recipes or the renderer change what a seed looks like, so that old caches are not read.
-GENERATION = 1
+GENERATION = 2
 #: Least depth, and free space around the rig, of scenes at their natural scale (metres).
 NATURAL_MIN_DEPTH, CLEAR_RADIUS = 0.55, 0.6
 

@@ -101,10 +101,7 @@ class Release:
     """Metres from the rig's centre to its cameras, of the published data."""
 
     def __str__(self) -> str:
-        return (
-            f"{self.name.upper()} ground truth in {self.ground_truth_folder}/ with {self.calibration}, "
-            f"minimum depth {self.min_depth:g} m, rig radius {self.radius:.2f} m"
-        )
+        return f"{self.name.upper()} ground truth in {self.ground_truth_folder}/ with {self.calibration}"
 
 
 RELEASES = {
@@ -207,7 +204,10 @@ def index_frames(
 
 
 def _valid_triples() -> str:
-    both = "; ".join(f"({release})" for release in RELEASES.values())
+    both = "; ".join(
+        f"({release}, minimum depth {release.min_depth:g} m, rig radius {release.radius:.2f} m)"
+        for release in RELEASES.values()
+    )
     return f"The two published releases differ threefold in scale and are valid only whole: {both}."
 
 

@@ -19,7 +19,7 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.ground_truth import write_ground_truth
 from sphericalvision.data.image_io import whole_file, write_image
 from sphericalvision.data.ocam_fit import ocam_from_camera
-from sphericalvision.data.omnistereo_files import RELEASES, Release, check_scale
+from sphericalvision.data.omnistereo_files import RELEASES, Release, check_scale, index_frames
 
 __all__ = ["write_omnistereo"]
 
@@ -52,8 +52,8 @@ def write_omnistereo(
         Names of the frames written, five digits each.
 
     Raises:
-        ArgumentError: the other release lies in ``root``, a frame has other cameras than the rig, or is no
-            number.
+        ArgumentError: ``root`` holds the other release or frames of another rig, or a frame has other cameras than the
+            rig, or is no number.
         FileFormatError: ``min_depth`` and the rig are a mixture of the published scales, which no reader
             may accept.
     """
@@ -68,11 +68,11 @@ def write_omnistereo(
             )
     check_scale(root, layout, min_depth, float(rig.radius))
     ocams = [ocam_from_camera(camera) for camera in rig.cameras.values()]
-    _write_calibration(root, layout, rig, ocams, min_depth, [])
-    written: list[int] = []
-    for sample in frames:
-        written.append(_write_frame(root, layout, rig, sample, min_depth))
-    _write_calibration(root, layout, rig, ocams, min_depth, written)
+    _refuse_other_calibration(root, layout, _calibration(root, layout, rig, ocams, min_depth))
+    _write_masks(root, layout, rig)
+    _write_calibration(root, _calibration(root, layout, rig, ocams, min_depth))
+    written = [_write_frame(root, layout, rig, sample, min_depth) for sample in frames]
+    _write_calibration(root, _calibration(root, layout, rig, ocams, min_depth))  # now it knows the last frame
     return [f"{frame:05d}" for frame in written]
 
 
@@ -99,30 +99,62 @@ def _write_frame(
     return frame
 
 
-def _write_calibration(
-    root: Path, layout: Release, rig: CameraRig, ocams: list[OCamCamera], min_depth: float, frames: list[int]
-) -> None:
-    """The cameras and poses; written before the frames, and again after them for config.yaml to name the "
-    "range."""
+def _calibration(
+    root: Path, layout: Release, rig: CameraRig, ocams: list[OCamCamera], min_depth: float
+) -> dict[str, str]:
+    """Names and contents of the calibration files; config.yaml names the range of the frames in ``root``."""
     poses = [_pose_numbers(pose) for pose in rig.world_from_camera.detach().to("cpu", torch.float64).numpy()]
     if layout.name == "png":
-        for number, ocam in enumerate(ocams, start=1):
-            _write_text(root / f"ocam{number}.txt", _ocam_text(ocam))
         in_cm = [[*pose[:3], *(100 * value for value in pose[3:])] for pose in poses]
-        _write_text(root / "poses.txt", "".join(_line(pose) for pose in in_cm))
-        return
-    for number, name in enumerate(rig.names, start=1):
-        if name in rig.masks:  # in these sets a mask marks what must not be used
-            write_image(root / f"mask{number}.png", (~rig.masks[name]).to(torch.float32)[None])
-    cameras = [_ocam_entry(number, ocam, poses[number - 1]) for number, ocam in enumerate(ocams, start=1)]
+        files = {f"ocam{number}.txt": _ocam_text(ocam) for number, ocam in enumerate(ocams, start=1)}
+        return {**files, layout.calibration: "".join(_line(pose) for pose in in_cm)}
+    dataset: dict[str, Any] = {"img_fmt": "cam%d/%05d.png"}
+    frames = _frames_in(root, layout)
+    if frames:
+        dataset.update(start=min(frames), step=1, end=max(frames))
     config = {
         "config": {"omnimvs_sweep_min_depth": float(min_depth)},
-        "dataset": {"img_fmt": "cam%d/%05d.png", "step": 1},
-        "cameras": cameras,
+        "dataset": dataset,
+        "cameras": [
+            _ocam_entry(number, *pair) for number, pair in enumerate(zip(ocams, poses, strict=True), start=1)
+        ],
     }
-    if frames:
-        config["dataset"].update(start=min(frames), end=max(frames))  # type: ignore[attr-defined]
-    _write_text(root / layout.calibration, yaml.safe_dump(config, sort_keys=False, default_flow_style=None))
+    return {layout.calibration: yaml.safe_dump(config, sort_keys=False, default_flow_style=None)}
+
+
+def _write_calibration(root: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        with whole_file(root / name) as temporary:
+            temporary.write_text(text)
+
+
+def _write_masks(root: Path, layout: Release, rig: CameraRig) -> None:
+    """In these sets a mask marks what must not be used; only config.yaml can refer to one."""
+    for number, name in enumerate(rig.names, start=1):
+        if layout.name == "tiff" and name in rig.masks:
+            write_image(root / f"mask{number}.png", (~rig.masks[name]).to(torch.float32)[None])
+
+
+def _refuse_other_calibration(root: Path, layout: Release, files: dict[str, str]) -> None:
+    """More frames may be added to a set, but not frames of another rig."""
+    if not _frames_in(root, layout):
+        return
+    for name, text in files.items():
+        path = root / name
+        if path.is_file() and _without_range(path.read_text()) != _without_range(text):
+            raise ArgumentError(
+                f"root: {root} holds frames whose {name} differs from the rig or min_depth given; to add frames use "
+                f"the same, else write into another folder"
+            )
+
+
+def _frames_in(root: Path, layout: Release) -> list[int]:
+    folder = root / layout.ground_truth_folder
+    return list(index_frames(folder, "ground truth", (layout.suffix,))) if folder.is_dir() else []
+
+
+def _without_range(text: str) -> str:
+    return "\n".join(line for line in text.splitlines() if not line.startswith("dataset: "))
 
 
 def _pose_numbers(world_from_camera: np.ndarray) -> list[float]:
@@ -175,8 +207,3 @@ def _ocam_entry(number: int, ocam: OCamCamera, pose: list[float]) -> dict[str, A
 
 def _line(values: list[float] | list[int]) -> str:
     return " ".join(f"{value:.17g}" for value in values) + "\n"
-
-
-def _write_text(path: Path, text: str) -> None:
-    with whole_file(path) as temporary:
-        temporary.write_text(text)

@@ -48,7 +48,7 @@ def depth_to_color(depth: Values, min_depth: float, max_depth: float = math.inf)
 
     Examples:
         >>> depth_to_color(torch.tensor([0.5, torch.inf, torch.nan]), min_depth=0.5).tolist()
-        [[122, 4, 3], [48, 18, 59], [128, 128, 128]]
+        [[122, 4, 2], [48, 18, 59], [128, 128, 128]]
     """
     _check_depth_range(min_depth, max_depth)
     values = _to_numpy(depth)

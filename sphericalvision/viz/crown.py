@@ -38,6 +38,7 @@ def crown_picture(crown: Crown, low: float = 0.0, high: float = 1.0, scale: int 
         ShapeError: more than one sample, other than 1 or 3 channels, or a volume of hypotheses.
 
     Examples:
+        >>> import torch
         >>> from sphericalvision.crown import to_crown
         >>> crown_picture(to_crown(torch.rand(1, 3, 162)), scale=8).dtype
         dtype('uint8')

@@ -141,7 +141,10 @@ def test_a_rig_in_the_wrong_unit_or_scale_is_refused(tmp_path: Path, rig: Camera
     with pytest.raises(FileFormatError, match=r"minimum depth 0\.55 m, rig radius 0\.6 m"):
         OmniStereoDataset(tmp_path, split="all")
     assert OmniStereoDataset(tmp_path, split="all", min_depth=1.65).min_depth == 1.65
-    with pytest.raises(FileFormatError, match=r"rig radius 60 m.*unit of the poses"):
+    with (
+        pytest.warns(UserWarning, match="check the unit"),
+        pytest.raises(FileFormatError, match=r"rig radius 60 m.*unit of the poses"),
+    ):
         OmniStereoDataset(tmp_path, split="all", translation_unit="m")
 
 
@@ -214,3 +217,19 @@ def test_masks_travel_with_the_tiff_release(tmp_path: Path, rig: CameraRig, fram
     again = OmniStereoDataset(tmp_path, split="all").rig.masks
     assert list(again) == ["cam2"]
     assert torch.equal(again["cam2"], mask)
+
+
+@pytest.mark.parametrize("release", ["png", "tiff"])
+def test_frames_are_added_to_a_set_of_the_same_rig_only(
+    tmp_path: Path, rig: CameraRig, frames: Frames, make_rig: Make, make_frames: Make, release: str
+) -> None:
+    write_omnistereo(tmp_path, frames(5), rig, release)
+    write_omnistereo(tmp_path, frames(2, 3), rig, release)
+    assert OmniStereoDataset(tmp_path, split="all").frames == [2, 3, 5]
+    if release == "tiff":
+        dataset = yaml.safe_load((tmp_path / "config.yaml").read_text())["dataset"]
+        assert (dataset["start"], dataset["end"]) == (2, 5)
+    other = make_rig(radius=0.21)
+    with pytest.raises(ArgumentError, match=r"differs from the rig or min_depth given.*another folder"):
+        write_omnistereo(tmp_path, make_frames(other, [6]), other, release)
+    assert OmniStereoDataset(tmp_path, split="all").rig.radius.item() == pytest.approx(0.2)

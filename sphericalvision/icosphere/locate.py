@@ -95,8 +95,8 @@ def _descend(unit: Tensor, level: int) -> tuple[Tensor, tuple[Tensor, Tensor, Te
         ab, bc, ca = (F.normalize(p + q, dim=-1) for p, q in ((a, b), (b, c), (c, a)))
         to_ab, to_bc, to_ca = ab - unit, bc - unit, ca - unit
         at_a = _triple(unit, to_ab, to_ca) > 0
-        at_b = _triple(unit, to_bc, to_ab) > 0
-        at_c = _triple(unit, to_ca, to_bc) > 0
+        at_b = (_triple(unit, to_bc, to_ab) > 0) & ~at_a  # exclusive also where rounding says otherwise
+        at_c = (_triple(unit, to_ca, to_bc) > 0) & ~(at_a | at_b)
         inner = ~(at_a | at_b | at_c)
         row = 2 * row + sign * (at_c | inner)
         column = 2 * column + sign * (at_b | inner)

@@ -2,8 +2,8 @@
 """Which vertex stands where: the charts of an icosphere, its faces, neighbours and levels.
 
 Cut the icosahedron along its seams from pole to pole and it falls into five *charts*. With ``n = 2**level``,
-chart k is a rectangle of ``2n + 1`` rows and ``n + 1`` columns whose corners are (N and S are the poles, A
-the upper and B the lower ring of five vertices)::
+chart k is a rectangle of ``2n + 1`` rows and ``n + 1`` columns. Seen from inside, as a panorama is, its corners
+are (N and S are the poles, A the upper and B the lower ring of five vertices)::
 
     row 0    N ──── A(k+1)      every cell is cut along its anti-diagonal,
     row n    A(k) ─ B(k+1)      from (row + 1, column) to (row, column + 1)

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Crown convolutions, norms and pooling against loops over vertices and planar layers of torch."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.crown import (
+    Crown,
+    CrownAvgPool2d,
+    CrownBatchNorm2d,
+    CrownBatchNorm3d,
+    CrownConv2d,
+    CrownConv3d,
+    crown_avg_pool2d,
+    crown_conv2d,
+    crown_conv3d,
+    crown_map,
+    from_crown,
+    to_crown,
+)
+from sphericalvision.icosphere import icosphere_neighbors, num_icosphere_vertices
+
+# Neighbours in the order of the taps 0 to 5, as (row, column) steps in each kind of rectangle.
+COL_STEPS = ((0, -1), (1, -1), (1, 0), (0, 1), (-1, 1), (-1, 0))
+ROW_STEPS = ((-1, 0), (0, -1), (1, -1), (1, 0), (0, 1), (-1, 1))
+
+
+def random_values(*shape: int) -> Tensor:
+    return torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+
+
+def loop_convolution(rectangles: Tensor, weight: Tensor, steps: tuple[tuple[int, int], ...]) -> Tensor:
+    """Seven taps at every place of ``(B, 5, C, h, w)``; a step over the border stays on it."""
+    height, width = rectangles.shape[-2:]
+    result = rectangles.new_zeros(*rectangles.shape[:2], len(weight), height, width)
+    for i in range(height):
+        for j in range(width):
+            for tap, (di, dj) in enumerate((*steps, (0, 0))):
+                y, x = min(max(i + di, 0), height - 1), min(max(j + dj, 0), width - 1)
+                result[..., i, j] += rectangles[..., y, x] @ weight[:, :, tap].T
+    return result
+
+
+def loop_convolution3d(volumes: Tensor, weight: Tensor, steps: tuple[tuple[int, int], ...]) -> Tensor:
+    """The sum of three planar convolutions of shifted hypotheses."""
+    count = volumes.shape[3]
+    results = []
+    for j in range(count):
+        neighbors = [volumes[:, :, :, min(max(j + d, 0), count - 1)] for d in (-1, 0, 1)]
+        results.append(
+            sum(loop_convolution(neighbors[d], weight[..., 7 * d : 7 * d + 7], steps) for d in range(3))
+        )
+    return torch.stack(results, 3)
+
+
+@pytest.mark.parametrize("level", [1, 2])
+@pytest.mark.parametrize("stride", [1, 2])
+def test_conv2d_agrees_with_a_loop(level: int, stride: int) -> None:
+    crown = to_crown(random_values(2, 3, num_icosphere_vertices(level)))
+    weight, bias = random_values(4, 3, 7), random_values(4)
+    result = crown_conv2d(crown, weight, bias, stride)
+    for ours, rectangles, steps in zip(result, crown, (COL_STEPS, ROW_STEPS), strict=True):
+        expected = loop_convolution(rectangles, weight, steps) + bias[:, None, None]
+        torch.testing.assert_close(ours, expected[..., ::stride, ::stride])
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_conv3d_agrees_with_a_loop(stride: int) -> None:
+    crown = to_crown(random_values(2, 3, 4, 42))
+    weight = random_values(5, 3, 21)
+    result = crown_conv3d(crown, weight, stride=stride)
+    for ours, volumes, steps in zip(result, crown, (COL_STEPS, ROW_STEPS), strict=True):
+        expected = loop_convolution3d(volumes, weight, steps)
+        torch.testing.assert_close(ours, expected[..., ::stride, ::stride])
+
+
+def test_taps_are_the_neighbours_on_the_sphere_in_turn() -> None:
+    """Inside the rectangles, a tap of its own reads the true neighbours of a vertex, in one sense of rotation."""
+    level = 3
+    ids = torch.arange(num_icosphere_vertices(level), dtype=torch.float64)
+    neighbors = icosphere_neighbors(level)
+    crown = to_crown(ids.view(1, 1, -1))
+    taps = torch.eye(7, dtype=torch.float64)[:, None]
+    for rectangles, centers in zip(crown_conv2d(crown, taps), crown, strict=True):
+        interior = rectangles[0, :, :, 1:-1, 1:-1].movedim(1, -1).reshape(-1, 7).long()
+        assert torch.equal(interior[:, 6], centers[0, :, 0, 1:-1, 1:-1].flatten().long())
+        for center, *ring in interior[:, [6, 0, 1, 2, 3, 4, 5]].tolist():
+            around = neighbors[center].tolist()
+            turn = (around.index(ring[1]) - around.index(ring[0])) % 6
+            start = around.index(ring[0])
+            assert ring == [around[(start + turn * k) % 6] for k in range(6)]
+            assert turn == 5  # clockwise from outside, counter-clockwise from inside, as panoramas are seen
+
+
+def test_convolution_of_all_ones_keeps_a_constant() -> None:
+    crown = to_crown(torch.full((1, 1, 642), 3.0))
+    result = crown_conv2d(crown, torch.full((1, 1, 7), 1 / 7))
+    torch.testing.assert_close(from_crown(result), torch.full((1, 1, 642), 3.0))
+
+
+def test_stride_keeps_the_coarser_vertices() -> None:
+    from sphericalvision.icosphere import coarse_vertex_ids
+
+    values = random_values(1, 2, 162)
+    identity = torch.zeros(2, 2, 7, dtype=torch.float64)
+    identity[[0, 1], [0, 1], 6] = 1
+    coarse = from_crown(crown_conv2d(to_crown(values), identity, stride=2))
+    torch.testing.assert_close(coarse, values[..., coarse_vertex_ids(2)])
+
+
+def test_gradients() -> None:
+    def through(convolve, *sizes: int, taps: int) -> None:  # type: ignore[no-untyped-def]
+        values = random_values(1, 2, *sizes, 12).requires_grad_()
+        weight = random_values(2, 2, taps).requires_grad_()
+        assert torch.autograd.gradcheck(lambda v, w: from_crown(convolve(to_crown(v), w)), (values, weight))
+
+    through(crown_conv2d, taps=7)
+    through(crown_conv3d, 3, taps=21)
+    values = random_values(1, 2, 42).requires_grad_()
+    assert torch.autograd.gradcheck(lambda v: tuple(crown_avg_pool2d(to_crown(v))), (values,))
+
+
+@pytest.mark.parametrize(("norm", "sizes"), [(CrownBatchNorm2d, ()), (CrownBatchNorm3d, (4,))])
+def test_batch_norm_is_one_norm_over_all_places(norm: type[nn.Module], sizes: tuple[int, ...]) -> None:
+    """Against torch's own layer fed with all places in a row, in training and in evaluation."""
+    crown = to_crown(random_values(2, 3, *sizes, 42))
+    ours, theirs = norm(3, dtype=torch.float64), nn.BatchNorm1d(3, dtype=torch.float64)
+    nn.init.uniform_(ours.weight)
+    nn.init.uniform_(ours.bias)
+    theirs.load_state_dict(ours.state_dict())
+
+    def in_a_row(crown: Crown) -> Tensor:
+        return torch.cat([x.transpose(1, 2).flatten(2) for x in crown], -1)
+
+    for _ in range(2):
+        torch.testing.assert_close(in_a_row(ours(crown)), theirs(in_a_row(crown)))
+    for key, value in theirs.state_dict().items():
+        torch.testing.assert_close(ours.state_dict()[key], value)
+    torch.testing.assert_close(in_a_row(ours.eval()(crown)), theirs.eval()(in_a_row(crown)))
+
+
+def test_batch_norm_gradients() -> None:
+    norm = CrownBatchNorm2d(2, dtype=torch.float64)
+    values = random_values(2, 2, 12).requires_grad_()
+    assert torch.autograd.gradcheck(lambda v: tuple(norm(to_crown(v))), (values,))
+
+
+def test_average_pool_agrees_with_a_loop() -> None:
+    crown = to_crown(random_values(1, 2, 42))
+    for pooled, rectangles in zip(CrownAvgPool2d()(crown), crown, strict=True):
+        for i, j in torch.cartesian_prod(*map(torch.arange, pooled.shape[-2:])).tolist():
+            window = rectangles[..., max(2 * i - 1, 0) : 2 * i + 2, max(2 * j - 1, 0) : 2 * j + 2]
+            torch.testing.assert_close(pooled[..., i, j], window.mean((-2, -1)))
+
+
+def test_layers_do_not_depend_on_memory_order() -> None:
+    crown = to_crown(random_values(2, 3, 4, 42))
+    contiguous = crown_map(lambda x: x.contiguous(), crown)
+    conv, norm = CrownConv3d(3, 5, bias=True).double(), CrownBatchNorm3d(5).double()
+    expected, result = norm(conv(contiguous)), norm(conv(crown))
+    torch.testing.assert_close(result.col, expected.col)
+    torch.testing.assert_close(result.row, expected.row)
+
+
+def test_modules_have_the_documented_weights() -> None:
+    assert CrownConv2d(3, 5).weight.shape == (5, 3, 7)
+    assert CrownConv3d(3, 5).weight.shape == (5, 3, 21)
+    assert list(CrownConv2d(3, 5).state_dict()) == ["weight"]
+    assert CrownConv2d(3, 5, bias=True).bias.shape == (5,)
+    bound = (3 * 7) ** -0.5
+    assert CrownConv2d(3, 500).weight.abs().max().item() == pytest.approx(bound, rel=0.01)
+
+
+def test_errors_name_the_argument() -> None:
+    crown = to_crown(torch.zeros(1, 3, 42))
+    with pytest.raises(ShapeError, match="expected 4 channels"):
+        CrownConv2d(4, 5)(crown)
+    with pytest.raises(ShapeError, match=r"weight: expected shape \(out, in, 7\)"):
+        crown_conv2d(crown, torch.zeros(5, 3, 9))
+    with pytest.raises(ShapeError, match=r"\(B, 5, C, N, 2n \+ 1, n \+ 1\)"):
+        CrownConv3d(3, 5)(crown)
+    with pytest.raises(ArgumentError, match="stride: expected 1"):
+        CrownConv2d(3, 5, stride=3)
+    with pytest.raises(ArgumentError, match="at level 0"):
+        CrownConv2d(3, 5, stride=2)(to_crown(torch.zeros(1, 3, 12)))
+    with pytest.raises(ShapeError, match="expected 4 channels"):
+        CrownBatchNorm2d(4)(crown)
+    with pytest.raises(ArgumentError, match="at level 0"):
+        CrownAvgPool2d()(to_crown(torch.zeros(1, 3, 12)))

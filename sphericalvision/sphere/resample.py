@@ -47,7 +47,7 @@ def resample(
         (torch.Size([1, 8, 16]), True)
     """
     check_choice("mode", mode, ("bilinear", "nearest"))
-    shape = _shape(source, "source")
+    shape, target_shape = _shape(source, "source"), _shape(target, "target")
     if values.ndim <= len(shape) or tuple(values.shape[-len(shape) :]) != shape:
         size = ", ".join(map(str, shape))
         raise ShapeError(f"values: expected shape (*b, c, {size}) for this source, got {tuple(values.shape)}")
@@ -62,7 +62,7 @@ def resample(
         result = source.sample(values, directions)
     else:
         result = values.flatten(-len(shape))[..., source.nearest(directions)]
-    return torch.where(valid, result, fill).to(values.dtype).unflatten(-1, _shape(target, "target"))
+    return torch.where(valid, result, fill).to(values.dtype).unflatten(-1, target_shape)
 
 
 def resample_mask(
@@ -80,11 +80,11 @@ def resample_mask(
         >>> resample_mask(Icosphere(2), Equirectangular(8, 16)).all()
         tensor(True)
     """
-    _shape(source, "source")
+    _, target_shape = _shape(source, "source"), _shape(target, "target")
     directions, valid = _target_directions(target, rotation)
     if isinstance(source, Camera):
         valid = valid & source.project(directions).valid
-    return valid.view(_shape(target, "target"))
+    return valid.view(target_shape)
 
 
 def _shape(grid: SphereGrid | Camera, name: str) -> tuple[int, ...]:

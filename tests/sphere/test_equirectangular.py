@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The equirectangular grid: convention, exactness at the seam and the poles, solid angles."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry import directions_from_longitude_latitude
+from sphericalvision.sphere import Equirectangular, Icosphere, SphereGrid
+
+SIZES = [(1, 1), (4, 8), (5, 9), (6, 7), (16, 64)]
+
+
+def smooth(d: Tensor) -> Tensor:
+    """A smooth function on the sphere, (*, 3) -> (*)."""
+    return torch.sin(2 * d[..., 0] + 0.5) * d[..., 1] + d[..., 2].square()
+
+
+def test_convention_equirectangular() -> None:
+    """Forward is the middle, +x a quarter to the right, up the top; pixel i has longitude (i + 0.5)·2π/W - π."""
+    grid = Equirectangular(6, 8, dtype=torch.float64)
+    axes = torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, -1, 0], [-1, 0, 0]], dtype=torch.float64)
+    expected = torch.tensor([[3.5, 2.5], [5.5, 2.5], [3.5, -0.5], [1.5, 2.5]], dtype=torch.float64)
+    torch.testing.assert_close(grid.pixels(axes), expected)
+    longitude, latitude = (0 + 0.5) * 2 * math.pi / 8 - math.pi, math.pi / 2 - (0 + 0.5) * math.pi / 6
+    top_left = directions_from_longitude_latitude(*torch.tensor([longitude, latitude], dtype=torch.float64))
+    torch.testing.assert_close(grid.directions[0, 0], top_left)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_pixels_of_own_directions(size: tuple[int, int]) -> None:
+    grid = Equirectangular(*size, dtype=torch.float64)
+    rows, columns = torch.meshgrid(*map(torch.arange, size), indexing="ij")
+    expected = torch.stack((columns, rows), -1).double()
+    torch.testing.assert_close(grid.pixels(grid.directions), expected, rtol=0, atol=1e-12)
+    assert torch.equal(grid.nearest(grid.directions).flatten(), torch.arange(size[0] * size[1]))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_sampling_own_directions_is_the_identity(size: tuple[int, int]) -> None:
+    grid = Equirectangular(*size, dtype=torch.float64)
+    image = torch.randn(2, 3, *size, dtype=torch.float64)
+    sampled = grid.sample(image, grid.directions.reshape(-1, 3))
+    torch.testing.assert_close(sampled.view_as(image), image, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_solid_angles_sum_to_the_sphere(size: tuple[int, int]) -> None:
+    grid = Equirectangular(*size, dtype=torch.float64)
+    assert grid.solid_angles.shape == size
+    assert grid.solid_angles.sum().item() == pytest.approx(4 * math.pi)
+
+
+def test_seam_is_no_worse_than_the_middle() -> None:
+    grid = Equirectangular(128, 256, dtype=torch.float64)
+    image = smooth(grid.directions)[None]
+    offset = torch.linspace(-0.1, 0.1, 401, dtype=torch.float64)
+    errors = []
+    for center in (0.0, math.pi / 2, math.pi):
+        directions = directions_from_longitude_latitude(center + offset, 0.3 * offset)
+        errors.append((grid.sample(image, directions) - smooth(directions)).abs().max().item())
+    assert errors[2] < 2 * max(errors[:2])
+    assert errors[2] < 1e-3
+
+
+@pytest.mark.parametrize("pole", [-1.0, 1.0])
+def test_interpolation_continues_over_the_poles(pole: float) -> None:
+    """Bilinear interpolation is second order at the poles too: the error falls fourfold as the grid doubles."""
+    longitude = torch.linspace(-math.pi, math.pi, 101, dtype=torch.float64)
+    errors = []
+    for height in (32, 64, 128):
+        grid = Equirectangular(height, 2 * height, dtype=torch.float64)
+        latitude = pole * (math.pi / 2 - 0.2 * math.pi / height)  # beyond the centres of the last row
+        directions = directions_from_longitude_latitude(longitude, torch.full_like(longitude, latitude))
+        sampled = grid.sample(smooth(grid.directions)[None], directions)
+        errors.append((sampled - smooth(directions)).abs().max().item())
+    assert errors[0] / errors[1] > 3.5
+    assert errors[1] / errors[2] > 3.5
+
+
+def test_gradients() -> None:
+    grid = Equirectangular(4, 8, dtype=torch.float64)
+    generator = torch.Generator().manual_seed(0)
+    image = torch.randn(1, 4, 8, dtype=torch.float64, generator=generator, requires_grad=True)
+    directions = torch.randn(6, 3, dtype=torch.float64, generator=generator, requires_grad=True)
+    assert torch.autograd.gradcheck(grid.sample, (image, directions))
+
+
+def test_grids_share_one_interface() -> None:
+    for grid in (Equirectangular(4, 8), Icosphere(1)):
+        assert isinstance(grid, SphereGrid)
+        assert grid.directions.shape == (*grid.shape, 3)
+        assert grid.solid_angles.shape == grid.shape
+        assert grid.state_dict() == {}
+
+
+def test_errors_name_the_argument() -> None:
+    with pytest.raises(ArgumentError, match="width: expected a positive number of pixels, got 0"):
+        Equirectangular(4, 0)
+    with pytest.raises(ShapeError, match=r"values: expected shape \(\*b, c, 4, 8\), got \(3, 8, 4\)"):
+        Equirectangular(4, 8).sample(torch.zeros(3, 8, 4), torch.ones(2, 3))

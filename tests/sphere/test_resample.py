@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Resampling between icosphere, panorama and camera: identity, rotation, convergence, masks."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.sphere import Equirectangular, Icosphere, resample, resample_mask
+
+FISHEYE = FisheyeCamera.from_field_of_view((96, 128), math.radians(200))
+
+
+def smooth(d: Tensor) -> Tensor:
+    return torch.sin(2 * d[..., 0] + 0.5) * d[..., 1] + d[..., 2].square()
+
+
+def rotation_about_up(angle: float) -> Tensor:
+    """Turn about -y so that longitude grows: forward (+z) goes towards the right (+x)."""
+    c, s = math.cos(angle), math.sin(angle)
+    return torch.tensor([[c, 0, s], [0, 1, 0], [-s, 0, c]], dtype=torch.float64)
+
+
+@pytest.mark.parametrize("mode", ["bilinear", "nearest"])
+@pytest.mark.parametrize(
+    "grid", [Icosphere(3, dtype=torch.float64), Equirectangular(8, 16, dtype=torch.float64)]
+)
+def test_onto_itself_is_the_identity(grid: Icosphere | Equirectangular, mode: str) -> None:
+    values = torch.randn(2, 3, *grid.shape, dtype=torch.float64)
+    torch.testing.assert_close(resample(values, grid, grid, mode=mode), values, rtol=0, atol=1e-12)
+
+
+def test_camera_onto_itself_is_the_identity_in_view() -> None:
+    image = torch.rand(3, 96, 128, dtype=torch.float64)
+    camera = FISHEYE.to(torch.float64)
+    seen = resample_mask(camera, camera)
+    for mode in ("bilinear", "nearest"):
+        result = resample(image, camera, camera, mode=mode, fill=-1.0)
+        torch.testing.assert_close(result[:, seen], image[:, seen], rtol=0, atol=1e-9)
+        assert (result[:, ~seen] == -1).all()
+    assert 0.4 < seen.double().mean() < 0.7  # a circle of diameter 96 in 96 x 128
+
+
+@pytest.mark.parametrize("shift", [1, 5, -3])
+def test_convention_rotation_turns_the_content(shift: int) -> None:
+    """rotation is target_from_source: by whole columns to the right, a panorama rolls to the right."""
+    grid = Equirectangular(8, 16, dtype=torch.float64)
+    image = torch.rand(3, 8, 16, dtype=torch.float64)
+    turned = resample(image, grid, grid, rotation_about_up(shift * 2 * math.pi / 16))
+    torch.testing.assert_close(turned, image.roll(shift, -1), rtol=0, atol=1e-12)
+
+
+def test_rotation_of_an_icosphere_agrees_with_its_function() -> None:
+    ico = Icosphere(5, dtype=torch.float64)
+    rotation, _ = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(0)).double())
+    rotation = rotation * torch.linalg.det(rotation)
+    values = resample(smooth(ico.vertices)[None], ico, ico, rotation)[0]
+    torch.testing.assert_close(values, smooth(ico.vertices @ rotation), rtol=0, atol=2e-3)
+
+
+def test_every_pair_converges() -> None:
+    """From each kind of surface to each other, a smooth function stays itself up to the grids' second order."""
+    surfaces = {
+        "icosphere": Icosphere(6, dtype=torch.float64),
+        "panorama": Equirectangular(128, 256, dtype=torch.float64),
+        "camera": FISHEYE.to(torch.float64),
+    }
+
+    def directions(name: str) -> Tensor:
+        if name == "camera":
+            camera = surfaces[name]
+            return camera.unproject(camera.pixel_grid().flatten(0, 1)).directions.unflatten(0, (96, 128))
+        return surfaces[name].directions
+
+    rotation = rotation_about_up(0.3)
+    for source in surfaces:
+        for target in surfaces:
+            values = smooth(directions(source))[None]
+            result = resample(values, surfaces[source], surfaces[target], rotation)[0]
+            mask = resample_mask(surfaces[source], surfaces[target], rotation)
+            expected = smooth(directions(target) @ rotation)
+            if source == "camera":  # interpolation at the rim mixes pixels beyond the field of view
+                mask = mask & ((directions(target) @ rotation)[..., 2] > 0)
+            assert mask.any()
+            assert (result - expected)[mask].abs().max() < 5e-3, (source, target)
+
+
+def test_panorama_camera_and_grid_are_one() -> None:
+    grid, camera = Equirectangular(16, 32), EquirectangularCamera((16, 32))
+    ico = Icosphere(3)
+    image = torch.rand(3, 16, 32)
+    torch.testing.assert_close(resample(image, grid, ico), resample(image, camera, ico), rtol=0, atol=1e-5)
+    values = torch.rand(3, 642)
+    torch.testing.assert_close(resample(values, ico, grid), resample(values, ico, camera), rtol=0, atol=1e-4)
+
+
+def test_nearest_keeps_labels() -> None:
+    ico, grid = Icosphere(3), Equirectangular(16, 32)
+    labels = torch.randint(100, 200, (1, 642))
+    result = resample(labels, ico, grid, mode="nearest")
+    assert result.dtype == torch.int64
+    brute_force = (grid.directions.reshape(-1, 3).double() @ ico.vertices.double().T).argmax(-1)
+    assert (result.flatten() == labels[0, brute_force]).double().mean() > 0.999
+
+
+def test_gradients() -> None:
+    ico, grid = Icosphere(1, dtype=torch.float64), Equirectangular(3, 4, dtype=torch.float64)
+    values = torch.rand(1, 42, dtype=torch.float64, requires_grad=True)
+    rotation, _ = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(3)).double())
+    rotation.requires_grad_()
+    assert torch.autograd.gradcheck(lambda v, r: resample(v, ico, grid, r), (values, rotation))
+    assert torch.autograd.gradcheck(
+        lambda v, r: resample(v.view(1, 6, 7), Equirectangular(6, 7), ico, r), (values, rotation)
+    )
+
+
+def test_golden_panorama(golden: Path) -> None:
+    """Level 3 to 30 x 60: the same where the reference uses the containing face, near it elsewhere."""
+    numbers = np.load(golden / "image_io.npz")
+    ico, grid = Icosphere(3, dtype=torch.float64), Equirectangular(30, 60, dtype=torch.float64)
+    values = torch.from_numpy(numbers["erp_in"]).double()[None, ico.subdivision_order]
+    expected = torch.from_numpy(numbers["erp_out"]).double()
+    difference = (resample(values, ico, grid)[0] - expected).abs()
+    assert difference.median() < 2e-3
+
+    structured = ico.subdivision_order.argsort()[torch.from_numpy(numbers["erp_ids"]).long().T]
+    weights = torch.from_numpy(numbers["erp_w"]).double().T
+    faces = {tuple(face) for face in ico.faces.sort().values.tolist()}
+    is_face = torch.tensor([tuple(ids) in faces for ids in structured.sort().values.tolist()])
+    contained = is_face & (weights.amin(-1) > 0)
+    assert contained.double().mean() > 0.8
+    meant = (ico.vertices[structured] * weights[..., None]).sum(1)
+    towards = torch.nn.functional.normalize(meant, dim=-1)
+    assert (towards - grid.directions.view(-1, 3)).norm(dim=-1)[contained].max() < 0.02
+    torch.testing.assert_close(
+        ico.sample(values, meant[contained])[0], expected.flatten()[contained], rtol=0, atol=1e-5
+    )
+
+
+def test_errors_name_the_argument() -> None:
+    ico, grid = Icosphere(1), Equirectangular(4, 8)
+    with pytest.raises(ShapeError, match=r"values: expected shape \(\*b, c, 42\)"):
+        resample(torch.zeros(1, 43), ico, grid)
+    with pytest.raises(ArgumentError, match=r"target: expected a SphereGrid .* or a Camera, got str"):
+        resample(torch.zeros(1, 42), ico, "panorama")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="mode: expected one of 'bilinear', 'nearest'"):
+        resample(torch.zeros(1, 42), ico, grid, mode="cubic")
+    with pytest.raises(ShapeError, match=r"rotation: expected shape \(3, 3\)"):
+        resample(torch.zeros(1, 42), ico, grid, torch.eye(4))

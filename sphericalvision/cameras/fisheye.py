@@ -39,15 +39,19 @@ _WIDEST = {
 }
 
 
-def _length_plus_z(points: Tensor) -> tuple[Tensor, Tensor]:
-    """|p| and |p| + z, the latter without cancellation behind the camera; 1 for the backward axis and the centre."""
+def _length_plus_z(points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """|p| and |p| + z, the latter without cancellation behind the camera, and whether it is clearly above 0.
+
+    It is not on the backward axis and at the camera's centre, where 1 stands in for it.
+    """
     squared = points[..., 0] ** 2 + points[..., 1] ** 2
     z = points[..., 2]
     centre = (squared == 0) & (z == 0)
     length = torch.sqrt(torch.where(centre, 1.0, squared + z * z))
     front = z > 0
     total = torch.where(front, length + z, squared / torch.where(front, 1.0, length - z))
-    return length, torch.where(total > 0, total, 1.0)
+    clear = ~centre & (total > torch.finfo(points.dtype).eps ** 2 * length)
+    return length, torch.where(clear, total, 1.0), clear
 
 
 def project_fisheye(
@@ -76,7 +80,7 @@ def project_fisheye(
     """
     check_choice("projection", projection, FISHEYE_PROJECTIONS)
     check_last_dim("points", points, 3)
-    length, length_plus_z = _length_plus_z(points)
+    length, length_plus_z, valid = _length_plus_z(points)
     if projection == "equidistant":
         scale = angle_over_radius(points)
     elif projection == "equisolid":
@@ -85,11 +89,8 @@ def project_fisheye(
         scale = 2 / length_plus_z
     else:
         scale = 1 / length
-    valid = (
-        points[..., 2] >= 0
-        if projection == "orthographic"
-        else (points[..., :2] != 0).any(-1) | (points[..., 2] > 0)
-    )
+    if projection == "orthographic":
+        valid = valid & (points[..., 2] >= 0)
     return Projection(points[..., :2] * scale.unsqueeze(-1) * focal_length + principal_point, valid)
 
 

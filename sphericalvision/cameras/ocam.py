@@ -40,7 +40,7 @@ def _scale_by_inverse_polynomial(points: Tensor, inverse_polynomial: Tensor) -> 
     """Image radius over ``hypot(x, y)`` from the polynomial in the angle from the image plane, and validity."""
     x, y, z = points.unbind(-1)
     radius = safe_hypot(x, y)
-    on_axis = radius <= torch.finfo(points.dtype).tiny
+    on_axis = radius <= torch.finfo(points.dtype).eps * z.abs()
     angle = torch.atan2(-z, radius)
     image_radius, slope = polynomial(inverse_polynomial, angle)
     forward = torch.where(on_axis & (z > 0), z, 1.0)

@@ -55,7 +55,9 @@ def normalize(vectors: Tensor) -> Tensor:
         [0.0, 0.0, 1.0]
     """
     check_last_dim("vectors", vectors, 3)
-    return torch.nn.functional.normalize(vectors, dim=-1, eps=torch.finfo(vectors.dtype).tiny)
+    largest = vectors.detach().abs().amax(dim=-1, keepdim=True)  # so that squares neither overflow nor vanish
+    scaled = vectors / torch.where(largest > 0, largest, 1.0)
+    return torch.nn.functional.normalize(scaled, dim=-1)
 
 
 def angle_from_axis(points: Tensor) -> Tensor:

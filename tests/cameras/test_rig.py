@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigs: poses, order, tilts, batches and images looked up in the world."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig, DoubleSphereCamera, FisheyeCamera, ring_rig
+from sphericalvision.geometry import transform_from_axis_angle
+
+UP, DOWN, FORWARD, RIGHT = (torch.tensor(d) for d in ([0.0, -1, 0], [0.0, 1, 0], [0.0, 0, 1], [1.0, 0, 0]))
+
+
+def small_ring(**kwargs: object) -> CameraRig:
+    return ring_rig(4, image_size=(64, 64), **kwargs)
+
+
+def test_ring_faces_front_right_back_left_from_its_circle() -> None:
+    rig = small_ring(radius=0.3)
+    expected = torch.stack((FORWARD, RIGHT, -FORWARD, -RIGHT))
+    torch.testing.assert_close(rig.axes, expected)
+    torch.testing.assert_close(rig.world_from_camera[:, :3, 3], 0.3 * expected)
+    torch.testing.assert_close(rig.world_from_camera[:, :3, 1], DOWN.expand(4, 3))  # every image is upright
+    torch.testing.assert_close(rig.center, torch.zeros(3))
+    torch.testing.assert_close(rig.max_angles, torch.full((4,), math.radians(110)))
+
+
+def test_tilt_looks_down_by_the_angle_and_moves_nothing() -> None:
+    rig = small_ring()
+    tilt = math.radians(30)
+    tilted = rig.rotated(tilt=tilt)
+    torch.testing.assert_close(tilted.axes, math.cos(tilt) * rig.axes + math.sin(tilt) * DOWN)
+    torch.testing.assert_close(tilted.world_from_camera[:, :3, 3], rig.world_from_camera[:, :3, 3])
+    torch.testing.assert_close(
+        tilted.world_from_camera[:, :3, 0], rig.world_from_camera[:, :3, 0]
+    )  # its own x axis
+    back = tilted.rotated(tilt=torch.full((4,), -tilt))
+    torch.testing.assert_close(back.world_from_camera, rig.world_from_camera)
+
+
+def test_rotation_turns_the_whole_rig() -> None:
+    rig = small_ring()
+    quarter = transform_from_axis_angle(torch.tensor([0.0, math.pi / 2, 0.0]), torch.zeros(3))[:3, :3]
+    turned = rig.rotated(rotation=quarter)
+    torch.testing.assert_close(turned.world_from_camera, rig.permuted([1, 2, 3, 0]).world_from_camera)
+    with pytest.raises(ValueError, match="rotation="):
+        rig.rotated(quarter)
+
+
+def test_subset_and_permutation_keep_names_poses_and_masks_together() -> None:
+    rig = small_ring()
+    mask = torch.ones(64, 64, dtype=torch.bool)
+    rig = CameraRig(rig.cameras, rig.world_from_camera, {"cam3": mask})
+    chosen = rig.subset(["cam3", 1])
+    assert chosen.names == ["cam3", "cam2"]
+    assert list(chosen.masks) == ["cam3"]
+    torch.testing.assert_close(chosen.axes, torch.stack((-FORWARD, RIGHT)))
+    with pytest.raises(ValueError, match=r"cam1, cam2, cam3, cam4.*got 'front'"):
+        rig.subset(["front"])
+    with pytest.raises(ValueError, match="permutation of 0 to 3"):
+        rig.permuted([0, 1, 2, 2])
+
+
+def test_stack_shares_what_is_equal_and_select_undoes_it() -> None:
+    first = small_ring()
+    wider = FisheyeCamera.from_field_of_view((64, 64), math.radians(230))
+    second = CameraRig({**first.cameras, "cam2": wider}, first.rotated(tilt=0.2).world_from_camera)
+    batch = CameraRig.stack([first, second])
+    assert batch.world_from_camera.shape == (2, 4, 4, 4)
+    assert batch.cameras["cam1"].batch_shape == ()
+    assert batch.cameras["cam2"].batch_shape == (2,)
+    assert batch.center.shape == (2, 3)
+    assert batch.axes.shape == (2, 4, 3)
+    torch.testing.assert_close(batch.max_angles[:, 1], torch.tensor([110.0, 115.0]).deg2rad())
+    for index, rig in enumerate((first, second)):
+        again = batch.select(index)
+        torch.testing.assert_close(again.world_from_camera, rig.world_from_camera)
+        assert all(again.cameras[name].equals(camera) for name, camera in rig.cameras.items())
+
+
+def test_stack_of_different_models_is_refused() -> None:
+    rig = small_ring()
+    other = DoubleSphereCamera([30.0, 30.0], [31.5, 31.5], -0.2, 0.6, (64, 64), 1.8)
+    with pytest.raises(ValueError, match="cam1 cannot be stacked"):
+        CameraRig.stack([rig, CameraRig({**rig.cameras, "cam1": other}, rig.world_from_camera)])
+
+
+def test_stack_keeps_different_masks_apart() -> None:
+    rig = small_ring()
+    mask = torch.zeros(64, 64, dtype=torch.bool)
+    batch = CameraRig.stack([rig, CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})])
+    images = [torch.ones(2, 1, 64, 64)] * 4
+    _, valid = batch.sample_sphere(images, FORWARD[None])
+    assert valid[:, 0, 0].tolist() == [True, False]
+
+
+def panorama(directions: torch.Tensor) -> torch.Tensor:
+    """A smooth picture of the world at infinity, (*, 3) -> (*, 3)."""
+    return 0.5 + 0.3 * torch.sin(2 * directions + directions.roll(1, -1))
+
+
+def test_sample_sphere_shows_the_world_upright_whatever_the_pose() -> None:
+    """Each camera photographs the same distant world: in world directions all agree with it and with each other."""
+    directions = torch.nn.functional.normalize(
+        torch.randn(500, 3, generator=torch.Generator().manual_seed(3)), dim=-1
+    )
+    rig = ring_rig(4, image_size=(300, 320)).rotated(tilt=0.3)
+    images = {}
+    for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
+        seen = camera.unproject(camera.pixel_grid()).directions
+        images[name] = panorama(seen @ pose[:3, :3].T).movedim(-1, 0)
+    values, valid = rig.sample_sphere(images, directions)
+    assert values.shape == (4, 3, 500)
+    expected = panorama(directions).T.expand(4, 3, 500)
+    error = (values - expected).abs().amax(1)
+    assert error[valid].max() < 1e-3
+    assert (values.movedim(1, -1)[~valid] == 0.5).all()
+    angle = torch.arccos((directions @ rig.axes.T).clamp(-1, 1)).T
+    assert torch.equal(valid, angle <= math.radians(110))
+    assert torch.equal(rig.sample_sphere(list(images.values()), directions)[0], values)
+
+
+def test_sample_sphere_of_a_batch_equals_the_loop(generator: torch.Generator) -> None:
+    rigs = [small_ring(), small_ring().rotated(tilt=0.4)]
+    directions = torch.nn.functional.normalize(torch.randn(50, 3, generator=generator), dim=-1)
+    images = torch.rand(4, 2, 3, 64, 64, generator=generator)
+    values, valid = CameraRig.stack(rigs).sample_sphere(list(images), directions)
+    assert values.shape == (2, 4, 3, 50)
+    for index, rig in enumerate(rigs):
+        alone, seen = rig.sample_sphere(list(images[:, index]), directions)
+        torch.testing.assert_close(values[index], alone)
+        assert torch.equal(valid[index], seen)
+
+
+def test_antialias_averages_what_the_directions_cannot_show() -> None:
+    """A checkerboard of single pixels is grey from far away; without averaging it is black and white."""
+    rig = ring_rig(4, image_size=(800, 800))
+    v, u = torch.meshgrid(torch.arange(800), torch.arange(800), indexing="ij")
+    board = ((u + v) % 2).float()[None]
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.nn.functional.normalize(torch.randn(2000, 3, generator=generator), dim=-1)
+    plain, valid = rig.sample_sphere([board] * 4, directions)
+    smooth, same = rig.sample_sphere([board] * 4, directions, antialias=True)
+    assert torch.equal(valid, same)
+    assert plain[:, 0][valid].std() > 0.1
+    assert smooth[:, 0][valid].std() < 0.02
+    assert smooth[:, 0][valid].mean().item() == pytest.approx(0.5, abs=0.01)
+
+
+def test_masked_pixels_are_filled() -> None:
+    rig = small_ring()
+    mask = torch.ones(64, 64, dtype=torch.bool)
+    mask[:, 32:] = False  # the right half of the front camera
+    rig = CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})
+    sides = torch.tensor([[-0.5, 0.0, 1.0], [0.5, 0.0, 1.0]])
+    values, valid = rig.sample_sphere([torch.ones(1, 64, 64)] * 4, sides, fill=0.25)
+    assert valid[0].tolist() == [True, False]
+    torch.testing.assert_close(values[0, 0], torch.tensor([1.0, 0.25]))
+
+
+def test_wrong_images_are_refused_by_name() -> None:
+    rig = small_ring()
+    image = torch.zeros(3, 64, 64)
+    with pytest.raises(ValueError, match="expected 4, one for each camera, got 3"):
+        rig.sample_sphere([image] * 3, FORWARD[None])
+    with pytest.raises(ValueError, match=r"cam1, cam2, cam3, cam4, got a, b"):
+        rig.sample_sphere({"a": image, "b": image}, FORWARD[None])
+    with pytest.raises(ValueError, match=r"images\['cam1'\].*64, 64.*got \(3, 32, 64\)"):
+        rig.sample_sphere([torch.zeros(3, 32, 64)] * 4, FORWARD[None])
+
+
+def test_broken_poses_are_refused_by_name() -> None:
+    rig = small_ring()
+    poses = rig.world_from_camera.clone()
+    poses[2, 0, 3] = math.nan
+    with pytest.raises(ValueError, match="cam3 has NaN"):
+        CameraRig(rig.cameras, poses)
+    with pytest.raises(ValueError, match="orthonormal"):
+        CameraRig(rig.cameras, 2 * rig.world_from_camera)
+    with pytest.raises(ValueError, match=r"4 cameras, got \(3, 4, 4\)"):
+        CameraRig(rig.cameras, rig.world_from_camera[:3])
+
+
+def test_to_moves_everything() -> None:
+    rig = small_ring().to(torch.float64)
+    assert rig.world_from_camera.dtype == torch.float64
+    assert rig.cameras["cam1"].dtype == torch.float64
+    assert rig.to("cpu").center.dtype == torch.float64

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Directions and angles, against numpy in float64 and against finite differences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from sphericalvision.geometry import (
+    angle_from_axis,
+    angle_over_radius,
+    cosine_and_sinc,
+    directions_from_longitude_latitude,
+    longitude_latitude_from_directions,
+    normalize,
+    safe_hypot,
+    safe_sqrt,
+)
+
+
+def test_convention_axes() -> None:
+    """x right, y down, z forward; longitude grows to the right, latitude upwards."""
+    longitude = torch.tensor([0.0, math.pi / 2, 0.0], dtype=torch.float64)
+    latitude = torch.tensor([0.0, 0.0, math.pi / 2], dtype=torch.float64)
+    forward, right, up = directions_from_longitude_latitude(longitude, latitude)
+    torch.testing.assert_close(forward, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    torch.testing.assert_close(right, torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
+    torch.testing.assert_close(up, torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64))
+
+
+def test_convention_angle_from_axis_is_atan2() -> None:
+    """Small angles keep their digits in float32, where acos of the cosine would return 0."""
+    angles = torch.tensor([1e-12, 1e-7, 1e-4, 1e-2, 1.0, 3.0])
+    points = torch.stack((angles.sin(), torch.zeros(6), angles.cos()), -1)
+    torch.testing.assert_close(angle_from_axis(points), angles, rtol=1e-6, atol=0)
+    assert torch.acos(points[1, 2]) == 0
+    on_axis = torch.tensor([0.0, 0.0, 1.0], requires_grad=True)
+    (gradient,) = torch.autograd.grad(angle_from_axis(on_axis), on_axis)
+    assert torch.isfinite(gradient).all()
+
+
+def test_convention_angles_in_radians() -> None:
+    assert angle_from_axis(torch.tensor([0.0, 2.0, 0.0])).item() == pytest.approx(math.pi / 2)
+    longitude, _ = longitude_latitude_from_directions(torch.tensor([1.0, 0.0, 0.0]))
+    assert longitude.item() == pytest.approx(math.pi / 2)
+
+
+def test_longitude_and_latitude_survive_the_round_trip(generator: torch.Generator) -> None:
+    directions = normalize(torch.randn(500, 3, generator=generator, dtype=torch.float64))
+    again = directions_from_longitude_latitude(*longitude_latitude_from_directions(3 * directions))
+    torch.testing.assert_close(again, directions)
+
+
+def test_poles_have_longitude_zero_and_finite_gradients() -> None:
+    poles = torch.tensor([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0]], requires_grad=True)
+    longitude, latitude = longitude_latitude_from_directions(poles)
+    assert longitude.tolist() == [0, 0]
+    torch.testing.assert_close(latitude, torch.tensor([math.pi / 2, -math.pi / 2]))
+    (gradient,) = torch.autograd.grad((longitude + latitude).sum(), poles)
+    assert torch.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_angle_over_radius_against_numpy(dtype: torch.dtype) -> None:
+    ratio = np.concatenate([np.logspace(-30, 4, 400), -np.logspace(-2, 4, 100)])  # radius over z
+    z = np.sign(ratio)
+    points = torch.tensor(np.stack([np.abs(ratio) * 0.6, np.abs(ratio) * 0.8, z], -1), dtype=dtype)
+    exact = points.double().numpy()
+    radius = np.hypot(exact[:, 0], exact[:, 1])
+    expected = torch.tensor(np.arctan2(radius, exact[:, 2]) / radius)
+    eps = torch.finfo(dtype).eps
+    torch.testing.assert_close(angle_over_radius(points).double(), expected, rtol=20 * eps, atol=0)
+
+
+def test_angle_over_radius_has_right_first_and_second_derivatives_on_the_axis() -> None:
+    points = torch.tensor(
+        [[0.0, 0.0, 1.5], [1e-5, 0.0, 1.0], [0.3, 0.2, -0.1]], dtype=torch.float64, requires_grad=True
+    )
+    assert torch.autograd.gradcheck(angle_over_radius, points)
+    assert torch.autograd.gradgradcheck(angle_over_radius, points)
+
+
+def test_cosine_and_sinc_are_smooth_at_zero() -> None:
+    angle = torch.tensor([0.0, 1e-9, 1e-3, 0.1, 0.3, 2.0], dtype=torch.float64)
+    cosine, sinc = cosine_and_sinc(angle * angle)
+    torch.testing.assert_close(cosine, angle.cos(), rtol=1e-14, atol=0)
+    torch.testing.assert_close(sinc, torch.sinc(angle / math.pi), rtol=1e-14, atol=0)
+    squared = (angle * angle).requires_grad_()
+    assert torch.autograd.gradcheck(cosine_and_sinc, squared)
+    assert torch.autograd.gradgradcheck(cosine_and_sinc, squared)
+
+
+def test_safe_functions_have_finite_gradients_at_zero() -> None:
+    zero = torch.zeros(3, requires_grad=True)
+    for value in (safe_sqrt(zero), safe_hypot(zero, zero), normalize(zero)):
+        (gradient,) = torch.autograd.grad(value.sum(), zero)
+        assert value.tolist() == [0, 0, 0]
+        assert torch.isfinite(gradient).all()
+
+
+def test_wrong_shape_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="points"):
+        angle_from_axis(torch.zeros(3, 2))

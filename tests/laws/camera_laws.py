@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold for every camera model, written once.
+
+A law takes a camera and fails with an assertion. A new model is tested by one more entry in the table of
+``tests/cameras/test_camera_laws.py``.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import Camera
+
+INSIDE = 0.995  # of the field of view: laws on what a camera sees keep away from the very edge
+
+
+def directions_within(camera: Camera, count: int = 400, fraction: float = INSIDE) -> Tensor:
+    """Directions spread evenly over angle and azimuth out to ``fraction`` of the field of view, (count, 3)."""
+    steps = torch.arange(count, dtype=torch.float64)
+    angle = (steps + 0.5) / count * fraction * float(camera.max_angle)
+    azimuth = steps * math.pi * (3 - math.sqrt(5))
+    flat = torch.sin(angle)
+    points = torch.stack((flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.cos(angle)), -1)
+    return points.to(camera.dtype)
+
+
+def directions_seen(camera: Camera, count: int = 400) -> Tensor:
+    """Those of ``directions_within`` that fall on the image, at least a pixel from its border."""
+    points = directions_within(camera, count)
+    height, width = camera.image_size
+    u, v = camera.project(points).pixels.unbind(-1)
+    seen = points[(u > 0.5) & (u < width - 1.5) & (v > 0.5) & (v < height - 1.5)]
+    assert len(seen) > count // 4, "the camera of this test should see a good part of its field of view"
+    return seen
+
+
+def pixels_seen(camera: Camera, count: int = 400) -> Tensor:
+    """Pixels at random places of the image that look within the field of view, (n, 2)."""
+    generator = torch.Generator().manual_seed(1)
+    height, width = camera.image_size
+    size = torch.tensor([width - 1.0, height - 1.0], dtype=torch.float64)
+    pixels = (torch.rand(count, 2, generator=generator, dtype=torch.float64) * size).to(camera.dtype)
+    directions, valid = camera.unproject(pixels)
+    inside = angle_between(directions, directions.new_tensor([0.0, 0.0, 1.0])) < INSIDE * camera.max_angle
+    assert (valid & inside).sum() > count // 4
+    return pixels[valid & inside]
+
+
+def angle_between(a: Tensor, b: Tensor) -> Tensor:
+    """Angle in radians, exact for small ones too."""
+    a, b = torch.broadcast_tensors(a.double(), b.double())
+    return torch.atan2(torch.linalg.cross(a, b).norm(dim=-1), (a * b).sum(-1))
+
+
+def pixel_precision(camera: Camera) -> float:
+    """A few units in the last place of the largest pixel coordinate."""
+    return 64 * torch.finfo(camera.dtype).eps * max(camera.image_size)
+
+
+def law_unproject_undoes_project(camera: Camera, tolerance: float) -> None:
+    """Round trip from directions; ``tolerance`` in pixels is turned into an angle."""
+    directions = directions_seen(camera)
+    pixels, valid = camera.project(directions)
+    back, back_valid = camera.unproject(pixels)
+    assert valid.all()
+    assert back_valid.all(), "what a camera sees, it looks at"
+    neighbour = camera.unproject(pixels + 0.25).directions  # how far a quarter of a diagonal pixel is, here
+    allowed = tolerance * angle_between(back, neighbour) / 0.25 + 16 * torch.finfo(camera.dtype).eps
+    assert (angle_between(directions, back) <= allowed).all()
+
+
+def law_project_undoes_unproject(camera: Camera, tolerance: float) -> None:
+    """Round trip from pixels."""
+    pixels = pixels_seen(camera)
+    directions, valid = camera.unproject(pixels)
+    back, back_valid = camera.project(directions)
+    assert valid.all()
+    assert back_valid.all(), "what a camera looks at, it sees"
+    torch.testing.assert_close(back, pixels, atol=tolerance, rtol=0)
+
+
+def law_directions_are_unit(camera: Camera) -> None:
+    """Also of pixels outside of the image."""
+    pixels = torch.cat((camera.pixel_grid()[::7, ::7].reshape(-1, 2), pixels_outside(camera)))
+    length = camera.unproject(pixels).directions.norm(dim=-1)
+    torch.testing.assert_close(length, torch.ones_like(length))
+
+
+def law_length_does_not_matter(camera: Camera, tolerance: float) -> None:
+    """A point at any distance on a ray has the ray's pixel and validity."""
+    directions = directions_within(camera, fraction=0.98)
+    near, near_valid = camera.project(directions)
+    for distance in (1e-3, 7.0, 1e4):
+        far, far_valid = camera.project(distance * directions)
+        torch.testing.assert_close(far, near, atol=tolerance, rtol=0)
+        assert (far_valid == near_valid).float().mean() > 0.99  # rounding may flip a point on the border
+
+
+def pixels_outside(camera: Camera) -> Tensor:
+    """Pixels beyond each border and each corner, near and far, (n, 2)."""
+    height, width = camera.image_size
+    beyond = [-1e4, -1.0, width / 2, width + 1.0, 1e4], [-1e4, -1.0, height / 2, height + 1.0, 1e4]
+    places = [(u, v) for u in beyond[0] for v in beyond[1] if not (0 < u < width and 0 < v < height)]
+    return torch.tensor(places, dtype=camera.dtype)
+
+
+def law_outside_is_invalid_and_finite(camera: Camera) -> None:
+    """The camera's own centre, points beyond the field of view and pixels beyond the image."""
+    edge = float(camera.max_angle)
+    angles = torch.linspace(min(edge * 1.02, math.pi), math.pi, 20, dtype=torch.float64)
+    points = torch.stack((angles.sin(), torch.zeros_like(angles), angles.cos()), -1).to(camera.dtype)
+    if edge < math.pi:
+        pixels, valid = camera.project(torch.cat((points, points[:, [1, 0, 2]], -points[:, [1, 0, 2]].abs())))
+        assert not valid[: len(points)].any()
+        assert not valid[len(points) : 2 * len(points)].any()
+        assert pixels.isfinite().all()
+    pixels, valid = camera.project(torch.zeros(1, 3, dtype=camera.dtype))
+    assert not valid.any()
+    assert pixels.isfinite().all()
+    directions, valid = camera.unproject(pixels_outside(camera))
+    assert not valid.any()
+    assert directions.isfinite().all()
+
+
+def special_points(camera: Camera) -> Tensor:
+    """On and all but on the axis, at 90°, at the edge and beyond, behind, and the camera's centre."""
+    edge = float(camera.max_angle)
+    tiny = 1e-10 if camera.dtype == torch.float64 else 1e-6
+    angles = [0.0, tiny, 1e-3, math.pi / 2, edge * 0.999, edge, min(edge * 1.001, math.pi), 3.0, math.pi]
+    points = [
+        [math.sin(a) * math.cos(t), math.sin(a) * math.sin(t), math.cos(a)] for a in angles for t in (0, 1)
+    ]
+    points += [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    return torch.tensor(points, dtype=camera.dtype)
+
+
+def special_pixels(camera: Camera) -> Tensor:
+    """The principal point, corners, and pixels outside of the image."""
+    height, width = camera.image_size
+    corners = [(u, v) for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)]
+    center = getattr(camera, "principal_point", torch.tensor([(width - 1) / 2, (height - 1) / 2]))
+    near = torch.tensor([[0.0, 0.0], [1e-7, 0.0], [1e-3, 1e-3]], dtype=camera.dtype)
+    return torch.cat((center.to(camera.dtype) + near, near.new_tensor(corners), pixels_outside(camera)))
+
+
+def law_gradients_are_finite(camera: Camera) -> None:
+    """With respect to points, pixels and intrinsics, also where the answer is not valid."""
+    for name, values in (("project", special_points(camera)), ("unproject", special_pixels(camera))):
+        differentiable, leaves = with_gradients(camera)
+        values = values.requires_grad_()
+        result = getattr(differentiable, name)(values)[0]
+        weights = torch.linspace(0.5, 1.5, result.numel(), dtype=result.dtype).reshape(result.shape)
+        gradients = torch.autograd.grad((result * weights).sum(), [values, *leaves], allow_unused=True)
+        for label, gradient in zip([name, *camera.intrinsic_names], gradients, strict=False):
+            assert gradient is None or gradient.isfinite().all(), f"{name}: gradient of {label}"
+
+
+def with_gradients(camera: Camera) -> tuple[Camera, list[Tensor]]:
+    """The camera with intrinsics that require gradients, and these."""
+    names = [name for name in camera.intrinsic_names if getattr(camera, name) is not None]
+    leaves = [getattr(camera, name).detach().clone().requires_grad_() for name in names]
+    return replaced(camera, names, leaves), leaves
+
+
+def replaced(camera: Camera, names: list[str], values: list[Tensor]) -> Camera:
+    """A copy of the camera with other intrinsics."""
+    camera = copy.copy(camera)
+    for name, value in zip(names, values, strict=True):
+        setattr(camera, name, value)
+    return camera
+
+
+def law_gradients_are_right(camera: Camera) -> None:
+    """Finite differences in float64 with respect to points, pixels and intrinsics, on the axis too."""
+    camera = camera.to(torch.float64)
+    names = [name for name in camera.intrinsic_names if getattr(camera, name) is not None]
+    tensors = [getattr(camera, name).detach() for name in names]
+    scales = [
+        torch.where(tensor == 0, 1.0, tensor.abs()) for tensor in tensors
+    ]  # powers of pixels differ vastly
+    changes = [torch.zeros_like(tensor, requires_grad=True) for tensor in tensors]
+    seen = directions_seen(camera)
+    axis = seen.new_tensor([[0.0, 0.0, 1.0], [0.0, 0.0, 2.5]])
+    points = torch.cat((axis, seen[:: len(seen) // 5])).requires_grad_()
+    pixels = camera.project(points.detach()).pixels.requires_grad_()
+    for name, values in (("project", points), ("unproject", pixels)):
+
+        def call(values: Tensor, *changes: Tensor, name: str = name) -> Tensor:
+            changed = [t + c * s for t, c, s in zip(tensors, changes, scales, strict=True)]
+            return getattr(replaced(camera, names, changed), name)(values)[0]
+
+        assert torch.autograd.gradcheck(call, (values, *changes), eps=1e-6, atol=2e-4, rtol=1e-4)
+
+
+def law_batch_equals_loop(camera: Camera, other: Camera) -> None:
+    """A batch of cameras answers as its members do, with points of their own."""
+    batch = type(camera).stack([camera, other, camera])
+    points = directions_within(camera, 90).reshape(3, 5, 6, 3)
+    pixels = camera.pixel_grid()[::9, ::9][:6, :5].expand(3, -1, -1, 2) + 0.25
+    for name, values in (("project", points), ("unproject", pixels)):
+        answer, valid = getattr(batch, name)(values)
+        for index in range(3):
+            one, one_valid = getattr(batch.select(index), name)(values[index])
+            torch.testing.assert_close(answer[index], one, atol=pixel_precision(camera), rtol=0)
+            assert torch.equal(valid[index], one_valid)
+    assert torch.equal(batch.select(1).max_angle, other.max_angle)
+
+
+def law_sampling_reads_the_projection(camera: Camera) -> None:
+    """An image that holds its own pixel coordinates gives them back at the projected places."""
+    points = directions_seen(camera)
+    image = camera.pixel_grid().movedim(-1, 0)
+    values, valid = camera.sample(image, points)
+    assert valid.all()
+    tolerance = 2 * pixel_precision(camera) + 1e-4 * (camera.dtype == torch.float32)
+    torch.testing.assert_close(values.mT, camera.project(points).pixels, atol=tolerance, rtol=0)

@@ -73,13 +73,7 @@ class Camera(ABC):
         for name, value in intrinsics.items():
             tensor = None if value is None else torch.as_tensor(value, dtype=like.dtype, device=like.device)
             setattr(self, name, tensor)
-        angle = torch.as_tensor(max_angle, dtype=like.dtype, device=like.device)
-        if not bool(((angle > 0) & (angle <= torch.pi + 1e-6)).all()):
-            raise ArgumentError(
-                f"max_angle: expected radians from the optical axis in (0, π], got {max_angle}; it is half the field "
-                "of view, e.g. math.radians(110) for a lens of 220°"
-            )
-        self.max_angle = angle
+        self.max_angle = _checked_angle(max_angle, like)
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -168,8 +162,7 @@ class Camera(ABC):
     def with_max_angle(self: AnyCamera, max_angle: float | Tensor) -> AnyCamera:
         """The same camera with another limit of its field of view, in radians from the optical axis."""
         changed = copy.copy(self)
-        angle = torch.as_tensor(max_angle, dtype=self.dtype, device=self.device)
-        changed.max_angle = angle.expand(self.batch_shape)
+        changed.max_angle = _checked_angle(max_angle, self.max_angle).expand(self.batch_shape)
         return changed
 
     def select(self: AnyCamera, index: int) -> AnyCamera:
@@ -253,3 +246,13 @@ class Camera(ABC):
         for name in self._tensor_names():
             setattr(mapped, name, function(getattr(self, name)))
         return mapped
+
+
+def _checked_angle(max_angle: float | Tensor, like: Tensor) -> Tensor:
+    angle = torch.as_tensor(max_angle, dtype=like.dtype, device=like.device)
+    if not bool(((angle > 0) & (angle <= torch.pi + 1e-6)).all()):
+        raise ArgumentError(
+            f"max_angle: expected radians from the optical axis in (0, π], got {max_angle}; it is half the field of "
+            "view, e.g. math.radians(110) for a lens of 220°"
+        )
+    return angle

@@ -112,7 +112,7 @@ def check_radius(rig: CameraRig, path: Path) -> CameraRig:
         if not 0.005 <= radius <= 5.0:
             warnings.warn(
                 f"{path}: the cameras are {radius:.4g} m from their centre on average, which is implausible for a rig "
-                "(expected 5 mm to 5 m); check the unit of the translations (translation_unit) ",
+                "(expected 5 mm to 5 m); check the unit of the translations (translation_unit)",
                 stacklevel=3,
             )
     return rig

@@ -1,0 +1,391 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readers of calibrations: small files of every format, and what is said about broken ones."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from sphericalvision.cameras import (
+    CameraRig,
+    DoubleSphereCamera,
+    EquirectangularCamera,
+    FisheyeCamera,
+    KannalaBrandtCamera,
+    OCamCamera,
+    PinholeCamera,
+    read_camera,
+    read_rig,
+    ring_rig,
+    write_camera,
+)
+from sphericalvision.core import SphericalVisionError
+
+OCAM = """#polynomial coefficients for the DIRECT mapping function
+
+3 -1.000000e+02 0.0 2.500000e-03
+
+#polynomial coefficients for the inverse mapping function
+
+2 157.07963 100.0
+
+#center: "row" and "column", starting from 0 (C convention)
+
+119.5 160.25
+
+#affine parameters "c", "d", "e"
+
+1.0 0.0 0.0
+
+#image size: "height" and "width"
+
+240 320
+"""
+POSES_CM = """0 0 0 0 0 0
+0 1.5707963 0 20 0 -20
+0 3.1415927 0 0 0 -40
+0 -1.5707963 0 -20 0 -20
+"""
+
+
+def write_folder(folder: Path, poses: str = POSES_CM, cameras: int = 4) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "poses.txt").write_text(poses)
+    for number in range(1, cameras + 1):
+        (folder / f"ocam{number}.txt").write_text(OCAM)
+    return folder
+
+
+def omnimvs(**changes: Any) -> dict[str, Any]:
+    camera = {
+        "cam_id": 1,
+        "img_dir": "cam1",
+        "model": "ocam",
+        "poly": [3, -100.0, 0.0, 0.0025],
+        "inv_poly": [2.0, 157.07963, 100.0],
+        "center": [119.5, 160.25],
+        "affine": [1.0, 0.0, 0.0],
+        "image_size": [240, 320],
+        "invalid_mask": "mask1.png",
+        "pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.2],
+        "max_fov": 190.0,
+    }
+    other = {
+        **camera,
+        "cam_id": 2,
+        "pose": [0.0, math.pi / 2, 0.0, 0.2, 0.0, 0.0],
+        "invalid_mask": "mask2.png",
+    }
+    return {"config": {"omnimvs_sweep_min_depth": 0.5}, "cameras": [{**camera, **changes}, other]}
+
+
+def basalt(**changes: Any) -> dict[str, Any]:
+    ds = {"fx": 40.0, "fy": 40.0, "cx": 79.5, "cy": 63.5, "xi": -0.2, "alpha": 0.6}
+    kb4 = {"fx": 50.0, "fy": 51.0, "cx": 80.0, "cy": 64.0, "k1": -0.01, "k2": 0.02, "k3": -0.01, "k4": 0.001}
+    half = math.sqrt(0.5)
+    front = {"px": 0.0, "py": 0.0, "pz": 0.1, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
+    right = {"px": 0.1, "py": 0.0, "pz": 0.0, "qx": 0.0, "qy": half, "qz": 0.0, "qw": half}
+    value0 = {
+        "T_imu_cam": [front, right],
+        "intrinsics": [
+            {"camera_type": "ds", "intrinsics": ds},
+            {"camera_type": "kb4", "intrinsics": kb4},
+        ],
+        "resolution": [[160, 128], [160, 128]],
+    }
+    return {"value0": {**value0, **changes}}
+
+
+def dump(path: Path, content: Any) -> Path:
+    path.write_text(json.dumps(content) if path.suffix == ".json" else yaml.safe_dump(content))
+    return path
+
+
+def test_ocam_text(tmp_path: Path) -> None:
+    path = tmp_path / "lens.txt"
+    path.write_text(OCAM)
+    camera = read_camera(path, dtype=torch.float64)
+    assert isinstance(camera, OCamCamera)
+    assert camera.polynomial.tolist() == [-100.0, 0.0, 0.0025]
+    assert camera.inverse_polynomial is not None
+    assert camera.inverse_polynomial.tolist() == [157.07963, 100.0]
+    assert camera.principal_point.tolist() == [160.25, 119.5]
+    assert camera.image_size == (240, 320)
+    corner = camera.unproject(
+        torch.tensor([0.0, 0.0], dtype=torch.float64)
+    ).directions  # the farthest pixel centre
+    assert camera.max_angle.item() == pytest.approx(math.acos(corner[2]))
+    assert read_camera(path, max_angle=1.2).max_angle.item() == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("cm", 0.2), ("m", 20.0), ("mm", 0.02)])
+def test_folder_of_ocam_files(tmp_path: Path, unit: str, metres: float) -> None:
+    folder = write_folder(tmp_path / "set")
+    if unit == "m":
+        with pytest.warns(UserWarning, match=r"poses.txt.*20 m from their centre.*translation_unit"):
+            rig = read_rig(folder, translation_unit=unit)
+    else:
+        rig = read_rig(folder, translation_unit=unit)
+    assert rig.names == ["cam1", "cam2", "cam3", "cam4"]
+    assert rig.radius.item() == pytest.approx(metres)
+    axes = torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0]])  # front, right, back, left
+    torch.testing.assert_close(rig.axes, axes, rtol=0, atol=1e-6)
+    torch.testing.assert_close(rig.center, torch.tensor([0.0, 0.0, -metres]))
+    torch.testing.assert_close(rig.max_angles, torch.full((4,), math.radians(110)))
+    assert torch.equal(read_rig(folder / "poses.txt", translation_unit="mm").axes, rig.axes)
+
+
+def test_files_are_ordered_by_number(tmp_path: Path) -> None:
+    poses = "".join(f"0 0 0 {index} 0 0\n" for index in range(1, 12))
+    rig = read_rig(write_folder(tmp_path / "set", poses, cameras=11), translation_unit="cm")
+    assert rig.names == [f"cam{number}" for number in range(1, 12)]
+
+
+def test_omnimvs_config(tmp_path: Path) -> None:
+    rig = read_rig(dump(tmp_path / "config.yaml", omnimvs()))
+    assert rig.names == ["cam1", "cam2"]
+    assert rig.cameras["cam1"].image_size == (240, 320)
+    torch.testing.assert_close(rig.cameras["cam1"].principal_point, torch.tensor([160.25, 119.5]))
+    torch.testing.assert_close(rig.max_angles, torch.full((2,), math.radians(95)))
+    torch.testing.assert_close(rig.world_from_camera[:, :3, 3], torch.tensor([[0.0, 0, 0.2], [0.2, 0, 0]]))
+    torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0]), rtol=0, atol=1e-6)
+    assert not rig.masks
+    assert read_rig(tmp_path).names == rig.names  # its folder
+
+
+def test_omnimvs_invalid_mask_is_white_where_a_pixel_must_not_be_used(tmp_path: Path) -> None:
+    pixels = np.zeros((240, 320), np.uint8)
+    pixels[:, :100] = 255
+    cv2.imwrite(str(tmp_path / "mask2.png"), pixels)
+    rig = read_rig(dump(tmp_path / "config.yaml", omnimvs()))
+    assert list(rig.masks) == ["cam2"]
+    assert torch.equal(rig.masks["cam2"], torch.from_numpy(pixels == 0))
+
+
+def test_omnimvs_without_inverse_polynomial_inverts_exactly(tmp_path: Path) -> None:
+    rig = read_rig(dump(tmp_path / "config.yaml", omnimvs(inv_poly=[])), dtype=torch.float64)
+    camera = rig.cameras["cam1"]
+    pixels = camera.pixel_grid()[::20, ::20]
+    directions, valid = camera.unproject(pixels)
+    torch.testing.assert_close(camera.project(directions).pixels[valid], pixels[valid])
+
+
+def test_basalt(tmp_path: Path) -> None:
+    mask = np.zeros((128, 160), np.uint8)
+    mask[34:94, 50:110] = 255
+    (tmp_path / "cam0").mkdir()
+    cv2.imwrite(str(tmp_path / "cam0" / "mask.png"), mask)
+    rig = read_rig(dump(tmp_path / "calibration.json", basalt()), dtype=torch.float64)
+    assert [type(camera) for camera in rig.cameras.values()] == [DoubleSphereCamera, KannalaBrandtCamera]
+    assert rig.names == ["cam0", "cam1"]
+    assert rig.cameras["cam0"].image_size == (128, 160)
+    torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0, 0], dtype=torch.float64))
+    assert rig.world_from_camera[1, 0, 3] == 0.1
+    assert torch.equal(rig.masks["cam0"], torch.from_numpy(mask == 255))
+    directions = (
+        rig.cameras["cam0"]
+        .unproject(torch.tensor([[50.0, 34.0], [109.0, 93.0]], dtype=torch.float64))
+        .directions
+    )
+    widest = torch.atan2(directions[:, :2].norm(dim=-1), directions[:, 2]).max()
+    torch.testing.assert_close(rig.max_angles[0], widest)  # as wide as the mask
+    assert read_rig(tmp_path, max_angle=1.0).max_angles.tolist() == [1.0, 1.0]
+
+
+def models() -> dict[str, Any]:
+    return {
+        "fish": FisheyeCamera("equisolid", [101.3, 99.0], [160.1, 120.7], (240, 320), 1.4),
+        "exact": OCamCamera(
+            [-100.1, 0.0, 2.5e-3], None, [160.1, 119.3], [1.001, 1e-3, -2e-3], (240, 320), 1.5
+        ),
+        "ocam": OCamCamera(
+            [-100.1, 0.0, 2.5e-3], [157.1, 99.9], [160.1, 119.3], [1.0, 0.0, 0.0], (240, 320), 1.5
+        ),
+        "sphere": DoubleSphereCamera([100.0, 99.9], [160.0, 120.0], -0.21, 0.57, (240, 320), 1.9),
+        "kb": KannalaBrandtCamera([100.0, 99.9], [160.0, 120.0], [0.1, 0.02, -3e-4, 1e-5], (240, 320), 1.7),
+        "hole": PinholeCamera([300.0, 300.0], [159.5, 119.5], (240, 320)),
+        "pano": EquirectangularCamera((100, 400), math.pi / 2),
+    }
+
+
+def test_own_yaml_returns_the_same_rig(tmp_path: Path) -> None:
+    cameras = models()
+    poses = torch.eye(4).repeat(len(cameras), 1, 1)
+    poses[:, 0, 3] = torch.rand(len(cameras), generator=torch.Generator().manual_seed(0))
+    mask = torch.rand(240, 320, generator=torch.Generator().manual_seed(1)) > 0.5
+    rig = CameraRig(cameras, poses, {"kb": mask})
+    rig.to_yaml(tmp_path / "rig.yaml")
+    again = read_rig(tmp_path / "rig.yaml")
+    assert again.names == rig.names
+    assert torch.equal(again.world_from_camera, poses)
+    assert all(again.cameras[name].equals(camera) for name, camera in cameras.items())
+    assert torch.equal(again.masks["kb"], mask)
+    assert yaml.safe_load((tmp_path / "rig.yaml").read_text())["format"] == "sphericalvision-rig"
+
+
+@pytest.mark.parametrize("name", models())
+def test_own_yaml_returns_the_same_camera(tmp_path: Path, name: str) -> None:
+    camera = models()[name]
+    write_camera(camera, tmp_path / "camera.yaml")
+    assert read_camera(tmp_path / "camera.yaml").equals(camera)
+
+
+def test_own_yaml_keeps_double_precision(tmp_path: Path) -> None:
+    rig = ring_rig(3, radius=0.1).to(torch.float64).rotated(tilt=0.123456789012)
+    rig.to_yaml(tmp_path / "rig.yaml")
+    assert torch.equal(
+        read_rig(tmp_path / "rig.yaml", dtype=torch.float64).world_from_camera, rig.world_from_camera
+    )
+
+
+def test_batched_rig_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="select"):
+        CameraRig.stack([ring_rig(), ring_rig()]).to_yaml(tmp_path / "rig.yaml")
+
+
+# What is said about mistakes -----------------------------------------------------------------------------------------
+
+
+def refused(path: Path, **options: Any) -> str:
+    """The message with which a rig is refused."""
+    with pytest.raises(SphericalVisionError) as caught:
+        read_rig(path, **options)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (6, r"truncated after line 3: the inverse polynomial .* is missing"),
+        (14, r"truncated after line 11: the affine \(c d e\) is missing"),
+        (0, r"truncated after line 0: the direct polynomial"),
+    ],
+)
+def test_truncated_ocam_file_names_file_and_line(tmp_path: Path, lines: int, message: str) -> None:
+    path = tmp_path / "ocam2.txt"
+    path.write_text("\n".join(OCAM.splitlines()[:lines]))
+    with pytest.raises(ValueError, match=rf"ocam2.txt: {message}"):
+        read_camera(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("3 -1.000000e+02 0.0", "3 -1.000000e+02", r"line 3, direct polynomial.*announces 3 .* holds 2"),
+        ("119.5 160.25", "119.5", r"line 11, centre \(row column\): expected 2 numbers, got 1"),
+        ("119.5 160.25", "119.5 nan", r"line 11, centre .*finite"),
+        ("240 320", "240 wide", r"line 19, image size .*expected numbers"),
+        ("-1.000000e+02", "1.000000e+02", r"first coefficient .* negative"),
+    ],
+)
+def test_broken_ocam_file_names_file_and_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "ocam3.txt"
+    path.write_text(OCAM.replace(old, new))
+    with pytest.raises(ValueError, match=rf"ocam3.txt.*{message}"):
+        read_camera(path)
+
+
+def test_unit_of_poses_must_be_said(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "set")
+    assert "translation_unit" in refused(folder)
+    assert "'cm'" in refused(folder)
+    assert "'m', 'cm', 'mm'" in refused(folder, translation_unit="inch")
+    config = dump(tmp_path / "config.yaml", omnimvs())
+    assert "in metres by its format" in refused(config, translation_unit="cm")
+
+
+def test_broken_poses_name_file_and_line(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "set", POSES_CM.replace("20 0 -20", "nan 0 -20", 1))
+    assert "poses.txt, line 2: expected finite numbers" in refused(folder, translation_unit="cm")
+    write_folder(folder, POSES_CM.replace("0 0 -40", "0 -40"))
+    assert "poses.txt, line 3: expected 6 numbers, got 5" in refused(folder, translation_unit="cm")
+
+
+def test_wrong_number_of_cameras(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "set", cameras=3)
+    message = refused(folder, translation_unit="cm")
+    assert "holds 4 poses, but the folder has 3 cameras (ocam1.txt, ocam2.txt, ocam3.txt)" in message
+    short = basalt(resolution=[[160, 128]])
+    assert "resolution holds 1 cameras and intrinsics 2" in refused(dump(tmp_path / "calib.json", short))
+
+
+def test_folder_with_two_calibrations_is_not_guessed(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "set")
+    dump(folder / "config.yaml", omnimvs())
+    message = refused(folder, translation_unit="cm")
+    assert "config.yaml and poses.txt, which may differ in scale; name the one to read" in message
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"pose": [0, 0, 0, 0, math.nan, 0]}, r"cameras[0] (cam1), pose: expected finite numbers"),
+        ({"pose": [0, 0, 0]}, r"cameras[0] (cam1), pose: expected 6 numbers, got 3"),
+        ({"poly": [5, -100.0, 0.0, 0.0025]}, "direct polynomial: announces 5 coefficients but holds 3"),
+        ({"center": "middle"}, "center: expected 2 numbers, got 1"),
+        ({"model": "pinhole"}, "model: expected ocam, got 'pinhole'"),
+        ({"cam_id": 2}, "a second camera with this cam_id"),
+    ],
+)
+def test_broken_config_names_file_and_key(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    text = refused(dump(tmp_path / "config.yaml", omnimvs(**changes)))
+    assert "config.yaml" in text
+    assert message in text
+
+
+def test_missing_key_is_named(tmp_path: Path) -> None:
+    content = omnimvs()
+    del content["cameras"][1]["affine"]
+    assert "cameras[1] (cam2): the key 'affine' is missing" in refused(
+        dump(tmp_path / "config.yaml", content)
+    )
+    content = basalt()
+    del content["value0"]["T_imu_cam"][0]["qw"]
+    assert "camera 0, T_imu_cam: the key 'qw' is missing" in refused(dump(tmp_path / "c.json", content))
+
+
+def test_mask_of_another_size_is_refused(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "mask1.png"), np.zeros((24, 32), np.uint8))
+    text = refused(dump(tmp_path / "config.yaml", omnimvs()))
+    assert "mask1.png: the camera's images are 240 x 320 (height x width), this mask is 24 x 32" in text
+
+
+def test_formats_that_are_not_read_yet_say_so(tmp_path: Path) -> None:
+    eucm = basalt(intrinsics=[{"camera_type": "eucm", "intrinsics": {}}] * 2)
+    assert "'eucm' is not supported yet" in refused(dump(tmp_path / "eucm.json", eucm))
+    kalibr = {"cam0": {"camera_model": "pinhole"}}
+    assert "Kalibr's camchain format is not supported yet" in refused(dump(tmp_path / "chain.yaml", kalibr))
+    (tmp_path / "cv.yaml").write_text("%YAML:1.0\n---\nK: 1\n")
+    assert "FileStorage format is not supported yet" in refused(tmp_path / "cv.yaml")
+
+
+def test_what_is_no_calibration_says_what_is_known(tmp_path: Path) -> None:
+    assert "no such file or folder" in refused(tmp_path / "nothing")
+    (tmp_path / "empty").mkdir()
+    assert "none of config.yaml, poses.txt" in refused(tmp_path / "empty")
+    assert "not a calibration of a rig; known are" in refused(dump(tmp_path / "other.yaml", {"a": 1}))
+    (tmp_path / "torn.json").write_text('{"value0": ')
+    assert "not valid json" in refused(tmp_path / "torn.json")
+    (tmp_path / "torn.yaml").write_text("a: [1, 2")
+    assert "not valid YAML" in refused(tmp_path / "torn.yaml")
+    (tmp_path / "lens.txt").write_text(OCAM)
+    assert "use read_camera" in refused(tmp_path / "lens.txt")
+    ring_rig().to_yaml(tmp_path / "rig.yaml")
+    with pytest.raises(SphericalVisionError, match="for read_rig"):
+        read_camera(tmp_path / "rig.yaml")
+
+
+def test_own_yaml_of_another_version_or_model_is_refused(tmp_path: Path) -> None:
+    ring_rig().to_yaml(tmp_path / "rig.yaml")
+    content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    assert "reads version 1, got 2" in refused(dump(tmp_path / "new.yaml", {**content, "version": 2}))
+    content["cameras"][0]["model"] = "magic"
+    assert "cameras[0], model: expected one of" in refused(dump(tmp_path / "magic.yaml", content))

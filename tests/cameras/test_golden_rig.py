@@ -35,7 +35,7 @@ def test_poses_agree_with_the_reference(golden: Path) -> None:
 
 
 def test_images_on_the_sphere_agree_with_the_reference(golden: Path) -> None:
-    """The reference samples 8-bit images in fixed point: a grey level of difference, and its grey fill at the border."""
+    """The reference samples 8-bit images in fixed point: a grey level of difference, and its fill at the border."""
     cv2 = pytest.importorskip("cv2")
     rig = read_rig(golden / "rig", translation_unit="cm")
     vertices = torch.from_numpy(np.load(golden / "icosahedron.npz")["v4"]).float()

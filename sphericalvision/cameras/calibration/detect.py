@@ -100,6 +100,8 @@ def read_camera(
         FileFormatError: it is neither, or broken; the message names line or key.
     """
     path = check_file(path, "an OCamCalib text file or a camera YAML")
+    if path.suffix == ".json":
+        raise FileFormatError(f"{path}: a json holds a rig: use read_rig(path).cameras")
     if path.suffix not in (".yaml", ".yml"):
         return read_ocam_text(path, max_angle=max_angle, dtype=dtype)
     content = _load_yaml(path)

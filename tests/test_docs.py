@@ -61,8 +61,10 @@ def test_command_line_is_understood(page: str, command: str) -> None:
     program, *arguments = shlex.split(command, comments=True)
     importlib.import_module(f"sphericalvision.recipes.{program.removeprefix('sphericalvision-')}")
     overrides = [
-        argument for argument in quote_paths(arguments) if not argument.startswith("-") and "=" in argument
+        argument for argument in quote_paths(arguments) if "=" in argument and not argument.startswith("-")
     ]
+    if "--multirun" in arguments:  # a sweep is checked at the first value of each key
+        overrides = [override.split(",")[0] for override in overrides]
     GlobalHydra.instance().clear()
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         compose(program.removeprefix("sphericalvision-"), overrides=overrides)

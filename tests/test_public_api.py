@@ -52,7 +52,23 @@ SIGNATURES = {
         "image_size",
         "max_angle",
     ),
+    "sphericalvision.cameras.FisheyeCamera.from_field_of_view": ("image_size", "field_of_view", "projection"),
     "sphericalvision.cameras.EquirectangularCamera": ("image_size",),
+    "sphericalvision.cameras.DoubleSphereCamera": (
+        "focal_length",
+        "principal_point",
+        "xi",
+        "alpha",
+        "image_size",
+        "max_angle",
+    ),
+    "sphericalvision.cameras.KannalaBrandtCamera": (
+        "focal_length",
+        "principal_point",
+        "distortion",
+        "image_size",
+        "max_angle",
+    ),
     "sphericalvision.cameras.CameraRig": ("cameras", "world_from_camera", "masks"),
     "sphericalvision.cameras.read_rig": ("path", "translation_unit", "max_angle"),
     "sphericalvision.icosphere.Icosphere": ("level", "dtype", "device"),
@@ -81,10 +97,21 @@ SIGNATURES = {
     "sphericalvision.models.weights.load_reference_checkpoint": ("path",),
     "sphericalvision.models.weights.pretrained": ("name",),
     "sphericalvision.metrics.DepthIndexError": ("num_hypotheses",),
+    "sphericalvision.metrics.DepthIndexError.update": ("pred", "target", "mask", "weights"),
     "sphericalvision.metrics.DepthError": (),
-    "sphericalvision.losses.depth_index_huber": ("pred", "target", "mask", "delta"),
-    "sphericalvision.data.OmniStereoDataset": ("root",),
-    "sphericalvision.data.collate_samples": (),
+    "sphericalvision.losses.depth_index_huber": ("pred_index", "target_index", "mask", "delta"),
+    "sphericalvision.data.OmniStereoDataset": (
+        "root",
+        "frames",
+        "split",
+        "protocol",
+        "dataset",
+        "release",
+        "transform",
+    ),
+    "sphericalvision.data.collate_samples": ("samples",),
+    "sphericalvision.data.make_scene": ("kind", "seed", "device"),
+    "sphericalvision.data.write_omnistereo": ("root", "frames", "rig", "release"),
 }
 
 
@@ -96,17 +123,14 @@ def public_names() -> list[str]:
 
 
 def resolve(dotted: str) -> object:
-    """The object a dotted name stands for, importing as much of it as is a module."""
-    parts = dotted.split(".")
-    for length in range(len(parts), 0, -1):
-        try:
-            found: object = importlib.import_module(".".join(parts[:length]))
-        except ModuleNotFoundError:
-            continue
-        for name in parts[length:]:
-            found = getattr(found, name)
-        return found
-    raise ModuleNotFoundError(dotted)
+    """The object a dotted name stands for; a name that a package exports wins over its module of that name."""
+    first, *rest = dotted.split(".")
+    found: object = importlib.import_module(first)
+    path = first
+    for name in rest:
+        path = f"{path}.{name}"
+        found = getattr(found, name) if hasattr(found, name) else importlib.import_module(path)
+    return found
 
 
 def test_public_names_are_the_inventory() -> None:

@@ -124,8 +124,7 @@ class IcoSweepNet(nn.Module):
             images: ``(B, n, 3, V_level)``.
             rig: of all samples or, with batched poses, a rig a sample; or the ``sweep.tables`` of either.
             camera_order: order in which the cameras are concatenated; when not given, that of the rig, or in
-            training mode with
-                ``shuffle_cameras`` a random one.
+                training mode with ``shuffle_cameras`` a random one.
             generator: of the random order; the global generator of torch when not given.
 
         Raises:

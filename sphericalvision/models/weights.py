@@ -124,7 +124,7 @@ def load_reference_checkpoint(
     Raises:
         MissingFileError: if there is no such file.
         FileFormatError: if an entry is missing, foreign or of another size than the network's; the message
-        names it.
+            names it.
     """
     path = check_file(path, "a checkpoint with state_dict, ndisp, min_depth and level")
     try:

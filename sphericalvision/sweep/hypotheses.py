@@ -47,7 +47,7 @@ def inverse_depth_hypotheses(
 
     Raises:
         ArgumentError: if there are fewer than two hypotheses or the smallest depth (in metres) is not
-        positive.
+            positive.
 
     References:
         Won, Ryu and Lim (2019), "SweepNet: wide-baseline omnidirectional depth estimation", section III.

@@ -144,7 +144,7 @@ class SphereSweep(nn.Module):
 
     Raises:
         ArgumentError: for a negative level, fewer than two hypotheses or a smallest depth that is not
-        positive.
+            positive.
 
     Examples:
         >>> import torch

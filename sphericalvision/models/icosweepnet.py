@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -52,11 +52,8 @@ class IcoSweepNet(nn.Module):
         images with origami crown representation of icosahedron".
 
     Examples:
-        >>> from sphericalvision.cameras import CameraRig, FisheyeCamera
-        >>> camera = FisheyeCamera.from_field_of_view((64, 64), torch.pi)
-        >>> poses = torch.eye(4).repeat(2, 1, 1)
-        >>> poses[1, 0, 3] = 0.2  # the second camera stands 20 cm to the right
-        >>> rig = CameraRig({"left": camera, "right": camera}, poses)
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig = ring_rig(2, radius=0.1)
         >>> net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2, num_cameras=2).eval()
         >>> net(torch.zeros(1, 2, 3, 642), rig).shape
         torch.Size([1, 42])
@@ -100,7 +97,7 @@ class IcoSweepNet(nn.Module):
         return self.sweep.min_depth
 
     @property
-    def hyperparameters(self) -> dict[str, int | float | bool]:
+    def hyperparameters(self) -> dict[str, Any]:
         """Plain scalars that rebuild this network: ``IcoSweepNet(**net.hyperparameters)``."""
         return {
             "level": self.level,

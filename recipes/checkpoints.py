@@ -17,6 +17,9 @@ from sphericalvision.models.weights import load_reference_checkpoint, load_weigh
 
 __all__ = ["WeightsBesideCheckpoint", "initialize", "load_network"]
 
+REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
+"""Of checkpoints in the authors' format."""
+
 SHAPED_BY = ("num_cameras", "feature_channels")
 """Hyper-parameters that give parameters their shapes; the others may change after training."""
 
@@ -58,7 +61,7 @@ def load_network(
     Its parameters depend neither on ``level`` nor on ``min_depth``, so both may be replaced.
 
     Args:
-        checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or another suffix for the authors' format; the
+        checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or ``.pth`` in the authors' format; the
             network that ships with the package when not given.
         level: of the images on the icosphere, instead of the level trained at.
         min_depth: nearest hypothesis in metres, instead of the one trained with.
@@ -100,8 +103,11 @@ def _read(checkpoint: str | Path | None) -> IcoSweepNet:
     path = check_file(checkpoint, "a checkpoint (.safetensors, .ckpt, or the authors' format)")
     if path.suffix == ".safetensors":
         return load_weights(path)
-    if path.suffix != ".ckpt":
+    if path.suffix in REFERENCE_SUFFIXES:
         return load_reference_checkpoint(path)
+    if path.suffix != ".ckpt":
+        known = ", ".join((".safetensors", ".ckpt", *REFERENCE_SUFFIXES))
+        raise ArgumentError(f"checkpoint: {path} has none of the suffixes of checkpoints, {known}")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         hyperparameters, state = content["hyper_parameters"], content["state_dict"]

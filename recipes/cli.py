@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands share: paths taken literally, errors in one paragraph, configs made into objects."""
+"""What the commands share: paths taken literally, configs made into objects, configs and tables printed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import functools
 import os
 import re
 import sys
-import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,15 +14,14 @@ from typing import Any
 import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.syntax import Syntax
 from rich.table import Table
 from rich.tree import Tree
 
-from sphericalvision.core import ArgumentError, SphericalVisionError
+from sphericalvision.core import ArgumentError
+from sphericalvision.recipes.errors import check_overrides, plain_errors
 
 __all__ = [
     "build",
@@ -31,7 +29,6 @@ __all__ = [
     "command",
     "console",
     "output_folder",
-    "plain_errors",
     "print_config",
     "print_table",
     "quote_paths",
@@ -72,11 +69,14 @@ def unquote_paths(arguments: list[str]) -> list[str]:
         >>> unquote_paths(quote_paths(["output=my run"]))
         ['output=my run']
     """
-    matches = [re.match(r"^([\w./@]+)='(.*)'$", argument, re.DOTALL) for argument in arguments]
-    return [
-        f"{match[1]}={match[2]}".replace("\\'", "'") if match else argument
-        for match, argument in zip(matches, arguments, strict=True)
-    ]
+    return [_unquote_path(argument) for argument in arguments]
+
+
+def _unquote_path(argument: str) -> str:
+    match = re.match(r"^([\w./@]+)='(.*)'$", argument, re.DOTALL)
+    if match is None:
+        return argument
+    return f"{match[1]}=" + re.sub(r"(\\+)('|$)", lambda end: end[1][: len(end[1]) // 2] + end[2], match[2])
 
 
 def _quote_path(argument: str) -> str:
@@ -86,7 +86,8 @@ def _quote_path(argument: str) -> str:
     value = match[2]
     if value in ("", "null", "auto") or value[0] in "'\"" or "${" in value:
         return argument
-    escaped = re.sub(r"(\\*)'", lambda quote: quote[1] * 2 + r"\'", os.path.expanduser(value))
+    literal = os.path.expanduser(value)
+    escaped = re.sub(r"(\\*)('|$)", lambda end: end[1] * 2 + (r"\'" if end[2] else ""), literal)
     return f"{match[1]}='{escaped}'"
 
 
@@ -101,51 +102,12 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
         @functools.wraps(task)
         def main() -> None:
             sys.argv[1:] = quote_paths(sys.argv[1:])
+            check_overrides(config_name, sys.argv[1:])
             hydra_main()
 
         return main
 
     return decorate
-
-
-def plain_errors(task: Callable[[DictConfig], None]) -> Callable[[DictConfig], None]:
-    """Print errors that a user can mend without their traceback and exit with status 1.
-
-    Other errors are faults of the program and pass; with ``HYDRA_FULL_ERROR=1`` all do.
-    """
-
-    @functools.wraps(task)
-    def guarded(config: DictConfig) -> None:
-        try:
-            task(config)
-        except KeyboardInterrupt:
-            print("\nInterrupted.", file=sys.stderr)
-            raise SystemExit(130) from None
-        except Exception as error:
-            message = _user_message(error)
-            if message is None or os.environ.get("HYDRA_FULL_ERROR") == "1":
-                raise
-            print(f"\nError: {message}", file=sys.stderr)
-            raise SystemExit(1) from None
-
-    return guarded
-
-
-def _user_message(error: BaseException | None) -> str | None:
-    """Message of the first error in the chain that is meant for users."""
-    outermost = error
-    while error is not None:
-        if isinstance(error, SphericalVisionError):
-            return str(error)
-        error = error.__cause__ or error.__context__
-    if isinstance(outermost, OmegaConfBaseException):
-        key = outermost.full_key or outermost.key
-        if "issing" in type(outermost).__name__:
-            return f"{key}: a value is needed here; give it on the command line as {key}=..."
-        return f"{key}: {str(outermost).splitlines()[0]}"
-    if isinstance(outermost, HydraException):
-        return textwrap.shorten(str(outermost), 600)
-    return None
 
 
 def build(config: Any, *args: Any, **kwargs: Any) -> Any:

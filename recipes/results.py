@@ -56,7 +56,7 @@ def estimate_depth(net: IcoSweepNet, sphere_images: Tensor, rig: CameraRig, heig
 def save_result(
     folder: Path, prefix: str, result: DepthResult, images: Mapping[str, Tensor], rig: CameraRig
 ) -> list[Path]:
-    """Write pictures of depth and colour, point cloud and arrays; file names start with ``prefix``. Returns their paths."""
+    """Write pictures of depth and colour, point cloud and arrays, their names after ``prefix``; returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     picture = save_depth_panorama(folder / f"{prefix}depth.png", result.panorama, result.min_depth)
     colors, seen = rgb_panorama(rig, images, result.panorama.shape[0], result.panorama)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command lines: file names are taken literally, mistakes are told in one paragraph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from sphericalvision.recipes.cli import quote_paths, unquote_paths
+from tests.recipes.tiny import TINY_SCENES, Run
+
+Failing = Callable[..., str]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "a/cam{camera}/{frame:05d}.png",
+        "epoch=1-step=2.ckpt",
+        "it's here/x.yaml",
+        "a,b [1](2).png",
+        "back\\slash",
+        "C:\\",
+    ],
+)
+def test_file_names_reach_the_config_unchanged(path: str) -> None:
+    (word,) = quote_paths([f"data.root={path}"])
+    assert OverridesParser.create().parse_override(word).value() == path
+    assert unquote_paths([word]) == [f"data.root={path}"]
+
+
+def test_words_that_are_no_file_names_stay() -> None:
+    words = ["frames=[1,2]", "--config-dir=a", "resume=auto", "checkpoint=null", "rig='quoted'", "x"]
+    assert quote_paths(words) == words
+
+
+def test_unknown_key_names_the_nearest_ones(failing: Failing) -> None:
+    message = failing("train", "model.levl=4")
+    assert "model.levl: there is no such key" in message
+    assert "model.level" in message
+
+
+def test_unknown_option_lists_the_known_ones(failing: Failing) -> None:
+    message = failing("train", "experiment=quikstart")
+    assert "experiment=quikstart" in message
+    assert "quickstart" in message.replace("quikstart", "")
+
+
+def test_missing_value_is_asked_for(failing: Failing) -> None:
+    assert "data.root=..." in failing("train", "experiment=icosweepnet_omnithings")
+
+
+def test_missing_and_damaged_checkpoints_are_named(failing: Failing, tmp_path: Path) -> None:
+    assert "nowhere.ckpt: no such file" in failing("evaluate", "checkpoint=nowhere.ckpt")
+    (tmp_path / "half.ckpt").write_bytes(b"PK\x03\x04 half a file")
+    assert "half.ckpt: is not a checkpoint of sphericalvision-train" in failing(
+        "evaluate", "checkpoint=half.ckpt"
+    )
+    (tmp_path / "notes.txt").write_text("?")
+    assert ".safetensors" in failing("evaluate", "checkpoint=notes.txt")
+
+
+def test_wrong_values_name_their_key(failing: Failing, weights: Path) -> None:
+    assert "split: expected one of" in failing("evaluate", f"checkpoint={weights}", "split=trian")
+    assert "device: " in failing("evaluate", f"checkpoint={weights}", "device=nonsense")
+    assert "optimizer.schedule" in failing("train", "experiment=quickstart", "optimizer.schedule=linear")
+    overlap = failing("train", "experiment=quickstart", "data.val_seed=10")
+    assert "data.val_seed" in overlap
+    assert "expected one of" in failing("train", "experiment=quickstart", *TINY_SCENES, "data.kind=garden")
+
+
+def test_a_folder_of_own_configs_extends_the_experiments(run: Run, tmp_path: Path, weights: Path) -> None:
+    folder = tmp_path / "mine" / "scene_rig"
+    folder.mkdir(parents=True)
+    (folder / "tiny.yaml").write_text(
+        "_target_: sphericalvision.recipes.rigs.make_ring\nimage_size: [32, 32]\n"
+    )
+    words = [
+        "scene_rig=tiny",
+        *(word for word in TINY_SCENES if "scene_rig" not in word),
+        "data.cache_dir=null",
+    ]
+    run(
+        "evaluate",
+        "--config-dir",
+        str(folder.parent),
+        *words,
+        f"checkpoint={weights}",
+        "output=table",
+        "device=cpu",
+    )
+    assert "weights" in (tmp_path / "table/metrics.md").read_text()

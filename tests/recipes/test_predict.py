@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prediction on captures: any rig, numbering and scale; every output; mistakes are named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from sphericalvision.data.image_io import read_image, write_image
+from sphericalvision.recipes.rigs import make_ring
+from tests.recipes.tiny import Run
+
+SIZE = (40, 48)
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    """A rig in the package's own format, with two frames of noise and masks."""
+    folder = tmp_path / "capture"
+    rig = make_ring(4, radius=0.2, image_size=SIZE)
+    folder.mkdir()
+    rig.to_yaml(folder / "rig.yaml")
+    generator = torch.Generator().manual_seed(1)
+    for number in range(1, 5):
+        for frame in (3, 4):
+            image = torch.rand(3, *SIZE, generator=generator)
+            write_image(folder / f"cam{number}" / f"{frame:05d}.png", image)
+        mask = torch.ones(1, *SIZE)
+        mask[:, 20:] = 0
+        write_image(folder / f"cam{number}" / "mask.png", mask)
+    return folder
+
+
+def words(capture: Path, weights: Path, output: str) -> list[str]:
+    return [
+        f"rig={capture / 'rig.yaml'}",
+        f"images={capture}/cam{{camera}}/{{frame:05d}}.png",
+        f"checkpoint={weights}",
+        f"output={output}",
+        "height=32",
+        "device=cpu",
+    ]
+
+
+def test_every_frame_gets_picture_points_and_arrays(
+    run: Run, capture: Path, weights: Path, tmp_path: Path
+) -> None:
+    run("predict", *words(capture, weights, "out"))
+    for frame in ("00003", "00004"):
+        arrays = np.load(tmp_path / f"out/{frame}_depth.npz")
+        assert arrays["index"].shape == (42,)
+        assert arrays["directions"].shape == (42, 3)
+        assert arrays["depth_panorama"].shape == (32, 64)
+        np.testing.assert_allclose(arrays["inverse_depth"], arrays["index"] / (3 * 0.55), atol=1e-6)
+        np.testing.assert_allclose(arrays["depth"] * arrays["inverse_depth"], 1, rtol=1e-5)
+        assert read_image(tmp_path / f"out/{frame}_depth.png").shape[0] == 3
+        cloud = trimesh.load(tmp_path / f"out/{frame}_points.ply")
+        assert len(cloud.vertices) == len(cloud.colors) > 0
+
+
+def test_depth_scales_with_the_rig(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
+    """A rig ten times as large with the same images sees everything ten times as far."""
+    run("predict", *words(capture, weights, "small"), "frames=[3]")
+    make_ring(4, radius=2.0, image_size=SIZE).to_yaml(capture / "rig.yaml")
+    run("predict", *words(capture, weights, "large"), "frames=[3]")
+    small, large = (np.load(tmp_path / name / "00003_depth.npz") for name in ("small", "large"))
+    np.testing.assert_allclose(large["index"], small["index"], atol=1e-3)
+    np.testing.assert_allclose(large["inverse_depth"] * 10, small["inverse_depth"], atol=1e-3)
+
+
+def test_grey_images_are_read_as_three_equal_channels(
+    run: Run, capture: Path, weights: Path, tmp_path: Path
+) -> None:
+    for path in capture.glob("cam*/00003.png"):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(path), grey)
+        cv2.imwrite(str(path.with_name("00004.png")), np.repeat(grey[..., None], 3, -1))
+    run("predict", *words(capture, weights, "out"))
+    one, three = (np.load(tmp_path / f"out/{frame}_depth.npz")["index"] for frame in ("00003", "00004"))
+    np.testing.assert_array_equal(one, three)
+
+
+def test_masked_pixels_have_no_influence(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
+    masks = f"masks={capture}/cam{{camera}}/mask.png"
+    run("predict", *words(capture, weights, "before"), masks, "frames=[3]", "antialias=false")
+    for path in capture.glob("cam*/00003.png"):
+        image = read_image(path)
+        image[:, 22:] = 1 - image[:, 22:]
+        write_image(path, image)
+    run("predict", *words(capture, weights, "after"), masks, "frames=[3]", "antialias=false")
+    before, after = (np.load(tmp_path / name / "00003_depth.npz")["index"] for name in ("before", "after"))
+    np.testing.assert_allclose(after, before, atol=1e-5)
+
+
+def test_mistakes_are_named(failing: Callable[..., str], capture: Path, weights: Path) -> None:
+    good = words(capture, weights, "out")
+    three = failing("predict", *good, "cameras=[cam1,cam2,cam3]")
+    assert "has 3 cameras" in three
+    assert "checkpoint is for 4" in three
+    assert "min_depth" in failing("predict", *good, "min_depth=near")
+    assert "00009.png" in failing("predict", *good, "frames=[9]")
+    make_ring(4, image_size=(64, 64)).to_yaml(capture / "rig.yaml")
+    size = failing("predict", *good)
+    assert "00003.png" in size
+    assert "64 x 64" in size
+    assert "48 x 40" in size
+    (capture / "cam2" / "00003.png").write_bytes(b"not an image")
+    make_ring(4, image_size=SIZE).to_yaml(capture / "rig.yaml")
+    assert "cam2/00003.png" in failing("predict", *good)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rendering: what is written is read back, evaluated and trained on; an interrupted set is completed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.data import OmniStereoDataset
+from sphericalvision.recipes.frames import RenderedFrames, kind_of
+from sphericalvision.recipes.rigs import make_ring
+from tests.recipes.tiny import Run
+
+TINY = ("scene_rig.image_size=[32,32]", "samples_per_pixel=1", "height=32")
+
+
+@pytest.mark.parametrize("release", ["png", "tiff"])
+def test_a_rendered_set_is_read_back_and_evaluated(
+    run: Run, tmp_path: Path, weights: Path, release: str
+) -> None:
+    root = tmp_path / "set"
+    run("render", f"output={root}", "num_frames=2", f"release={release}", *TINY)
+    read = OmniStereoDataset(root, split="all")
+    assert read.frames == [1, 2]
+    rendered = RenderedFrames(make_ring(image_size=(32, 32)), [1, 2], samples_per_pixel=1, height=32)
+    for got, made in zip((read[0], read[1]), (rendered[0], rendered[1]), strict=True):
+        tolerance = 1e-6 if release == "tiff" else 0.51 / (65500 * 0.55)
+        torch.testing.assert_close(got["inverse_depth"], made["inverse_depth"], rtol=0, atol=tolerance)
+        for name, image in made["images"].items():
+            torch.testing.assert_close(got["images"][name], image, rtol=0, atol=0.51 / 255)
+        torch.testing.assert_close(
+            got["rig"].world_from_camera, made["rig"].world_from_camera, rtol=0, atol=1e-5
+        )
+
+    data = (
+        "data=omnistereo",
+        f"data.root={root}",
+        "data.test_split=all",
+        "data.train_split=all",
+        "data.num_workers=0",
+    )
+    run("evaluate", *data, f"checkpoint={weights}", "baselines=true", "output=table", "device=cpu")
+    table = json.loads((tmp_path / "table/metrics.json").read_text())
+    assert list(table) == ["weights", "constant depth map", "constant depth", "photo-consistency sweep"]
+    assert all(0 <= row["MAE"] <= row["RMS"] <= 100 for row in table.values())
+    assert table["constant depth map"]["MAE"] < table["weights"]["MAE"]
+
+
+def test_rendering_goes_on_where_it_stopped(run: Run, tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    run("render", f"output={root}", "num_frames=2", *TINY)
+    kept = root / "cam1/00001.png"
+    kept.write_bytes(kept.read_bytes() + b"kept")
+    (root / "depth_train_640/00002.png").unlink()
+    run("render", f"output={root}", "num_frames=3", *TINY)
+    assert kept.read_bytes().endswith(b"kept")
+    assert OmniStereoDataset(root, split="all").frames == [1, 2, 3]
+
+
+def test_wrong_values_are_named(failing: Callable[..., str]) -> None:
+    assert "num_frames" in failing("render", "num_frames=0")
+    assert "png or tiff" in failing("render", "release=jpg")
+    assert "kind" in failing("render", "kind=garden", *TINY)
+
+
+def test_a_frame_depends_on_its_seed_alone() -> None:
+    rig = make_ring(image_size=(16, 16))
+    first = RenderedFrames(rig, [5], first_seed=0, samples_per_pixel=1, height=16)[0]
+    other = RenderedFrames(rig, [1], first_seed=4, samples_per_pixel=1, height=16)[0]
+    assert torch.equal(first["inverse_depth"], other["inverse_depth"])
+    assert torch.equal(first["images"]["cam1"], other["images"]["cam1"])
+    assert [kind_of("mixed", seed) for seed in range(3)] == ["room", "floating", "room"]

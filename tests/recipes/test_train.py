@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training: it resumes exactly, saves what it says, and evaluation agrees with validation."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from sphericalvision.models import load_weights
+from sphericalvision.recipes.checkpoints import load_network
+from sphericalvision.recipes.datamodules import TrainingStream
+from sphericalvision.recipes.lit_depth import METRICS
+from tests.recipes.tiny import Run
+
+Words = tuple[str, ...]
+
+
+def state(path: Path) -> dict[str, torch.Tensor]:
+    return torch.load(path, weights_only=True)["state_dict"]
+
+
+def command_after(printed: str, label: str) -> list[str]:
+    (line,) = (line for line in printed.splitlines() if line.startswith(label))
+    return shlex.split(line.removeprefix(label))
+
+
+def test_resumed_training_equals_uninterrupted_training(
+    run: Run, tmp_path: Path, tiny_training: Words, trained: Any
+) -> None:
+    last = trained.folder / "checkpoints/last.ckpt"
+    run("train", *tiny_training, "trainer.max_steps=4", "output=straight")
+    run("train", *tiny_training, "trainer.max_steps=4", "output=resumed", f"resume={last}")
+    straight = state(tmp_path / "straight/checkpoints/last.ckpt")
+    resumed = state(tmp_path / "resumed/checkpoints/last.ckpt")
+    before = state(last)
+    for name, value in straight.items():
+        torch.testing.assert_close(resumed[name], value, rtol=0, atol=0, msg=name)
+    assert any(not torch.equal(before[name], resumed[name]) for name in before)
+
+
+def test_everything_is_in_one_folder(trained: Any) -> None:
+    folder = trained.folder
+    assert OmegaConf.load(folder / "config.yaml").data.level == 3
+    names = {f"{name}.{suffix}" for name in ("best", "last") for suffix in ("ckpt", "safetensors")}
+    assert {path.name for path in (folder / "checkpoints").iterdir()} == names
+    assert sorted(path.name for path in (folder / "panels").iterdir()) == ["000001.png", "000002.png"]
+    assert list((folder / "tensorboard").glob("events*"))
+    (metrics,) = (folder / "metrics").glob("*/metrics.csv")
+    logged = [float(row["val/MAE"]) for row in csv.DictReader(metrics.open()) if row["val/MAE"]]
+    (validated,) = json.loads((folder / "validation.json").read_text()).values()
+    assert validated["MAE"] == pytest.approx(min(logged))
+
+
+def test_evaluation_equals_validation(run: Run, tmp_path: Path, trained: Any) -> None:
+    """The evaluate command that training prints gives the numbers that training validated."""
+    (validated,) = json.loads((trained.folder / "validation.json").read_text()).values()
+    program, *words = command_after(trained.printed, "Evaluate: ")
+    assert program == "sphericalvision-evaluate"
+    run("evaluate", *words, "split=val", "output=table", "device=cpu")
+    (evaluated,) = json.loads((tmp_path / "table/metrics.json").read_text()).values()
+    assert list(evaluated) == list(METRICS)
+    assert evaluated == pytest.approx(validated, abs=1e-4)
+    assert (tmp_path / "table/metrics.md").read_text().startswith("| | >1 | >3 | >5 | MAE | RMS |")
+
+
+def test_the_printed_resume_command_has_real_paths(trained: Any) -> None:
+    program, *words = command_after(trained.printed, "Resume: ")
+    assert program == "sphericalvision-train"
+    assert f"output={trained.folder}" in words
+    (resume,) = (word for word in words if word.startswith("resume="))
+    assert Path(resume.removeprefix("resume=")).is_file()
+
+
+def test_weights_beside_a_checkpoint_are_those_inside(trained: Any) -> None:
+    beside = load_weights(trained.folder / "checkpoints/last.safetensors").state_dict()
+    inside = load_network(trained.folder / "checkpoints/last.ckpt").state_dict()
+    assert beside.keys() == inside.keys()
+    assert all(torch.equal(beside[name], inside[name]) for name in beside)
+
+
+def test_saved_hyperparameters_are_plain_scalars(trained: Any) -> None:
+    stored = torch.load(trained.folder / "checkpoints/last.ckpt", weights_only=True)["hyper_parameters"]
+    assert stored["level"] == 3
+    assert all(isinstance(value, int | float | str | bool) for value in stored.values())
+
+
+def test_training_starts_from_weights_of_another_level(
+    run: Run, tmp_path: Path, weights: Path, tiny_training: Words
+) -> None:
+    still = ("model.level=4", "trainer.max_steps=1", "optimizer.learning_rate=0.0")
+    run("train", *tiny_training, *still, "output=run", f"init_weights={weights}")
+    after = load_weights(tmp_path / "run/checkpoints/last.safetensors")
+    assert after.hyperparameters["level"] == 4
+    for name, value in load_weights(weights).named_parameters():
+        assert torch.equal(after.get_parameter(name), value), name
+
+
+def test_resuming_another_network_is_refused(
+    failing: Callable[..., str], tiny_training: Words, trained: Any
+) -> None:
+    last = trained.folder / "checkpoints/last.ckpt"
+    message = failing("train", *tiny_training, "model.level=4", f"resume={last}", "output=other")
+    assert "level = 3" in message
+    assert "model.level = 4" in message
+    assert "init_weights=" in message
+
+
+def test_a_training_stream_is_a_function_of_seed_and_position() -> None:
+    """Every round holds each sample once; a stream that starts later is the same stream, noise included."""
+
+    class Noisy(torch.utils.data.Dataset[dict[str, Any]]):
+        def __len__(self) -> int:
+            return 5
+
+        def __getitem__(self, index: int) -> dict[str, Any]:
+            return {"index": index, "noise": torch.rand(())}
+
+    whole = [TrainingStream(Noisy(), 15, seed=3)[i] for i in range(15)]
+    for start in (0, 5, 10):
+        assert sorted(sample["index"] for sample in whole[start : start + 5]) == [0, 1, 2, 3, 4]
+    assert [sample["index"] for sample in whole[:5]] != [sample["index"] for sample in whole[5:10]]
+    later = TrainingStream(Noisy(), 15, seed=3, start=7)
+    assert [later[i] for i in range(8)] == whole[7:]
+    other = TrainingStream(Noisy(), 15, seed=4)
+    assert [other[i]["noise"] for i in range(5)] != [sample["noise"] for sample in whole[:5]]

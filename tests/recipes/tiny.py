@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes and trainings as small as they get."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+TINY_SCENES = (
+    "scene_rig.image_size=[32,32]",
+    "data.num_train=3",
+    "data.num_val=2",
+    "data.num_test=2",
+    "data.samples_per_pixel=1",
+    "data.batch_size=2",
+    "data.num_workers=0",
+)
+TINY_TRAINING = (
+    "experiment=quickstart",
+    "model.level=3",
+    "model.num_hypotheses=4",
+    "model.feature_channels=2",
+    *TINY_SCENES,
+    "trainer.val_check_interval=1",
+    "trainer.accelerator=cpu",
+    "optimizer.schedule=constant",
+)
+
+Run = Callable[..., None]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Self
 
 import pytorch_lightning as pl
 import torch
@@ -73,6 +73,8 @@ class DepthModule(pl.LightningModule):
         decay_after: iteration at which a step schedule drops.
         decay_factor: factor of that drop, or of the cosine's end.
         huber_delta: where the loss turns from quadratic to linear, in hypothesis indices.
+        freeze_norm: normalise by the running statistics in training, too, and leave them as they are. Batches of one
+            or two frames have statistics of their own; a last stage with frozen ones trains what evaluation will use.
         seed: with the iteration's number it seeds each training step, so that resuming changes nothing.
     """
 
@@ -91,6 +93,7 @@ class DepthModule(pl.LightningModule):
         decay_after: int = 36_000,
         decay_factor: float = 0.1,
         huber_delta: float = 1.0,
+        freeze_norm: bool = False,
         seed: int = 0,
     ) -> None:
         super().__init__()
@@ -103,6 +106,15 @@ class DepthModule(pl.LightningModule):
         self.save_hyperparameters()
         self.net = IcoSweepNet(level, num_hypotheses, min_depth, feature_channels, num_cameras)
         self.validation_metric = DepthIndexError(num_hypotheses)
+
+    def train(self, mode: bool = True) -> Self:
+        """Switch between training and evaluation; with ``freeze_norm`` the norms stay in evaluation."""
+        super().train(mode)
+        if mode and self.hparams.get("freeze_norm", False):
+            for module in self.net.modules():
+                if isinstance(module, torch.nn.modules.batchnorm._BatchNorm):
+                    module.eval()
+        return self
 
     def forward(self, images: Tensor, rig: Any) -> Tensor:
         """Hypothesis index ``(B, V)`` of sphere images ``(B, n, 3, V_level)`` seen by ``rig``."""

@@ -13,12 +13,13 @@ import numpy as np
 import pytorch_lightning as pl
 from pytorch_lightning.callbacks import Callback, LearningRateMonitor, ModelCheckpoint, RichProgressBar
 from pytorch_lightning.loggers import TensorBoardLogger
+from pytorch_lightning.utilities.exceptions import SIGTERMException
 
 from sphericalvision.data.image_io import write_image
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import depth_to_color, error_to_color, icosphere_to_panorama
 
-__all__ = ["DepthPanels", "PlainProgress", "training_callbacks"]
+__all__ = ["DepthPanels", "PlainProgress", "SaveOnInterrupt", "training_callbacks"]
 
 
 class DepthPanels(Callback):
@@ -76,6 +77,20 @@ class DepthPanels(Callback):
         return np.concatenate(columns, axis=1)
 
 
+class SaveOnInterrupt(Callback):
+    """Write ``path`` when training is interrupted from the keyboard or by a job queue (SIGINT, SIGTERM)."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def on_exception(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException
+    ) -> None:
+        """Save, unless nothing has been learned yet or the program is at fault."""
+        if isinstance(exception, (KeyboardInterrupt, SIGTERMException)) and trainer.global_step:
+            trainer.save_checkpoint(self.path)
+
+
 class TrainingBar(RichProgressBar):
     """Lightning's bar without its count of epochs: training is counted in iterations."""
 
@@ -125,7 +140,7 @@ def training_callbacks(folder: Path, checkpoint_minutes: float, panel_frames: in
     """Callbacks of a training run whose results go to ``folder``.
 
     ``checkpoints/best.ckpt`` has the smallest validation MAE, ``checkpoints/last.ckpt`` is renewed every
-    ``checkpoint_minutes`` and at each validation, so an interruption costs little.
+    ``checkpoint_minutes`` and on interruption.
     """
     checkpoints = folder / "checkpoints"
     best = ModelCheckpoint(
@@ -137,7 +152,12 @@ def training_callbacks(folder: Path, checkpoint_minutes: float, panel_frames: in
         train_time_interval=timedelta(minutes=checkpoint_minutes),
         enable_version_counter=False,
     )
-    callbacks: list[Callback] = [best, last, LearningRateMonitor("step")]
+    callbacks: list[Callback] = [
+        best,
+        last,
+        SaveOnInterrupt(checkpoints / "last.ckpt"),
+        LearningRateMonitor("step"),
+    ]
     if panel_frames:
         callbacks.append(DepthPanels(folder / "panels", panel_frames))
     callbacks.append(TrainingBar() if sys.stdout.isatty() else PlainProgress())

@@ -9,7 +9,6 @@ from typing import Any
 
 import torch
 from pytorch_lightning.plugins.io import TorchCheckpointIO
-from torch import nn
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models import IcoSweepNet
@@ -30,7 +29,7 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
     Either file appears whole or not at all, so an interruption while saving leaves the previous ones.
     """
 
-    def __init__(self, net: nn.Module) -> None:
+    def __init__(self, net: IcoSweepNet) -> None:
         super().__init__()
         self.net = net
 

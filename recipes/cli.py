@@ -130,7 +130,7 @@ def print_config(config: DictConfig, folder: Path | None = None) -> None:
                 Syntax(OmegaConf.to_yaml(value).rstrip(), "yaml", background_color="default")
             )
         else:
-            tree.add(f"{key}: {value}", highlight=True)
+            tree.add(f"{key!s}: {value}", highlight=True)
     console.print(tree)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)

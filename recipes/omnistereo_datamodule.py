@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift, ToSphere
@@ -56,7 +57,7 @@ class OmniStereoDataModule(DepthDataModule):
         self.level, self.min_depth = level, min_depth
         self.splits = {"train": train_split, "val": val_split, "test": test_split}
         self.photometric, self.shift = photometric, shift
-        self.options = {
+        self.options: dict[str, Any] = {
             "root": root,
             "dataset": dataset,
             "protocol": protocol,

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,7 +24,8 @@ from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_clou
 __all__ = ["DepthResult", "estimate_depth", "save_result"]
 
 
-class DepthResult(NamedTuple):
+@dataclass(frozen=True)
+class DepthResult:
     """What a network says about one frame; ``H`` rows and ``2 * H`` columns of panorama.
 
     Attributes:
@@ -78,6 +80,7 @@ def save_result(
         "center": rig.center,
     }
     path = folder / f"{prefix}depth.npz"
+    stored: dict[str, Any] = {key: value.cpu().numpy() for key, value in arrays.items()}
     with whole_file(path) as temporary:
-        np.savez_compressed(temporary, **{key: value.cpu().numpy() for key, value in arrays.items()})
+        np.savez_compressed(temporary, **stored)
     return [*written, path]

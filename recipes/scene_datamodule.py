@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import torch
 from rich.progress import track
@@ -79,7 +80,7 @@ class SceneDataModule(DepthDataModule):
     ) -> None:
         super().__init__(batch_size, num_workers, seed)
         self.rig, self.cache_dir, self.augment = rig, cache_dir, augment
-        self.options = {
+        self.options: dict[str, Any] = {
             "level": level,
             "kind": kind,
             "samples_per_pixel": samples_per_pixel,

@@ -23,7 +23,7 @@ from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.recipes.callbacks import training_callbacks
 from sphericalvision.recipes.checkpoints import WeightsBesideCheckpoint, initialize, load_network
-from sphericalvision.recipes.cli import build, command, console, output_folder, print_config, unquote_paths
+from sphericalvision.recipes.cli import build, command, output_folder, print_config, unquote_paths
 from sphericalvision.recipes.datamodules import DepthDataModule
 from sphericalvision.recipes.evaluation import Row, print_rows, save_rows
 from sphericalvision.recipes.lit_depth import METRICS, DepthModule
@@ -103,12 +103,13 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
     if config.init_weights is not None and checkpoint is None:
         initialize(module.net, config.init_weights)
     last = folder / "checkpoints" / "last.ckpt"
-    trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
+    try:
+        trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
+    except SystemExit:  # what Lightning makes of Ctrl+C
+        if trainer.is_global_zero and last.is_file():
+            print(f"\nStopped at step {trainer.global_step}. Go on with:\n{resume_command(last)}")
+        raise
     trainer.save_checkpoint(last)
-    if trainer.interrupted:
-        console.print(f"\nInterrupted at step {trainer.global_step}. Go on with:")
-        print(resume_command(last))
-        raise KeyboardInterrupt
     best = Path(trainer.checkpoint_callback.best_model_path or last)  # type: ignore[union-attr]
     trainer.validate(module, data, ckpt_path=best, weights_only=True, verbose=False)
     values = {name: float(trainer.callback_metrics[f"val/{name.replace('>', 'over_')}"]) for name in METRICS}

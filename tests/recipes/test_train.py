@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import json
 import shlex
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from omegaconf import OmegaConf
 from sphericalvision.models import load_weights
 from sphericalvision.recipes.checkpoints import load_network
 from sphericalvision.recipes.datamodules import TrainingStream
-from sphericalvision.recipes.lit_depth import METRICS
+from sphericalvision.recipes.lit_depth import METRICS, DepthModule
 from tests.recipes.tiny import Run
 
 Words = tuple[str, ...]
@@ -111,6 +112,31 @@ def test_resuming_another_network_is_refused(
     assert "level = 3" in message
     assert "model.level = 4" in message
     assert "init_weights=" in message
+
+
+def test_an_interrupted_training_can_go_on(
+    run: Run,
+    tmp_path: Path,
+    tiny_training: Words,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def interrupted_step(self: DepthModule, batch: Any, batch_idx: int) -> None:
+        raise KeyboardInterrupt
+
+    handler = signal.getsignal(signal.SIGINT)
+    step = DepthModule.training_step
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            DepthModule, "training_step", lambda *x: (step if x[0].global_step < 2 else interrupted_step)(*x)
+        )
+        with pytest.raises(SystemExit):
+            run("train", *tiny_training, "trainer.max_steps=4", "output=run")
+    signal.signal(signal.SIGINT, handler)
+    program, *words = command_after(capsys.readouterr().out, "sphericalvision-train ")
+    run("train", program, *words)
+    checkpoint = torch.load(tmp_path / "run/checkpoints/last.ckpt", weights_only=True)
+    assert checkpoint["global_step"] == 4
 
 
 def test_a_training_stream_is_a_function_of_seed_and_position() -> None:

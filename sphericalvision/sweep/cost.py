@@ -58,11 +58,8 @@ def photo_consistency(
         Collins (1996), "A space-sweep approach to true multi-image matching".
 
     Examples:
-        >>> from sphericalvision.cameras import CameraRig, FisheyeCamera
-        >>> camera = FisheyeCamera.from_field_of_view((64, 64), torch.pi)
-        >>> poses = torch.eye(4).repeat(2, 1, 1)
-        >>> poses[1, 0, 3] = 0.2  # the second camera stands 20 cm to the right
-        >>> rig = CameraRig({"left": camera, "right": camera}, poses)
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig = ring_rig(2, radius=0.1)
         >>> index, confidence = photo_consistency(torch.rand(1, 2, 3, 642), rig, num_hypotheses=8,
         ...     min_depth=0.5)
         >>> index.shape

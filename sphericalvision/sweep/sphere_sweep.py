@@ -126,7 +126,7 @@ def sphere_sweep(features: Tensor, tables: SweepTables) -> SweepVolume:
         )
     rows = features.transpose(2, 3).reshape(-1, channels)
     first_row = torch.arange(batch * num_cameras, device=ids.device).mul(num_vertices)
-    bags = (ids + first_row.view(batch, 1, 1, num_cameras, 1)).view(-1, 3)
+    bags = (ids + first_row.view(batch, 1, 1, num_cameras, 1)).reshape(-1, 3)
     weights = weights.to(features.dtype).expand(batch, *weights.shape[-4:]).reshape(-1, 3)
     values = F.embedding_bag(bags, rows, per_sample_weights=weights, mode="sum")
     values = values.view(batch, *ids.shape[-4:-1], channels).permute(0, 3, 4, 1, 2)
@@ -148,11 +148,8 @@ class SphereSweep(nn.Module):
 
     Examples:
         >>> import torch
-        >>> from sphericalvision.cameras import CameraRig, FisheyeCamera
-        >>> camera = FisheyeCamera.from_field_of_view((64, 64), torch.pi)
-        >>> poses = torch.eye(4).repeat(2, 1, 1)
-        >>> poses[1, 0, 3] = 0.2  # the second camera stands 20 cm to the right
-        >>> rig = CameraRig({"left": camera, "right": camera}, poses)
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig = ring_rig(2, radius=0.1)
         >>> sweep = SphereSweep(level=2, num_hypotheses=8, min_depth=0.5)
         >>> values, mask = sweep(torch.ones(1, 2, 5, 162), rig)
         >>> values.shape, mask.shape

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sphere sweep against a plain loop over cameras and hypotheses, and its laws."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.sweep import SphereSweep, depth_from_index, inverse_depth_hypotheses
+
+DOUBLE = torch.float64
+
+
+def random_rig(generator: torch.Generator, num_cameras: int = 3, field_of_view: float = 3.5) -> CameraRig:
+    rig = ring_rig(num_cameras, field_of_view=field_of_view, image_size=(64, 64)).to(dtype=DOUBLE)
+    wobble = torch.randn(2, num_cameras, 3, dtype=DOUBLE, generator=generator)
+    shaken = rig.world_from_camera @ transform_from_axis_angle(0.3 * wobble[0], 0.05 * wobble[1])
+    return CameraRig(rig.cameras, shaken)
+
+
+def swept_by_loops(features: Tensor, rig: CameraRig, sweep: SphereSweep) -> tuple[Tensor, Tensor]:
+    """Do the same one camera and one hypothesis at a time, with points in metres."""
+    ico, features_ico = Icosphere(sweep.level, DOUBLE), Icosphere(sweep.feature_level, DOUBLE)
+    depths = depth_from_index(
+        torch.arange(sweep.num_hypotheses, dtype=DOUBLE), sweep.num_hypotheses, sweep.min_depth
+    )
+    values, masks = [], []
+    for camera, (pose, max_angle) in enumerate(zip(rig.world_from_camera, rig.max_angles, strict=True)):
+        for depth in depths:
+            rays = rig.center + depth * ico.vertices - pose[:3, 3]
+            in_camera = rays @ pose[:3, :3]
+            mask = torch.atan2(in_camera[:, :2].norm(dim=-1), in_camera[:, 2]) <= max_angle
+            values.append(features_ico.sample(features[:, camera], rays) * mask)
+            masks.append(mask)
+    batch, num_cameras = features.shape[:2]
+    shape = (num_cameras, sweep.num_hypotheses)
+    stacked = torch.stack(values).unflatten(0, shape).permute(2, 0, 3, 1, 4)
+    return stacked, torch.stack(masks).unflatten(0, shape).expand(batch, -1, -1, -1)
+
+
+@pytest.mark.parametrize("feature_level", [1, 2, 3])
+def test_equals_loops_over_cameras_and_hypotheses(generator: torch.Generator, feature_level: int) -> None:
+    rig = random_rig(generator)
+    sweep = SphereSweep(2, num_hypotheses=5, min_depth=0.4, feature_level=feature_level)
+    features = torch.randn(2, 3, 4, 2 + 10 * 4**feature_level, dtype=DOUBLE, generator=generator)
+    values, mask = sweep(features, rig)
+    expected, expected_mask = swept_by_loops(features, rig, sweep)
+    assert torch.equal(mask, expected_mask)
+    torch.testing.assert_close(
+        values, expected, rtol=0, atol=1e-6
+    )  # points at "infinity" are 8 388 608 m away
+
+
+def test_out_of_view_is_zero_and_masked(generator: torch.Generator) -> None:
+    rig = random_rig(generator, field_of_view=math.pi / 2)
+    values, mask = SphereSweep(3, 4, 0.5)(torch.ones(1, 3, 2, 642, dtype=DOUBLE), rig)
+    assert 0.05 < mask.double().mean() < 0.3  # a quarter-turn cap is 15 % of the sphere
+    expected = mask[:, :, None].double().expand_as(values)
+    torch.testing.assert_close(values, expected)  # interpolation keeps constants
+
+
+def test_convention_depth_is_along_the_ray() -> None:
+    """A mark 2 m from the rig's centre, along a ray, is found at the hypothesis of 2 m."""
+    rig = ring_rig(4, field_of_view=2 * math.pi).to(dtype=DOUBLE)
+    sweep = SphereSweep(3, num_hypotheses=9, min_depth=0.5, feature_level=5)  # index 2 is 2 m
+    ico, fine = Icosphere(3, DOUBLE), Icosphere(5, DOUBLE)
+    vertex = 200
+    point = rig.center + 2.0 * ico.vertices[vertex]
+    # Each camera sees a spot in the direction of the point, from its own position.
+    toward = torch.nn.functional.normalize(point - rig.positions, dim=-1)
+    images = (20 * (torch.einsum("vd,nd->nv", fine.vertices, toward) - 1)).exp()
+    values = sweep(images[None, :, None], rig).values[0, :, 0, :, vertex]
+    assert values.prod(0).argmax() == 2
+    torch.testing.assert_close(values[:, 2], torch.ones(4, dtype=DOUBLE), rtol=0, atol=2e-2)
+
+
+def test_infinity_looks_in_the_same_direction_from_everywhere(generator: torch.Generator) -> None:
+    """Camera icospheres are aligned with the world, so at infinity the sweep copies the values of every camera."""
+    rig = ring_rig(3, field_of_view=2 * math.pi).to(dtype=DOUBLE)
+    features = torch.randn(1, 3, 2, 162, dtype=DOUBLE, generator=generator)
+    values = SphereSweep(2, 4, 0.5)(features, rig).values
+    torch.testing.assert_close(values[..., 0, :], features, rtol=0, atol=1e-5)
+
+
+def test_prepared_tables_replace_the_rig(generator: torch.Generator) -> None:
+    rig = random_rig(generator)
+    sweep = SphereSweep(2, 4, 0.5)
+    features = torch.randn(2, 3, 2, 162, dtype=DOUBLE, generator=generator)
+    direct, prepared = sweep(features, rig), sweep(features, sweep.tables(rig))
+    assert torch.equal(direct.values, prepared.values)
+    assert torch.equal(direct.mask, prepared.mask)
+
+
+def test_a_rig_a_sample_equals_one_sample_at_a_time(generator: torch.Generator) -> None:
+    rigs = [random_rig(generator) for _ in range(2)]
+    sweep = SphereSweep(2, 4, 0.5)
+    features = torch.randn(2, 3, 2, 162, dtype=DOUBLE, generator=generator)
+    together = sweep(features, CameraRig.stack(rigs))
+    for sample, rig in enumerate(rigs):
+        alone = sweep(features[sample : sample + 1], rig)
+        torch.testing.assert_close(together.values[sample], alone.values[0])
+        assert torch.equal(together.mask[sample], alone.mask[0])
+
+
+def test_moving_the_whole_world_moves_nothing_else(generator: torch.Generator) -> None:
+    rig = random_rig(generator)
+    sweep = SphereSweep(2, 4, 0.5)
+    shift = torch.eye(4, dtype=DOUBLE)
+    shift[:3, 3] = torch.tensor([3.0, -1.0, 2.0])
+    features = torch.randn(1, 3, 2, 162, dtype=DOUBLE, generator=generator)
+    moved = sweep(features, CameraRig(rig.cameras, shift @ rig.world_from_camera))
+    torch.testing.assert_close(moved.values, sweep(features, rig).values)
+
+
+def test_order_of_cameras(generator: torch.Generator) -> None:
+    rig = random_rig(generator)
+    sweep = SphereSweep(2, 4, 0.5)
+    features = torch.randn(1, 3, 2, 162, dtype=DOUBLE, generator=generator)
+    order = torch.tensor([2, 0, 1])
+    expected = sweep(features, rig).values[:, order]
+    assert torch.equal(sweep(features[:, order], rig.permuted(order)).values, expected)
+    assert torch.equal(sweep(features[:, order], sweep.tables(rig).permuted(order)).values, expected)
+
+
+def test_camera_at_the_point_itself_is_out_of_view() -> None:
+    """No direction leads from a camera to a point at its own position."""
+    poses = torch.eye(4, dtype=DOUBLE).repeat(2, 1, 1)
+    vertex = Icosphere(1, DOUBLE).vertices[7]
+    poses[:, :3, 3] = torch.stack((0.5 * vertex, -0.5 * vertex))
+    camera = ring_rig(2, field_of_view=2 * math.pi).to(dtype=DOUBLE).cameras["cam1"]
+    rig = CameraRig([camera, camera], poses)
+    sweep = SphereSweep(1, 2, 0.5)
+    sweep.inverse_depths = torch.tensor([1.0, 2.0], dtype=DOUBLE)
+    values, mask = sweep(torch.ones(1, 2, 1, 42, dtype=DOUBLE), rig)
+    assert not mask[0, 0, 1, 7]
+    assert torch.isfinite(values).all()
+
+
+def test_gradients_of_features_and_poses(generator: torch.Generator) -> None:
+    rig = random_rig(generator)
+    sweep = SphereSweep(1, 3, 0.5)
+    features = torch.randn(1, 3, 1, 42, dtype=DOUBLE, generator=generator, requires_grad=True)
+    shift = torch.zeros(3, 3, dtype=DOUBLE, requires_grad=True)
+
+    def swept(features: Tensor, shift: Tensor) -> Tensor:
+        offset = torch.nn.functional.pad(shift[..., None], (3, 0, 0, 1))
+        values = sweep(features, CameraRig(rig.cameras, rig.world_from_camera + offset)).values
+        return values[..., 1:, :]  # at infinity, points are at vertices, where interpolation has kinks
+
+    assert torch.autograd.gradcheck(swept, (features, shift))
+
+
+def test_interpolation_error_falls_fourfold_a_level() -> None:
+    """Exact point location is of second order in the edge length."""
+    rig = ring_rig(4, field_of_view=2 * math.pi).to(dtype=DOUBLE)
+    directions = Icosphere(3, DOUBLE).vertices
+    offsets = rig.center - rig.positions
+    inverse_depths = inverse_depth_hypotheses(4, 0.55, DOUBLE)
+    rays = directions + inverse_depths[:, None, None] * offsets[:, None, None]
+    truth = smooth(torch.nn.functional.normalize(rays, dim=-1))
+    errors = []
+    for level in (3, 4, 5, 6):
+        features = smooth(Icosphere(level, DOUBLE).vertices).expand(1, 4, 1, -1)
+        values = SphereSweep(3, 4, 0.55, feature_level=level)(features, rig).values[0, :, 0]
+        errors.append((values - truth).abs().mean())
+    ratios = [a / b for a, b in pairwise(errors)]
+    assert all(3.5 < ratio < 4.5 for ratio in ratios), ratios
+
+
+def smooth(directions: Tensor) -> Tensor:
+    x, y, z = directions.unbind(-1)
+    return x * y + torch.sin(3 * z) + z**2 * x
+
+
+def test_errors_name_the_argument() -> None:
+    rig = ring_rig(4)
+    sweep = SphereSweep(2, 4, 0.5)
+    with pytest.raises(ShapeError, match="level 2"):
+        sweep(torch.zeros(1, 4, 2, 642), rig)
+    with pytest.raises(ShapeError, match=r"3 cameras.*rig has 4"):
+        sweep(torch.zeros(1, 3, 2, 162), rig)
+    with pytest.raises(ShapeError, match=r"one rig for each of 3 samples.*got 2"):
+        sweep(torch.zeros(3, 4, 2, 162), CameraRig.stack([rig, rig]))
+    with pytest.raises(ArgumentError, match="level"):
+        SphereSweep(-1, 4, 0.5)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from itertools import islice
 from typing import Any, Self
 
 import pytorch_lightning as pl
@@ -14,12 +15,15 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import IcoSweepNet
+from sphericalvision.recipes.norms import estimate_norm_statistics, norms
 from sphericalvision.sweep import index_from_inverse_depth
 
 __all__ = ["METRICS", "DepthModule", "learning_rate_factor"]
 
 METRICS = (">1", ">3", ">5", "MAE", "RMS")
 """Columns of the paper's tables, in order; percent of the number of hypotheses."""
+NORM_BATCHES = 100
+"""Training batches that frozen statistics of BatchNorm are taken over."""
 
 
 def learning_rate_factor(
@@ -73,8 +77,9 @@ class DepthModule(pl.LightningModule):
         decay_after: iteration at which a step schedule drops.
         decay_factor: factor of that drop, or of the cosine's end.
         huber_delta: where the loss turns from quadratic to linear, in hypothesis indices.
-        freeze_norm: normalise by the running statistics in training, too, and leave them as they are. Batches of one
-            or two frames have statistics of their own; a last stage with frozen ones trains what evaluation will use.
+        freeze_norm: take the statistics of BatchNorm anew over ``NORM_BATCHES`` batches, then normalise by them in
+            training, too. Batches of one or two frames have statistics of their own; a last stage with frozen ones
+            trains what evaluation will use.
         seed: with the iteration's number it seeds each training step, so that resuming changes nothing.
     """
 
@@ -111,10 +116,16 @@ class DepthModule(pl.LightningModule):
         """Switch between training and evaluation; with ``freeze_norm`` the norms stay in evaluation."""
         super().train(mode)
         if mode and self.hparams.get("freeze_norm", False):
-            for module in self.net.modules():
-                if isinstance(module, torch.nn.modules.batchnorm._BatchNorm):
-                    module.eval()
+            for norm in norms(self.net):
+                norm.eval()
         return self
+
+    def on_train_start(self) -> None:
+        """With ``freeze_norm``, take the statistics that stay, unless a resumed run has them already."""
+        if self.hparams["freeze_norm"] and self.global_step == 0:
+            loader = self.trainer.datamodule.train_dataloader()  # type: ignore[attr-defined]
+            estimate_norm_statistics(self.net, islice(loader, NORM_BATCHES))
+            self.train()
 
     def forward(self, images: Tensor, rig: Any) -> Tensor:
         """Hypothesis index ``(B, V)`` of sphere images ``(B, n, 3, V_level)`` seen by ``rig``."""

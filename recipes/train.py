@@ -8,25 +8,23 @@ TensorBoard), depth panels and the final table.
 from __future__ import annotations
 
 import logging
-import shlex
 import sys
 import warnings
 from pathlib import Path
 from typing import NamedTuple
 
 import pytorch_lightning as pl
-from hydra import compose
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
 
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.recipes.callbacks import training_callbacks
 from sphericalvision.recipes.checkpoints import WeightsBesideCheckpoint, initialize, load_network
-from sphericalvision.recipes.cli import build, command, output_folder, print_config, unquote_paths
+from sphericalvision.recipes.cli import build, command, output_folder, print_config
 from sphericalvision.recipes.datamodules import DepthDataModule
 from sphericalvision.recipes.evaluation import Row, print_rows, save_rows
 from sphericalvision.recipes.lit_depth import METRICS, DepthModule
+from sphericalvision.recipes.next_steps import evaluate_command, resume_command
 
 __all__ = ["Run", "instantiate_run", "main", "train"]
 
@@ -121,35 +119,6 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
         print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")
         print(f"Evaluate: {evaluate_command(best, config)}")
     return values
-
-
-def resume_command(last: Path, max_steps: int | None = None) -> str:
-    """Command line that goes on with this run in the same folder, to ``max_steps`` if given."""
-    replaced = ("resume=", "output=", *(["trainer.max_steps="] if max_steps else []))
-    given = [word for word in HydraConfig.get().overrides.task if not word.startswith(replaced)]
-    longer = [f"trainer.max_steps={max_steps}"] if max_steps else []
-    words = [*unquote_paths(given), *longer, f"output={last.parent.parent}", f"resume={last}"]
-    return shlex.join(["sphericalvision-train", *words])
-
-
-def evaluate_command(best: Path, config: DictConfig) -> str:
-    """Command line that evaluates the best checkpoint on the test split of the same data."""
-    choices = HydraConfig.get().runtime.choices
-    groups = [f"data={choices['data']}"] + (
-        [f"scene_rig={choices['scene_rig']}"] if "rig" in config.data else []
-    )
-    usual = compose("evaluate", groups)
-    changes = [
-        f"{group}.{key}={value}".replace(" ", "").replace("None", "null")
-        for group in ("scene_rig", "data")
-        for key, value in config[group].items()
-        if key in usual[group] and key not in ("level", "min_depth", "rig", "seed")
-        if group == "data" or "rig" in config.data
-        if OmegaConf.is_missing(usual[group], key) or usual[group][key] != value
-    ]
-    return shlex.join(
-        ["sphericalvision-evaluate", f"checkpoint={best.with_suffix('.safetensors')}", *groups, *changes]
-    )
 
 
 @command("train")

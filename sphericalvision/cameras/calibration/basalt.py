@@ -46,9 +46,12 @@ def read_basalt(
         raise FileFormatError(f"{path}: not valid json ({error}); is it truncated?") from None
     value0 = entry(content, "value0", str(path))
     parts = {key: entry(value0, key, f"{path}, value0") for key in ("T_imu_cam", "intrinsics", "resolution")}
+    for key, values in parts.items():
+        if not isinstance(values, list) or not values:
+            raise FileFormatError(f"{path}, value0, {key}: expected a list of at least one entry")
     count = len(parts["intrinsics"])
     for key, values in parts.items():
-        if not isinstance(values, list) or len(values) != count or not count:
+        if len(values) != count:
             raise FileFormatError(
                 f"{path}: {key} holds {len(values)} cameras and intrinsics {count}; one entry for each camera expected"
             )
@@ -72,7 +75,7 @@ def read_basalt(
 def _pose(values: Any, where: str) -> list[float]:
     """qw qx qy qz px py pz."""
     return [
-        numbers(entry(values, key, where), f"{where}, {key}")[0]
+        numbers(entry(values, key, where), f"{where}, {key}", 1)[0]
         for key in ("qw", "qx", "qy", "qz", "px", "py", "pz")
     ]
 
@@ -82,7 +85,7 @@ def _camera(values: Any, image_size: tuple[int, int], where: str) -> Camera:
     intrinsics = entry(values, "intrinsics", where)
 
     def get(*keys: str) -> torch.Tensor:
-        found = [numbers(entry(intrinsics, key, where), f"{where}, {key}")[0] for key in keys]
+        found = [numbers(entry(intrinsics, key, where), f"{where}, {key}", 1)[0] for key in keys]
         return torch.tensor(found, dtype=torch.float64)
 
     if kind not in ("ds", "kb4", "pinhole"):

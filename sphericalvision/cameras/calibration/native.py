@@ -54,6 +54,9 @@ _MODELS: dict[str, type[Camera]] = {
     )
 }
 
+_OPTIONAL = ("inverse_polynomial",)
+"""Parameters that a file may give as ``null``."""
+
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
     """Plain numbers and strings that ``camera_from_dict`` turns back into an equal camera.
@@ -83,15 +86,17 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
         (160, 320)
     """
     name = entry(values, "model", where)
-    if name not in _MODELS:
+    if not isinstance(name, str) or name not in _MODELS:
         raise FileFormatError(f"{where}, model: expected one of {', '.join(_MODELS)}, got {name!r}")
     model = _MODELS[name]
     dtype = dtype or torch.get_default_dtype()
-    arguments: dict[str, Any] = {"image_size": entry(values, "image_size", where)}
+    arguments: dict[str, Any] = {
+        "image_size": numbers(entry(values, "image_size", where), f"{where}, image_size", 2)
+    }
     arguments |= {key: entry(values, key, where) for key in model.option_names}
     for key in model.intrinsic_names:
         value = entry(values, key, where)
-        if value is not None:
+        if value is not None or key not in _OPTIONAL:
             parsed = numbers(value, f"{where}, {key}")
             value = torch.tensor(parsed if isinstance(value, list) else parsed[0], dtype=dtype)
         arguments[key] = value
@@ -106,7 +111,7 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
 def write_camera(camera: Camera, path: str | Path) -> None:
     """Write one camera as YAML, which ``read_camera`` reads."""
     content = {"format": CAMERA_FORMAT, "version": VERSION, **camera_to_dict(camera)}
-    Path(path).write_text(_dump(content), encoding="utf-8")
+    _write(Path(path), content)
 
 
 def write_rig(rig: CameraRig, path: str | Path) -> None:
@@ -127,7 +132,7 @@ def write_rig(rig: CameraRig, path: str | Path) -> None:
             if not cv2.imwrite(str(path.parent / values["mask"]), pixels):
                 raise OSError(f"{path.parent / values['mask']}: cannot be written")
         cameras.append(values)
-    path.write_text(_dump({"format": RIG_FORMAT, "version": VERSION, "cameras": cameras}), encoding="utf-8")
+    _write(path, {"format": RIG_FORMAT, "version": VERSION, "cameras": cameras})
 
 
 def rig_from_dict(content: Any, path: Path, dtype: torch.dtype | None = None) -> CameraRig:
@@ -142,7 +147,10 @@ def rig_from_dict(content: Any, path: Path, dtype: torch.dtype | None = None) ->
         raise FileFormatError(f"{path}, version: this release reads version {VERSION}, got {version!r}")
     cameras: dict[str, Camera] = {}
     poses, masks = [], {}
-    for index, values in enumerate(entry(content, "cameras", str(path))):
+    entries = entry(content, "cameras", str(path))
+    if not isinstance(entries, list):
+        raise FileFormatError(f"{path}, cameras: expected a list of cameras, got {type(entries).__name__}")
+    for index, values in enumerate(entries):
         where = f"{path}, cameras[{index}]"
         name = str(entry(values, "name", where))
         if name in cameras:
@@ -164,5 +172,9 @@ def _is_matrix(rows: Any) -> bool:
     return isinstance(rows, list) and all(isinstance(row, list) for row in rows)
 
 
-def _dump(content: dict[str, Any]) -> str:
-    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
+def _write(path: Path, content: dict[str, Any]) -> None:
+    """Write under another name first, so that a half-written calibration never has the final one."""
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
+    unfinished.write_text(text, encoding="utf-8")
+    unfinished.replace(path)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, check_choice
+from sphericalvision.core import FileFormatError, check_choice, check_file
 
 __all__ = [
     "METRES_PER_UNIT",
@@ -50,6 +50,8 @@ def numbers(values: Any, where: str, count: int | None = None) -> list[float]:
     values = list(values) if isinstance(values, list | tuple) else [values]
     if count is not None and len(values) != count:
         raise FileFormatError(f"{where}: expected {count} numbers, got {len(values)}; is the file truncated?")
+    if not values:
+        raise FileFormatError(f"{where}: expected numbers, got an empty list")
     try:
         result = [float(value) for value in values]
     except (TypeError, ValueError):
@@ -79,8 +81,10 @@ def read_mask(path: Path, image_size: tuple[int, int]) -> Tensor:
     """A mask image (h, w) as bool, True where it is at least half white.
 
     Raises:
+        MissingFileError: there is no such file.
         FileFormatError: it cannot be read as an image, or has another size than the camera's images.
     """
+    check_file(path, "a mask image")
     pixels = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if pixels is None:
         raise FileFormatError(f"{path}: not an image that OpenCV can read (a mask was expected)")

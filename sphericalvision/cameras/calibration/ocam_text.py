@@ -45,6 +45,10 @@ def _data_lines(path: Path) -> list[tuple[int, list[str]]]:
 
 def _counted(values: list[float], where: str) -> list[float]:
     """Coefficients from ``[count, *coefficients]``."""
+    if len(values) < 2:
+        raise FileFormatError(
+            f"{where}: expected the number of coefficients and at least one coefficient, got {values}"
+        )
     count, coefficients = values[0], values[1:]
     if count != len(coefficients):
         raise FileFormatError(

@@ -3,13 +3,15 @@
 PYTHON ?= python3
 VENV   ?= .venv
 SHELL  := /bin/bash
-.SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 
 BIN := $(VENV)/bin
-# pip says a line for each package; keep those that tell progress. Errors go to stderr and are always shown.
-PIP := PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --progress-bar off -c constraints.txt
-PROGRESS := { grep --line-buffered -E '^ *(Collecting|Installing|Successfully)' || true; }
+# Bytecode is compiled at the first import of what is used, which is far less than what is installed.
+PIP := PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install \
+       --no-compile --progress-bar off -c constraints.txt
+# Of what pip says keep the lines that tell progress. Errors go to stderr and are always shown.
+PROGRESS := $(BIN)/python -uc 'import sys; [print("   ", line.strip()[:90]) for line in sys.stdin \
+            if line.strip().startswith(("Collecting", "Installing", "Successfully"))]'
 
 .PHONY: help demo test test-all lint format docs clean
 
@@ -26,9 +28,9 @@ test-all: lint ## linters, then every test
 	@$(BIN)/python -m pytest $(ARGS)
 
 lint: $(VENV)/.installed-all ## ruff, mypy and the import layers
-	@echo "==> ruff check";  $(BIN)/ruff check .
-	@echo "==> ruff format"; $(BIN)/ruff format --check .
-	@echo "==> mypy";        $(BIN)/mypy
+	@echo "==> ruff check"   && $(BIN)/ruff check .
+	@echo "==> ruff format"  && $(BIN)/ruff format --check .
+	@echo "==> mypy"         && $(BIN)/mypy
 	@echo "==> lint-imports"
 	@# The linter reads folders, not the package-dir mapping of pyproject.toml: show it the installed layout.
 	@rm -rf build/layers && mkdir -p build/layers && cp -R sphericalvision build/layers/
@@ -58,15 +60,15 @@ $(VENV)/bin/python:
 # torch goes first and alone: it is by far the largest, and pinning it keeps pip from trying other versions.
 $(VENV)/.torch: $(VENV)/bin/python constraints.txt
 	@echo "==> installing torch (the largest download; later runs skip this)"
-	@$(PIP) torch | $(PROGRESS)
+	@set -o pipefail; $(PIP) torch | $(PROGRESS)
 	@touch $@
 
 $(VENV)/.installed-recipes: $(VENV)/.torch pyproject.toml
 	@echo "==> installing sphericalvision with its recipes"
-	@$(PIP) -e '.[recipes]' | $(PROGRESS)
+	@set -o pipefail; $(PIP) -e '.[recipes]' | $(PROGRESS)
 	@touch $@
 
 $(VENV)/.installed-all: $(VENV)/.torch pyproject.toml
 	@echo "==> installing sphericalvision with its recipes, documentation and development tools"
-	@$(PIP) -e '.[all]' | $(PROGRESS)
+	@set -o pipefail; $(PIP) -e '.[all]' | $(PROGRESS)
 	@touch $@ $(VENV)/.installed-recipes

@@ -12,6 +12,8 @@ PIP := PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip i
 # Of what pip says keep the lines that tell progress. Errors go to stderr and are always shown.
 PROGRESS := $(BIN)/python -uc 'import sys; [print("   ", line.strip()[:90]) for line in sys.stdin \
             if line.strip().startswith(("Collecting", "Installing", "Successfully"))]'
+# A process for each core, up to four, each with one thread: the tests are many and small.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 .PHONY: help demo test test-all lint format docs clean
 
@@ -22,10 +24,10 @@ demo: $(VENV)/.installed-recipes ## four rendered fisheye images to a 360° dept
 	@$(BIN)/python -m sphericalvision.recipes.demo $(ARGS)
 
 test: lint ## linters, then every test that is not slow
-	@$(BIN)/python -m pytest -m "not slow" $(ARGS)
+	@$(PYTEST) -m "not slow" $(ARGS)
 
 test-all: lint ## linters, then every test
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(PYTEST) $(ARGS)
 
 lint: $(VENV)/.installed-all ## ruff, mypy and the import layers
 	@echo "==> ruff check"   && $(BIN)/ruff check .

@@ -19,7 +19,7 @@ __all__ = ["WeightsBesideCheckpoint", "initialize", "load_network"]
 REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
 
-SHAPED_BY = ("num_cameras", "feature_channels")
+SHAPED_BY = ("num_cameras", "feature_channels", "norm")
 """Hyper-parameters that give parameters their shapes; the others may change after training."""
 
 
@@ -110,7 +110,7 @@ def _read(checkpoint: str | Path | None) -> IcoSweepNet:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         hyperparameters, state = content["hyper_parameters"], content["state_dict"]
-        names = ("level", "num_hypotheses", "min_depth", "feature_channels", "num_cameras")
+        names = ("level", "num_hypotheses", "min_depth", "feature_channels", "num_cameras", "norm")
         net = IcoSweepNet(**{name: hyperparameters[name] for name in names})
         net.load_state_dict({key[4:]: value for key, value in state.items() if key.startswith("net.")})
     except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:

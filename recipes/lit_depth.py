@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import math
-from itertools import islice
-from typing import Any, Self
+from typing import Any
 
 import pytorch_lightning as pl
 import torch
@@ -15,15 +14,12 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import IcoSweepNet
-from sphericalvision.recipes.norms import estimate_norm_statistics, norms
 from sphericalvision.sweep import index_from_inverse_depth
 
 __all__ = ["METRICS", "DepthModule", "learning_rate_factor"]
 
 METRICS = (">1", ">3", ">5", "MAE", "RMS")
 """Columns of the paper's tables, in order; percent of the number of hypotheses."""
-NORM_BATCHES = 100
-"""Training batches that frozen statistics of BatchNorm are taken over."""
 
 
 def learning_rate_factor(
@@ -69,6 +65,7 @@ class DepthModule(pl.LightningModule):
         min_depth: nearest hypothesis in metres.
         feature_channels: width C of the features.
         num_cameras: number of cameras of the rig.
+        norm: "batch", or "instance" for batches of one or two.
         learning_rate: of Adam, at its highest.
         weight_decay: of Adam.
         schedule: ``"constant"``, ``"step"`` or ``"cosine"``; see ``learning_rate_factor``.
@@ -77,9 +74,6 @@ class DepthModule(pl.LightningModule):
         decay_after: iteration at which a step schedule drops.
         decay_factor: factor of that drop, or of the cosine's end.
         huber_delta: where the loss turns from quadratic to linear, in hypothesis indices.
-        freeze_norm: take the statistics of BatchNorm anew over ``NORM_BATCHES`` batches, then normalise by them in
-            training, too. Batches of one or two frames have statistics of their own; a last stage with frozen ones
-            trains what evaluation will use.
         seed: with the iteration's number it seeds each training step, so that resuming changes nothing.
     """
 
@@ -90,6 +84,7 @@ class DepthModule(pl.LightningModule):
         min_depth: float = 0.55,
         feature_channels: int = 32,
         num_cameras: int = 4,
+        norm: str = "batch",
         learning_rate: float = 1e-3,
         weight_decay: float = 0.0,
         schedule: str = "step",
@@ -98,7 +93,6 @@ class DepthModule(pl.LightningModule):
         decay_after: int = 36_000,
         decay_factor: float = 0.1,
         huber_delta: float = 1.0,
-        freeze_norm: bool = False,
         seed: int = 0,
     ) -> None:
         super().__init__()
@@ -109,23 +103,8 @@ class DepthModule(pl.LightningModule):
                 "set trainer.max_steps or optimizer.schedule_steps"
             )
         self.save_hyperparameters()
-        self.net = IcoSweepNet(level, num_hypotheses, min_depth, feature_channels, num_cameras)
+        self.net = IcoSweepNet(level, num_hypotheses, min_depth, feature_channels, num_cameras, norm=norm)
         self.validation_metric = DepthIndexError(num_hypotheses)
-
-    def train(self, mode: bool = True) -> Self:
-        """Switch between training and evaluation; with ``freeze_norm`` the norms stay in evaluation."""
-        super().train(mode)
-        if mode and self.hparams.get("freeze_norm", False):
-            for norm in norms(self.net):
-                norm.eval()
-        return self
-
-    def on_train_start(self) -> None:
-        """With ``freeze_norm``, take the statistics that stay, unless a resumed run has them already."""
-        if self.hparams["freeze_norm"] and self.global_step == 0:
-            loader = self.trainer.datamodule.train_dataloader()  # type: ignore[attr-defined]
-            estimate_norm_statistics(self.net, islice(loader, NORM_BATCHES))
-            self.train()
 
     def forward(self, images: Tensor, rig: Any) -> Tensor:
         """Hypothesis index ``(B, V)`` of sphere images ``(B, n, 3, V_level)`` seen by ``rig``."""

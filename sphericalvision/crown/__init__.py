@@ -3,7 +3,13 @@
 
 from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, crown_conv2d, crown_conv3d
 from sphericalvision.crown.layout import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
-from sphericalvision.crown.norm import CrownBatchNorm2d, CrownBatchNorm3d
+from sphericalvision.crown.norm import (
+    CrownBatchNorm2d,
+    CrownBatchNorm3d,
+    CrownInstanceNorm2d,
+    CrownInstanceNorm3d,
+    crown_norm,
+)
 from sphericalvision.crown.pool import CrownAvgPool2d, crown_avg_pool2d
 
 __all__ = [
@@ -13,10 +19,13 @@ __all__ = [
     "CrownBatchNorm3d",
     "CrownConv2d",
     "CrownConv3d",
+    "CrownInstanceNorm2d",
+    "CrownInstanceNorm3d",
     "crown_avg_pool2d",
     "crown_conv2d",
     "crown_conv3d",
     "crown_map",
+    "crown_norm",
     "crown_relu",
     "exchange",
     "from_crown",

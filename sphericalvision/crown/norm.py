@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Batch normalisation of a crown: one set of statistics over the rectangles of both directions."""
+"""Normalisation of a crown: one set of statistics over the rectangles of both directions."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ShapeError, check_choice
 from sphericalvision.crown.layout import Crown, check_crown
 
-__all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d"]
+__all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
 
 
 class _CrownBatchNorm(_BatchNorm):
@@ -70,3 +70,61 @@ class CrownBatchNorm3d(_CrownBatchNorm):
     """
 
     spatial_dims = 3
+
+
+class _CrownInstanceNorm(_CrownBatchNorm):
+    """Batch normalisation of one sample at a time by its own statistics, in training and evaluation alike."""
+
+    def __init__(self, num_features: int, eps: float = 1e-5) -> None:
+        super().__init__(num_features, eps, track_running_stats=False)
+
+    def forward(self, crown: Crown) -> Crown:  # type: ignore[override]
+        check_crown(crown, self.spatial_dims)
+        samples = zip(crown.col.split(1), crown.row.split(1), strict=True)
+        cols, rows = zip(*(super(_CrownInstanceNorm, self).forward(Crown(*s)) for s in samples), strict=True)
+        return Crown(cols[0], rows[0]) if len(cols) == 1 else Crown(torch.cat(cols), torch.cat(rows))
+
+
+class CrownInstanceNorm2d(_CrownInstanceNorm):
+    """Instance normalisation of a crown ``(B, 5, C, h, w)``: the statistics of each sample over both directions.
+
+    The choice for training with a batch of one or two, where statistics of a batch tell little of the next one.
+
+    Args:
+        num_features: C.
+        eps: added to the variance.
+
+    References:
+        Ulyanov, Vedaldi and Lempitsky (2016), "Instance normalization".
+
+    Examples:
+        >>> from sphericalvision.crown import to_crown
+        >>> values = torch.rand(2, 3, 42)
+        >>> pair, alone = CrownInstanceNorm2d(3)(to_crown(values)), CrownInstanceNorm2d(3)(to_crown(values[:1]))
+        >>> torch.equal(pair.col[:1], alone.col)
+        True
+    """
+
+    spatial_dims = 2
+
+
+class CrownInstanceNorm3d(_CrownInstanceNorm):
+    """Instance normalisation of a crown of volumes ``(B, 5, C, N, h, w)``; see ``CrownInstanceNorm2d``."""
+
+    spatial_dims = 3
+
+
+NORMS = ("batch", "instance")
+
+
+def crown_norm(kind: str, spatial_dims: int, num_features: int) -> _CrownBatchNorm:
+    """Return the ``"batch"`` or ``"instance"`` normalisation of crowns (2) or of crowns of volumes (3).
+
+    Examples:
+        >>> crown_norm("batch", 2, 8)
+        CrownBatchNorm2d(8, eps=1e-05, momentum=0.1, affine=True, track_running_stats=True)
+    """
+    check_choice("norm", kind, NORMS)
+    if kind == "batch":
+        return (CrownBatchNorm2d if spatial_dims == 2 else CrownBatchNorm3d)(num_features)
+    return (CrownInstanceNorm2d if spatial_dims == 2 else CrownInstanceNorm3d)(num_features)

@@ -8,8 +8,8 @@ from torch import Tensor, nn
 from sphericalvision.crown import (
     Crown,
     CrownAvgPool2d,
-    CrownBatchNorm2d,
     CrownConv2d,
+    crown_norm,
     crown_relu,
     exchange,
     from_crown,
@@ -20,12 +20,12 @@ __all__ = ["ConvNorm2d", "FeatureExtractor", "ResidualBlock"]
 
 
 class ConvNorm2d(nn.Module):
-    """A crown convolution and the batch normalisation after it."""
+    """A crown convolution and the normalisation after it, ``"batch"`` or ``"instance"``."""
 
-    def __init__(self, in_channels: int, out_channels: int, stride: int = 1) -> None:
+    def __init__(self, in_channels: int, out_channels: int, stride: int = 1, norm: str = "batch") -> None:
         super().__init__()
         self.conv = CrownConv2d(in_channels, out_channels, stride=stride)
-        self.norm = CrownBatchNorm2d(out_channels)
+        self.norm = crown_norm(norm, 2, out_channels)
 
     def forward(self, crown: Crown) -> Crown:
         return self.norm(self.conv(crown))
@@ -41,10 +41,10 @@ class ResidualBlock(nn.Module):
         He et al. (2016), "Deep residual learning for image recognition".
     """
 
-    def __init__(self, channels: int, stride: int = 1) -> None:
+    def __init__(self, channels: int, stride: int = 1, norm: str = "batch") -> None:
         super().__init__()
-        self.first = ConvNorm2d(channels, channels, stride)
-        self.second = ConvNorm2d(channels, channels)
+        self.first = ConvNorm2d(channels, channels, stride, norm)
+        self.second = ConvNorm2d(channels, channels, norm=norm)
         self.shortcut = CrownAvgPool2d(stride) if stride > 1 else nn.Identity()
 
     def forward(self, crown: Crown) -> Crown:
@@ -68,13 +68,13 @@ class FeatureExtractor(nn.Module):
         torch.Size([1, 4, 42])
     """
 
-    def __init__(self, channels: int = 32, in_channels: int = 3) -> None:
+    def __init__(self, channels: int = 32, in_channels: int = 3, norm: str = "batch") -> None:
         super().__init__()
-        self.entry = ConvNorm2d(in_channels, channels, stride=2)
-        self.second = ConvNorm2d(channels, channels)
-        self.fine = nn.Sequential(*(ResidualBlock(channels) for _ in range(3)))
+        self.entry = ConvNorm2d(in_channels, channels, 2, norm)
+        self.second = ConvNorm2d(channels, channels, norm=norm)
+        self.fine = nn.Sequential(*(ResidualBlock(channels, norm=norm) for _ in range(3)))
         self.coarse = nn.Sequential(
-            ResidualBlock(channels, stride=2), *(ResidualBlock(channels) for _ in range(4))
+            ResidualBlock(channels, 2, norm), *(ResidualBlock(channels, norm=norm) for _ in range(4))
         )
         self.last = CrownConv2d(channels, channels)
 

@@ -46,6 +46,8 @@ class IcoSweepNet(nn.Module):
         feature_channels: channels of a camera's features; all other widths are proportional.
         num_cameras: number of cameras of the rigs.
         shuffle_cameras: whether to concatenate the cameras in random order in training mode.
+        norm: ``"batch"``, as in the paper, or ``"instance"``, the statistics of each sample alone: for training with
+            batches of one or two.
 
     References:
         Komatsu, Fujii, Tamura, Yamashita and Asama (2020), "360° depth estimation from multiple fisheye
@@ -67,6 +69,7 @@ class IcoSweepNet(nn.Module):
         feature_channels: int = 32,
         num_cameras: int = 4,
         shuffle_cameras: bool = True,
+        norm: str = "batch",
     ) -> None:
         super().__init__()
         if not isinstance(level, int) or level < 2:
@@ -82,9 +85,10 @@ class IcoSweepNet(nn.Module):
         self.feature_channels = feature_channels
         self.num_cameras = num_cameras
         self.shuffle_cameras = shuffle_cameras
-        self.features = FeatureExtractor(feature_channels)
+        self.norm = norm
+        self.features = FeatureExtractor(feature_channels, norm=norm)
         self.sweep = SphereSweep(level - 2, num_hypotheses, min_depth)
-        self.regularizer = CostRegularizer(num_cameras * feature_channels, feature_channels)
+        self.regularizer = CostRegularizer(num_cameras * feature_channels, feature_channels, norm)
 
     @property
     def num_hypotheses(self) -> int:
@@ -106,6 +110,7 @@ class IcoSweepNet(nn.Module):
             "feature_channels": self.feature_channels,
             "num_cameras": self.num_cameras,
             "shuffle_cameras": self.shuffle_cameras,
+            "norm": self.norm,
         }
 
     def forward(
@@ -149,6 +154,11 @@ class IcoSweepNet(nn.Module):
         self._check_images(images)
         features = self.extract_features(images)
         tables = rig if isinstance(rig, SweepTables) else self.sweep.tables(rig)
+        if tables.num_cameras != self.num_cameras:
+            raise ShapeError(
+                f"rig: expected {self.num_cameras} cameras, as the images and the network have, "
+                f"got {tables.num_cameras}"
+            )
         order = self._camera_order(camera_order, generator)
         if order is not None:
             order = order.to(images.device)

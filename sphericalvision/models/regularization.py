@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from sphericalvision.crown import (
     Crown,
-    CrownBatchNorm3d,
     CrownConv3d,
+    crown_norm,
     crown_relu,
     from_crown,
     to_crown,
@@ -18,12 +18,12 @@ __all__ = ["ConvNorm3d", "CostBlock", "CostRegularizer"]
 
 
 class ConvNorm3d(nn.Module):
-    """A 3D crown convolution and the batch normalisation after it."""
+    """A 3D crown convolution and the normalisation after it, ``"batch"`` or ``"instance"``."""
 
-    def __init__(self, in_channels: int, out_channels: int) -> None:
+    def __init__(self, in_channels: int, out_channels: int, norm: str = "batch") -> None:
         super().__init__()
         self.conv = CrownConv3d(in_channels, out_channels)
-        self.norm = CrownBatchNorm3d(out_channels)
+        self.norm = crown_norm(norm, 3, out_channels)
 
     def forward(self, crown: Crown) -> Crown:
         return self.norm(self.conv(crown))
@@ -32,10 +32,12 @@ class ConvNorm3d(nn.Module):
 class CostBlock(nn.Module):
     """Two normalised 3D convolutions with a ReLU between them, from vertices to vertices."""
 
-    def __init__(self, in_channels: int, hidden_channels: int, out_channels: int) -> None:
+    def __init__(
+        self, in_channels: int, hidden_channels: int, out_channels: int, norm: str = "batch"
+    ) -> None:
         super().__init__()
-        self.first = ConvNorm3d(in_channels, hidden_channels)
-        self.second = ConvNorm3d(hidden_channels, out_channels)
+        self.first = ConvNorm3d(in_channels, hidden_channels, norm)
+        self.second = ConvNorm3d(hidden_channels, out_channels, norm)
 
     def forward(self, volume: Tensor) -> Tensor:
         return from_crown(self.second(crown_relu(self.first(to_crown(volume)))))
@@ -58,11 +60,11 @@ class CostRegularizer(nn.Module):
         torch.Size([1, 4, 42])
     """
 
-    def __init__(self, in_channels: int = 128, channels: int = 32) -> None:
+    def __init__(self, in_channels: int = 128, channels: int = 32, norm: str = "batch") -> None:
         super().__init__()
-        self.fusion = CostBlock(in_channels, in_channels, 2 * channels)
-        self.blocks = nn.ModuleList(CostBlock(*[2 * channels] * 3) for _ in range(4))
-        self.reduction = ConvNorm3d(2 * channels, channels)
+        self.fusion = CostBlock(in_channels, in_channels, 2 * channels, norm)
+        self.blocks = nn.ModuleList(CostBlock(*[2 * channels] * 3, norm) for _ in range(4))
+        self.reduction = ConvNorm3d(2 * channels, channels, norm)
         self.score = CrownConv3d(channels, 1)
 
     def forward(self, volume: Tensor) -> Tensor:

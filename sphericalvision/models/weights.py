@@ -158,13 +158,16 @@ def load_reference_checkpoint(
             f"{path}: feature_extraction.lastconv.weight or cost_regularization.dres0.0.conv.weight is missing "
             "or has no channels, so the widths of the network are unknown"
         ) from error
-    net = IcoSweepNet(
-        level=int(settings["level"]),
-        num_hypotheses=int(settings["num_hypotheses"]),
-        min_depth=float(settings["min_depth"]),
-        feature_channels=channels,
-        num_cameras=num_cameras,
-    )
+    try:
+        net = IcoSweepNet(
+            level=int(settings["level"]),
+            num_hypotheses=int(settings["num_hypotheses"]),
+            min_depth=float(settings["min_depth"]),
+            feature_channels=channels,
+            num_cameras=num_cameras,
+        )
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(f"{path}: no network has these settings ({settings}): {error}") from error
     return _filled(net, state, path).eval()
 
 

@@ -48,6 +48,11 @@ class SweepTables(NamedTuple):
     weights: Tensor
     mask: Tensor
 
+    @property
+    def num_cameras(self) -> int:
+        """n, the number of cameras."""
+        return self.ids.shape[-2]
+
     def to(self, device: torch.device | str) -> SweepTables:
         """Return the tables on another device."""
         return SweepTables(*(table.to(device) for table in self))
@@ -115,9 +120,9 @@ def sphere_sweep(features: Tensor, tables: SweepTables) -> SweepVolume:
     if features.ndim != 4:
         raise ShapeError(f"features: expected shape (B, n, C, V), got {tuple(features.shape)}")
     batch, num_cameras, channels, num_vertices = features.shape
-    if ids.shape[-2] != num_cameras:
+    if tables.num_cameras != num_cameras:
         raise ShapeError(
-            f"features: got {num_cameras} cameras, but the rig has {ids.shape[-2]}; "
+            f"features: got {num_cameras} cameras, but the rig has {tables.num_cameras}; "
             "pass images in the order of rig.names"
         )
     if ids.ndim == 5 and len(ids) != batch:

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of IcoSweepNet that need no reference."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.crown import from_crown, to_crown
+from sphericalvision.losses import depth_index_huber
+from sphericalvision.models import CostRegularizer, IcoSweepNet
+from sphericalvision.sweep import depth_from_index
+
+LEVEL, IMAGE_VERTICES, DEPTH_VERTICES = 3, 642, 42
+
+
+def small_net(**changes: int | float | bool) -> IcoSweepNet:
+    torch.manual_seed(0)
+    settings = {"level": LEVEL, "num_hypotheses": 4, "feature_channels": 4, "num_cameras": 3} | changes
+    return IcoSweepNet(**settings)
+
+
+def images(generator: torch.Generator, batch: int = 2, num_cameras: int = 3) -> Tensor:
+    return 2 * torch.rand(batch, num_cameras, 3, IMAGE_VERTICES, generator=generator) - 1
+
+
+@torch.no_grad()
+def lived_in(net: IcoSweepNet, generator: torch.Generator) -> IcoSweepNet:
+    """Give batch normalisation the statistics of its inputs, so that the network tells hypotheses apart."""
+    for module in net.modules():
+        if isinstance(module, torch.nn.modules.batchnorm._BatchNorm):
+            module.momentum = 1.0
+    net.train()(images(generator), ring_rig(3))
+    index = net.eval()(images(generator), ring_rig(3))
+    assert index.std() > 1e-2
+    return net
+
+
+def test_index_is_in_range_and_depth_in_metres(generator: torch.Generator) -> None:
+    net = lived_in(small_net(), generator)
+    index, confidence = net.predict(images(generator), ring_rig(3))
+    assert index.shape == confidence.shape == (2, DEPTH_VERTICES)
+    assert index.min() >= 0
+    assert index.max() <= 3
+    torch.testing.assert_close(net.depth(index), depth_from_index(index, 4, 0.55))
+
+
+@torch.no_grad()
+def test_a_batch_equals_its_samples(generator: torch.Generator) -> None:
+    net = lived_in(small_net(), generator)
+    batch, rig = images(generator), ring_rig(3)
+    together = net(batch, rig)
+    for sample in range(2):
+        torch.testing.assert_close(
+            together[sample], net(batch[sample : sample + 1], rig)[0], rtol=0, atol=1e-5
+        )
+
+
+@torch.no_grad()
+def test_a_rig_a_sample_and_prepared_tables(generator: torch.Generator) -> None:
+    net = lived_in(small_net(), generator)
+    batch, rigs = images(generator), [ring_rig(3), ring_rig(3, radius=0.05, field_of_view=math.pi)]
+    alone = torch.cat([net(batch[k : k + 1], rig) for k, rig in enumerate(rigs)])
+    stacked = CameraRig.stack(rigs)
+    torch.testing.assert_close(net(batch, stacked), alone, rtol=0, atol=1e-5)
+    assert torch.equal(net(batch, net.sweep.tables(stacked)), net(batch, stacked))
+    assert (net(batch, rigs[0])[1] - alone[1]).abs().max() > 1e-4  # the rig matters
+
+
+@torch.no_grad()
+def test_camera_order_is_that_of_rig_and_images(generator: torch.Generator) -> None:
+    net = lived_in(small_net(), generator)
+    batch, rig, order = images(generator), ring_rig(3), [2, 0, 1]
+    permuted = net(batch[:, order], rig.permuted(order))
+    torch.testing.assert_close(net(batch, rig, camera_order=order), permuted, rtol=0, atol=1e-5)
+
+
+@torch.no_grad()
+def test_shuffle_is_for_training_and_follows_the_generator(generator: torch.Generator) -> None:
+    net, batch, rig = small_net(), images(generator), ring_rig(3)
+
+    def run(seed: int) -> Tensor:
+        return net.train()(batch, rig, generator=torch.Generator().manual_seed(seed))
+
+    results = [run(seed) for seed in range(8)]
+    assert torch.equal(results[0], run(0))
+    assert any((result - results[0]).abs().max() > 1e-4 for result in results[1:])
+    net.shuffle_cameras = False
+    assert torch.equal(run(0), run(1))
+    net.shuffle_cameras = True
+    net.eval()
+    assert torch.equal(net(batch, rig), net(batch, rig))
+
+
+@torch.no_grad()
+def test_training_takes_statistics_one_camera_at_a_time(generator: torch.Generator) -> None:
+    """Running values after a step are those of plain passes over the cameras, in order."""
+    net, batch = small_net(), images(generator)
+    alone = small_net()
+    net.train()(batch, ring_rig(3))
+    for camera in range(3):
+        alone.train().features(batch[:, camera])
+    expected = alone.features.state_dict()
+    assert expected["entry.norm.num_batches_tracked"] == 3
+    for name, value in net.features.state_dict().items():
+        torch.testing.assert_close(value, expected[name])
+
+
+def test_every_parameter_learns(generator: torch.Generator) -> None:
+    net = small_net().train()
+    index = net(images(generator, batch=1), ring_rig(3))
+    depth_index_huber(index, torch.full_like(index, 2.0)).backward()
+    for name, parameter in net.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.isfinite().all(), name
+        assert parameter.grad.abs().max() > 0, name
+
+
+def test_a_few_steps_fit_one_sample(generator: torch.Generator) -> None:
+    net, rig = small_net().train(), ring_rig(3)
+    batch = images(generator, batch=1)
+    target = 3 * torch.rand(1, DEPTH_VERTICES, generator=generator)
+    tables = net.sweep.tables(rig)
+    optimizer = torch.optim.Adam(net.parameters(), 1e-2)
+    losses = []
+    for _ in range(40):
+        loss = depth_index_huber(net(batch, tables, camera_order=range(3)), target)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.3 * losses[0]
+
+
+@torch.no_grad()
+@pytest.mark.parametrize(("level", "num_hypotheses"), [(2, 3), (4, 6)])
+def test_weights_fit_any_level_and_number_of_hypotheses(level: int, num_hypotheses: int) -> None:
+    other = small_net(level=level, num_hypotheses=num_hypotheses)
+    other.load_state_dict(small_net().state_dict())
+    index = other.eval()(torch.zeros(1, 3, 3, 2 + 10 * 4**level), ring_rig(3))
+    assert index.shape == (1, 2 + 10 * 4 ** (level - 2))
+
+
+@torch.no_grad()
+def test_residuals_on_vertices_equal_residuals_on_crowns(generator: torch.Generator) -> None:
+    """The published order is add, then exchange; ours, exchange then add, is the same and half the work."""
+    regularizer = CostRegularizer(in_channels=4, channels=2).train()
+    volume = torch.randn(1, 4, 5, 42, generator=generator)
+    crown = to_crown(regularizer.fusion(volume))
+    for block in regularizer.blocks:
+        first = block.first(crown)
+        hidden = block.second(type(first)(first.col.relu(), first.row.relu()))
+        crown = to_crown(from_crown(hidden + crown))
+    reduced = regularizer.reduction(crown)
+    expected = from_crown(regularizer.score(type(reduced)(reduced.col.relu(), reduced.row.relu())))
+    torch.testing.assert_close(regularizer(volume), expected.squeeze(1), rtol=0, atol=1e-5)
+
+
+def test_hyperparameters_rebuild_the_network() -> None:
+    net = small_net(min_depth=0.3, shuffle_cameras=False)
+    again = IcoSweepNet(**net.hyperparameters)
+    assert again.hyperparameters == net.hyperparameters
+    assert all(isinstance(value, int | float) for value in net.hyperparameters.values())
+
+
+def test_errors_name_the_argument() -> None:
+    net = small_net()
+    with pytest.raises(ShapeError, match=r"images: expected shape \(B, 3, 3, 642\)"):
+        net(torch.zeros(1, 4, 3, 642), ring_rig(3))
+    with pytest.raises(ShapeError, match="level 3"):
+        net(torch.zeros(1, 3, 3, 162), ring_rig(3))
+    with pytest.raises(ShapeError, match=r"expected 3 cameras.*got 4"):
+        net(torch.zeros(1, 3, 3, 642), ring_rig(4))
+    with pytest.raises(ArgumentError, match="camera_order"):
+        net(torch.zeros(1, 3, 3, 642), ring_rig(3), camera_order=[0, 0, 1])
+    for name, value in (("level", 1), ("num_hypotheses", 1), ("min_depth", -1.0), ("num_cameras", 0)):
+        with pytest.raises(ArgumentError, match=name):
+            small_net(**{name: value})

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weights on disk: round trips, the authors' format, and what is said about broken files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from sphericalvision.cameras import ring_rig
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.models import (
+    IcoSweepNet,
+    load_reference_checkpoint,
+    load_weights,
+    pretrained,
+    save_weights,
+)
+from sphericalvision.models.weights import available_weights
+
+Writer = Callable[..., Path]
+
+
+def small_net() -> IcoSweepNet:
+    torch.manual_seed(1)
+    return IcoSweepNet(level=3, num_hypotheses=4, min_depth=0.3, feature_channels=2, num_cameras=2)
+
+
+def in_reference_names(net: IcoSweepNet) -> dict[str, Tensor]:
+    """Name weights as the authors do, written out by hand, index tables included."""
+    renamed = {}
+    for name, tensor in net.state_dict().items():
+        key = name.replace("norm.", "bn.")
+        for ours, theirs in (
+            ("features.entry", "feature_extraction.conv1"),
+            ("features.second", "feature_extraction.conv2"),
+            ("features.fine", "feature_extraction.layer1"),
+            ("features.coarse", "feature_extraction.layer2"),
+            ("features.last", "feature_extraction.lastconv"),
+            ("regularizer.fusion", "cost_regularization.dres0"),
+            ("regularizer.blocks.0", "cost_regularization.dres1"),
+            ("regularizer.blocks.1", "cost_regularization.dres2"),
+            ("regularizer.blocks.2", "cost_regularization.dres3"),
+            ("regularizer.blocks.3", "cost_regularization.dres4"),
+            ("regularizer.reduction", "cost_regularization.classify.0"),
+            ("regularizer.score", "cost_regularization.classify.1"),
+        ):
+            if key.startswith(ours + "."):
+                key = theirs + key[len(ours) :]
+        in_features = key.startswith(("feature_extraction.layer1", "feature_extraction.layer2"))
+        first, second = ("convbn1", "convbn2") if in_features else ("0", "1")
+        key = key.replace(".first.", f".{first}.").replace(".second.", f".{second}.")
+        renamed[key] = tensor
+    renamed["feature_extraction.conv1.conv.w1_index"] = torch.arange(7)
+    return renamed
+
+
+def same_weights(a: IcoSweepNet, b: IcoSweepNet) -> bool:
+    state = b.state_dict()
+    return all(torch.equal(tensor, state[name]) for name, tensor in a.state_dict().items())
+
+
+def test_save_and_load(tmp_path: Path, generator: torch.Generator) -> None:
+    net = small_net()
+    images = torch.rand(1, 2, 3, 642, generator=generator)
+    net.train()(images, ring_rig(2))  # statistics other than those it starts with
+    path = save_weights(net, tmp_path / "new folder" / "net.safetensors")
+    again = load_weights(path)
+    assert again.hyperparameters == net.hyperparameters
+    assert same_weights(again, net)
+    assert not again.training
+    assert torch.equal(again(images, ring_rig(2)), net.eval()(images, ring_rig(2)))
+    assert [file.name for file in path.parent.iterdir()] == ["net.safetensors"]
+
+
+def test_weights_need_their_suffix(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="safetensors"):
+        save_weights(small_net(), tmp_path / "net.pth")
+
+
+def test_unreadable_weights_say_so(tmp_path: Path) -> None:
+    path = tmp_path / "net.safetensors"
+    with pytest.raises(MissingFileError, match=r"net\.safetensors"):
+        load_weights(path)
+    path.write_bytes(b"not weights at all")
+    with pytest.raises(FileFormatError, match="load_reference_checkpoint"):
+        load_weights(path)
+    save_file({"x": torch.zeros(1)}, path)
+    with pytest.raises(FileFormatError, match="hyper-parameters"):
+        load_weights(path)
+
+
+def test_weights_that_do_not_fit_name_the_tensor(tmp_path: Path) -> None:
+    net = small_net()
+    path = tmp_path / "net.safetensors"
+    net.features.last.weight = torch.nn.Parameter(torch.zeros(5, 2, 7))
+    save_weights(net, path)
+    with pytest.raises(FileFormatError, match=r"features\.last\.weight.*\(5, 2, 7\).*\(2, 2, 7\)"):
+        load_weights(path)
+
+
+def test_reference_checkpoint(write_checkpoint: Writer) -> None:
+    net = small_net()
+    path = write_checkpoint(state_dict=in_reference_names(net), ndisp=4, min_depth=0.3, level=3)
+    again = load_reference_checkpoint(path)
+    assert again.hyperparameters == net.hyperparameters
+    assert same_weights(again, net)
+    assert not again.training
+
+
+def test_reference_checkpoint_at_another_level(write_checkpoint: Writer) -> None:
+    net = small_net()
+    state = {
+        f"module.{key}": tensor for key, tensor in in_reference_names(net).items()
+    }  # saved from DataParallel
+    path = write_checkpoint(state_dict=state, ndisp=4, min_depth=0.3, level=3)
+    again = load_reference_checkpoint(path, level=4, num_hypotheses=8, min_depth=0.5)
+    assert (again.level, again.num_hypotheses, again.min_depth) == (4, 8, 0.5)
+    assert same_weights(again, net)
+
+
+def test_reference_checkpoint_without_settings(write_checkpoint: Writer) -> None:
+    path = write_checkpoint(state_dict=in_reference_names(small_net()), ndisp=4, level=3)
+    with pytest.raises(FileFormatError, match="'min_depth' is missing"):
+        load_reference_checkpoint(path)
+    assert load_reference_checkpoint(path, min_depth=0.3).min_depth == 0.3
+
+
+def test_broken_reference_checkpoints_name_the_key(write_checkpoint: Writer, tmp_path: Path) -> None:
+    good = in_reference_names(small_net())
+    settings: dict[str, Any] = {"ndisp": 4, "min_depth": 0.3, "level": 3}
+
+    missing = {key: tensor for key, tensor in good.items() if key != "cost_regularization.dres2.1.bn.weight"}
+    with pytest.raises(FileFormatError, match=r"blocks\.1\.second\.norm\.weight' is missing"):
+        load_reference_checkpoint(write_checkpoint(state_dict=missing, **settings))
+
+    foreign = good | {"backbone.conv.weight": torch.zeros(1)}
+    with pytest.raises(FileFormatError, match=r"'backbone\.conv\.weight'.*another network"):
+        load_reference_checkpoint(write_checkpoint(state_dict=foreign, **settings))
+
+    wrong = good | {"feature_extraction.conv2.conv.weight": torch.zeros(2, 9, 7)}
+    with pytest.raises(FileFormatError, match=r"features\.second\.conv\.weight.*\(2, 9, 7\)"):
+        load_reference_checkpoint(write_checkpoint(state_dict=wrong, **settings))
+
+    for key in ("feature_extraction.lastconv.weight", "cost_regularization.dres0.0.conv.weight"):
+        without = {name: tensor for name, tensor in good.items() if name != key}
+        with pytest.raises(FileFormatError, match="widths"):
+            load_reference_checkpoint(write_checkpoint(state_dict=without, **settings))
+
+    with pytest.raises(FileFormatError, match="'state_dict'"):
+        load_reference_checkpoint(write_checkpoint(weights=good))
+    with pytest.raises(FileFormatError, match="level"):
+        load_reference_checkpoint(write_checkpoint(state_dict=good, **settings | {"level": 0}))
+
+    garbage = tmp_path / "garbage.pth"
+    garbage.write_bytes(b"\x80garbage")
+    with pytest.raises(FileFormatError, match=r"garbage\.pth"):
+        load_reference_checkpoint(garbage)
+    with pytest.raises(MissingFileError, match=r"absent\.pth"):
+        load_reference_checkpoint(tmp_path / "absent.pth")
+
+
+def test_a_pickle_with_code_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "code.pth"
+    torch.save({"state_dict": {}, "hook": print}, path)
+    with pytest.raises(FileFormatError, match=r"code\.pth"):
+        load_reference_checkpoint(path)
+
+
+def test_the_reference_itself_loads(reference: Any, write_checkpoint: Writer) -> None:
+    path = write_checkpoint(state_dict=reference.state_dict, ndisp=8, min_depth=0.55, level=4)
+    net = load_reference_checkpoint(path)
+    assert net.hyperparameters == IcoSweepNet(level=4, num_hypotheses=8).hyperparameters
+
+
+def test_shipped_weights_load() -> None:
+    for name in available_weights():
+        assert pretrained(name).hyperparameters["num_cameras"] > 0
+
+
+def test_unknown_shipped_weights_list_the_known_ones() -> None:
+    with pytest.raises(ArgumentError, match="'nonesuch'"):
+        pretrained("nonesuch")

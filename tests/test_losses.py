@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The masked Huber loss of hypothesis indices."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from sphericalvision.core import ShapeError
+from sphericalvision.losses import depth_index_huber
+
+
+@pytest.mark.parametrize("delta", [0.5, 1.0, 2.0])
+def test_equals_its_definition(generator: torch.Generator, delta: float) -> None:
+    pred, target = 3 * torch.randn(2, 2, 50, generator=generator)
+    mask = torch.rand(2, 50, generator=generator) > 0.4
+    error = (pred - target)[mask].abs()
+    expected = torch.where(error <= delta, 0.5 * error**2, delta * (error - 0.5 * delta)).mean()
+    torch.testing.assert_close(depth_index_huber(pred, target, mask, delta), expected)
+
+
+def test_without_a_mask_all_points_count(generator: torch.Generator) -> None:
+    pred, target = torch.randn(2, 2, 50, generator=generator)
+    everywhere = torch.ones(2, 50, dtype=torch.bool)
+    torch.testing.assert_close(depth_index_huber(pred, target), depth_index_huber(pred, target, everywhere))
+
+
+def test_nan_outside_the_mask_reaches_neither_loss_nor_gradient() -> None:
+    pred = torch.tensor([[1.0, 2.0]], requires_grad=True)
+    loss = depth_index_huber(pred, torch.tensor([[1.5, torch.nan]]), torch.tensor([[True, False]]))
+    loss.backward()
+    assert loss.item() == pytest.approx(0.125)
+    assert pred.grad is not None
+    assert pred.grad.tolist() == [[-0.5, 0.0]]
+
+
+def test_empty_mask_is_no_loss() -> None:
+    pred = torch.tensor([[1.0]], requires_grad=True)
+    loss = depth_index_huber(pred, torch.tensor([[5.0]]), torch.tensor([[False]]))
+    loss.backward()
+    assert loss.item() == 0
+    assert pred.grad is not None
+    assert pred.grad.item() == 0
+
+
+def test_shapes_must_agree() -> None:
+    with pytest.raises(ShapeError, match="target_index"):
+        depth_index_huber(torch.zeros(2, 5), torch.zeros(2, 1, 5))
+    with pytest.raises(ShapeError, match="mask"):
+        depth_index_huber(torch.zeros(2, 5), torch.zeros(2, 5), torch.ones(5, dtype=torch.bool))

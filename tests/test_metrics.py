@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics against their definitions, written out in plain loops."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.metrics import DepthError, DepthIndexError, depth_error, depth_index_error
+
+
+def loop_index_errors(pred: Tensor, target: Tensor, mask: Tensor, number: int) -> dict[str, float]:
+    """Do the protocol image by image, point by point."""
+    rows = []
+    for image in range(len(pred)):
+        points = [
+            100 * abs(p - t) / number
+            for p, t, m in zip(
+                pred[image].tolist(), target[image].tolist(), mask[image].tolist(), strict=True
+            )
+            if m
+        ]
+        if points:
+            above = [100 * sum(e > threshold for e in points) / len(points) for threshold in (1, 3, 5)]
+            rows.append(
+                [*above, sum(points) / len(points), math.sqrt(sum(e * e for e in points) / len(points))]
+            )
+    means = [sum(column) / len(column) for column in zip(*rows, strict=True)]
+    return dict(zip((">1", ">3", ">5", "MAE", "RMS"), means, strict=True))
+
+
+def index_batch(generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    target = 31 * torch.rand(4, 162, generator=generator)
+    pred = target + 1.5 * torch.randn(4, 162, generator=generator)
+    mask = torch.rand(4, 162, generator=generator) > torch.tensor(
+        [[0.0], [0.5], [0.9], [1.0]]
+    )  # the last is empty
+    return pred, target, mask
+
+
+def plain(metrics: dict[str, Tensor]) -> dict[str, float]:
+    return {name: value.item() for name, value in metrics.items()}
+
+
+def test_depth_index_error_equals_loops(generator: torch.Generator) -> None:
+    pred, target, mask = index_batch(generator)
+    metric = DepthIndexError(num_hypotheses=32)
+    metric.update(pred[:1], target[:1], mask[:1])
+    metric.update(pred[1:], target[1:], mask[1:])
+    assert plain(metric.compute()) == pytest.approx(loop_index_errors(pred, target, mask, 32), rel=1e-5)
+
+
+def test_thresholds_are_strict() -> None:
+    """An error of exactly 1, 3 or 5 % is not above."""
+    target = torch.zeros(1, 4)
+    errors = plain(depth_index_error(torch.tensor([[1.0, 3.0, 5.0, 6.0]]), target, num_hypotheses=100))
+    assert (errors[">1"], errors[">3"]) == (75.0, 50.0)
+    assert errors[">5"] == 25.0
+
+
+def test_means_are_over_images_not_over_points() -> None:
+    metric = DepthIndexError(num_hypotheses=100)
+    mask = torch.tensor([[True, False, False], [True, True, True]])
+    metric.update(torch.tensor([[4.0, 9.0, 9.0], [0.0, 0.0, 0.0]]), torch.zeros(2, 3), mask)
+    assert metric.compute()["MAE"].item() == pytest.approx(2.0)  # over points it would be 1
+
+
+def test_nan_outside_the_mask_does_not_matter() -> None:
+    target = torch.tensor([[1.0, torch.nan]])
+    errors = depth_index_error(torch.ones(1, 2), target, 8, mask=torch.tensor([[True, False]]))
+    assert plain(errors) == {">1": 0, ">3": 0, ">5": 0, "MAE": 0, "RMS": 0}
+
+
+def test_solid_angle_weights_integrate_over_the_sphere() -> None:
+    """The mean of |y| over the sphere is 1/2, and of y squared 1/3."""
+    grid = Icosphere(5, torch.float64)
+    height = 100 * grid.vertices[None, :, 1]
+    errors = plain(depth_index_error(height, torch.zeros_like(height), 100, weights=grid.solid_angles))
+    assert errors["MAE"] == pytest.approx(50, rel=1e-3)
+    assert errors["RMS"] == pytest.approx(100 / math.sqrt(3), rel=1e-3)
+
+
+def test_equal_weights_change_nothing(generator: torch.Generator) -> None:
+    pred, target, mask = index_batch(generator)
+    plain_errors = depth_index_error(pred, target, 32, mask)
+    weighted = depth_index_error(pred, target, 32, mask, weights=torch.full((162,), 7.0))
+    torch.testing.assert_close(weighted, plain_errors, equal_nan=True)
+
+
+def test_states_of_two_processes_add_up(generator: torch.Generator) -> None:
+    pred, target, mask = index_batch(generator)
+    together, first, second = (DepthIndexError(32) for _ in range(3))
+    together.update(pred, target, mask)
+    first.update(pred[:1], target[:1], mask[:1])
+    second.update(pred[1:], target[1:], mask[1:])
+    for name in ("sums", "num_images"):  # what distributed training reduces by addition
+        torch.testing.assert_close(getattr(first, name) + getattr(second, name), getattr(together, name))
+
+
+def test_reset_and_no_images() -> None:
+    metric = DepthIndexError(32)
+    metric.update(torch.ones(1, 3), torch.zeros(1, 3))
+    metric.reset()
+    with pytest.warns(UserWarning, match="before the ``update``"):
+        assert all(value.isnan() for value in metric.compute().values())
+
+
+def test_depth_error_equals_its_definition(generator: torch.Generator) -> None:
+    target = 0.5 + 9 * torch.rand(2, 60, generator=generator)
+    pred = target * (0.4 * torch.randn(2, 60, generator=generator)).exp()
+    mask = torch.rand(2, 60, generator=generator) > 0.3
+    rows = []
+    for p, t, m in zip(pred, target, mask, strict=True):
+        p, t = p[m], t[m]
+        inliers = (torch.maximum(p / t, t / p) < 1.25).float()
+        rows.append(torch.stack((((p - t).abs() / t).mean(), (p - t).square().mean().sqrt(), inliers.mean())))
+    metric = DepthError()
+    metric.update(pred, target, mask)
+    assert list(plain(metric.compute()).values()) == pytest.approx(
+        torch.stack(rows).mean(0).tolist(), rel=1e-5
+    )
+
+
+def test_depth_error_at_infinity() -> None:
+    """True infinity is left out; a prediction at infinity counts as the largest depth."""
+    target = torch.tensor([[torch.inf, 10.0, 500.0]])
+    errors = plain(depth_error(torch.tensor([[1.0, 8e6, 1.0]]), target, max_depth=100.0))
+    assert errors == {"AbsRel": pytest.approx(9.0), "RMSE": pytest.approx(90.0), "d<1.25": 0.0}
+
+
+def test_bad_arguments_are_named() -> None:
+    with pytest.raises(ArgumentError, match="num_hypotheses"):
+        DepthIndexError(0)
+    with pytest.raises(ArgumentError, match="max_depth"):
+        DepthError(max_depth=0.0)
+    metric = DepthIndexError(8)
+    with pytest.raises(ShapeError, match="target"):
+        metric.update(torch.zeros(1, 5), torch.zeros(1, 6))
+    with pytest.raises(ShapeError, match="mask"):
+        metric.update(torch.zeros(1, 5), torch.zeros(1, 5), torch.ones(5, dtype=torch.bool))
+    with pytest.raises(ShapeError, match="weights"):
+        metric.update(torch.zeros(1, 5), torch.zeros(1, 5), weights=torch.ones(4))

@@ -62,9 +62,10 @@ class CostRegularizer(nn.Module):
 
     def __init__(self, in_channels: int = 128, channels: int = 32, norm: str = "batch") -> None:
         super().__init__()
-        self.fusion = CostBlock(in_channels, in_channels, 2 * channels, norm)
-        self.blocks = nn.ModuleList(CostBlock(*[2 * channels] * 3, norm) for _ in range(4))
-        self.reduction = ConvNorm3d(2 * channels, channels, norm)
+        width = 2 * channels
+        self.fusion = CostBlock(in_channels, in_channels, width, norm)
+        self.blocks = nn.ModuleList(CostBlock(width, width, width, norm) for _ in range(4))
+        self.reduction = ConvNorm3d(width, channels, norm)
         self.score = CrownConv3d(channels, 1)
 
     def forward(self, volume: Tensor) -> Tensor:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -19,7 +20,7 @@ from sphericalvision.sweep import depth_from_index
 LEVEL, IMAGE_VERTICES, DEPTH_VERTICES = 3, 642, 42
 
 
-def small_net(**changes: int | float | bool) -> IcoSweepNet:
+def small_net(**changes: Any) -> IcoSweepNet:
     torch.manual_seed(0)
     settings = {"level": LEVEL, "num_hypotheses": 4, "feature_channels": 4, "num_cameras": 3} | changes
     return IcoSweepNet(**settings)
@@ -111,6 +112,17 @@ def test_training_takes_statistics_one_camera_at_a_time(generator: torch.Generat
         torch.testing.assert_close(value, expected[name])
 
 
+@torch.no_grad()
+def test_instance_normalisation_knows_neither_batch_nor_mode(generator: torch.Generator) -> None:
+    net = small_net(norm="instance")
+    batch, rig = images(generator), ring_rig(3)
+    evaluated = net.eval()(batch, rig)
+    assert evaluated.std() > 1e-2
+    trained = net.train()(batch, rig, camera_order=range(3))
+    torch.testing.assert_close(trained, evaluated, rtol=0, atol=1e-5)
+    torch.testing.assert_close(net.eval()(batch[1:], rig), evaluated[1:], rtol=0, atol=1e-5)
+
+
 def test_every_parameter_learns(generator: torch.Generator) -> None:
     net = small_net().train()
     index = net(images(generator, batch=1), ring_rig(3))
@@ -165,7 +177,7 @@ def test_hyperparameters_rebuild_the_network() -> None:
     net = small_net(min_depth=0.3, shuffle_cameras=False)
     again = IcoSweepNet(**net.hyperparameters)
     assert again.hyperparameters == net.hyperparameters
-    assert all(isinstance(value, int | float) for value in net.hyperparameters.values())
+    assert all(isinstance(value, int | float | str) for value in net.hyperparameters.values())
 
 
 def test_errors_name_the_argument() -> None:

@@ -78,6 +78,13 @@ def test_save_and_load(tmp_path: Path, generator: torch.Generator) -> None:
     assert [file.name for file in path.parent.iterdir()] == ["net.safetensors"]
 
 
+def test_normalisation_is_remembered(tmp_path: Path) -> None:
+    net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2, num_cameras=2, norm="instance")
+    again = load_weights(save_weights(net, tmp_path / "net.safetensors"))
+    assert again.norm == "instance"
+    assert same_weights(again, net)
+
+
 def test_weights_need_their_suffix(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match="safetensors"):
         save_weights(small_net(), tmp_path / "net.pth")
@@ -158,7 +165,7 @@ def test_broken_reference_checkpoints_name_the_key(write_checkpoint: Writer, tmp
         load_reference_checkpoint(write_checkpoint(state_dict=good, **settings | {"level": 0}))
 
     garbage = tmp_path / "garbage.pth"
-    garbage.write_bytes(b"\x80garbage")
+    garbage.write_bytes(b"\x80\x02garbage")
     with pytest.raises(FileFormatError, match=r"garbage\.pth"):
         load_reference_checkpoint(garbage)
     with pytest.raises(MissingFileError, match=r"absent\.pth"):

@@ -75,5 +75,5 @@ def failing(run: Run, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 def weights(tmp_path: Path) -> Path:
     """Weights of an untrained network of level 3 for four cameras."""
     torch.manual_seed(0)
-    net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2)
+    net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2, norm="instance")
     return save_weights(net, tmp_path / "weights.safetensors")

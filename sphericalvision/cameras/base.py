@@ -6,13 +6,16 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import angle_from_axis, bilinear_sample
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras.conversion import Conversion
 
 __all__ = ["Camera", "Projection", "Unprojection"]
 
@@ -64,9 +67,7 @@ class Camera(ABC):
     max_angle: Tensor
 
     def __init__(self, image_size: Sequence[int], max_angle: float | Tensor, **intrinsics: Any) -> None:
-        if len(image_size) != 2 or any(int(side) != side or side < 1 for side in image_size):
-            raise ArgumentError(f"image_size: expected (height, width) in pixels, got {image_size!r}")
-        self.image_size = (int(image_size[0]), int(image_size[1]))
+        self.image_size = _checked_size(image_size)
         given = [value for value in (*intrinsics.values(), max_angle) if isinstance(value, Tensor)]
         floating = [value for value in given if value.is_floating_point()]
         like = floating[0] if floating else torch.empty(())
@@ -165,6 +166,56 @@ class Camera(ABC):
         changed.max_angle = _checked_angle(max_angle, self.max_angle).expand(self.batch_shape)
         return changed
 
+    def resized(self: AnyCamera, image_size: Sequence[int]) -> AnyCamera:
+        """The camera of the same images after they are resized to ``image_size`` (height, width).
+
+        The image's edges stay edges, so a pixel (u, v) moves to ((u + 0.5) s − 0.5, (v + 0.5) t − 0.5) with s and t
+        the ratios of the widths and heights; its ray stays the same.
+
+        Raises:
+            ArgumentError: ``image_size`` is not two positive whole numbers.
+
+        Examples:
+            >>> from sphericalvision.cameras import PinholeCamera
+            >>> PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640)).resized((240, 320)).principal_point
+            tensor([159.5000, 119.5000])
+        """
+        new = _checked_size(image_size)
+        s, t = new[1] / self.image_size[1], new[0] / self.image_size[0]
+        return self._on_pixels((s, t), (s / 2 - 0.5, t / 2 - 0.5), new)
+
+    def cropped(self: AnyCamera, top: int, left: int, height: int, width: int) -> AnyCamera:
+        """The camera of ``image[..., top : top + height, left : left + width]``; the rays stay the same.
+
+        Raises:
+            ArgumentError: the rectangle is empty or reaches out of the image.
+
+        Examples:
+            >>> from sphericalvision.cameras import PinholeCamera
+            >>> PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640)).cropped(40, 120, 400, 400).principal_point
+            tensor([199.5000, 199.5000])
+        """
+        new = _checked_size((height, width))
+        if not (0 <= top <= self.image_size[0] - new[0] and 0 <= left <= self.image_size[1] - new[1]):
+            raise ArgumentError(
+                f"cropped: expected a rectangle inside of the image of {self.image_size[0]} x {self.image_size[1]} "
+                f"(height x width), got rows {top} to {top + height} and columns {left} to {left + width}"
+            )
+        return self._on_pixels((1.0, 1.0), (-float(left), -float(top)), new)
+
+    def convert(self, to: type[Camera] | str, **options: Any) -> Conversion:
+        """This camera as another model, and how many pixels apart the two are; see ``cameras.convert``.
+
+        Examples:
+            >>> from sphericalvision.cameras import FisheyeCamera, KannalaBrandtCamera
+            >>> fisheye = FisheyeCamera.from_field_of_view((800, 800), 3.6, "equisolid")
+            >>> fisheye.convert(to=KannalaBrandtCamera).max_error < 0.01
+            True
+        """
+        from sphericalvision.cameras.conversion import convert  # which knows all the models
+
+        return convert(self, to, **options)
+
     def select(self: AnyCamera, index: int) -> AnyCamera:
         """One camera of a batch."""
         return self._map(lambda tensor: tensor[index])
@@ -200,6 +251,23 @@ class Camera(ABC):
         return f"{type(self).__name__}(image_size={self.image_size}, field of view {degrees:.1f}°{batch})"
 
     # What subclasses use -------------------------------------------------------------------------------------------
+
+    def _on_pixels(
+        self: AnyCamera,
+        scale: tuple[float, float],
+        offset: tuple[float, float],
+        image_size: tuple[int, int],
+    ) -> AnyCamera:
+        """The camera whose pixels are ``scale * pixels + offset``; here for models with a focal length."""
+        changed = copy.copy(self)
+        focal_length, principal_point = vars(self)["focal_length"], vars(self)["principal_point"]
+        stretch = principal_point.new_tensor(scale)
+        vars(changed).update(
+            focal_length=focal_length * stretch,
+            principal_point=principal_point * stretch + principal_point.new_tensor(offset),
+            image_size=image_size,
+        )
+        return changed
 
     def _interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
         return bilinear_sample(image, pixels)
@@ -256,3 +324,9 @@ def _checked_angle(max_angle: float | Tensor, like: Tensor) -> Tensor:
             "view, e.g. math.radians(110) for a lens of 220°"
         )
     return angle
+
+
+def _checked_size(image_size: Sequence[int]) -> tuple[int, int]:
+    if len(image_size) != 2 or any(int(side) != side or side < 1 for side in image_size):
+        raise ArgumentError(f"image_size: expected (height, width) in pixels, got {image_size!r}")
+    return int(image_size[0]), int(image_size[1])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from typing import ClassVar
@@ -89,6 +90,24 @@ class EquirectangularCamera(Camera):
         u, v = pixels.unbind(-1)
         inside_u = (u >= -0.5 - slack) & (u <= width - 0.5 + slack)
         return inside_u & (v >= -0.5 - slack) & (v <= height - 0.5 + slack)
+
+    def _on_pixels(
+        self, scale: tuple[float, float], offset: tuple[float, float], image_size: tuple[int, int]
+    ) -> EquirectangularCamera:
+        """A panorama stays one if it keeps all columns and as many rows above the horizon as below."""
+        height, width = round(image_size[0] / scale[1]), round(image_size[1] / scale[0])
+        above = round(scale[1] / 2 - 0.5 - offset[1])
+        below = self.image_size[0] - height - above
+        if width != self.image_size[1] or above != below:
+            raise ArgumentError(
+                f"cropped: a part of a panorama is a panorama only if it keeps all {self.image_size[1]} columns and "
+                f"leaves out as many rows at the top as at the bottom, got {width} columns, {above} rows less at the "
+                f"top and {below} at the bottom; reproject it to another camera instead"
+            )
+        changed = copy.copy(self)
+        changed.image_size = image_size
+        changed.vertical_field_of_view = self.vertical_field_of_view * height / self.image_size[0]
+        return changed
 
     def _project(self, points: Tensor) -> Projection:
         return project_equirectangular(points, self.image_size, self.vertical_field_of_view)

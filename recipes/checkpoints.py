@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import pickle
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,14 @@ __all__ = ["WeightsBesideCheckpoint", "initialize", "load_network"]
 REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
 
-SHAPED_BY = ("num_cameras", "feature_channels", "norm")
+SHAPED_BY = (
+    "aggregation",
+    "num_cameras",
+    "feature_channels",
+    "volume_channels",
+    "feature_coarsening",
+    "norm",
+)
 """Hyper-parameters that give parameters their shapes; the others may change after training."""
 
 
@@ -110,7 +118,7 @@ def _read(checkpoint: str | Path | None) -> IcoSweepNet:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         hyperparameters, state = content["hyper_parameters"], content["state_dict"]
-        names = ("level", "num_hypotheses", "min_depth", "feature_channels", "num_cameras", "norm")
+        names = signature(IcoSweepNet).parameters.keys() & hyperparameters.keys()
         net = IcoSweepNet(**{name: hyperparameters[name] for name in names})
         net.load_state_dict({key[4:]: value for key, value in state.items() if key.startswith("net.")})
     except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:

@@ -14,6 +14,7 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import IcoSweepNet
+from sphericalvision.recipes.rig_tables import RigTables
 from sphericalvision.sweep import index_from_inverse_depth
 
 __all__ = ["METRICS", "DepthModule", "learning_rate_factor"]
@@ -66,6 +67,9 @@ class DepthModule(pl.LightningModule):
         feature_channels: width C of the features.
         num_cameras: number of cameras of the rig.
         norm: "batch", or "instance" for batches of one or two.
+        aggregation: "concatenation", or "variance" for any number of cameras and few training frames.
+        feature_coarsening: levels by which features are coarser than images, 2 or 1.
+        volume_channels: half the width of the regulariser; ``feature_channels`` when not given.
         learning_rate: of Adam, at its highest.
         weight_decay: of Adam.
         schedule: ``"constant"``, ``"step"`` or ``"cosine"``; see ``learning_rate_factor``.
@@ -85,6 +89,9 @@ class DepthModule(pl.LightningModule):
         feature_channels: int = 32,
         num_cameras: int = 4,
         norm: str = "batch",
+        aggregation: str = "concatenation",
+        feature_coarsening: int = 2,
+        volume_channels: int | None = None,
         learning_rate: float = 1e-3,
         weight_decay: float = 0.0,
         schedule: str = "step",
@@ -103,7 +110,18 @@ class DepthModule(pl.LightningModule):
                 "set trainer.max_steps or optimizer.schedule_steps"
             )
         self.save_hyperparameters()
-        self.net = IcoSweepNet(level, num_hypotheses, min_depth, feature_channels, num_cameras, norm=norm)
+        self.net = IcoSweepNet(
+            level,
+            num_hypotheses,
+            min_depth,
+            feature_channels,
+            num_cameras,
+            norm=norm,
+            aggregation=aggregation,
+            feature_coarsening=feature_coarsening,
+            volume_channels=volume_channels,
+        )
+        self.tables = RigTables(self.net.sweep)
         self.validation_metric = DepthIndexError(num_hypotheses)
 
     def forward(self, images: Tensor, rig: Any) -> Tensor:
@@ -124,14 +142,14 @@ class DepthModule(pl.LightningModule):
 
     def training_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
         """Huber loss of one batch."""
-        index = self(batch["images"], batch["rig"])
+        index = self(batch["images"], self.tables.of(batch["rig"]))
         loss = depth_index_huber(index, self.target(batch), batch["valid"], delta=self.hparams["huber_delta"])
         self.log("train/loss", loss, prog_bar=True, batch_size=len(index))
         return loss
 
     def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
         """Gather the paper's errors of one batch; returns the index ``(B, V)``."""
-        index = self(batch["images"], batch["rig"])
+        index = self(batch["images"], self.tables.of(batch["rig"]))
         self.validation_metric.update(index, self.target(batch), batch["valid"])
         return index
 

@@ -47,7 +47,7 @@ def network_for(rig: CameraRig, config: DictConfig) -> IcoSweepNet:
     """
     net = load_network(config.checkpoint, config.level)
     expected = net.hyperparameters["num_cameras"]
-    if len(rig) != expected:
+    if len(rig) != expected and not net.any_cameras:
         raise ArgumentError(
             f"rig: {config.rig} has {len(rig)} cameras ({', '.join(rig.names)}), the checkpoint is for {expected}; "
             f"choose {expected} with cameras=[...], or train a network with model.num_cameras={len(rig)}"

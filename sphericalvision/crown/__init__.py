@@ -10,7 +10,7 @@ from sphericalvision.crown.norm import (
     CrownInstanceNorm3d,
     crown_norm,
 )
-from sphericalvision.crown.pool import CrownAvgPool2d, crown_avg_pool2d
+from sphericalvision.crown.pool import CrownAvgPool2d, CrownUpsample, crown_avg_pool2d, crown_upsample
 
 __all__ = [
     "Crown",
@@ -21,12 +21,14 @@ __all__ = [
     "CrownConv3d",
     "CrownInstanceNorm2d",
     "CrownInstanceNorm3d",
+    "CrownUpsample",
     "crown_avg_pool2d",
     "crown_conv2d",
     "crown_conv3d",
     "crown_map",
     "crown_norm",
     "crown_relu",
+    "crown_upsample",
     "exchange",
     "from_crown",
     "to_crown",

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Average pooling of a crown, the shortcut of residual blocks that halve the resolution."""
+"""A crown on the next coarser level (average pooling) and on the next finer one (interpolation)."""
 
 from __future__ import annotations
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.crown.layout import Crown, check_crown, crown_map
 
-__all__ = ["CrownAvgPool2d", "crown_avg_pool2d"]
+__all__ = ["CrownAvgPool2d", "CrownUpsample", "crown_avg_pool2d", "crown_upsample"]
 
 
 def crown_avg_pool2d(crown: Crown, stride: int = 2) -> Crown:
@@ -57,3 +58,52 @@ class CrownAvgPool2d(nn.Module):
 
     def extra_repr(self) -> str:
         return f"stride={self.stride}"
+
+
+def crown_upsample(crown: Crown) -> Crown:
+    """Interpolate a crown on the next finer level: kept vertices keep their values, new ones get the mean of their edge.
+
+    A new vertex lies in the middle of an edge between two old ones, so this is exactly the linear interpolation on
+    the triangles of the icosphere.
+
+    Args:
+        crown: rectangles ``(B, 5, C, h, w)`` or ``(B, 5, C, N, h, w)``; all N hypotheses are kept.
+
+    Raises:
+        ShapeError: if the crown is no crown.
+
+    Examples:
+        >>> from sphericalvision.crown import to_crown
+        >>> crown_upsample(to_crown(torch.ones(1, 3, 42))).col.shape
+        torch.Size([1, 5, 3, 9, 5])
+    """
+    check_crown(crown)
+    return crown_map(_upsample, crown)
+
+
+def _upsample(rectangles: Tensor) -> Tensor:
+    """Edges run along rows, along columns and, in both kinds of rectangle, from lower left to upper right."""
+    left, right = rectangles[..., :-1], rectangles[..., 1:]
+    even = _interleave(rectangles, (left + right) / 2, -1)
+    below = (rectangles[..., :-1, :] + rectangles[..., 1:, :]) / 2
+    diagonal = (left[..., 1:, :] + right[..., :-1, :]) / 2
+    return _interleave(even, _interleave(below, diagonal, -1), -2)
+
+
+def _interleave(even: Tensor, odd: Tensor, dim: int) -> Tensor:
+    """Slices of two tensors in turn along ``dim`` (negative); ``odd`` has one slice less."""
+    length = odd.shape[dim]
+    pairs = torch.stack((even.narrow(dim, 0, length), odd), dim).flatten(dim - 1, dim)
+    return torch.cat((pairs, even.narrow(dim, length, 1)), dim)
+
+
+class CrownUpsample(nn.Module):
+    """Interpolation on the next finer level; see ``crown_upsample``.
+
+    Examples:
+        >>> CrownUpsample()
+        CrownUpsample()
+    """
+
+    def forward(self, crown: Crown) -> Crown:
+        return crown_upsample(crown)

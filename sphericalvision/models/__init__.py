@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks, composed of the rooms below, and their weights."""
 
+from sphericalvision.models.aggregation import concatenate_cameras, mean_and_variance
 from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.regularization import CostRegularizer
@@ -18,8 +19,10 @@ __all__ = [
     "FeatureExtractor",
     "IcoSweepNet",
     "available_weights",
+    "concatenate_cameras",
     "load_reference_checkpoint",
     "load_weights",
+    "mean_and_variance",
     "pretrained",
     "save_weights",
     "state_dict_from_reference",

@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Features of an image on the icosphere: crown convolutions and residual blocks, two levels coarser."""
+"""Features of an image on the icosphere: crown convolutions and residual blocks, one or two levels coarser."""
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
+from sphericalvision.core import ArgumentError
 from sphericalvision.crown import (
     Crown,
     CrownAvgPool2d,
     CrownConv2d,
+    crown_map,
     crown_norm,
     crown_relu,
+    crown_upsample,
     exchange,
     from_crown,
     to_crown,
@@ -53,14 +57,22 @@ class ResidualBlock(nn.Module):
 
 
 class FeatureExtractor(nn.Module):
-    """Map an image on the icosphere ``(B, in_channels, V_level)`` to features ``(B, channels, V_{level-2})``.
+    """Map an image on the icosphere ``(B, in_channels, V_level)`` to features ``(B, channels, V_{level-coarsening})``.
 
     The weights do not depend on the level; the directions of each crown exchange what they know at every
     change of level.
 
+    Args:
+        channels: of the features.
+        in_channels: of the images.
+        norm: "batch" or "instance".
+        coarsening: levels by which the features are coarser than the image: 2, as in the paper, or 1: then what
+            the coarser half of the network found is added to what the finer one found, at the finer level.
+
     References:
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
-        representation of icosahedron", table of layers.
+        representation of icosahedron", table of layers; Lin et al. (2017), "Feature pyramid networks for
+        object detection", for the sum of levels.
 
     Examples:
         >>> import torch
@@ -68,8 +80,13 @@ class FeatureExtractor(nn.Module):
         torch.Size([1, 4, 42])
     """
 
-    def __init__(self, channels: int = 32, in_channels: int = 3, norm: str = "batch") -> None:
+    def __init__(
+        self, channels: int = 32, in_channels: int = 3, norm: str = "batch", coarsening: int = 2
+    ) -> None:
         super().__init__()
+        if coarsening not in (1, 2):
+            raise ArgumentError(f"coarsening: expected 1 or 2 levels, got {coarsening!r}")
+        self.coarsening = coarsening
         self.entry = ConvNorm2d(in_channels, channels, 2, norm)
         self.second = ConvNorm2d(channels, channels, norm=norm)
         self.fine = nn.Sequential(*(ResidualBlock(channels, norm=norm) for _ in range(3)))
@@ -81,6 +98,8 @@ class FeatureExtractor(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         crown = crown_relu(self.entry(to_crown(images)))
         crown = exchange(crown_relu(self.second(crown)))
-        crown = exchange(self.fine(crown))
-        crown = exchange(self.coarse(crown))
+        fine = exchange(self.fine(crown))
+        crown = exchange(self.coarse(fine))
+        if self.coarsening == 1:
+            crown = crown_map(torch.add, crown_upsample(crown), fine)
         return from_crown(self.last(crown))

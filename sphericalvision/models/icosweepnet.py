@@ -11,6 +11,11 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.models.aggregation import (
+    aggregated_channels,
+    concatenate_cameras,
+    mean_and_variance,
+)
 from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.regularization import CostRegularizer
 from sphericalvision.sweep import (
@@ -48,10 +53,15 @@ class IcoSweepNet(nn.Module):
         shuffle_cameras: whether to concatenate the cameras in random order in training mode.
         norm: ``"batch"``, as in the paper, or ``"instance"``, the statistics of each sample alone: for training with
             batches of one or two.
+        aggregation: ``"concatenation"`` of the cameras' features, as in the paper, or ``"variance"``: their mean
+            and variance, which learns from far fewer frames and takes any number of cameras in any order.
+        feature_coarsening: levels by which the features that are swept are coarser than the images: 2, as in the
+            paper, or 1, which tells nearer hypotheses apart.
+        volume_channels: half the width of the regulariser; ``feature_channels`` when not given.
 
     References:
         Komatsu, Fujii, Tamura, Yamashita and Asama (2020), "360° depth estimation from multiple fisheye
-        images with origami crown representation of icosahedron".
+        images with origami crown representation of icosahedron"; for the variance Yao et al. (2018), "MVSNet".
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -70,25 +80,42 @@ class IcoSweepNet(nn.Module):
         num_cameras: int = 4,
         shuffle_cameras: bool = True,
         norm: str = "batch",
+        aggregation: str = "concatenation",
+        feature_coarsening: int = 2,
+        volume_channels: int | None = None,
     ) -> None:
         super().__init__()
         if not isinstance(level, int) or level < 2:
             raise ArgumentError(
                 f"level: expected 2 or more (the result is two levels coarser), got {level!r}"
             )
-        if num_cameras < 1 or feature_channels < 1:
+        volume_channels = feature_channels if volume_channels is None else volume_channels
+        if min(num_cameras, feature_channels, volume_channels) < 1:
             raise ArgumentError(
-                "num_cameras, feature_channels: expected positive numbers, "
-                f"got {num_cameras!r} and {feature_channels!r}"
+                "num_cameras, feature_channels, volume_channels: expected positive numbers, "
+                f"got {num_cameras!r}, {feature_channels!r} and {volume_channels!r}"
             )
         self.level = level
         self.feature_channels = feature_channels
         self.num_cameras = num_cameras
         self.shuffle_cameras = shuffle_cameras
         self.norm = norm
-        self.features = FeatureExtractor(feature_channels, norm=norm)
-        self.sweep = SphereSweep(level - 2, num_hypotheses, min_depth)
-        self.regularizer = CostRegularizer(num_cameras * feature_channels, feature_channels, norm)
+        self.aggregation = aggregation
+        self.feature_coarsening = feature_coarsening
+        self.volume_channels = volume_channels
+        self.features = FeatureExtractor(feature_channels, norm=norm, coarsening=feature_coarsening)
+        self.sweep = SphereSweep(level - 2, num_hypotheses, min_depth, level - feature_coarsening)
+        self.regularizer = CostRegularizer(
+            aggregated_channels(aggregation, feature_channels, num_cameras),
+            volume_channels,
+            norm,
+            None if aggregation == "concatenation" else 2 * volume_channels,
+        )
+
+    @property
+    def any_cameras(self) -> bool:
+        """Whether rigs of any number of cameras are taken, in any order, with the same weights."""
+        return self.aggregation == "variance"
 
     @property
     def num_hypotheses(self) -> int:
@@ -111,6 +138,9 @@ class IcoSweepNet(nn.Module):
             "num_cameras": self.num_cameras,
             "shuffle_cameras": self.shuffle_cameras,
             "norm": self.norm,
+            "aggregation": self.aggregation,
+            "feature_coarsening": self.feature_coarsening,
+            "volume_channels": self.volume_channels,
         }
 
     def forward(
@@ -154,47 +184,50 @@ class IcoSweepNet(nn.Module):
         self._check_images(images)
         features = self.extract_features(images)
         tables = rig if isinstance(rig, SweepTables) else self.sweep.tables(rig)
-        if tables.num_cameras != self.num_cameras:
+        if tables.num_cameras != images.shape[1]:
             raise ShapeError(
-                f"rig: expected {self.num_cameras} cameras, as the images and the network have, "
-                f"got {tables.num_cameras}"
+                f"rig: expected {images.shape[1]} cameras, as the images have, got {tables.num_cameras}"
             )
-        order = self._camera_order(camera_order, generator)
+        order = self._camera_order(images.shape[1], camera_order, generator)
         if order is not None:
             order = order.to(images.device)
             features, tables = features[:, order], tables.permuted(order)
-        volume = self.sweep(features, tables).values
-        return self.regularizer(volume.flatten(1, 2))
+        volume = self.sweep(features, tables)
+        if self.aggregation == "variance":
+            return self.regularizer(mean_and_variance(volume))
+        return self.regularizer(concatenate_cameras(volume))
 
     def extract_features(self, images: Tensor) -> Tensor:
-        """Return the features ``(B, n, C, V_{level-2})`` of images ``(B, n, 3, V_level)``.
+        """Return the features ``(B, n, C, V_{level-feature_coarsening})`` of images ``(B, n, 3, V_level)``.
 
         In training mode batch statistics are those of one camera at a time, and running statistics take one
         step a camera.
         """
-        if self.training:
+        if self.training and self.norm == "batch":
             return torch.stack([self.features(camera_images) for camera_images in images.unbind(1)], 1)
         return self.features(images.flatten(0, 1)).unflatten(0, images.shape[:2])
 
     def _camera_order(
-        self, camera_order: Sequence[int] | None, generator: torch.Generator | None
+        self, num_cameras: int, camera_order: Sequence[int] | None, generator: torch.Generator | None
     ) -> Tensor | None:
         if camera_order is not None:
-            if sorted(camera_order) != list(range(self.num_cameras)):
+            if sorted(camera_order) != list(range(num_cameras)):
                 raise ArgumentError(
-                    f"camera_order: expected 0 to {self.num_cameras - 1} once each, got {list(camera_order)}"
+                    f"camera_order: expected 0 to {num_cameras - 1} once each, got {list(camera_order)}"
                 )
             return torch.as_tensor(camera_order)
-        if self.training and self.shuffle_cameras:
+        if self.training and self.shuffle_cameras and not self.any_cameras:
             device = None if generator is None else generator.device
-            return torch.randperm(self.num_cameras, generator=generator, device=device)
+            return torch.randperm(num_cameras, generator=generator, device=device)
         return None
 
     def _check_images(self, images: Tensor) -> None:
-        expected = (self.num_cameras, 3, num_icosphere_vertices(self.level))
-        if images.ndim != 4 or images.shape[1:] != expected:
+        cameras = "n" if self.any_cameras else self.num_cameras
+        vertices = num_icosphere_vertices(self.level)
+        fits = images.ndim == 4 and images.shape[2:] == (3, vertices)
+        if not fits or (images.shape[1] != self.num_cameras and not self.any_cameras):
             raise ShapeError(
-                f"images: expected shape (B, {', '.join(map(str, expected))}) for {self.num_cameras} cameras "
+                f"images: expected shape (B, {cameras}, 3, {vertices}) for {cameras} cameras "
                 f"on icospheres of level {self.level}, got {tuple(images.shape)}"
             )
 

@@ -44,11 +44,17 @@ class CostBlock(nn.Module):
 
 
 class CostRegularizer(nn.Module):
-    """Map the features of all cameras ``(B, in_channels, N, V)`` to a score of each hypothesis ``(B, N, V)``.
+    """Map a cost volume ``(B, in_channels, N, V)`` to a score of each hypothesis ``(B, N, V)``.
 
     A block ends with the mean of the crown's two directions, which is where they exchange what they know.
     That mean is linear and leaves values that both agree on as they are, so the residual connections are kept
     on vertices, not on crowns.
+
+    Args:
+        in_channels: of the volume.
+        channels: half the width of the blocks.
+        norm: "batch" or "instance".
+        fusion_channels: width between the first two convolutions; ``in_channels`` when not given.
 
     References:
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
@@ -60,10 +66,16 @@ class CostRegularizer(nn.Module):
         torch.Size([1, 4, 42])
     """
 
-    def __init__(self, in_channels: int = 128, channels: int = 32, norm: str = "batch") -> None:
+    def __init__(
+        self,
+        in_channels: int = 128,
+        channels: int = 32,
+        norm: str = "batch",
+        fusion_channels: int | None = None,
+    ) -> None:
         super().__init__()
         width = 2 * channels
-        self.fusion = CostBlock(in_channels, in_channels, width, norm)
+        self.fusion = CostBlock(in_channels, fusion_channels or in_channels, width, norm)
         self.blocks = nn.ModuleList(CostBlock(width, width, width, norm) for _ in range(4))
         self.reduction = ConvNorm3d(width, channels, norm)
         self.score = CrownConv3d(channels, 1)

@@ -19,10 +19,11 @@ from sphericalvision.crown import (
     crown_conv2d,
     crown_conv3d,
     crown_map,
+    crown_upsample,
     from_crown,
     to_crown,
 )
-from sphericalvision.icosphere import icosphere_neighbors, num_icosphere_vertices
+from sphericalvision.icosphere import Icosphere, icosphere_neighbors, num_icosphere_vertices
 
 # Neighbours in the order of the taps 0 to 5, as (row, column) steps in each kind of rectangle.
 COL_STEPS = ((0, -1), (1, -1), (1, 0), (0, 1), (-1, 1), (-1, 0))
@@ -155,6 +156,24 @@ def test_average_pool_agrees_with_a_loop() -> None:
         for i, j in torch.cartesian_prod(*map(torch.arange, pooled.shape[-2:])).tolist():
             window = rectangles[..., max(2 * i - 1, 0) : 2 * i + 2, max(2 * j - 1, 0) : 2 * j + 2]
             torch.testing.assert_close(pooled[..., i, j], window.mean((-2, -1)))
+
+
+@pytest.mark.parametrize("level", range(4))
+def test_upsampling_is_the_interpolation_on_triangles(level: int) -> None:
+    coarse, fine = (Icosphere(lv, torch.float64) for lv in (level, level + 1))
+    values = random_values(2, 3, coarse.num_vertices)
+    crown = crown_upsample(to_crown(values))
+    expected = to_crown(coarse.sample(values, fine.vertices))  # the borders of the rectangles agree, too
+    torch.testing.assert_close(crown.col, expected.col)
+    torch.testing.assert_close(crown.row, expected.row)
+
+
+def test_upsampling_keeps_hypotheses_apart() -> None:
+    values = random_values(1, 2, 3, 42)
+    upsampled = from_crown(crown_upsample(to_crown(values)))
+    for hypothesis in range(3):
+        alone = from_crown(crown_upsample(to_crown(values[:, :, hypothesis])))
+        torch.testing.assert_close(upsampled[:, :, hypothesis], alone)
 
 
 def test_layers_do_not_depend_on_memory_order() -> None:

@@ -61,7 +61,7 @@ class CrownAvgPool2d(nn.Module):
 
 
 def crown_upsample(crown: Crown) -> Crown:
-    """Interpolate a crown on the next finer level: kept vertices keep their values, new ones get the mean of their edge.
+    """Interpolate a crown on the next finer level: new vertices get the mean of their edge.
 
     A new vertex lies in the middle of an edge between two old ones, so this is exactly the linear interpolation on
     the triangles of the icosphere.

@@ -101,7 +101,7 @@ def test_hyperparameters_rebuild_the_variant() -> None:
 
 
 def test_errors_name_argument_and_choices() -> None:
-    with pytest.raises(ArgumentError, match="aggregation.*variance"):
+    with pytest.raises(ArgumentError, match=r"aggregation.*variance"):
         IcoSweepNet(3, aggregation="median")
     with pytest.raises(ArgumentError, match="coarsening: expected 1 or 2"):
         IcoSweepNet(3, feature_coarsening=3)

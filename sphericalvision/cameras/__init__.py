@@ -2,6 +2,11 @@
 """Camera models that work on directions, beyond 180° where the lens does, rigs of them, and calibration files."""
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.brown_conrady import (
+    BrownConradyCamera,
+    project_brown_conrady,
+    unproject_brown_conrady,
+)
 from sphericalvision.cameras.calibration import read_camera, read_rig, write_camera
 from sphericalvision.cameras.double_sphere import (
     DoubleSphereCamera,
@@ -13,6 +18,11 @@ from sphericalvision.cameras.equirectangular import (
     project_equirectangular,
     unproject_equirectangular,
 )
+from sphericalvision.cameras.extended_unified import (
+    ExtendedUnifiedCamera,
+    project_extended_unified,
+    unproject_extended_unified,
+)
 from sphericalvision.cameras.fisheye import FisheyeCamera, project_fisheye, unproject_fisheye
 from sphericalvision.cameras.kannala_brandt import (
     KannalaBrandtCamera,
@@ -21,33 +31,51 @@ from sphericalvision.cameras.kannala_brandt import (
 )
 from sphericalvision.cameras.ocam import OCamCamera, project_ocam, unproject_ocam
 from sphericalvision.cameras.pinhole import PinholeCamera, project_pinhole, unproject_pinhole
+from sphericalvision.cameras.radial_polynomial import (
+    RadialPolynomialCamera,
+    project_radial_polynomial,
+    unproject_radial_polynomial,
+)
 from sphericalvision.cameras.rig import CameraRig, ring_rig
+from sphericalvision.cameras.unified import UnifiedCamera, project_unified, unproject_unified
 
 __all__ = [
+    "BrownConradyCamera",
     "Camera",
     "CameraRig",
     "DoubleSphereCamera",
     "EquirectangularCamera",
+    "ExtendedUnifiedCamera",
     "FisheyeCamera",
     "KannalaBrandtCamera",
     "OCamCamera",
     "PinholeCamera",
     "Projection",
+    "RadialPolynomialCamera",
+    "UnifiedCamera",
     "Unprojection",
+    "project_brown_conrady",
     "project_double_sphere",
     "project_equirectangular",
+    "project_extended_unified",
     "project_fisheye",
     "project_kannala_brandt",
     "project_ocam",
     "project_pinhole",
+    "project_radial_polynomial",
+    "project_unified",
     "read_camera",
     "read_rig",
     "ring_rig",
+    "unproject_brown_conrady",
     "unproject_double_sphere",
     "unproject_equirectangular",
+    "unproject_extended_unified",
     "unproject_fisheye",
     "unproject_kannala_brandt",
     "unproject_ocam",
     "unproject_pinhole",
+    "unproject_radial_polynomial",
+    "unproject_unified",
     "write_camera",
 ]

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.icosphere import coarse_vertex_ids, num_icosphere_vertices
 from sphericalvision.models.aggregation import (
     aggregated_channels,
     concatenate_cameras,
@@ -22,6 +22,7 @@ from sphericalvision.sweep import (
     DepthIndex,
     SphereSweep,
     SweepTables,
+    SweepVolume,
     depth_from_index,
     soft_argmax,
     soft_argmax_confidence,
@@ -40,7 +41,7 @@ class IcoSweepNet(nn.Module):
     changed after training, though a network is best at what it was trained for.
 
     Convention:
-        Images are in [-1, 1] and 0 outside the field of view, on icospheres aligned with the world
+        Images are in [-1, 1] and 0 outside the field of view and under masks, on icospheres aligned with the world
         (``rig.sample_sphere``), in the order of ``rig.names``. The result is a hypothesis index seen from
         ``rig.center``: 0 is infinity, N - 1 is ``min_depth``; ``depth`` turns it into metres along the ray.
 
@@ -193,9 +194,10 @@ class IcoSweepNet(nn.Module):
             order = order.to(images.device)
             features, tables = features[:, order], tables.permuted(order)
         volume = self.sweep(features, tables)
-        if self.aggregation == "variance":
-            return self.regularizer(mean_and_variance(volume))
-        return self.regularizer(concatenate_cameras(volume))
+        if self.aggregation == "concatenation":
+            return self.regularizer(concatenate_cameras(volume))
+        seen = volume.mask & self._not_blank(images, tables)
+        return self.regularizer(mean_and_variance(SweepVolume(volume.values, seen)))
 
     def extract_features(self, images: Tensor) -> Tensor:
         """Return the features ``(B, n, C, V_{level-feature_coarsening})`` of images ``(B, n, 3, V_level)``.
@@ -206,6 +208,13 @@ class IcoSweepNet(nn.Module):
         if self.training and self.norm == "batch":
             return torch.stack([self.features(camera_images) for camera_images in images.unbind(1)], 1)
         return self.features(images.flatten(0, 1)).unflatten(0, images.shape[:2])
+
+    def _not_blank(self, images: Tensor, tables: SweepTables) -> Tensor:
+        """Whether the images are not 0, as where a mask covers them, at the points of the sweep ``(B, n, N, V)``."""
+        seen = (images != 0).any(2, keepdim=True)
+        for finer in range(self.level, self.level - self.feature_coarsening, -1):
+            seen = seen[..., coarse_vertex_ids(finer, images.device)]
+        return self.sweep(seen.to(images), tables).values.squeeze(2) > 0.5
 
     def _camera_order(
         self, num_cameras: int, camera_order: Sequence[int] | None, generator: torch.Generator | None

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from torch import Tensor
@@ -77,6 +79,26 @@ def test_network_on_variance_takes_any_rig_in_any_order(generator: torch.Generat
         net(images, ring_rig(4))
     with pytest.raises(ShapeError, match=r"\(B, n, 3, 642\)"):
         net(images[..., :-1], ring_rig(5))
+
+
+@torch.no_grad()
+def test_a_blank_camera_does_not_count(generator: torch.Generator) -> None:
+    """A camera whose images are 0, as under a mask, is left out; features of 0 would look like disagreement."""
+    torch.manual_seed(0)
+    net = IcoSweepNet(
+        3, 4, feature_channels=4, norm="instance", aggregation="variance", volume_channels=2
+    ).eval()
+    rig = ring_rig(3, field_of_view=2 * math.pi)
+    images = 2 * torch.rand(1, 3, 3, 642, generator=generator) - 1
+    images[:, 1] = 0
+    volumes = []
+    net.regularizer.register_forward_pre_hook(lambda _, inputs: volumes.append(inputs[0]))
+    net(images, rig)
+    mean, variance, share = volumes[0].split((4, 4, 1), 1)
+    first, last = net.sweep(net.extract_features(images), rig).values[:, [0, 2]].unbind(1)
+    torch.testing.assert_close(mean, (first + last) / 2)
+    torch.testing.assert_close(variance, (first - last).square() / 4)
+    torch.testing.assert_close(share, torch.full_like(share, 2 / 3))
 
 
 def test_every_parameter_of_the_variant_learns(generator: torch.Generator) -> None:

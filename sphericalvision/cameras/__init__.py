@@ -8,6 +8,7 @@ from sphericalvision.cameras.brown_conrady import (
     unproject_brown_conrady,
 )
 from sphericalvision.cameras.calibration import read_camera, read_rig, write_camera
+from sphericalvision.cameras.depth import depth_from_z, z_from_depth
 from sphericalvision.cameras.double_sphere import (
     DoubleSphereCamera,
     project_double_sphere,
@@ -36,10 +37,14 @@ from sphericalvision.cameras.radial_polynomial import (
     project_radial_polynomial,
     unproject_radial_polynomial,
 )
+from sphericalvision.cameras.remap import REMAP_MODES, Remap, remap
+from sphericalvision.cameras.remap_tables import Remapped
 from sphericalvision.cameras.rig import CameraRig, ring_rig
+from sphericalvision.cameras.undistort import undistort, undistorted_camera
 from sphericalvision.cameras.unified import UnifiedCamera, project_unified, unproject_unified
 
 __all__ = [
+    "REMAP_MODES",
     "BrownConradyCamera",
     "Camera",
     "CameraRig",
@@ -52,8 +57,11 @@ __all__ = [
     "PinholeCamera",
     "Projection",
     "RadialPolynomialCamera",
+    "Remap",
+    "Remapped",
     "UnifiedCamera",
     "Unprojection",
+    "depth_from_z",
     "project_brown_conrady",
     "project_double_sphere",
     "project_equirectangular",
@@ -66,7 +74,10 @@ __all__ = [
     "project_unified",
     "read_camera",
     "read_rig",
+    "remap",
     "ring_rig",
+    "undistort",
+    "undistorted_camera",
     "unproject_brown_conrady",
     "unproject_double_sphere",
     "unproject_equirectangular",
@@ -78,4 +89,5 @@ __all__ = [
     "unproject_radial_polynomial",
     "unproject_unified",
     "write_camera",
+    "z_from_depth",
 ]

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth along the rays and depth along the optical axis (z)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.core import ShapeError
+
+__all__ = ["depth_from_z", "z_from_depth"]
+
+
+def depth_from_z(z: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+    """Depth along the rays of a depth image that holds z, as most perspective data sets store it.
+
+    Args:
+        z: ``(*b, h, w)``, metres along the optical axis.
+        camera: camera of the image.
+
+    Returns:
+        Metres along each pixel's ray ``(*b, h, w)``, 0 where not valid, and ``valid`` ``(*b, h, w)``: where the camera
+        looks, less than 90° from its axis; elsewhere z says nothing about the depth.
+
+    Raises:
+        ShapeError: ``z`` is not of the camera's size.
+
+    Examples:
+        >>> from sphericalvision.cameras import PinholeCamera
+        >>> camera = PinholeCamera([1.0, 1.0], [0.0, 0.0], (1, 2))
+        >>> depth, valid = depth_from_z(torch.tensor([[3.0, 3.0]]), camera)
+        >>> depth  # the right pixel looks 45° aside
+        tensor([[3.0000, 4.2426]])
+    """
+    cosine, valid = _cosine(z, camera, "z")
+    valid = valid & (cosine > torch.finfo(cosine.dtype).eps)
+    depth = torch.where(valid, z, 0.0) / torch.where(valid, cosine, 1.0)
+    return depth, valid.expand(depth.shape)
+
+
+def z_from_depth(depth: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+    """The z coordinate of the points that a depth image along the rays shows: the inverse of ``depth_from_z``.
+
+    Args:
+        depth: ``(*b, h, w)``, metres along each pixel's ray.
+        camera: camera of the image.
+
+    Returns:
+        Metres along the optical axis ``(*b, h, w)``, negative for points behind, 0 where not valid, and ``valid``
+        ``(*b, h, w)``: where the camera looks.
+
+    Raises:
+        ShapeError: ``depth`` is not of the camera's size.
+
+    Examples:
+        >>> from sphericalvision.cameras import PinholeCamera
+        >>> camera = PinholeCamera([1.0, 1.0], [0.0, 0.0], (1, 2))
+        >>> z, valid = z_from_depth(torch.tensor([[3.0, 2.0**0.5 * 3]]), camera)
+        >>> z.round(decimals=4).tolist()
+        [[3.0, 3.0]]
+    """
+    cosine, valid = _cosine(depth, camera, "depth")
+    z = torch.where(valid, depth, 0.0) * cosine
+    return z, valid.expand(z.shape)
+
+
+def _cosine(values: Tensor, camera: Camera, name: str) -> tuple[Tensor, Tensor]:
+    """The z component of every pixel's direction (*b, h, w), and where the camera looks."""
+    height, width = camera.image_size
+    if values.ndim < 2 or tuple(values.shape[-2:]) != camera.image_size:
+        raise ShapeError(
+            f"{name}: this camera's images are {height} x {width} (height x width), got shape {tuple(values.shape)}"
+        )
+    pixels = camera.pixel_grid(values.dtype).to(values.device)
+    directions, valid = camera.unproject(pixels.expand(*camera.batch_shape, height, width, 2))
+    return directions[..., 2], valid

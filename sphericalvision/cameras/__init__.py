@@ -7,7 +7,20 @@ from sphericalvision.cameras.brown_conrady import (
     project_brown_conrady,
     unproject_brown_conrady,
 )
-from sphericalvision.cameras.calibration import read_camera, read_rig, write_camera
+from sphericalvision.cameras.calibration import (
+    read_camera,
+    read_cameras,
+    read_rig,
+    save_camera,
+    save_rig,
+    write_basalt,
+    write_camera,
+    write_colmap,
+    write_kalibr,
+    write_ocam_text,
+    write_omnimvs,
+    write_opencv,
+)
 from sphericalvision.cameras.depth import depth_from_z, z_from_depth
 from sphericalvision.cameras.double_sphere import (
     DoubleSphereCamera,
@@ -73,9 +86,12 @@ __all__ = [
     "project_radial_polynomial",
     "project_unified",
     "read_camera",
+    "read_cameras",
     "read_rig",
     "remap",
     "ring_rig",
+    "save_camera",
+    "save_rig",
     "undistort",
     "undistorted_camera",
     "unproject_brown_conrady",
@@ -88,6 +104,12 @@ __all__ = [
     "unproject_pinhole",
     "unproject_radial_polynomial",
     "unproject_unified",
+    "write_basalt",
     "write_camera",
+    "write_colmap",
+    "write_kalibr",
+    "write_ocam_text",
+    "write_omnimvs",
+    "write_opencv",
     "z_from_depth",
 ]

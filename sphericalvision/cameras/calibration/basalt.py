@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Basalt's calibration json: double sphere, Kannala-Brandt (kb4) and pinhole cameras, poses in metres."""
+"""Basalt's calibration json: double sphere, (extended) unified, Kannala-Brandt and pinhole cameras, poses in metres.
+
+Convention:
+    ``T_imu_cam`` is a quaternion (qx, qy, qz, qw) and a position, camera to IMU; the IMU's frame is the rig's world.
+    Cameras are ``cam0``, ``cam1``, ... A file ``cam0/mask.png`` beside it, white where pixels are usable, is its mask.
+    Basalt's ``ucm`` has α = ξ / (1 + ξ) and focal lengths f = γ / (1 + ξ).
+"""
 
 from __future__ import annotations
 
@@ -11,23 +17,45 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.numbers import check_radius, entry, numbers, read_mask, widest_angle
+from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.files import load, whole_file
+from sphericalvision.cameras.calibration.numbers import (
+    as_told,
+    bounded,
+    entry,
+    focal_lengths,
+    number,
+    read_mask,
+    size_from_width_height,
+    write_mask,
+)
+from sphericalvision.cameras.calibration.poses import quaternion_from_rotation
 from sphericalvision.cameras.double_sphere import DoubleSphereCamera
+from sphericalvision.cameras.extended_unified import ExtendedUnifiedCamera
 from sphericalvision.cameras.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.pinhole import PinholeCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, FileFormatError, check_file
+from sphericalvision.cameras.unified import UnifiedCamera
+from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.geometry import transform_from_quaternion
 
-__all__ = ["read_basalt"]
+__all__ = ["contents", "read_basalt", "recognizes", "write_basalt"]
+
+_PARAMETERS = {
+    "ds": ("xi", "alpha"),
+    "eucm": ("alpha", "beta"),
+    "ucm": ("alpha",),
+    "kb4": ("k1", "k2", "k3", "k4"),
+    "pinhole": (),
+}
+_POSITION, _QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
 
 
 def read_basalt(
     path: str | Path, *, max_angle: float | None = None, dtype: torch.dtype | None = None
 ) -> CameraRig:
-    """The rig of a Basalt json; cameras are ``cam0``, ``cam1``, ...; the world is the file's IMU frame.
-
-    A file ``cam0/mask.png`` beside it, white where pixels are usable, becomes the camera's mask.
+    """The rig of a Basalt json.
 
     Args:
         path: the file.
@@ -37,13 +65,23 @@ def read_basalt(
 
     Raises:
         MissingFileError: there is no such file.
-        FileFormatError: the file is not such a json, or of a camera type that is not supported yet.
+        FileFormatError: the file is not such a json, or of a camera type that is not known.
     """
     path = check_file(path, "a Basalt calibration json")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise FileFormatError(f"{path}: not valid json ({error}); is it truncated?") from None
+    return contents(load(path), path, Options(max_angle, dtype)).rig(path, dtype)
+
+
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file has ``value0``, as everything that Basalt writes."""
+    return "value0" in content
+
+
+def contents(content: Any, path: Path, options: Options) -> Contents:
+    """Cameras, poses and masks of a parsed file.
+
+    Raises:
+        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
+    """
     value0 = entry(content, "value0", str(path))
     parts = {key: entry(value0, key, f"{path}, value0") for key in ("T_imu_cam", "intrinsics", "resolution")}
     for key, values in parts.items():
@@ -55,52 +93,103 @@ def read_basalt(
             raise FileFormatError(
                 f"{path}: {key} holds {len(values)} cameras and intrinsics {count}; one entry for each camera expected"
             )
-    dtype = dtype or torch.get_default_dtype()
     cameras, poses, masks = {}, [], {}
     for index in range(count):
         name, where = f"cam{index}", f"{path}, camera {index}"
-        width, height = numbers(parts["resolution"][index], f"{where}, resolution", 2)
-        camera = _camera(parts["intrinsics"][index], (int(height), int(width)), where)
+        size = size_from_width_height(parts["resolution"][index], f"{where}, resolution")
+        camera = _camera(parts["intrinsics"][index], size, where)
         mask_path = path.parent / name / "mask.png"
         if mask_path.is_file():
-            masks[name] = read_mask(mask_path, camera.image_size)
-        angle = widest_angle(camera, masks.get(name)) if max_angle is None else max_angle
-        cameras[name] = camera.with_max_angle(min(angle, float(camera.max_angle))).to(dtype)
+            masks[name] = read_mask(mask_path, size)
+        cameras[name] = bounded(camera, options.max_angle, where, masks.get(name))
         poses.append(_pose(parts["T_imu_cam"][index], f"{where}, T_imu_cam"))
     table = torch.tensor(poses, dtype=torch.float64)
-    world_from_camera = transform_from_quaternion(table[:, :4], table[:, 4:]).to(dtype)
-    return check_radius(CameraRig(cameras, world_from_camera, masks), path)
+    return Contents(cameras, transform_from_quaternion(table[:, :4], table[:, 4:]), masks)
 
 
 def _pose(values: Any, where: str) -> list[float]:
     """qw qx qy qz px py pz."""
-    return [
-        numbers(entry(values, key, where), f"{where}, {key}", 1)[0]
-        for key in ("qw", "qx", "qy", "qz", "px", "py", "pz")
-    ]
+    found = [number(values, key, where) for key in (*_QUATERNION, *_POSITION)]
+    if not 0.99 < (length := math.hypot(*found[:4])) < 1.01:
+        raise FileFormatError(f"{where}: expected a quaternion of length 1, got one of length {length:.3g}")
+    return found
 
 
 def _camera(values: Any, image_size: tuple[int, int], where: str) -> Camera:
     kind = entry(values, "camera_type", where)
+    if not isinstance(kind, str) or kind not in _PARAMETERS:
+        raise FileFormatError(f"{where}, camera_type: expected one of {', '.join(_PARAMETERS)}, got {kind!r}")
     intrinsics = entry(values, "intrinsics", where)
-
-    def get(*keys: str) -> torch.Tensor:
-        found = [numbers(entry(intrinsics, key, where), f"{where}, {key}", 1)[0] for key in keys]
-        return torch.tensor(found, dtype=torch.float64)
-
-    if kind not in ("ds", "kb4", "pinhole"):
-        raise FileFormatError(
-            f"{where}: the camera type {kind!r} is not supported yet; supported are ds (double sphere), "
-            "kb4 (Kannala-Brandt) and pinhole"
-        )
-    focal_length, center = get("fx", "fy"), get("cx", "cy")
-    try:
+    keys = ("fx", "fy", "cx", "cy", *_PARAMETERS[kind])
+    fx, fy, cx, cy, *more = (number(intrinsics, key, where) for key in keys)
+    center = [cx, cy]
+    focal_length = torch.tensor(focal_lengths([fx, fy], f"{where}, fx and fy"), dtype=torch.float64)
+    with as_told(where):
         if kind == "ds":
-            xi, alpha = get("xi", "alpha")
-            return DoubleSphereCamera(focal_length, center, xi, alpha, image_size, math.pi)
+            return DoubleSphereCamera(focal_length, center, more[0], more[1], image_size, math.pi)
+        if kind == "eucm":
+            return ExtendedUnifiedCamera(focal_length, center, more[0], more[1], image_size)
         if kind == "kb4":
-            distortion = get("k1", "k2", "k3", "k4")
-            return KannalaBrandtCamera(focal_length, center, distortion, image_size, math.pi)
-        return PinholeCamera(focal_length, center, image_size)
-    except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}") from None
+            return KannalaBrandtCamera(focal_length, center, more, image_size, math.pi)
+        if kind == "pinhole":
+            return PinholeCamera(focal_length, center, image_size)
+        if not 0 <= more[0] < 1:
+            raise FileFormatError(f"{where}, alpha: expected a number in [0, 1), got {more[0]:g}")
+        xi = more[0] / (1 - more[0])
+        return UnifiedCamera(focal_length * (1 + xi), center, xi, None, image_size)
+
+
+def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
+    """Write a camera or a rig as Basalt's json, and masks as ``cam0/mask.png``, ... beside it.
+
+    Cameras become ``cam0``, ``cam1``, ... in their order. Only cameras are written: Basalt itself wants to find the
+    IMU's calibration in the file, too. Fields of view are not part of the format.
+
+    Raises:
+        ArgumentError: Basalt has no such model; the message names formats that have it.
+    """
+    path = Path(path)
+    rig = cameras if isinstance(cameras, CameraRig) else CameraRig([cameras], torch.eye(4)[None])
+    value0: dict[str, list[Any]] = {"T_imu_cam": [], "intrinsics": [], "resolution": []}
+    for camera, pose in zip(rig.cameras.values(), rig.world_from_camera, strict=True):
+        kind, names, found = _values(camera)
+        value0["intrinsics"].append({"camera_type": kind, "intrinsics": dict(zip(names, found, strict=True))})
+        value0["resolution"].append(list(camera.image_size[::-1]))
+        rotation = quaternion_from_rotation(pose[:3, :3])
+        value0["T_imu_cam"].append(
+            {
+                **dict(zip(_POSITION, numbers_of(pose[:3, 3]), strict=True)),
+                **dict(zip(_QUATERNION, rotation, strict=True)),
+            }
+        )
+    for index, name in enumerate(rig.names):
+        if name in rig.masks:
+            folder = path.parent / f"cam{index}"
+            folder.mkdir(exist_ok=True)
+            write_mask(rig.masks[name], folder / "mask.png")
+    with whole_file(path) as unfinished:
+        unfinished.write_text(json.dumps({"value0": value0}, indent=1) + "\n", encoding="utf-8")
+
+
+def _values(camera: Camera) -> tuple[str, tuple[str, ...], list[float]]:
+    """Basalt's name of the model, and names and values of its parameters."""
+    check_holds("basalt", camera)
+    assert isinstance(
+        camera,
+        PinholeCamera | KannalaBrandtCamera | DoubleSphereCamera | ExtendedUnifiedCamera | UnifiedCamera,
+    )
+    focal_length, more, kind = numbers_of(camera.focal_length), [], "pinhole"
+    if isinstance(camera, UnifiedCamera):
+        if camera.distortion is not None:
+            without_trailing_zeros(numbers_of(camera.distortion), (0,), "distortion")
+        xi = numbers_of(camera.xi)[0]
+        kind, more = "ucm", [xi / (1 + xi)]
+        focal_length = [value / (1 + xi) for value in focal_length]
+    elif isinstance(camera, KannalaBrandtCamera):
+        kind, more = "kb4", numbers_of(camera.distortion)
+    elif isinstance(camera, DoubleSphereCamera):
+        kind, more = "ds", [*numbers_of(camera.xi), *numbers_of(camera.alpha)]
+    elif isinstance(camera, ExtendedUnifiedCamera):
+        kind, more = "eucm", [*numbers_of(camera.alpha), *numbers_of(camera.beta)]
+    names = ("fx", "fy", "cx", "cy", *_PARAMETERS[kind])
+    return kind, names, [*focal_length, *numbers_of(camera.principal_point), *more]

@@ -13,27 +13,41 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import torch
-import yaml
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.numbers import check_radius, entry, mapping, numbers, read_mask
+from sphericalvision.cameras.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.calibration.capabilities import check_single
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.files import write_yaml
+from sphericalvision.cameras.calibration.numbers import (
+    as_told,
+    entry,
+    mapping,
+    numbers,
+    read_mask,
+    size_from_width_height,
+    write_mask,
+)
 from sphericalvision.cameras.double_sphere import DoubleSphereCamera
 from sphericalvision.cameras.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.extended_unified import ExtendedUnifiedCamera
 from sphericalvision.cameras.fisheye import FisheyeCamera
 from sphericalvision.cameras.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.ocam import OCamCamera
 from sphericalvision.cameras.pinhole import PinholeCamera
+from sphericalvision.cameras.radial_polynomial import RadialPolynomialCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError
+from sphericalvision.cameras.unified import UnifiedCamera
+from sphericalvision.core import FileFormatError
 
 __all__ = [
     "CAMERA_FORMAT",
     "RIG_FORMAT",
     "camera_from_dict",
     "camera_to_dict",
-    "rig_from_dict",
+    "contents",
+    "recognizes",
     "write_camera",
     "write_rig",
 ]
@@ -45,17 +59,21 @@ VERSION = 1
 _MODELS: dict[str, type[Camera]] = {
     model.model: model
     for model in (
+        BrownConradyCamera,
         DoubleSphereCamera,
         EquirectangularCamera,
+        ExtendedUnifiedCamera,
         FisheyeCamera,
         KannalaBrandtCamera,
         OCamCamera,
         PinholeCamera,
+        RadialPolynomialCamera,
+        UnifiedCamera,
     )
 }
 
-_OPTIONAL = ("inverse_polynomial",)
-"""Parameters that a file may give as ``null``."""
+_OPTIONAL = {("ocam", "inverse_polynomial"), ("unified", "distortion")}
+"""Parameters of a model that a file may give as ``null``."""
 
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
@@ -65,10 +83,7 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
         >>> camera_to_dict(EquirectangularCamera((160, 320)))["image_size"]
         [160, 320]
     """
-    if camera.batch_shape:
-        raise ArgumentError(
-            f"camera: expected a single camera, got a batch {camera.batch_shape}; use select(index)"
-        )
+    check_single(camera)
     result: dict[str, Any] = {"model": camera.model, "image_size": list(camera.image_size)}
     result |= {name: getattr(camera, name) for name in camera.option_names}
     tensors = {name: getattr(camera, name) for name in camera.intrinsic_names}
@@ -90,28 +105,30 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
         raise FileFormatError(f"{where}, model: expected one of {', '.join(_MODELS)}, got {name!r}")
     model = _MODELS[name]
     dtype = dtype or torch.get_default_dtype()
+    height, width = numbers(entry(values, "image_size", where), f"{where}, image_size", 2)
     arguments: dict[str, Any] = {
-        "image_size": numbers(entry(values, "image_size", where), f"{where}, image_size", 2)
+        "image_size": size_from_width_height([width, height], f"{where}, image_size")
     }
     arguments |= {key: entry(values, key, where) for key in model.option_names}
     for key in model.intrinsic_names:
         value = entry(values, key, where)
-        if value is not None or key not in _OPTIONAL:
+        if value is not None or (name, key) not in _OPTIONAL:
             parsed = numbers(value, f"{where}, {key}")
             value = torch.tensor(parsed if isinstance(value, list) else parsed[0], dtype=dtype)
         arguments[key] = value
     if model is not EquirectangularCamera:
         arguments["max_angle"] = numbers(entry(values, "max_angle", where), f"{where}, max_angle", 1)[0]
     try:
-        return model(**arguments)
-    except (SphericalVisionError, TypeError) as error:
+        with as_told(where):
+            return model(**arguments)
+    except TypeError as error:
         raise FileFormatError(f"{where}: {error}") from None
 
 
 def write_camera(camera: Camera, path: str | Path) -> None:
     """Write one camera as YAML, which ``read_camera`` reads."""
     content = {"format": CAMERA_FORMAT, "version": VERSION, **camera_to_dict(camera)}
-    _write(Path(path), content)
+    write_yaml(path, content)
 
 
 def write_rig(rig: CameraRig, path: str | Path) -> None:
@@ -120,61 +137,57 @@ def write_rig(rig: CameraRig, path: str | Path) -> None:
     Raises:
         ArgumentError: the rig is a batch.
     """
-    if rig.world_from_camera.ndim != 3:
-        raise ArgumentError("rig: expected a single rig, got a batch; use rig.select(index)")
+    check_single(rig)
     path = Path(path)
     cameras = []
     for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
         values = {"name": name, **camera_to_dict(camera), "world_from_camera": pose.tolist()}
         if name in rig.masks:
             values["mask"] = f"{path.stem}_{name}_mask.png"
-            pixels = rig.masks[name].to("cpu", torch.uint8).numpy() * 255
-            if not cv2.imwrite(str(path.parent / values["mask"]), pixels):
-                raise OSError(f"{path.parent / values['mask']}: cannot be written")
+            write_mask(rig.masks[name], path.parent / values["mask"])
         cameras.append(values)
-    _write(path, {"format": RIG_FORMAT, "version": VERSION, "cameras": cameras})
+    write_yaml(path, {"format": RIG_FORMAT, "version": VERSION, "cameras": cameras})
 
 
-def rig_from_dict(content: Any, path: Path, dtype: torch.dtype | None = None) -> CameraRig:
-    """The rig of a parsed file; masks are looked up beside ``path``.
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file says that it is of this package."""
+    return content.get("format") in (CAMERA_FORMAT, RIG_FORMAT)
+
+
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+    """The camera or the rig of a parsed file; masks are looked up beside ``path``.
 
     Raises:
         FileFormatError: a key is missing or its value makes no sense; the message names file and key.
         MissingFileError: a mask is named that does not exist.
     """
+    if content["format"] == CAMERA_FORMAT:
+        return Contents({path.stem: _limited(camera_from_dict(content, str(path), options.dtype), options)})
     version = entry(content, "version", str(path))
     if version != VERSION:
         raise FileFormatError(f"{path}, version: this release reads version {VERSION}, got {version!r}")
     cameras: dict[str, Camera] = {}
     poses, masks = [], {}
     entries = entry(content, "cameras", str(path))
-    if not isinstance(entries, list):
-        raise FileFormatError(f"{path}, cameras: expected a list of cameras, got {type(entries).__name__}")
+    if not isinstance(entries, list) or not entries:
+        raise FileFormatError(f"{path}, cameras: expected a list of at least one camera, got {entries!r:.80}")
     for index, values in enumerate(entries):
         where = f"{path}, cameras[{index}]"
         name = str(entry(values, "name", where))
         if name in cameras:
             raise FileFormatError(f"{where}, name: a second camera named {name!r}")
-        cameras[name] = camera_from_dict(mapping(values, where), where, dtype)
+        cameras[name] = _limited(camera_from_dict(mapping(values, where), where, options.dtype), options)
         rows = entry(values, "world_from_camera", where)
         flat = [value for row in rows for value in row] if _is_matrix(rows) else rows
         poses.append(numbers(flat, f"{where}, world_from_camera", 16))
         if values.get("mask"):
             masks[name] = read_mask(path.parent / str(values["mask"]), cameras[name].image_size)
-    table = torch.tensor(poses, dtype=dtype or torch.get_default_dtype()).reshape(-1, 4, 4)
-    try:
-        return check_radius(CameraRig(cameras, table, masks), path)
-    except ArgumentError as error:
-        raise FileFormatError(f"{path}: {error}") from None
+    return Contents(cameras, torch.tensor(poses, dtype=torch.float64).reshape(-1, 4, 4), masks)
+
+
+def _limited(camera: Camera, options: Options) -> Camera:
+    return camera if options.max_angle is None else camera.with_max_angle(options.max_angle)
 
 
 def _is_matrix(rows: Any) -> bool:
     return isinstance(rows, list) and all(isinstance(row, list) for row in rows)
-
-
-def _write(path: Path, content: dict[str, Any]) -> None:
-    """Write under another name first, so that a half-written calibration never has the final one."""
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
-    unfinished.write_text(text, encoding="utf-8")
-    unfinished.replace(path)

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +14,30 @@ import cv2
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.base import AnyCamera, Camera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, check_choice, check_file
+from sphericalvision.core import FileFormatError, SphericalVisionError, check_choice, check_file
 
 __all__ = [
     "METRES_PER_UNIT",
+    "as_told",
+    "bounded",
     "check_radius",
     "entry",
+    "focal_lengths",
     "mapping",
     "metres_per",
+    "number",
     "numbers",
     "read_mask",
+    "size_from_width_height",
     "widest_angle",
+    "write_mask",
 ]
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+LARGEST_SIDE = 100_000
+"""Of an image, in pixels; more is taken for a damaged file."""
 
 
 def metres_per(unit: str) -> float:
@@ -53,12 +62,46 @@ def numbers(values: Any, where: str, count: int | None = None) -> list[float]:
     if not values:
         raise FileFormatError(f"{where}: expected numbers, got an empty list")
     try:
+        if any(isinstance(value, bool) for value in values):
+            raise ValueError
         result = [float(value) for value in values]
-    except (TypeError, ValueError):
-        raise FileFormatError(f"{where}: expected numbers, got {values}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise FileFormatError(f"{where}: expected numbers, got {_shortened(values)}") from None
     if not all(math.isfinite(value) for value in result):
-        raise FileFormatError(f"{where}: expected finite numbers, got {values}; correct the file")
+        raise FileFormatError(f"{where}: expected finite numbers, got {_shortened(values)}; correct the file")
     return result
+
+
+def number(values: Any, key: str, where: str) -> float:
+    """The finite number under a key that must be there."""
+    return numbers(entry(values, key, where), f"{where}, {key}", 1)[0]
+
+
+def focal_lengths(values: list[float], where: str) -> list[float]:
+    """``values`` if all are positive, else ``FileFormatError``."""
+    if not all(value > 0 for value in values):
+        raise FileFormatError(f"{where}: expected positive focal lengths in pixels, got {values}")
+    return values
+
+
+def size_from_width_height(values: Any, where: str) -> tuple[int, int]:
+    """(height, width) from a file's width and height.
+
+    Examples:
+        >>> size_from_width_height([640, 480.0], "camera.yaml, resolution")
+        (480, 640)
+    """
+    width, height = numbers(values, where, 2)
+    if not all(side == int(side) and 1 <= side <= LARGEST_SIDE for side in (width, height)):
+        raise FileFormatError(
+            f"{where}: expected the width and height of the image in pixels, got {width:g} and {height:g}"
+        )
+    return int(height), int(width)
+
+
+def _shortened(values: list[Any]) -> str:
+    text = str(values)
+    return text if len(text) <= 200 else f"{text[:200]} ..."
 
 
 def mapping(value: Any, where: str) -> Mapping[str, Any]:
@@ -96,17 +139,79 @@ def read_mask(path: Path, image_size: tuple[int, int]) -> Tensor:
     return torch.from_numpy(pixels >= 128)
 
 
+def write_mask(mask: Tensor, path: Path) -> None:
+    """Write a mask (h, w) as an image, white where it is True."""
+    if not cv2.imwrite(str(path), mask.to("cpu", torch.uint8).numpy() * 255):
+        raise OSError(f"{path}: cannot be written")
+
+
+@contextmanager
+def as_told(where: str) -> Iterator[None]:
+    """Errors about arguments become errors about the file that the arguments came from."""
+    try:
+        yield
+    except FileFormatError:
+        raise
+    except SphericalVisionError as error:
+        raise FileFormatError(f"{where}: {error}") from None
+
+
+@torch.no_grad()
 def widest_angle(camera: Camera, mask: Tensor | None = None) -> float:
     """The largest angle from the axis, in radians, at which a usable pixel of the image looks.
 
     Formats that do not tell a field of view get it from here. It is as good as the mask: an image without one is
-    taken to be usable up to its corners.
+    taken to be usable up to its corners, or as far towards them as the model is defined.
     """
-    directions, valid = camera.unproject(camera.pixel_grid(torch.float64))
+    camera = camera.to("cpu", torch.float64)
     if mask is not None:
-        valid = valid & mask.to(valid.device)
-    angles = torch.atan2(directions[..., :2].norm(dim=-1), directions[..., 2])
-    return float(torch.where(valid, angles, 0.0).max())
+        pixels = mask.cpu().nonzero().flip(-1).to(torch.float64)
+        angles, valid = _angles(camera, pixels)
+        return float(torch.where(valid, angles, 0.0).max()) if len(pixels) else 0.0
+    border = _border_pixels(camera.image_size)
+    angles, valid = _angles(camera, border)
+    if not bool(valid.all()):
+        angles = _angles_at_the_edge(camera, border)
+    return float(angles.max())
+
+
+def _angles(camera: Camera, pixels: Tensor) -> tuple[Tensor, Tensor]:
+    directions, valid = camera.unproject(pixels)
+    return torch.atan2(directions[..., :2].norm(dim=-1), directions[..., 2]), valid
+
+
+def _border_pixels(image_size: tuple[int, int], samples: int = 256) -> Tensor:
+    """Corners and other pixels of the outermost rows and columns, (n, 2)."""
+    height, width = image_size
+    across = torch.linspace(0, width - 1, min(width, samples), dtype=torch.float64).round()
+    down = torch.linspace(0, height - 1, min(height, samples), dtype=torch.float64).round()
+    rows = [torch.stack((across, torch.full_like(across, v)), -1) for v in (0, height - 1)]
+    columns = [torch.stack((torch.full_like(down, u), down), -1) for u in (0, width - 1)]
+    return torch.cat(rows + columns)
+
+
+def _angles_at_the_edge(camera: Camera, border: Tensor) -> Tensor:
+    """Angles at the last pixels that the model knows on the way from the principal point to the border."""
+    forward = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    near, far = camera.project(forward).pixels.expand_as(border), border
+    widest = torch.zeros_like(border[:, 0])
+    for fraction in (1.0, *([0.5] * 40)):
+        pixels = near + fraction * (far - near)
+        angles, valid = _angles(camera, pixels)
+        widest = torch.where(valid, torch.maximum(widest, angles), widest)
+        near = torch.where(valid.unsqueeze(-1), pixels, near)
+        far = torch.where(valid.unsqueeze(-1), far, pixels)
+    return widest
+
+
+def bounded(camera: AnyCamera, max_angle: float | None, where: str, mask: Tensor | None = None) -> AnyCamera:
+    """``camera`` with ``max_angle``, or where that is ``None``, with as much as its image shows."""
+    if max_angle is None:
+        with as_told(where):
+            max_angle = widest_angle(camera, mask)
+        if not max_angle > 0:
+            raise FileFormatError(f"{where}: no pixel of the image can be turned into a direction")
+    return camera.with_max_angle(min(max_angle, float(camera.max_angle)))
 
 
 def check_radius(rig: CameraRig, path: Path) -> CameraRig:

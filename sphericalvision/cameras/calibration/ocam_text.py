@@ -13,13 +13,23 @@ from pathlib import Path
 
 import torch
 
-from sphericalvision.cameras.calibration.numbers import check_radius, metres_per, numbers, widest_angle
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of
+from sphericalvision.cameras.calibration.files import data_lines, whole_file
+from sphericalvision.cameras.calibration.numbers import (
+    as_told,
+    bounded,
+    check_radius,
+    metres_per,
+    numbers,
+    size_from_width_height,
+)
 from sphericalvision.cameras.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import transform_from_axis_angle
 
-__all__ = ["make_ocam", "read_ocam_folder", "read_ocam_text"]
+__all__ = ["make_ocam", "ocam_numbers", "read_ocam_folder", "read_ocam_text", "write_ocam_text"]
 
 STEREO_SETS_MAX_ANGLE = math.radians(110)
 """Half the field of view of the omnidirectional stereo sets' lenses, which their text files do not tell."""
@@ -31,16 +41,6 @@ _LINES = (
     "affine (c d e)",
     "image size (height width)",
 )
-
-
-def _data_lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Line numbers from 1 and the words of lines that hold data."""
-    try:
-        text = path.read_text(encoding="utf-8", errors="strict")
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{path}: expected a text file, got binary data") from None
-    lines = ((number, line.split("#")[0].split()) for number, line in enumerate(text.splitlines(), start=1))
-    return [(number, words) for number, words in lines if words]
 
 
 def _counted(values: list[float], where: str) -> list[float]:
@@ -70,20 +70,17 @@ def make_ocam(
     """A camera from numbers as files hold them: polynomials with their count in front, centre as (row, column)."""
     row, column = center
     height, width = size
-    try:
+    image_size = size_from_width_height([width, height], f"{where}, image size")
+    with as_told(where):
         camera = OCamCamera(
             polynomial=torch.tensor(_counted(direct, f"{where}, direct polynomial"), dtype=torch.float64),
             inverse_polynomial=None if inverse is None else _counted(inverse, f"{where}, inverse polynomial"),
             principal_point=[column, row],
             affine=affine,
-            image_size=(height, width),  # type: ignore[arg-type]  # checked to be whole numbers there
-            max_angle=math.pi if max_angle is None else max_angle,
+            image_size=image_size,
+            max_angle=math.pi,
         )
-    except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}") from None
-    if max_angle is None:
-        camera = camera.with_max_angle(widest_angle(camera))
-    return camera.to(dtype or torch.get_default_dtype())
+    return bounded(camera, max_angle, where).to(dtype or torch.get_default_dtype())
 
 
 def read_ocam_text(
@@ -102,7 +99,7 @@ def read_ocam_text(
         FileFormatError: it is truncated, or holds something else than numbers; the message names the line.
     """
     path = check_file(path, "an OCamCalib text file")
-    lines = _data_lines(path)
+    lines = data_lines(path)
     if len(lines) < len(_LINES):
         last = lines[-1][0] if lines else 0
         raise FileFormatError(
@@ -157,7 +154,7 @@ def read_ocam_folder(
             "(OmniThings, OmniHouse and the urban sets: 'cm')"
         )
     unit = metres_per(translation_unit)
-    lines = _data_lines(poses_path)
+    lines = data_lines(poses_path)
     if len(lines) != len(files):
         raise FileFormatError(
             f"{poses_path}: holds {len(lines)} poses, but the folder has {len(files)} cameras "
@@ -175,3 +172,41 @@ def read_ocam_folder(
     }
     rig = CameraRig(cameras, world_from_camera.to(dtype or torch.get_default_dtype()))
     return check_radius(rig, poses_path)
+
+
+def ocam_numbers(camera: Camera, format: str) -> dict[str, list[float]]:
+    """The numbers of a camera as files hold them: counts in front of polynomials, the centre as (row, column).
+
+    Raises:
+        ArgumentError: it is no OCam camera, or has no inverse polynomial, which these files must have.
+    """
+    check_holds(format, camera)
+    assert isinstance(camera, OCamCamera)
+    if camera.inverse_polynomial is None:
+        raise ArgumentError(
+            f"camera: the format {format!r} holds an inverse polynomial and this camera inverts exactly; fit one with "
+            "fit_inverse_polynomial(camera), or write 'native'"
+        )
+    direct, inverse = numbers_of(camera.polynomial), numbers_of(camera.inverse_polynomial)
+    column, row = numbers_of(camera.principal_point)
+    return {
+        "direct": [len(direct), *direct],
+        "inverse": [len(inverse), *inverse],
+        "center": [row, column],
+        "affine": numbers_of(camera.affine),
+        "size": list(camera.image_size),
+    }
+
+
+def write_ocam_text(camera: Camera, path: str | Path) -> None:
+    """Write an ``OCamCamera`` as an OCamCalib text file; the field of view is not part of the format.
+
+    Raises:
+        ArgumentError: the camera is of another model, or has no inverse polynomial.
+    """
+    values = ocam_numbers(camera, "ocamcalib")
+    lines = []
+    for title, found in zip(_LINES, values.values(), strict=True):
+        lines += [f"# {title}", "", " ".join(map(repr, found)), ""]
+    with whole_file(path) as unfinished:
+        unfinished.write_text("\n".join(lines), encoding="utf-8")

@@ -1,42 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``config.yaml`` of the OmniMVS family: OCam cameras with poses in metres and fields of view in degrees."""
+"""``config.yaml`` of the OmniMVS family: OCam cameras with poses in metres and fields of view in degrees.
+
+Convention:
+    ``pose`` is axis-angle in radians and translation in metres, camera to rig; ``center`` is (row, column);
+    ``max_fov`` is the full angle. A mask is white where a pixel must **not** be used.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from sphericalvision.cameras.calibration.numbers import check_radius, entry, numbers, read_mask
-from sphericalvision.cameras.calibration.ocam_text import make_ocam
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration.capabilities import check_single
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.files import write_yaml
+from sphericalvision.cameras.calibration.numbers import entry, numbers, read_mask, write_mask
+from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
+from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.cameras.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 
-__all__ = ["rig_from_omnimvs"]
+__all__ = ["contents", "recognizes", "write_omnimvs"]
 
 
-def rig_from_omnimvs(
-    content: Any, path: Path, *, max_angle: float | None = None, dtype: torch.dtype | None = None
-) -> CameraRig:
-    """The rig of a parsed ``config.yaml``; cameras are named ``cam<cam_id>``.
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file has a list of cameras."""
+    return "cameras" in content
 
-    Poses are axis-angle and translation in metres, camera to rig. ``invalid_mask`` images, white where a pixel must not
-    be used, are read where they exist; they are seldom shipped.
 
-    Args:
-        content: the parsed file.
-        path: where it came from, for masks and messages.
-        max_angle: half the field of view in radians, instead of the file's ``max_fov``.
-        dtype: of intrinsics and poses, by default torch's default.
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+    """Cameras and poses of a parsed ``config.yaml``; cameras are named ``cam<cam_id>``.
+
+    ``invalid_mask`` images, white where a pixel must not be used, are read where they exist; they are seldom shipped.
 
     Raises:
-        FileFormatError: a key is missing, or a value is none; the message names file and key.
+        FileFormatError: a key is missing, or a value makes no sense; the message names file and key.
     """
-    cameras, poses, masks = {}, [], {}
+    cameras: dict[str, Camera] = {}
+    poses, masks = [], {}
     entries = entry(content, "cameras", str(path))
     if not isinstance(entries, list) or not entries:
         raise FileFormatError(f"{path}, cameras: expected a list of at least one camera")
@@ -46,19 +54,16 @@ def rig_from_omnimvs(
         where += f" ({name})"
         if name in cameras:
             raise FileFormatError(f"{where}: a second camera with this cam_id")
-        cameras[name] = _camera(values, where, max_angle, dtype)
+        cameras[name] = _camera(values, where, options.max_angle)
         poses.append(numbers(entry(values, "pose", where), f"{where}, pose", 6))
         mask = values.get("invalid_mask")
         if mask and (path.parent / str(mask)).is_file():
             masks[name] = ~read_mask(path.parent / str(mask), cameras[name].image_size)
     table = torch.tensor(poses, dtype=torch.float64)
-    world_from_camera = transform_from_axis_angle(table[:, :3], table[:, 3:])
-    return check_radius(
-        CameraRig(cameras, world_from_camera.to(dtype or torch.get_default_dtype()), masks), path
-    )
+    return Contents(cameras, transform_from_axis_angle(table[:, :3], table[:, 3:]), masks)
 
 
-def _camera(values: Any, where: str, max_angle: float | None, dtype: torch.dtype | None) -> OCamCamera:
+def _camera(values: Any, where: str, max_angle: float | None) -> OCamCamera:
     model = values.get("model", "ocam")
     if model != "ocam":
         raise FileFormatError(f"{where}, model: expected ocam, got {model!r}")
@@ -73,5 +78,44 @@ def _camera(values: Any, where: str, max_angle: float | None, dtype: torch.dtype
         numbers(entry(values, "image_size", where), f"{where}, image_size", 2),
         max_angle,
         where,
-        dtype,
+        torch.float64,
     )
+
+
+def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
+    """Write a rig of ``OCamCamera`` as ``config.yaml``, and masks as ``mask<cam_id>.png`` beside it.
+
+    ``cam7`` gets the ``cam_id`` 7; with other names cameras are numbered from 1.
+
+    Raises:
+        ArgumentError: a camera is of another model, or has no inverse polynomial.
+    """
+    check_single(rig)
+    path = Path(path)
+    numbered = all(re.fullmatch(r"cam\d+", name) for name in rig.names)
+    entries = []
+    poses = rig.world_from_camera.detach().cpu().double()
+    for place, (name, camera) in enumerate(rig.cameras.items(), start=1):
+        cam_id = int(name[3:]) if numbered else place
+        values = ocam_numbers(camera, "omnimvs")
+        entries.append(
+            {
+                "cam_id": cam_id,
+                "img_dir": f"cam{cam_id}",
+                "model": "ocam",
+                "poly": values["direct"],
+                "inv_poly": values["inverse"],
+                "center": values["center"],
+                "affine": values["affine"],
+                "image_size": values["size"],
+                "invalid_mask": f"mask{cam_id}.png",
+                "pose": [
+                    *axis_angle_from_rotation(poses[place - 1, :3, :3]),
+                    *poses[place - 1, :3, 3].tolist(),
+                ],
+                "max_fov": math.degrees(2 * float(camera.max_angle)),
+            }
+        )
+        if name in rig.masks:
+            write_mask(~rig.masks[name], path.with_name(f"mask{cam_id}.png"))
+    write_yaml(path, {"cameras": entries})

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which file format can hold which camera model, and what is said when it cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError
+
+__all__ = ["MODELS_OF_FORMAT", "check_holds", "check_single", "numbers_of", "without_trailing_zeros"]
+
+MODELS_OF_FORMAT: dict[str, tuple[str, ...]] = {
+    "native": (),  # every model
+    "ocamcalib": ("ocam",),
+    "omnimvs": ("ocam",),
+    "basalt": ("pinhole", "kannala_brandt", "double_sphere", "extended_unified", "unified"),
+    "kalibr": (
+        "pinhole",
+        "brown_conrady",
+        "kannala_brandt",
+        "double_sphere",
+        "extended_unified",
+        "unified",
+    ),
+    "opencv": ("pinhole", "brown_conrady", "kannala_brandt", "unified"),
+    "colmap": ("pinhole", "brown_conrady", "kannala_brandt"),
+}
+"""Formats that are written, and names of the models that they have."""
+
+
+def check_holds(format: str, camera: Camera) -> None:
+    """Raise ``ArgumentError`` unless ``format`` has the camera's model and the camera is no batch."""
+    check_single(camera)
+    models = MODELS_OF_FORMAT[format]
+    if models and camera.model not in models:
+        others = [name for name, known in MODELS_OF_FORMAT.items() if not known or camera.model in known]
+        raise ArgumentError(
+            f"camera: the format {format!r} has no {camera.model} model, it has {', '.join(models)}. Write it as "
+            f"{' or '.join(map(repr, others))}, or convert the camera first: camera.convert(to=...)"
+        )
+
+
+def check_single(thing: Camera | CameraRig) -> None:
+    """Raise ``ArgumentError`` for a batch of cameras or rigs: files hold one."""
+    if isinstance(thing, CameraRig):
+        if thing.world_from_camera.ndim != 3:
+            raise ArgumentError("rig: expected a single rig, got a batch; use rig.select(index)")
+    elif thing.batch_shape:
+        raise ArgumentError(
+            f"camera: expected a single camera, got a batch {thing.batch_shape}; use select(index)"
+        )
+
+
+def numbers_of(tensor: Tensor) -> list[float]:
+    """Plain float64 numbers of a parameter, whatever its device and whether it is learned."""
+    values: list[float] = tensor.detach().to("cpu").double().flatten().tolist()
+    return values
+
+
+def without_trailing_zeros(values: Iterable[float], lengths: tuple[int, ...], what: str) -> list[float]:
+    """``values`` cut or filled with zeros to the first of ``lengths`` that loses none of them.
+
+    Raises:
+        ArgumentError: there are more numbers that are not zero than the longest of ``lengths`` holds.
+
+    Examples:
+        >>> without_trailing_zeros([0.1, 0.0, 0.0, 0.0, 0.0], (4, 8), "distortion")
+        [0.1, 0.0, 0.0, 0.0]
+    """
+    given = list(values)
+    for length in lengths:
+        if not any(given[length:]):
+            return (given + [0.0] * length)[:length]
+    raise ArgumentError(
+        f"camera: this format holds {lengths[-1]} numbers of {what}, got {given}; write it as 'native', or convert "
+        "the camera first: camera.convert(to=...)"
+    )

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What readers are told and what they find."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration.numbers import as_told, check_radius
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import FileFormatError
+
+__all__ = ["Contents", "Options"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a caller knows that a file may not tell; each is described where a user meets it, in ``read_rig``."""
+
+    max_angle: float | None = None
+    dtype: torch.dtype | None = None
+    translation_unit: str | None = None
+    image_size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Cameras in the order of a file, and their poses if it has any."""
+
+    cameras: Mapping[str, Camera]
+    world_from_camera: Tensor | None = None
+    """(n, 4, 4), float64, metres."""
+    masks: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def cast(self, dtype: torch.dtype | None) -> dict[str, Camera]:
+        """The cameras with intrinsics of ``dtype``, by default torch's default."""
+        wanted = dtype or torch.get_default_dtype()
+        return {name: camera.to(wanted) for name, camera in self.cameras.items()}
+
+    def rig(self, path: Path, dtype: torch.dtype | None) -> CameraRig:
+        """The rig, which must have poses.
+
+        Raises:
+            FileFormatError: the file has none, or one is no rigid transform.
+        """
+        if self.world_from_camera is None:
+            several = f"{len(self.cameras)} cameras" if len(self.cameras) > 1 else "one camera"
+            hint = "read_cameras" if len(self.cameras) > 1 else "read_camera"
+            raise FileFormatError(
+                f"{path}: holds {several} without poses, which makes no rig: use {hint}, and build a CameraRig with "
+                "poses of your own"
+            )
+        with as_told(str(path)):
+            poses = self.world_from_camera.to(dtype or torch.get_default_dtype())
+            return check_radius(CameraRig(self.cast(dtype), poses, dict(self.masks)), path)

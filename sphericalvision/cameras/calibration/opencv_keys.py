@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How OpenCV's files spell their keys, and how they hold matrices."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.calibration.numbers import numbers
+from sphericalvision.core import FileFormatError
+
+__all__ = ["DISTORTION", "MATRIX", "ROTATION", "SIZE", "TRANSLATION", "find", "matrix", "rotation"]
+
+MATRIX = ("cameramatrix", "k", "m", "mtx")
+DISTORTION = ("distortioncoefficients", "distcoeffs", "distcoefficients", "distortioncoeffs", "dist", "d")
+SIZE = ("cameraresolution", "imagesize", "resolution")
+ROTATION = ("r", "rotation", "rotationmatrix", "rvec", "om")
+TRANSLATION = ("t", "translation", "tvec")
+_INDICES = {"1": ("1", "left", "l"), "2": ("2", "right", "r")}
+
+
+def find(content: Mapping[Any, Any], names: tuple[str, ...], index: str = "") -> str | None:
+    """The key that spells one of ``names``, with the index of a camera if there are two."""
+    wanted = set(names)
+    if index:
+        ends = _INDICES[index]
+        wanted = {f"{name}{end}" for name in names for end in ends} | {
+            f"{end}{name}" for name in names for end in ends[1:2]
+        }
+    for key in content:
+        if re.sub(r"[^a-z0-9]", "", str(key).lower()) in wanted:
+            return str(key)
+    return None
+
+
+def matrix(value: Any, where: str, count: int | None = None) -> list[float]:
+    """The numbers of a matrix, row by row: a FileStorage matrix, nested lists, or one list."""
+    if isinstance(value, Mapping):
+        missing = [key for key in ("rows", "cols", "data") if key not in value]
+        if missing:
+            raise FileFormatError(
+                f"{where}: expected a matrix of rows, cols and data, {missing[0]} is missing"
+            )
+        rows, columns = numbers([value["rows"], value["cols"]], f"{where}, rows and cols", 2)
+        found = [] if rows * columns == 0 else numbers(value["data"], f"{where}, data")
+        if rows * columns != len(found):
+            raise FileFormatError(
+                f"{where}: announces {rows:g} x {columns:g} numbers but holds {len(found)}; is the file truncated?"
+            )
+    else:
+        if isinstance(value, list) and all(isinstance(row, list) for row in value):
+            value = [number for row in value for number in row]
+        found = [] if value == [] else numbers(value, where)
+    if count is not None and len(found) != count:
+        raise FileFormatError(f"{where}: expected {count} numbers, got {len(found)}")
+    return found
+
+
+def rotation(value: Any, where: str) -> Tensor:
+    """A rotation (3, 3) from a matrix or a rotation vector."""
+    found = matrix(value, where)
+    if len(found) == 3:
+        return torch.from_numpy(cv2.Rodrigues(np.array(found))[0])
+    if len(found) != 9:
+        raise FileFormatError(
+            f"{where}: expected a 3 x 3 rotation or a rotation vector, got {len(found)} numbers"
+        )
+    return torch.tensor(found, dtype=torch.float64).reshape(3, 3)

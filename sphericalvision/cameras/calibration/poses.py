@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigid transforms as files hold them: matrices, quaternions, rotation vectors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.calibration.numbers import numbers
+from sphericalvision.core import FileFormatError
+
+__all__ = ["axis_angle_from_rotation", "checked_rigid", "quaternion_from_rotation", "transform_from_rows"]
+
+
+def checked_rigid(transform: Tensor, where: str) -> Tensor:
+    """``transform`` (4, 4) if its rotation is one to three digits, else ``FileFormatError``."""
+    rotation = transform[:3, :3]
+    deviation = float((rotation @ rotation.mT - torch.eye(3, dtype=rotation.dtype)).abs().max())
+    if not (deviation < 1e-3 and float(torch.linalg.det(rotation)) > 0):
+        raise FileFormatError(
+            f"{where}: expected a rotation (orthonormal, determinant +1) in the upper left 3 x 3, got one "
+            f"that is off by {deviation:.2g}"
+        )
+    return transform
+
+
+def transform_from_rows(values: Any, where: str) -> Tensor:
+    """A rigid transform (4, 4), float64, from 4 or 3 rows of 4 numbers, nested or one after the other.
+
+    Examples:
+        >>> transform_from_rows([1, 0, 0, 0.5, 0, 1, 0, 0, 0, 0, 1, 0], "here")[0, 3].item()
+        0.5
+    """
+    nested = isinstance(values, list) and any(isinstance(row, list) for row in values)
+    if nested:
+        rows = [numbers(row, f"{where}, row {index}", 4) for index, row in enumerate(values)]
+        flat = [value for row in rows for value in row]
+    else:
+        flat = numbers(values, where)
+    if len(flat) not in (12, 16):
+        raise FileFormatError(f"{where}: expected 4 rows of 4 numbers, got {len(flat)} numbers")
+    if len(flat) == 16 and flat[12:] != [0.0, 0.0, 0.0, 1.0]:
+        raise FileFormatError(f"{where}: expected 0 0 0 1 in the last row, got {flat[12:]}")
+    last = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)
+    upper = torch.tensor(flat[:12], dtype=torch.float64).reshape(3, 4)
+    return checked_rigid(torch.cat((upper, last)), where)
+
+
+def quaternion_from_rotation(rotation: Tensor) -> list[float]:
+    """(w, x, y, z) with w >= 0 of a rotation (3, 3), to the last digits for every angle.
+
+    It is the eigenvector of the largest eigenvalue of a symmetric matrix of the rotation's entries, for which no angle
+    is special.
+
+    References:
+        I. Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", J. Guidance 23 (2000).
+
+    Examples:
+        >>> quaternion_from_rotation(torch.eye(3))
+        [1.0, 0.0, 0.0, 0.0]
+    """
+    (a, b, c), (d, e, f), (g, h, i) = rotation.detach().to("cpu", torch.float64).tolist()
+    matrix = torch.tensor(
+        [
+            [a + e + i, h - f, c - g, d - b],
+            [h - f, a - e - i, b + d, c + g],
+            [c - g, b + d, e - a - i, f + h],
+            [d - b, c + g, f + h, i - a - e],
+        ],
+        dtype=torch.float64,
+    )
+    quaternion = torch.linalg.eigh(matrix).eigenvectors[:, -1]
+    values: list[float] = (quaternion * (-1.0 if quaternion[0] < 0 else 1.0) + 0.0).tolist()
+    return values
+
+
+def axis_angle_from_rotation(rotation: Tensor) -> list[float]:
+    """The rotation vector in radians of a rotation (3, 3), to the last digits for every angle.
+
+    Examples:
+        >>> axis_angle_from_rotation(torch.eye(3))
+        [0.0, 0.0, 0.0]
+    """
+    quaternion = torch.tensor(quaternion_from_rotation(rotation), dtype=torch.float64)
+    sine = quaternion[1:].norm()
+    angle = 2 * torch.atan2(sine, quaternion[0])
+    vector: list[float] = (quaternion[1:] * (angle / sine if sine > 0 else 2.0)).tolist()
+    return vector

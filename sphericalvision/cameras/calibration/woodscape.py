@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""WoodScape's json: the image radius as a polynomial of the angle from the axis, one camera a file.
+
+Convention:
+    The principal point is (cx_offset + width / 2 - 0.5, cy_offset + height / 2 - 0.5), the centre of the top-left pixel
+    being (0, 0), as the data set's ``calibration_readme.txt`` states. ``aspect_ratio`` stretches v. The quaternion is
+    (x, y, z, w); with the translation in metres it takes camera coordinates to the vehicle's (ISO 8855: x forward,
+    y left, z up, from the ground below the rear axle), and that frame is the rig's world.
+
+References:
+    S. Yogamani et al., "WoodScape: a multi-task, multi-camera fisheye dataset for autonomous driving", ICCV 2019.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.numbers import (
+    as_told,
+    bounded,
+    entry,
+    mapping,
+    number,
+    numbers,
+    size_from_width_height,
+)
+from sphericalvision.cameras.radial_polynomial import RadialPolynomialCamera
+from sphericalvision.core import FileFormatError
+from sphericalvision.geometry import transform_from_quaternion
+
+__all__ = ["contents", "joined", "recognizes"]
+
+
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file has an ``intrinsic`` with WoodScape's keys."""
+    values = content.get("intrinsic")
+    return "intrinsic" in content and (
+        "extrinsic" in content or (isinstance(values, dict) and ("model" in values or "cx_offset" in values))
+    )
+
+
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+    """The camera of a parsed file, called by its ``name``, and its pose if the file has one.
+
+    Raises:
+        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
+    """
+    where = f"{path}, intrinsic"
+    values = mapping(entry(content, "intrinsic", str(path)), where)
+    model = values.get("model", "radial_poly")
+    if model != "radial_poly":
+        raise FileFormatError(f"{where}, model: expected radial_poly, got {model!r}")
+    order = number(values, "poly_order", where) if "poly_order" in values else 4
+    if order != int(order) or not 1 <= order <= 20:
+        raise FileFormatError(f"{where}, poly_order: expected a count from 1 to 20, got {order:g}")
+    coefficients = [number(values, f"k{power}", where) for power in range(1, int(order) + 1)]
+    height, width = size_from_width_height(
+        [entry(values, "width", where), entry(values, "height", where)], f"{where}, width and height"
+    )
+    center = [
+        number(values, "cx_offset", where) + width / 2 - 0.5,
+        number(values, "cy_offset", where) + height / 2 - 0.5,
+    ]
+    aspect = number(values, "aspect_ratio", where) if "aspect_ratio" in values else 1.0
+    with as_told(where):
+        polynomial = torch.tensor(coefficients, dtype=torch.float64)
+        camera = RadialPolynomialCamera(polynomial, center, aspect, (height, width))
+    camera = bounded(camera, options.max_angle, where)
+    name = str(content.get("name") or path.stem)
+    return Contents({name: camera}, _pose(content, path) if "extrinsic" in content else None)
+
+
+def _pose(content: dict[str, Any], path: Path) -> torch.Tensor:
+    where = f"{path}, extrinsic"
+    values = content["extrinsic"]
+    x, y, z, w = numbers(entry(values, "quaternion", where), f"{where}, quaternion", 4)
+    translation = numbers(entry(values, "translation", where), f"{where}, translation", 3)
+    length = (x * x + y * y + z * z + w * w) ** 0.5
+    if not 0.99 < length < 1.01:
+        raise FileFormatError(
+            f"{where}, quaternion: expected (x, y, z, w) of length 1, got one of length {length:.3g}"
+        )
+    return transform_from_quaternion(
+        torch.tensor([[w, x, y, z]], dtype=torch.float64), torch.tensor([translation], dtype=torch.float64)
+    )
+
+
+def joined(parts: list[tuple[Path, Contents]]) -> Contents:
+    """One rig from the files of several cameras.
+
+    Raises:
+        FileFormatError: two files have a camera of one name, or one has no pose.
+    """
+    cameras: dict[str, Camera] = {}
+    source: dict[str, str] = {}
+    poses = []
+    for path, part in parts:
+        for name, camera in part.cameras.items():
+            if name in cameras:
+                raise FileFormatError(
+                    f"{path}: a second camera named {name!r} (the first is in {source[name]}); WoodScape has a file "
+                    "for each image: copy those of one moment into a folder of their own"
+                )
+            if part.world_from_camera is None:
+                raise FileFormatError(
+                    f"{path}: the key 'extrinsic' is missing; a rig needs it for every camera"
+                )
+            cameras[name], source[name] = camera, path.name
+            poses.append(part.world_from_camera)
+    return Contents(cameras, torch.cat(poses))

@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The crown: an icosphere laid out as ten rectangles, and the layers that work on it."""
 
-from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, crown_conv2d, crown_conv3d
+from sphericalvision.crown.conv import (
+    CrownConv2d,
+    CrownConv3d,
+    crown_conv2d,
+    crown_conv3d,
+    crown_conv3d_chain,
+)
 from sphericalvision.crown.layout import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
 from sphericalvision.crown.norm import (
     CrownBatchNorm2d,
@@ -25,6 +31,7 @@ __all__ = [
     "crown_avg_pool2d",
     "crown_conv2d",
     "crown_conv3d",
+    "crown_conv3d_chain",
     "crown_map",
     "crown_norm",
     "crown_relu",

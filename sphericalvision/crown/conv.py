@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
@@ -11,8 +12,9 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.crown.layout import Crown, check_crown
+from sphericalvision.crown.winograd import conv3d_replicate
 
-__all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d"]
+__all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d", "crown_conv3d_chain"]
 
 # Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.
 COL_TAPS = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
@@ -93,9 +95,38 @@ def crown_conv3d(crown: Crown, weight: Tensor, bias: Tensor | None = None, strid
     taps_by_depth = weight.unflatten(-1, (3, 7))
 
     def convolve(volumes: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
-        padded = F.pad(volumes.flatten(0, 1), (1, 1, 1, 1, 1, 1), mode="replicate")
         kernel = _planar_kernel(taps_by_depth, taps)
-        return F.conv3d(padded, kernel, bias, (1, stride, stride)).unflatten(0, (-1, 5))
+        return conv3d_replicate(volumes.flatten(0, 1), kernel, bias, stride).unflatten(0, (-1, 5))
+
+    return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
+
+
+def crown_conv3d_chain(crown: Crown, layers: Sequence[tuple[Tensor, Tensor | None]]) -> Crown:
+    """Convolve a crown of volumes several times, with a ReLU between two times, for inference.
+
+    One rectangle after the other goes through all layers, so that what lies between them stays in cache: the same
+    numbers as ``crown_conv3d`` and ``crown_relu`` in turn.
+
+    Args:
+        crown: rectangles ``(B, 5, in, N, h, w)``.
+        layers: weight ``(out, in, 21)`` and bias ``(out,)`` or None of each convolution.
+
+    Examples:
+        >>> from sphericalvision.crown import to_crown
+        >>> crown = to_crown(torch.ones(1, 4, 16, 42))
+        >>> crown_conv3d_chain(crown, [(torch.ones(8, 4, 21), None), (torch.ones(2, 8, 21), None)]).row.shape
+        torch.Size([1, 5, 2, 16, 3, 5])
+    """
+    _check_conv(crown, layers[0][0], 3, 1)
+
+    def convolve(rectangles: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
+        kernels = [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for weight, _ in layers]
+        results = []
+        for volumes in rectangles.unbind(1):
+            for place, (kernel, (_, bias)) in enumerate(zip(kernels, layers, strict=True)):
+                volumes = conv3d_replicate(torch.relu(volumes) if place else volumes, kernel, bias)
+            results.append(volumes)
+        return torch.stack(results, 1)
 
     return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
 

@@ -33,6 +33,26 @@ class _CrownBatchNorm(_BatchNorm):
         col, row = both.chunk(2)  # unlike unbind, its gradient keeps the channels innermost in memory
         return Crown(col.view(crown.col.shape), row.view(crown.row.shape))
 
+    @property
+    def is_affine(self) -> bool:
+        """Whether it is one multiplication and one addition a channel, as batch normalisation is in evaluation."""
+        return not self.training and self.running_var is not None
+
+    def folded(self, weight: Tensor) -> tuple[Tensor, Tensor]:
+        """Return weight ``(out, in, taps)`` and bias of a convolution without bias that normalises, too.
+
+        Only where ``is_affine``.
+        """
+        assert self.running_mean is not None
+        assert self.running_var is not None
+        scale = (self.running_var + self.eps).rsqrt()
+        if self.weight is not None:
+            scale = scale * self.weight
+        shift = -self.running_mean * scale
+        if self.bias is not None:
+            shift = shift + self.bias
+        return weight * scale[:, None, None], shift
+
 
 class CrownBatchNorm2d(_CrownBatchNorm):
     """Batch normalisation of a crown ``(B, 5, C, h, w)`` over both directions together.

@@ -11,6 +11,7 @@ from sphericalvision.crown import (
     Crown,
     CrownAvgPool2d,
     CrownConv2d,
+    crown_conv2d,
     crown_map,
     crown_norm,
     crown_relu,
@@ -32,6 +33,8 @@ class ConvNorm2d(nn.Module):
         self.norm = crown_norm(norm, 2, out_channels)
 
     def forward(self, crown: Crown) -> Crown:
+        if self.norm.is_affine:
+            return crown_conv2d(crown, *self.norm.folded(self.conv.weight), self.conv.stride)
         return self.norm(self.conv(crown))
 
 

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 from sphericalvision.crown import (
     Crown,
     CrownConv3d,
+    crown_conv3d,
+    crown_conv3d_chain,
     crown_norm,
     crown_relu,
     from_crown,
@@ -25,7 +28,14 @@ class ConvNorm3d(nn.Module):
         self.conv = CrownConv3d(in_channels, out_channels)
         self.norm = crown_norm(norm, 3, out_channels)
 
+    @property
+    def layer(self) -> tuple[Tensor, Tensor]:
+        """Weight and bias of the convolution with its normalisation in it, where that is affine."""
+        return self.norm.folded(self.conv.weight)
+
     def forward(self, crown: Crown) -> Crown:
+        if self.norm.is_affine:
+            return crown_conv3d(crown, *self.layer)
         return self.norm(self.conv(crown))
 
 
@@ -40,7 +50,10 @@ class CostBlock(nn.Module):
         self.second = ConvNorm3d(hidden_channels, out_channels, norm)
 
     def forward(self, volume: Tensor) -> Tensor:
-        return from_crown(self.second(crown_relu(self.first(to_crown(volume)))))
+        crown = to_crown(volume)
+        if self.first.norm.is_affine and self.second.norm.is_affine and not torch.is_grad_enabled():
+            return from_crown(crown_conv3d_chain(crown, [self.first.layer, self.second.layer]))
+        return from_crown(self.second(crown_relu(self.first(crown))))
 
 
 class CostRegularizer(nn.Module):
@@ -83,6 +96,6 @@ class CostRegularizer(nn.Module):
     def forward(self, volume: Tensor) -> Tensor:
         volume = self.fusion(volume)
         for block in self.blocks:
-            volume = volume + block(volume)
+            volume = volume + block(volume) if torch.is_grad_enabled() else block(volume).add_(volume)
         crown = crown_relu(self.reduction(to_crown(volume)))
         return from_crown(self.score(crown)).squeeze(1)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fast ways to convolve volumes give the numbers of the direct way."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.crown import (
+    CrownBatchNorm3d,
+    CrownConv3d,
+    crown_conv3d,
+    crown_conv3d_chain,
+    crown_relu,
+    to_crown,
+)
+from sphericalvision.crown.winograd import conv3d_replicate, conv3d_winograd, winograd_pays
+
+
+def direct(volumes: Tensor, kernel: Tensor, bias: Tensor | None = None) -> Tensor:
+    return F.conv3d(F.pad(volumes, (1, 1, 1, 1, 1, 1), mode="replicate"), kernel, bias)
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 7, 8, 1])
+def test_values_and_gradients_are_those_of_the_direct_sum(generator: torch.Generator, count: int) -> None:
+    def draw(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator, dtype=torch.float64).requires_grad_()
+
+    inputs = draw(2, 3, count, 5, 4), draw(2, 3, 3, 3, 3), draw(2)
+    expected, result = direct(*inputs), conv3d_winograd(*inputs)
+    torch.testing.assert_close(result, expected)
+    upstream = torch.randn(expected.shape, generator=generator, dtype=torch.float64)
+    for ours, theirs in zip(
+        torch.autograd.grad(result, inputs, upstream),
+        torch.autograd.grad(expected, inputs, upstream),
+        strict=True,
+    ):
+        torch.testing.assert_close(ours, theirs)
+
+
+def test_single_precision_error_is_small(generator: torch.Generator) -> None:
+    volumes = torch.randn(1, 64, 8, 9, 5, generator=generator)
+    kernel = torch.randn(64, 64, 3, 3, 3, generator=generator)
+    assert winograd_pays(volumes, kernel)
+    exact = direct(volumes.double(), kernel.double())
+    assert (conv3d_replicate(volumes, kernel) - exact).abs().max() < 1e-5 * exact.abs().max()
+
+
+def test_only_what_gains_takes_the_other_way() -> None:
+    volumes, kernel = torch.zeros(1, 32, 8, 3, 2), torch.zeros(32, 32, 3, 3, 3)
+    assert winograd_pays(volumes, kernel)
+    assert not winograd_pays(volumes.double(), kernel.double())
+    assert not winograd_pays(volumes, kernel[:1])
+    assert not winograd_pays(volumes[:, :, :3], kernel)
+
+
+@torch.no_grad()
+def test_a_chain_equals_its_layers(generator: torch.Generator) -> None:
+    crown = to_crown(torch.randn(2, 3, 8, 42, generator=generator))
+    first, second = torch.randn(4, 3, 21, generator=generator), torch.randn(2, 4, 21, generator=generator)
+    bias = torch.randn(4, generator=generator)
+    expected = crown_conv3d(crown_relu(crown_conv3d(crown, first, bias)), second)
+    result = crown_conv3d_chain(crown, [(first, bias), (second, None)])
+    torch.testing.assert_close(result.col, expected.col, atol=1e-4, rtol=1e-5)
+    torch.testing.assert_close(result.row, expected.row, atol=1e-4, rtol=1e-5)
+
+
+@torch.no_grad()
+def test_a_folded_normalisation_equals_the_separate_one(generator: torch.Generator) -> None:
+    crown = to_crown(torch.randn(1, 3, 4, 42, generator=generator))
+    conv, norm = CrownConv3d(3, 5), CrownBatchNorm3d(5)
+    for values in (norm.weight, norm.bias, norm.running_mean):
+        values.copy_(torch.randn(5, generator=generator))
+    norm.running_var.copy_(torch.rand(5, generator=generator) + 0.1)
+    assert not norm.is_affine
+    assert norm.eval().is_affine
+    expected, result = norm(conv(crown)), crown_conv3d(crown, *norm.folded(conv.weight))
+    torch.testing.assert_close(result.col, expected.col, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(result.row, expected.row, atol=1e-5, rtol=1e-5)

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers and places of HEALPix pixels: rings, base faces, and the two orders.
+
+The sphere is cut into twelve base faces of equal area, four around each pole and four between. On a face, (x, y) in
+[0, 1]² keep areas; x grows towards north-east, y towards north-west. A pixel is a square of side ``1 / nside`` there.
+
+References:
+    K. M. Górski et al. (2005), "HEALPix: a framework for high-resolution discretization and fast analysis of data
+    distributed on the sphere", equations 2 to 9 for the rings, section 5.3 for the projection.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError
+
+__all__ = [
+    "direction_of_place",
+    "nested_from_place",
+    "nested_from_ring",
+    "place_from_nested",
+    "place_from_ring",
+    "place_of_direction",
+    "ring_from_nested",
+    "ring_from_place",
+    "ring_of_pixel",
+    "ring_start_count_shift",
+    "ring_theta",
+]
+
+
+def nested_from_ring(ids: Tensor, nside: int) -> Tensor:
+    """Numbers ``(*)`` in the nested order of pixels numbered ring by ring ``(*)``.
+
+    Raises:
+        ArgumentError: if nside is no power of two.
+
+    Examples:
+        >>> nested_from_ring(torch.arange(6), 2).tolist()
+        [3, 7, 11, 15, 2, 1]
+    """
+    return nested_from_place(*place_from_ring(ids, nside), nside)
+
+
+def ring_from_nested(ids: Tensor, nside: int) -> Tensor:
+    """Numbers ``(*)`` ring by ring of pixels numbered in the nested order ``(*)``.
+
+    Raises:
+        ArgumentError: if nside is no power of two.
+
+    Examples:
+        >>> ring_from_nested(torch.arange(4), 2).tolist()  # the four children of base face 0
+        [13, 5, 4, 0]
+    """
+    return ring_from_place(*place_from_nested(ids, nside), nside)
+
+
+def nested_from_place(face: Tensor, column: Tensor, row: Tensor, nside: int) -> Tensor:
+    """Nested numbers ``(*)``: the face, then the bits of row (y) and column (x) in turns."""
+    ids = face * nside**2
+    for bit in range(_order(nside)):
+        ids = ids + (((column >> bit) & 1) << (2 * bit)) + (((row >> bit) & 1) << (2 * bit + 1))
+    return ids
+
+
+def place_from_nested(ids: Tensor, nside: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Face, column (x) and row (y), each ``(*)``, of nested numbers ``(*)``."""
+    column, row = torch.zeros_like(ids), torch.zeros_like(ids)
+    for bit in range(_order(nside)):
+        column = column + (((ids >> (2 * bit)) & 1) << bit)
+        row = row + (((ids >> (2 * bit + 1)) & 1) << bit)
+    return torch.div(ids, nside**2, rounding_mode="floor"), column, row
+
+
+def ring_from_place(face: Tensor, column: Tensor, row: Tensor, nside: int) -> Tensor:
+    """Ring numbers ``(*)`` of pixels at ``column`` (x) and ``row`` (y) of a base face."""
+    ring = (torch.div(face, 4, rounding_mode="floor") + 2) * nside - column - row - 1
+    start, count, shift = ring_start_count_shift(ring, nside)
+    # In pixels of its ring, the middle of a face is at count / 8 times an odd (polar) or even (belt) number.
+    middle = _middle(face) * torch.div(count, 4, rounding_mode="floor")
+    position = torch.div(middle + column - row + 1 - shift, 2, rounding_mode="floor")
+    return start + position % count
+
+
+def place_from_ring(ids: Tensor, nside: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Face, column and row of ring numbers: each pixel's centre lies in the middle of its square."""
+    ring = ring_of_pixel(ids, nside)
+    start, count, shift = ring_start_count_shift(ring, nside)
+    quarters = (ids - start + 0.5 * shift.double()) * (4 / count.double())
+    face, x, y = _place(ring.double() / nside, quarters)
+    column, row = ((side * nside).floor().long().clamp(0, nside - 1) for side in (x, y))
+    return face, column, row
+
+
+def ring_of_pixel(ids: Tensor, nside: int) -> Tensor:
+    """Ring ``(*)``, 1 (north) to ``4 * nside - 1``, of ring numbers ``(*)``."""
+    cap, total = 2 * nside * (nside - 1), 12 * nside**2
+
+    def of_cap(number: Tensor) -> Tensor:  # ring i of a cap starts at 2 i (i - 1)
+        ring = ((1 + (1 + 2 * number.double()).sqrt()) / 2).long()
+        ring = ring - (2 * ring * (ring - 1) > number).long()  # the root may be rounded across an integer
+        return ring + (2 * ring * (ring + 1) <= number).long()
+
+    belt = nside + torch.div(ids - cap, 4 * nside, rounding_mode="floor")
+    north, south = of_cap(ids.clamp(min=0)), 4 * nside - of_cap((total - 1 - ids).clamp(min=0))
+    return torch.where(ids < cap, north, torch.where(ids >= total - cap, south, belt))
+
+
+def ring_start_count_shift(ring: Tensor, nside: int) -> tuple[Tensor, Tensor, Tensor]:
+    """First pixel, number of pixels and shift (0 or 1, in half pixels) of rings ``(*)`` from 1 to ``4 * nside - 1``."""
+    from_pole = torch.minimum(ring, 4 * nside - ring)
+    cap = from_pole < nside
+    count = 4 * from_pole.clamp(max=nside)
+    belt = 2 * nside * (nside - 1) + 4 * nside * (ring - nside)
+    south = 12 * nside**2 - 2 * from_pole * (from_pole + 1)
+    start = torch.where(cap, torch.where(ring < nside, 2 * ring * (ring - 1), south), belt)
+    return start, count, torch.where(cap, 1, (ring - nside + 1) % 2)
+
+
+def ring_theta(ring: Tensor, nside: int, dtype: torch.dtype) -> Tensor:
+    """Angle from the north pole ``(*)`` of rings ``(*)``; 0 and π for the rings 0 and ``4 * nside``."""
+    z, radius = _height(ring.double() / nside)
+    return torch.atan2(radius, z).to(dtype)
+
+
+def place_of_direction(unit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Base face and (x, y) in [0, 1], each ``(*)``, of unit directions ``(*, 3)``."""
+    x, y, z = unit.unbind(-1)
+    flat = 1 - (x * x + z * z) / (1 + y.abs())  # |y|, exact near the poles
+    cap = (3 * (1 - flat)).clamp(min=0).sqrt()
+    belt = 2 + 1.5 * y
+    ring = torch.where(y.abs() <= 2 / 3, belt, torch.where(y < 0, cap, 4 - cap))
+    quarters = torch.remainder(torch.atan2(x, z) * (2 / math.pi), 4)
+    return _place(ring, quarters)
+
+
+def direction_of_place(face: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Unit directions ``(*, 3)`` of places (x, y) in [0, 1] of base faces, each ``(*)``."""
+    ring = torch.div(face, 4, rounding_mode="floor") + 2 - x - y
+    from_pole = torch.minimum(ring, 4 - ring).clamp(0, 1)
+    pole = from_pole == 0
+    quarters = _middle(face) / 2 + (x - y) / (2 * torch.where(pole, 1.0, from_pole))
+    # In a cap faces narrow towards the pole, but their middles stay.
+    longitude = quarters * (math.pi / 2)
+    up, radius = _height(ring)
+    return torch.stack((radius * longitude.sin(), -up, radius * longitude.cos()), -1)
+
+
+def _place(ring: Tensor, quarters: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Base face and (x, y) of points at ``ring`` in [0, 4] (1 to 3 the belt) and longitude in quarter turns [0, 4]."""
+    falling, rising = quarters + 0.5 * (ring - 1), quarters + 1.5 - 0.5 * ring
+    a, b = falling.floor(), rising.floor()
+    belt_face = torch.where(a == b, a % 4 + 4, torch.where(a < b, a % 4, b % 4 + 8))
+    quarter = quarters.floor().clamp(0, 3)
+    along = quarters - quarter
+    cap = torch.minimum(ring, 4 - ring)
+    north, south = ring < 1, ring > 3
+    face = torch.where(north, quarter, torch.where(south, quarter + 8, belt_face)).long()
+    x = torch.where(north, 1 - (1 - along) * cap, torch.where(south, along * cap, rising - b))
+    y = torch.where(north, 1 - along * cap, torch.where(south, (1 - along) * cap, 1 - (falling - a)))
+    return face, x, y
+
+
+def _height(ring: Tensor) -> tuple[Tensor, Tensor]:
+    """Height towards the north pole and distance from the axis, each ``(*)``, at rings ``(*)`` in [0, 4]."""
+    from_pole = torch.minimum(ring, 4 - ring).clamp(min=0)
+    depth = torch.where(from_pole < 1, from_pole.square() / 3, 1 - (4 / 3 - 2 / 3 * from_pole))
+    height = torch.where(ring <= 2, 1 - depth, depth - 1)
+    return height, (depth * (2 - depth)).clamp(min=0).sqrt()
+
+
+def _middle(face: Tensor) -> Tensor:
+    """Longitude of a face's middle in eighths of a turn: odd at the poles, even in the belt."""
+    belt = (face >= 4) & (face < 8)
+    return 2 * (face % 4) + torch.where(belt, 0, 1)
+
+
+def _order(nside: int) -> int:
+    if nside < 1 or nside & (nside - 1):
+        raise ArgumentError(f"nside: the nested order needs a power of two (1, 2, 4, 8, ...), got {nside}")
+    return nside.bit_length() - 1

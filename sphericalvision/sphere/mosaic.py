@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many square images as tiles of one, so that one ``grid_sample`` reads them all.
+
+The tiles stand in rows of about as many as there are rows: coordinates stay small, and float32 exact enough.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+__all__ = ["mosaic", "mosaic_pixels"]
+
+
+def mosaic(tiles: Tensor) -> Tensor:
+    """One image ``(*, rows * s, columns * s)`` of tiles ``(*, n, s, s)``, row by row; zeros where none is left.
+
+    Examples:
+        >>> mosaic(torch.arange(3.0).view(3, 1, 1))
+        tensor([[0., 1.],
+                [2., 0.]])
+    """
+    count, side = tiles.shape[-3], tiles.shape[-1]
+    columns = _columns(count)
+    rows = -(-count // columns)
+    tiles = F.pad(tiles, (0, 0, 0, 0, 0, rows * columns - count))
+    tiles = tiles.unflatten(-3, (rows, columns)).transpose(-3, -2)
+    return tiles.reshape(*tiles.shape[:-4], rows * side, columns * side)
+
+
+def mosaic_pixels(tile: Tensor, pixels: Tensor, count: int, side: int) -> Tensor:
+    """Pixels (u, v) ``(*, 2)`` of the mosaic from pixels of tiles ``(*)`` of ``count``, each ``side`` wide.
+
+    Examples:
+        >>> mosaic_pixels(torch.tensor(2), torch.tensor([0.5, 1.0]), 3, 4).tolist()
+        [0.5, 5.0]
+    """
+    columns = _columns(count)
+    row = torch.div(tile, columns, rounding_mode="floor")
+    return pixels + torch.stack((tile - row * columns, row), -1) * side
+
+
+def _columns(count: int) -> int:
+    return math.ceil(math.sqrt(count))

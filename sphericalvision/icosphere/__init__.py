@@ -1,31 +1,75 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The icosphere: a nearly uniform grid of directions, its topology, and exact point location."""
+"""The icosphere: a nearly uniform grid of directions, its topology, its levels, and exact point location."""
 
+from sphericalvision.icosphere.adjacency import (
+    icosphere_edges,
+    icosphere_face_neighbors,
+    icosphere_neighbors,
+    icosphere_vertex_faces,
+)
+from sphericalvision.icosphere.areas import (
+    icosphere_face_solid_angles,
+    icosphere_normals,
+    icosphere_solid_angles,
+    icosphere_voronoi_solid_angles,
+)
+from sphericalvision.icosphere.hierarchy import (
+    icosphere_face_children,
+    icosphere_face_parents,
+    icosphere_vertex_parents,
+)
 from sphericalvision.icosphere.icosphere import Icosphere
 from sphericalvision.icosphere.locate import locate
-from sphericalvision.icosphere.mesh import icosphere_solid_angles, icosphere_vertices
+from sphericalvision.icosphere.mesh import icosphere_vertices
+from sphericalvision.icosphere.patches import icosphere_rings, icosphere_within
+from sphericalvision.icosphere.pooling import (
+    IcospherePool,
+    IcosphereUpsample,
+    icosphere_pool,
+    icosphere_upsample,
+)
+from sphericalvision.icosphere.subdivision import (
+    from_subdivision_order,
+    subdivision_order,
+    to_subdivision_order,
+)
 from sphericalvision.icosphere.topology import (
     chart_vertex_ids,
     coarse_vertex_ids,
     icosphere_faces,
-    icosphere_neighbors,
     level_from_num_vertices,
     num_icosphere_vertices,
-    subdivision_order,
     vertex_at,
 )
 
 __all__ = [
     "Icosphere",
+    "IcospherePool",
+    "IcosphereUpsample",
     "chart_vertex_ids",
     "coarse_vertex_ids",
+    "from_subdivision_order",
+    "icosphere_edges",
+    "icosphere_face_children",
+    "icosphere_face_neighbors",
+    "icosphere_face_parents",
+    "icosphere_face_solid_angles",
     "icosphere_faces",
     "icosphere_neighbors",
+    "icosphere_normals",
+    "icosphere_pool",
+    "icosphere_rings",
     "icosphere_solid_angles",
+    "icosphere_upsample",
+    "icosphere_vertex_faces",
+    "icosphere_vertex_parents",
     "icosphere_vertices",
+    "icosphere_voronoi_solid_angles",
+    "icosphere_within",
     "level_from_num_vertices",
     "locate",
     "num_icosphere_vertices",
     "subdivision_order",
+    "to_subdivision_order",
     "vertex_at",
 ]

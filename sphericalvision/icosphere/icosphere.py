@@ -7,15 +7,12 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.icosphere.adjacency import icosphere_edges, icosphere_neighbors
+from sphericalvision.icosphere.areas import icosphere_solid_angles
 from sphericalvision.icosphere.locate import locate
-from sphericalvision.icosphere.mesh import icosphere_solid_angles, icosphere_vertices
-from sphericalvision.icosphere.topology import (
-    coarse_vertex_ids,
-    icosphere_faces,
-    icosphere_neighbors,
-    num_icosphere_vertices,
-    subdivision_order,
-)
+from sphericalvision.icosphere.mesh import icosphere_vertices
+from sphericalvision.icosphere.subdivision import subdivision_order
+from sphericalvision.icosphere.topology import coarse_vertex_ids, icosphere_faces, num_icosphere_vertices
 
 __all__ = ["Icosphere"]
 
@@ -81,6 +78,11 @@ class Icosphere(nn.Module):
         return icosphere_neighbors(self.level, self.vertices.device)
 
     @property
+    def edges(self) -> Tensor:
+        """Pairs of neighbouring vertices ``(E, 2)``, each edge once."""
+        return icosphere_edges(self.level, self.vertices.device)
+
+    @property
     def subdivision_order(self) -> Tensor:
         """Index of each vertex ``(V,)`` in the order of plain midpoint subdivision."""
         return subdivision_order(self.level, self.vertices.device)
@@ -99,6 +101,10 @@ class Icosphere(nn.Module):
         if self.level == 0:
             raise ArgumentError("Icosphere.coarser: level 0 is the icosahedron, there is no coarser level")
         return Icosphere(self.level - 1, self.vertices.dtype, self.vertices.device)
+
+    def finer(self) -> Icosphere:
+        """Return the icosphere of one level more, of the same dtype and on the same device."""
+        return Icosphere(self.level + 1, self.vertices.dtype, self.vertices.device)
 
     def locate(self, directions: Tensor) -> tuple[Tensor, Tensor]:
         """Return ids ``(*, 3)`` and barycentric weights ``(*, 3)`` of the triangle each direction pierces.

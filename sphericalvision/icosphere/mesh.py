@@ -9,9 +9,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from sphericalvision.icosphere.topology import check_level, icosphere_faces, num_icosphere_vertices
+from sphericalvision.icosphere.topology import check_level
 
-__all__ = ["icosahedron_rectangles", "icosphere_solid_angles", "icosphere_vertices"]
+__all__ = ["icosahedron_rectangles", "icosphere_vertices"]
 
 
 def icosahedron_rectangles(
@@ -64,28 +64,3 @@ def icosphere_vertices(
         grid = finer
     vertices = torch.cat((grid[0, 0, :1], grid[:, 1:, :-1].reshape(-1, 3), grid[0, -1, -1:]))
     return vertices.to(dtype or torch.get_default_dtype())
-
-
-def icosphere_solid_angles(
-    level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-) -> Tensor:
-    """Return the solid angle of every vertex in steradians, ``(V,)``: a third of each spherical triangle
-    around it.
-
-    These are the weights that integrate functions which are linear in each triangle, the ones
-    ``Icosphere.sample`` makes.
-
-    References:
-        van Oosterom and Strackee (1983), "The solid angle of a plane triangle".
-
-    Examples:
-        >>> round(icosphere_solid_angles(3).sum().item() / math.pi, 6)
-        4.0
-    """
-    faces = icosphere_faces(level, device)
-    a, b, c = icosphere_vertices(level, torch.float64, device)[faces].unbind(1)
-    volume = (a * torch.linalg.cross(b - a, c - a)).sum(-1)
-    areas = 2 * torch.atan2(volume, 1 + (a * b).sum(-1) + (b * c).sum(-1) + (c * a).sum(-1))
-    total = areas.new_zeros(num_icosphere_vertices(level))
-    total.index_add_(0, faces.flatten(), (areas / 3).repeat_interleave(3))
-    return total.to(dtype or torch.get_default_dtype())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which vertex stands where: the charts of an icosphere, its faces, neighbours and levels.
+"""Which vertex stands where: the charts of an icosphere and its faces.
 
 Cut the icosahedron along its seams from pole to pole and it falls into five *charts*. With ``n = 2**level``,
 chart k is a rectangle of ``2n + 1`` rows and ``n + 1`` columns. Seen from inside, as a panorama is, its corners
@@ -24,10 +24,8 @@ __all__ = [
     "chart_vertex_ids",
     "coarse_vertex_ids",
     "icosphere_faces",
-    "icosphere_neighbors",
     "level_from_num_vertices",
     "num_icosphere_vertices",
-    "subdivision_order",
     "vertex_at",
 ]
 
@@ -125,34 +123,6 @@ def icosphere_faces(level: int, device: torch.device | str | None = None) -> Ten
     return torch.stack((upper, lower), -2).reshape(-1, 3)
 
 
-def icosphere_neighbors(level: int, device: torch.device | str | None = None) -> Tensor:
-    """Return the neighbours of every vertex, counter-clockwise seen from outside, ``(V, 6)``.
-
-    The twelve vertices of the icosahedron have five neighbours; their last entry is -1.
-
-    Examples:
-        >>> icosphere_neighbors(0)[0]  # the north pole
-        tensor([ 1,  9,  7,  5,  3, -1])
-    """
-    faces = icosphere_faces(level, device)
-    # Half-edge (v, a) of the triangle (v, a, b) is followed by (v, b), which belongs to the next triangle
-    # around v.
-    center = faces.flatten()
-    leaving, arriving = faces.roll(-1, 1).flatten(), faces.roll(-2, 1).flatten()
-    count = num_icosphere_vertices(level)
-    key, order = torch.sort(center * count + leaving)
-    following = torch.searchsorted(key, center[order] * count + arriving[order])
-    first = torch.searchsorted(key, torch.arange(count, device=faces.device) * count)
-    leaving, edge, around = leaving[order], first, []
-    for _ in range(6):
-        around.append(leaving[edge])
-        edge = following[edge]
-    neighbors = torch.stack(around, -1)
-    closes_early = neighbors[:, 5] == neighbors[:, 0]
-    neighbors[closes_early, 5] = -1
-    return neighbors
-
-
 def coarse_vertex_ids(level: int, device: torch.device | str | None = None) -> Tensor:
     """Return, for each vertex of the next coarser icosphere, its id in the icosphere of this level.
 
@@ -169,63 +139,3 @@ def coarse_vertex_ids(level: int, device: torch.device | str | None = None) -> T
     ids = torch.arange(num_icosphere_vertices(level), device=device)
     charts = ids[1:-1].view(5, 2 * n, n)[:, 1::2, ::2]
     return torch.cat((ids[:1], charts.flatten(), ids[-1:]))
-
-
-def subdivision_order(level: int, device: torch.device | str | None = None) -> Tensor:
-    """Return, for each vertex, its index in the order of plain midpoint subdivision, ``(V,)``.
-
-    Plain subdivision keeps the vertices of the coarser level and appends the midpoints of the edges 01, 12,
-    20 of all faces in order of first appearance; a face (0, 1, 2) is replaced by (0, 01, 20), (1, 12, 01),
-    (01, 12, 20), (12, 2, 20). The icosahedron itself is ordered north pole, upper ring, lower ring, south
-    pole.
-
-    Examples:
-        >>> subdivision_order(0)
-        tensor([ 0,  1,  6,  2,  7,  3,  8,  4,  9,  5, 10, 11])
-    """
-    check_level(level)
-    chart, corners = _icosahedron_faces_as_places()
-    order = torch.tensor([0, 1, 6, 2, 7, 3, 8, 4, 9, 5, 10, 11])
-    for fine in range(1, level + 1):
-        ends = 2 * corners
-        middles = (ends + ends.roll(-1, 1)) // 2
-        ids = vertex_at(chart[:, None], middles[..., 0], middles[..., 1], fine).flatten()
-        count = num_icosphere_vertices(fine)
-        position = torch.arange(len(ids))
-        first = torch.full((count,), -1).scatter_reduce(0, ids, position, "amin", include_self=False)
-        coarse = coarse_vertex_ids(fine)
-        finer_order = torch.empty(count, dtype=torch.long)
-        finer_order[coarse] = order
-        middle_ids = torch.argsort(first)[len(coarse) :]  # the vertices that are no midpoint have first == -1
-        finer_order[middle_ids] = torch.arange(len(coarse), count)
-        order = finer_order
-        corner_0, corner_1, corner_2 = ends.unbind(1)
-        middle_01, middle_12, middle_20 = middles.unbind(1)
-        children = (
-            *(corner_0, middle_01, middle_20),
-            *(corner_1, middle_12, middle_01),
-            *(middle_01, middle_12, middle_20),
-            *(middle_12, corner_2, middle_20),
-        )
-        corners = torch.stack(children, 1).view(-1, 3, 2)
-        chart = chart.repeat_interleave(4)
-    return order.to(device)
-
-
-def _icosahedron_faces_as_places() -> tuple[Tensor, Tensor]:
-    """Return chart ``(20,)`` and the (row, column) of the corners ``(20, 3, 2)`` of the icosahedron's faces.
-
-    The faces come as plain subdivision has them: around the north pole, the belt between the rings, around
-    the south pole.
-    """
-    north, upper_west, lower_west = (0, 0), (1, 0), (2, 0)
-    upper_east, lower_east, south = (0, 1), (1, 1), (2, 1)
-    around_north = [(k, (north, upper_east, upper_west)) for k in range(5)]
-    belt = [
-        (k, face)
-        for k in range(5)
-        for face in ((upper_west, lower_east, lower_west), (upper_west, upper_east, lower_east))
-    ]
-    around_south = [(k, (lower_west, lower_east, south)) for k in range(5)]
-    charts, corners = zip(*(around_north + belt + around_south), strict=True)
-    return torch.tensor(charts), torch.tensor(corners)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who touches whom on an icosphere: neighbours, edges, and the faces around vertices and across edges.
+
+Everything follows from the *half-edges*: half-edge ``3 * face + corner`` runs from that corner of the face to the next
+one, counter-clockwise seen from outside, and its twin runs back in the face across the edge.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sphericalvision.icosphere.topology import chart_vertex_ids, icosphere_faces, num_icosphere_vertices
+
+__all__ = [
+    "icosphere_edges",
+    "icosphere_face_neighbors",
+    "icosphere_neighbors",
+    "icosphere_vertex_faces",
+]
+
+
+def icosphere_edges(level: int, device: torch.device | str | None = None) -> Tensor:
+    """Return the edges as pairs of vertices, ``(30 * 4**level, 2)``, each edge once.
+
+    Vertex v, unless it is a pole, owns the edges ``3 * (v - 1) + k`` to its neighbours north (k = 0), north-east (1)
+    and east (2) in its chart.
+
+    Examples:
+        >>> icosphere_edges(0)[:3].tolist()
+        [[1, 0], [1, 3], [1, 4]]
+    """
+    ids = chart_vertex_ids(level, device)
+    start = ids[:, 1:, :-1]
+    ends = torch.stack((ids[:, :-1, :-1], ids[:, :-1, 1:], ids[:, 1:, 1:]), -1)
+    return torch.stack((start[..., None].expand_as(ends), ends), -1).reshape(-1, 2)
+
+
+def icosphere_neighbors(level: int, device: torch.device | str | None = None) -> Tensor:
+    """Return the neighbours of every vertex, counter-clockwise seen from outside, ``(V, 6)``.
+
+    The twelve vertices of the icosahedron have five neighbours; their last entry is -1.
+
+    Examples:
+        >>> icosphere_neighbors(0)[0]  # the north pole
+        tensor([ 1,  9,  7,  5,  3, -1])
+    """
+    faces = icosphere_faces(level, device)
+    around = _half_edges_around(faces, num_icosphere_vertices(level))
+    ends = faces.roll(-1, 1).flatten()
+    return torch.where(around < 0, -1, ends[around])
+
+
+def icosphere_vertex_faces(level: int, device: torch.device | str | None = None) -> Tensor:
+    """Return the faces around every vertex, ``(V, 6)``: face k lies between the neighbours k and k + 1.
+
+    The twelve vertices of the icosahedron have five faces; their last entry is -1.
+
+    Examples:
+        >>> icosphere_vertex_faces(0)[0]  # the north pole
+        tensor([16, 12,  8,  4,  0, -1])
+    """
+    faces = icosphere_faces(level, device)
+    around = _half_edges_around(faces, num_icosphere_vertices(level))
+    return torch.where(around < 0, -1, around // 3)
+
+
+def icosphere_face_neighbors(level: int, device: torch.device | str | None = None) -> Tensor:
+    """Return the faces across the edges 01, 12 and 20 of every face, ``(F, 3)``.
+
+    Examples:
+        >>> icosphere_face_neighbors(0)[0].tolist()  # of the face of the vertices 0, 3, 1
+        [4, 1, 16]
+    """
+    faces = icosphere_faces(level, device)
+    count = num_icosphere_vertices(level)
+    start, end = faces.flatten(), faces.roll(-1, 1).flatten()
+    key, order = torch.sort(start * count + end)
+    twin = order[torch.searchsorted(key, end * count + start)]
+    return (twin // 3).view(-1, 3)
+
+
+def _half_edges_around(faces: Tensor, count: int) -> Tensor:
+    """Return the half-edges that leave each of ``count`` vertices, counter-clockwise, ``(V, 6)`` with -1 last."""
+    # Half-edge (v, a) of the triangle (v, a, b) is followed by (v, b), which belongs to the next triangle around v.
+    center = faces.flatten()
+    leaving, arriving = faces.roll(-1, 1).flatten(), faces.roll(-2, 1).flatten()
+    key, order = torch.sort(center * count + leaving)
+    following = torch.searchsorted(key, center[order] * count + arriving[order])
+    edge = torch.searchsorted(key, torch.arange(count, device=faces.device) * count)
+    around = []
+    for _ in range(6):
+        around.append(order[edge])
+        edge = following[edge]
+    half_edges = torch.stack(around, -1)
+    closes_early = half_edges[:, 5] == half_edges[:, 0]
+    half_edges[closes_early, 5] = -1
+    return half_edges

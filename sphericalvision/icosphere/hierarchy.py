@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From one level of the icosphere to the next: which face lies in which, and which edge a vertex halves."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere.topology import check_level, vertex_at
+
+__all__ = ["icosphere_face_children", "icosphere_face_parents", "icosphere_vertex_parents"]
+
+
+def icosphere_vertex_parents(level: int, device: torch.device | str | None = None) -> Tensor:
+    """Return the two vertices of the next coarser level whose edge each vertex halves, ``(V, 2)``.
+
+    Vertices that the coarser level has too come from one vertex, which is given twice; their ids in this level are
+    ``coarse_vertex_ids``.
+
+    Raises:
+        ArgumentError: at level 0, which has no coarser one.
+
+    Examples:
+        >>> icosphere_vertex_parents(1)[:3].tolist()  # the north pole, and two vertices beside it
+        [[0, 0], [0, 1], [1, 3]]
+    """
+    n = _size_above_icosahedron(level)
+    chart = torch.arange(5, device=device)[:, None, None]
+    row = torch.arange(1, 2 * n + 1, device=device)[:, None]
+    column = torch.arange(n, device=device)
+    # Edges run along rows, along columns and, where row and column are both odd, from lower left to upper right.
+    odd_row, odd_column = row % 2, column % 2
+    first = vertex_at(chart, (row + odd_row) // 2, (column - odd_column) // 2, level - 1)
+    second = vertex_at(chart, (row - odd_row) // 2, (column + odd_column) // 2, level - 1)
+    parents = torch.stack((first, second), -1).view(-1, 2).sort(-1).values
+    last = 10 * (n // 2) ** 2 + 1
+    return torch.cat((parents.new_zeros(1, 2), parents, parents.new_full((1, 2), last)))
+
+
+def icosphere_face_parents(level: int, device: torch.device | str | None = None) -> Tensor:
+    """Return the face of the next coarser level in which each face lies, ``(F,)``.
+
+    Raises:
+        ArgumentError: at level 0, which has no coarser one.
+
+    Examples:
+        >>> icosphere_face_parents(1)[:8].tolist()  # of the four cells in the first cell
+        [0, 0, 0, 1, 0, 1, 1, 1]
+    """
+    n = _size_above_icosahedron(level)
+    chart = torch.arange(5, device=device)[:, None, None, None]
+    row = torch.arange(2 * n, device=device)[:, None, None]
+    column = torch.arange(n, device=device)[:, None]
+    half = torch.arange(2, device=device)
+    # Of the eight faces in a coarse cell those beyond its anti-diagonal belong to the south-eastern half.
+    coarse_half = (row % 2 + column % 2 + half >= 2).long()
+    cell = (chart * n + row // 2) * (n // 2) + column // 2
+    return (2 * cell + coarse_half).flatten()
+
+
+def icosphere_face_children(level: int, device: torch.device | str | None = None) -> Tensor:
+    """Return the four faces of the next finer level that lie in each face, ``(F, 4)``, in increasing order.
+
+    Examples:
+        >>> icosphere_face_children(0)[:2].tolist()
+        [[0, 1, 2, 4], [3, 5, 6, 7]]
+    """
+    parents = icosphere_face_parents(check_level(level) + 1, device)
+    return parents.argsort(stable=True).view(-1, 4)
+
+
+def _size_above_icosahedron(level: int) -> int:
+    """Return ``2**level`` or raise ``ArgumentError`` at level 0."""
+    if check_level(level) == 0:
+        raise ArgumentError("level: expected 1 or more, got 0: the icosahedron has no coarser level")
+    return 2**level

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values on an icosphere on the next coarser level (pooling) and on the next finer one (linear interpolation)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.icosphere.adjacency import icosphere_neighbors
+from sphericalvision.icosphere.areas import icosphere_solid_angles
+from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
+from sphericalvision.icosphere.topology import (
+    check_level,
+    coarse_vertex_ids,
+    level_from_num_vertices,
+    num_icosphere_vertices,
+)
+
+__all__ = ["IcospherePool", "IcosphereUpsample", "icosphere_pool", "icosphere_upsample"]
+
+POOL_MODES = ("mean", "max")
+
+
+def icosphere_pool(values: Tensor, mode: str = "mean") -> Tensor:
+    """Pool values on the vertices of the next coarser icosphere.
+
+    Each kept vertex gathers itself and its neighbours, six or, at the twelve vertices of the icosahedron, five.
+
+    Args:
+        values: ``(*, V)``.
+        mode: ``"mean"`` weighs by solid angle; a vertex halfway between two kept ones counts half for each, so no
+            value is counted more than once and the pooled values have the integral of the values. ``"max"`` takes
+            the largest.
+
+    Returns:
+        ``(*, V_coarse)``.
+
+    Raises:
+        ShapeError: if no icosphere has V vertices.
+        ArgumentError: if the mode is unknown, or at level 0.
+
+    Examples:
+        >>> icosphere_pool(torch.ones(2, 162)).shape
+        torch.Size([2, 42])
+    """
+    check_choice("mode", mode, POOL_MODES)
+    level = level_from_num_vertices(values.shape[-1])
+    if mode == "max":
+        return _max(values, _pooled_ids(level, values.device))
+    return _weighted_mean(values, *_mean_table(level, values))
+
+
+class IcospherePool(nn.Module):
+    """Pooling from one level to the next coarser one with tables made once; see ``icosphere_pool``.
+
+    Args:
+        level: of the values given, 1 or more.
+        mode: ``"mean"`` by solid angle, or ``"max"``.
+
+    Examples:
+        >>> pool = IcospherePool(level=2, mode="max")
+        >>> pool, pool(torch.rand(8, 162)).shape
+        (IcospherePool(level=2, mode='max'), torch.Size([8, 42]))
+    """
+
+    ids: Tensor
+    weights: Tensor
+
+    def __init__(self, level: int, mode: str = "mean") -> None:
+        super().__init__()
+        check_choice("mode", mode, POOL_MODES)
+        self.level, self.mode = level, mode
+        ids, weights = _mean_table(level, torch.empty(0))
+        self.register_buffer("ids", ids, persistent=False)
+        self.register_buffer("weights", weights, persistent=False)
+
+    def forward(self, values: Tensor) -> Tensor:
+        _check_level_of(values, self.level)
+        if self.mode == "max":
+            return _max(values, self.ids)
+        return _weighted_mean(values, self.ids, self.weights)
+
+    def extra_repr(self) -> str:
+        return f"level={self.level}, mode={self.mode!r}"
+
+
+def icosphere_upsample(values: Tensor) -> Tensor:
+    """Interpolate values on the next finer icosphere: new vertices get the mean of the edge that they halve.
+
+    This is exactly the linear interpolation on the triangles, as by ``Icosphere.sample``.
+
+    Args:
+        values: ``(*, V)``, floating point.
+
+    Returns:
+        ``(*, V_fine)``.
+
+    Raises:
+        ShapeError: if no icosphere has V vertices.
+
+    Examples:
+        >>> icosphere_upsample(torch.ones(2, 42)).shape
+        torch.Size([2, 162])
+    """
+    level = level_from_num_vertices(values.shape[-1])
+    return _mean_of_parents(values, icosphere_vertex_parents(level + 1, values.device))
+
+
+class IcosphereUpsample(nn.Module):
+    """Interpolation from one level to the next finer one with a table made once; see ``icosphere_upsample``.
+
+    Args:
+        level: of the values given.
+
+    Examples:
+        >>> IcosphereUpsample(level=1)(torch.rand(8, 42)).shape
+        torch.Size([8, 162])
+    """
+
+    parents: Tensor
+
+    def __init__(self, level: int) -> None:
+        super().__init__()
+        self.level = check_level(level)
+        self.register_buffer("parents", icosphere_vertex_parents(level + 1), persistent=False)
+
+    def forward(self, values: Tensor) -> Tensor:
+        _check_level_of(values, self.level)
+        return _mean_of_parents(values, self.parents)
+
+    def extra_repr(self) -> str:
+        return f"level={self.level}"
+
+
+def _check_level_of(values: Tensor, level: int) -> None:
+    if values.ndim == 0 or values.shape[-1] != num_icosphere_vertices(level):
+        raise ShapeError(
+            f"values: expected shape (*, {num_icosphere_vertices(level)}) for an icosphere of level {level}, "
+            f"got {tuple(values.shape)}"
+        )
+
+
+def _pooled_ids(level: int, device: torch.device) -> Tensor:
+    """Return what each kept vertex gathers: itself, then its neighbours; itself again where there are five."""
+    if check_level(level) == 0:
+        raise ArgumentError("level: expected 1 or more to pool, got 0: the icosahedron has no coarser level")
+    kept = coarse_vertex_ids(level, device)[:, None]
+    around = icosphere_neighbors(level, device)[kept[:, 0]]
+    return torch.cat((kept, torch.where(around < 0, kept, around)), 1)
+
+
+def _mean_table(level: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Return ids ``(V_coarse, 7)`` and the weights of a mean by solid angle, in the dtype of ``like``."""
+    ids = _pooled_ids(level, like.device)
+    weights = icosphere_solid_angles(level, torch.float64, like.device)[ids]
+    weights[:, 1:] *= 0.5  # halfway to the next kept vertex
+    weights[:, 1:] *= ids[:, 1:] != ids[:, :1]
+    weights /= weights.sum(1, keepdim=True)
+    return ids, weights.to(like.dtype if like.is_floating_point() else torch.get_default_dtype())
+
+
+def _weighted_mean(values: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
+    result = values[..., ids[:, 0]] * weights[:, 0].to(values.dtype)
+    for k in range(1, 7):  # one after the other: seven times the coarse values need not fit in memory at once
+        result = result + values[..., ids[:, k]] * weights[:, k].to(values.dtype)
+    return result
+
+
+def _max(values: Tensor, ids: Tensor) -> Tensor:
+    return values[..., ids].amax(-1)
+
+
+def _mean_of_parents(values: Tensor, parents: Tensor) -> Tensor:
+    return (values[..., parents[:, 0]] + values[..., parents[:, 1]]) / 2

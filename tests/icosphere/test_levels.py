@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between levels: parents and children, pooling, interpolation, and the order of plain subdivision."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import (
+    Icosphere,
+    IcospherePool,
+    IcosphereUpsample,
+    coarse_vertex_ids,
+    from_subdivision_order,
+    icosphere_face_children,
+    icosphere_face_parents,
+    icosphere_faces,
+    icosphere_neighbors,
+    icosphere_pool,
+    icosphere_solid_angles,
+    icosphere_upsample,
+    icosphere_vertex_parents,
+    icosphere_vertices,
+    num_icosphere_vertices,
+    to_subdivision_order,
+)
+
+LEVELS = [1, 2, 4]
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_vertex_halves_the_edge_of_its_parents(level: int) -> None:
+    coarse, fine = icosphere_vertices(level - 1, torch.float64), icosphere_vertices(level, torch.float64)
+    parents = icosphere_vertex_parents(level)
+    middles = torch.nn.functional.normalize(coarse[parents].sum(1), dim=-1)
+    torch.testing.assert_close(middles, fine, rtol=0, atol=1e-14)
+    kept = coarse_vertex_ids(level)
+    assert torch.equal(parents[kept], torch.arange(len(kept))[:, None].expand(-1, 2))
+    new = parents[:, 0] != parents[:, 1]
+    assert new.sum() == 30 * 4 ** (level - 1)  # one for each edge of the coarser level
+    neighbors = icosphere_neighbors(level - 1)
+    assert (neighbors[parents[new, 0]] == parents[new, 1:]).any(1).all()
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_faces_lie_in_their_parents(level: int) -> None:
+    """The centre of a face is on the inner side of the three great circles through its parent's edges."""
+    fine, coarse = icosphere_vertices(level, torch.float64), icosphere_vertices(level - 1, torch.float64)
+    centers = fine[icosphere_faces(level)].mean(1)
+    a, b, c = coarse[icosphere_faces(level - 1)[icosphere_face_parents(level)]].unbind(1)
+    for first, second in ((a, b), (b, c), (c, a)):
+        assert ((torch.linalg.cross(first, second) * centers).sum(-1) > 0).all()
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_children_and_parents_undo_each_other(level: int) -> None:
+    children, parents = icosphere_face_children(level - 1), icosphere_face_parents(level)
+    assert torch.equal(parents[children], torch.arange(len(children))[:, None].expand(-1, 4))
+    assert torch.equal(children.flatten().sort().values, torch.arange(len(parents)))
+
+
+def loop_pool(values: torch.Tensor, level: int, mode: str) -> torch.Tensor:
+    """Vertex by vertex, as the docstring says."""
+    kept, neighbors = coarse_vertex_ids(level).tolist(), icosphere_neighbors(level).tolist()
+    angles = icosphere_solid_angles(level, torch.float64)
+    pooled = []
+    for vertex in kept:
+        around = [v for v in neighbors[vertex] if v >= 0]
+        if mode == "max":
+            pooled.append(values[..., [vertex, *around]].max(-1).values)
+            continue
+        weights = torch.cat((angles[[vertex]], angles[around] / 2))
+        pooled.append((values[..., [vertex, *around]] * weights).sum(-1) / weights.sum())
+    return torch.stack(pooled, -1)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("mode", ["mean", "max"])
+def test_pooling_equals_loops(level: int, mode: str, generator: torch.Generator) -> None:
+    values = torch.randn(2, 3, num_icosphere_vertices(level), generator=generator, dtype=torch.float64)
+    expected = loop_pool(values, level, mode)
+    torch.testing.assert_close(icosphere_pool(values, mode), expected)
+    torch.testing.assert_close(IcospherePool(level, mode).double()(values), expected, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("mode", ["mean", "max"])
+def test_constants_stay_constant(mode: str) -> None:
+    values = torch.full((4, 642), 2.5, dtype=torch.float64)
+    torch.testing.assert_close(icosphere_pool(values, mode), torch.full((4, 162), 2.5, dtype=torch.float64))
+    torch.testing.assert_close(icosphere_upsample(values), torch.full((4, 2562), 2.5, dtype=torch.float64))
+
+
+def test_mean_pooling_keeps_the_integral(generator: torch.Generator) -> None:
+    """Weighed by the share of the sphere that each kept vertex gathered, the integral is that of the values."""
+    values = torch.randn(642, generator=generator, dtype=torch.float64)
+    angles = icosphere_solid_angles(3, torch.float64)
+    gathered = torch.zeros(162, dtype=torch.float64)
+    gathered.index_add_(0, icosphere_vertex_parents(3).flatten(), (angles / 2).repeat_interleave(2))
+    torch.testing.assert_close(gathered @ icosphere_pool(values), angles @ values)
+    torch.testing.assert_close(gathered, icosphere_solid_angles(2, torch.float64), rtol=0.03, atol=0)
+
+
+def test_max_pooling_keeps_integers_and_negative_values() -> None:
+    values = -torch.arange(1, 163)
+    pooled = icosphere_pool(values, "max")
+    assert pooled.dtype == values.dtype
+    assert torch.equal(pooled, loop_pool(values, 2, "max"))
+
+
+@pytest.mark.parametrize("level", [0, 1, 3])
+def test_upsampling_is_linear_interpolation(level: int, generator: torch.Generator) -> None:
+    coarse = Icosphere(level, torch.float64)
+    values = torch.randn(3, coarse.num_vertices, generator=generator, dtype=torch.float64)
+    finer = icosphere_upsample(values)
+    torch.testing.assert_close(finer, coarse.sample(values, coarse.finer().vertices), rtol=0, atol=1e-12)
+    torch.testing.assert_close(IcosphereUpsample(level)(values), finer)
+    assert torch.equal(finer[:, coarse.finer().coarse_ids], values)
+
+
+def test_upsampling_then_pooling_stays_close_to_a_smooth_function() -> None:
+    """A function of curvature 1 loses an amount of the order of the square of the vertices' distance."""
+    errors = []
+    for level in (3, 4):
+        height = icosphere_vertices(level, torch.float64)[:, 1]
+        errors.append((icosphere_pool(icosphere_upsample(height)) - height).abs().max().item())
+    assert errors[0] < 0.01
+    assert errors[1] < errors[0] / 3
+
+
+def test_gradients(generator: torch.Generator) -> None:
+    values = torch.randn(2, 42, generator=generator, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(icosphere_pool, values)
+    assert torch.autograd.gradcheck(icosphere_upsample, values)
+    (gradient,) = torch.autograd.grad(icosphere_pool(values, "max").sum(), values)
+    assert gradient.sum().item() == pytest.approx(2 * 12)
+
+
+def test_tables_of_modules_follow_and_are_not_saved() -> None:
+    for module in (IcospherePool(2), IcosphereUpsample(2)):
+        assert module.state_dict() == {}
+        assert module.double()(torch.ones(1, 162, dtype=torch.float64)).dtype == torch.float64
+        assert module(torch.ones(1, 162, dtype=torch.float16)).dtype == torch.float16
+
+
+def test_subdivision_order_keeps_old_vertices_first() -> None:
+    values = torch.arange(2 * 642).view(2, 642)
+    assert torch.equal(from_subdivision_order(to_subdivision_order(values)), values)
+    assert torch.equal(to_subdivision_order(from_subdivision_order(values)), values)
+    plain = to_subdivision_order(icosphere_vertices(3, torch.float64).T)
+    coarse = to_subdivision_order(icosphere_vertices(2, torch.float64).T)
+    torch.testing.assert_close(plain[:, :162], coarse, rtol=0, atol=1e-14)  # old vertices come first
+    ico = Icosphere(3)
+    assert torch.equal(to_subdivision_order(torch.arange(642))[ico.subdivision_order], torch.arange(642))
+
+
+def test_bad_arguments_are_named() -> None:
+    with pytest.raises(ArgumentError, match="'mean', 'max'"):
+        icosphere_pool(torch.ones(42), "median")
+    with pytest.raises(ArgumentError, match="no coarser level"):
+        icosphere_pool(torch.ones(12))
+    with pytest.raises(ShapeError, match="got 43"):
+        icosphere_upsample(torch.ones(43))
+    with pytest.raises(ShapeError, match=r"level 2, got \(1, 42\)"):
+        IcospherePool(2)(torch.ones(1, 42))
+    for function in (icosphere_vertex_parents, icosphere_face_parents):
+        with pytest.raises(ArgumentError, match="no coarser level"):
+            function(0)

@@ -70,42 +70,42 @@ def conv3d_winograd(volumes: Tensor, kernel: Tensor, bias: Tensor | None = None)
         >>> torch.allclose(conv3d_winograd(volumes, kernel), conv3d_replicate(volumes, kernel))
         True
     """
-    result: Tensor = _Winograd.apply(volumes, kernel)
-    return result if bias is None else result + bias[:, None, None, None]
+    result: Tensor = _Winograd.apply(volumes, kernel, bias)
+    return result
 
 
 class _Winograd(torch.autograd.Function):
-    """Volumes and kernel to convolved volumes."""
+    """Volumes, kernel and bias to convolved volumes."""
 
     @staticmethod
-    def forward(volumes: Tensor, kernel: Tensor) -> Tensor:
+    def forward(volumes: Tensor, kernel: Tensor, bias: Tensor | None) -> Tensor:
         padded, count = _padded(volumes), volumes.shape[2]
         kernels = _transformed_kernels(kernel)
-        products = (F.conv2d(tile, k) for tile, k in zip(_transformed_tiles(padded), kernels, strict=True))
-        m0, m1, m2, m3, m4, m5 = products
+        biases = (None, bias, None, None, None, None)  # the second product is part of every output, times one
+        m0, m1, m2, m3, m4, m5 = (
+            F.conv2d(tile, k, b).movedim(1, -1)
+            for tile, k, b in zip(_transformed_tiles(padded), kernels, biases, strict=True)
+        )
         sum1, difference1, sum2, difference2 = m1 + m2, m1 - m2, m3 + m4, m3 - m4
-        batch, tiles = volumes.shape[0], m0.shape[0] // volumes.shape[0]
-        shape = (batch, tiles, 4, *m0.shape[-2:], m0.shape[1])
-        result = m0.new_empty(shape)
+        shape = (volumes.shape[0], -1, *m0.shape[1:])
         outputs = (
             m0.add_(sum1).add_(sum2),
             difference1.add(difference2, alpha=2),
             sum1.add_(sum2, alpha=4),
             difference1.add_(difference2, alpha=8).add_(m5),
         )
-        for place, output in enumerate(outputs):
-            result[:, :, place] = output.movedim(1, -1).unflatten(0, (batch, tiles))
+        result = torch.stack([output.view(shape) for output in outputs], 2)
         return result.flatten(1, 2)[:, :count].movedim(-1, 1)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor], output: Tensor) -> None:
-        ctx.save_for_backward(*inputs)
+    def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor, Tensor | None], output: Tensor) -> None:
+        ctx.save_for_backward(*inputs[:2])
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         volumes, kernel = ctx.saved_tensors
-        want_volumes, want_kernel = ctx.needs_input_grad
+        want_volumes, want_kernel, want_bias = ctx.needs_input_grad
         padded, count = _padded(volumes), volumes.shape[2]
         missing = -count % 4
         of_outputs = gradient.movedim(1, -1)
@@ -133,10 +133,11 @@ class _Winograd(torch.autograd.Function):
             of_tiles.append(of_tile)
             of_kernels.append(of_kernel)
         of_volumes = _gradient_of_volumes(of_tiles, padded.shape, count) if want_volumes else None
+        of_bias = gradient.sum((0, 2, 3, 4)) if want_bias else None
         if not want_kernel:
-            return of_volumes, None
+            return of_volumes, None, of_bias
         transform = kernel.new_tensor(_TAPS)
-        return of_volumes, torch.einsum("kd,kocij->ocdij", transform, torch.stack(of_kernels))
+        return of_volumes, torch.einsum("kd,kocij->ocdij", transform, torch.stack(of_kernels)), of_bias
 
 
 def _padded(volumes: Tensor) -> Tensor:
@@ -186,14 +187,14 @@ def _transformed_tiles(padded: Tensor) -> Any:
     def planes(tiles: Tensor) -> Tensor:
         return tiles.flatten(0, 1).movedim(-1, 1)
 
-    yield planes((4 * d0).sub_(d2, alpha=5).add_(d4))
+    yield planes(d4.add(d0, alpha=4).sub_(d2, alpha=5))
     even, odd = d4.sub(d2, alpha=4), d3.sub(d1, alpha=4)
     yield planes(even + odd)
-    yield planes(even - odd)
-    even, odd = d4 - d2, (d3 - d1).mul_(2)
-    yield planes(even + odd)
-    yield planes(even - odd)
-    yield planes((4 * d1).sub_(d3, alpha=5).add_(d5))
+    yield planes(even.sub_(odd))
+    even, odd = d4 - d2, d3 - d1
+    yield planes(even.add(odd, alpha=2))
+    yield planes(even.sub_(odd, alpha=2))
+    yield planes(d5.add(d1, alpha=4).sub_(d3, alpha=5))
 
 
 def _transformed_kernels(kernel: Tensor) -> list[Tensor]:

@@ -21,6 +21,8 @@ from sphericalvision.cameras.calibration import (
     write_omnimvs,
     write_opencv,
 )
+from sphericalvision.cameras.conversion import Conversion, InverseFit, convert, fit_inverse_polynomial
+from sphericalvision.cameras.coverage import Overlap, coverage, overlap
 from sphericalvision.cameras.depth import depth_from_z, z_from_depth
 from sphericalvision.cameras.double_sphere import (
     DoubleSphereCamera,
@@ -36,6 +38,12 @@ from sphericalvision.cameras.extended_unified import (
     ExtendedUnifiedCamera,
     project_extended_unified,
     unproject_extended_unified,
+)
+from sphericalvision.cameras.field_of_view import (
+    FieldOfView,
+    field_of_view,
+    focal_length_on_axis,
+    visible_angle,
 )
 from sphericalvision.cameras.fisheye import FisheyeCamera, project_fisheye, unproject_fisheye
 from sphericalvision.cameras.kannala_brandt import (
@@ -61,12 +69,16 @@ __all__ = [
     "BrownConradyCamera",
     "Camera",
     "CameraRig",
+    "Conversion",
     "DoubleSphereCamera",
     "EquirectangularCamera",
     "ExtendedUnifiedCamera",
+    "FieldOfView",
     "FisheyeCamera",
+    "InverseFit",
     "KannalaBrandtCamera",
     "OCamCamera",
+    "Overlap",
     "PinholeCamera",
     "Projection",
     "RadialPolynomialCamera",
@@ -74,7 +86,13 @@ __all__ = [
     "Remapped",
     "UnifiedCamera",
     "Unprojection",
+    "convert",
+    "coverage",
     "depth_from_z",
+    "field_of_view",
+    "fit_inverse_polynomial",
+    "focal_length_on_axis",
+    "overlap",
     "project_brown_conrady",
     "project_double_sphere",
     "project_equirectangular",
@@ -104,6 +122,7 @@ __all__ = [
     "unproject_pinhole",
     "unproject_radial_polynomial",
     "unproject_unified",
+    "visible_angle",
     "write_basalt",
     "write_camera",
     "write_colmap",

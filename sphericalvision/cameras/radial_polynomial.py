@@ -11,14 +11,18 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.image_plane import unit_directions
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import (
-    angle_over_radius,
-    cosine_and_sinc,
-    normalize,
+    components,
+    cosine_and_lifted_sinc,
+    increasing_limit,
+    lifted_radius,
     polynomial,
-    safe_hypot,
-    solve_increasing,
+    polynomial_value,
+    polynomial_with_curvature,
+    refine_root,
+    tabulate_inverse,
 )
 
 __all__ = ["RadialPolynomialCamera", "project_radial_polynomial", "unproject_radial_polynomial"]
@@ -26,23 +30,33 @@ __all__ = ["RadialPolynomialCamera", "project_radial_polynomial", "unproject_rad
 _SAMPLES = 256
 
 
+def _radius(coefficients: Tensor, angle: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The radius θ (k1 + k2 θ + ...) and its first two derivatives."""
+    value, slope, curvature = polynomial_with_curvature(coefficients, angle)
+    return angle * value, torch.addcmul(value, angle, slope), torch.addcmul(2 * slope, angle, curvature)
+
+
 def _slope(coefficients: Tensor, angle: Tensor) -> Tensor:
-    """Derivative of the radius θ (k1 + k2 θ + ...)."""
-    value, derivative = polynomial(coefficients, angle)
-    return value + angle * derivative
+    value, slope = polynomial(coefficients, angle)
+    return torch.addcmul(value, angle, slope)
 
 
 def _widest_angle(coefficients: Tensor) -> Tensor:
-    """The angle (*) in (0, π] up to which the radius grows: the first of 256 steps that falls, then bisection."""
+    """The angle (*) in [0, π] up to which the radius grows."""
+    end = torch.full_like(coefficients[..., 0], math.pi)
+    return increasing_limit(lambda angle: _slope(coefficients.unsqueeze(-2), angle), end, _SAMPLES)
+
+
+def _start(coefficients: Tensor, widest: Tensor, target: Tensor) -> Tensor:
+    """The angle (*) of the radius ``target`` (*), to some digits, from a table."""
     with torch.no_grad():
-        angles = torch.linspace(0, math.pi, _SAMPLES, dtype=coefficients.dtype, device=coefficients.device)
-        growing = (_slope(coefficients.unsqueeze(-2), angles) > 0).long().cumprod(-1).sum(-1)
-        low, high = angles[(growing - 1).clamp_min(0)], angles[growing.clamp_max(_SAMPLES - 1)]
-        for _ in range(24):
-            middle = (low + high) / 2
-            grows = _slope(coefficients, middle) > 0
-            low, high = torch.where(grows, middle, low), torch.where(grows, high, middle)
-        return torch.where(growing == _SAMPLES, math.pi, low)
+        steps = torch.linspace(0, 1, _SAMPLES, dtype=widest.dtype, device=widest.device)
+        angles = widest.unsqueeze(-1) * steps
+        radii = angles * polynomial_value(coefficients.unsqueeze(-2), angles)
+        first = coefficients[..., 0]  # r / (k1 + r) keeps the table fine near the centre
+        return tabulate_inverse(angles, radii / (first.unsqueeze(-1) + radii)).lookup(
+            target / (first + target)
+        )
 
 
 def project_radial_polynomial(
@@ -68,12 +82,14 @@ def project_radial_polynomial(
         [320.0, 240.0]
     """
     check_last_dim("points", points, 3)
-    over_radius = angle_over_radius(points)
-    angle = over_radius * safe_hypot(points[..., 0], points[..., 1])
-    scale = over_radius * polynomial(coefficients, angle)[0]
-    scales = torch.stack((scale, scale * aspect_ratio), dim=-1)
-    valid = (angle <= _widest_angle(coefficients)) & (over_radius > 0)
-    return Projection(points[..., :2] * scales + principal_point, valid)
+    x, y, z = components(points)
+    radius = lifted_radius(x, y, z)
+    angle = torch.atan2(radius, z)
+    scale = angle * polynomial_value(coefficients, angle) / radius
+    u = x * scale + principal_point[..., 0]
+    v = y * scale * aspect_ratio + principal_point[..., 1]
+    valid = (angle <= _widest_angle(coefficients)) & (angle < math.pi)
+    return Projection(torch.stack((u, v), dim=-1), valid)
 
 
 def unproject_radial_polynomial(
@@ -90,20 +106,18 @@ def unproject_radial_polynomial(
     """
     check_last_dim("pixels", pixels, 2)
 
-    def radius(angle: Tensor) -> tuple[Tensor, Tensor]:
-        value, derivative = polynomial(coefficients, angle)
-        return angle * value, value + angle * derivative
-
-    u, v = (pixels - principal_point).unbind(-1)
-    v = v / aspect_ratio
-    target = safe_hypot(u, v)
+    u, v = components(pixels)
+    x, y = u - principal_point[..., 0], (v - principal_point[..., 1]) / aspect_ratio
+    target = torch.sqrt(torch.addcmul(x * x, y, y) + torch.finfo(x.dtype).eps ** 2)
     widest = _widest_angle(coefficients)
-    angle, converged = solve_increasing(
-        radius, target, torch.zeros_like(widest), widest, start=(target / coefficients[..., 0]).detach()
-    )
-    cosine, sinc = cosine_and_sinc(angle * angle)
-    scale = sinc / polynomial(coefficients, angle)[0]
-    return Unprojection(normalize(torch.stack((u * scale, v * scale, cosine), dim=-1)), converged)
+    largest = widest * polynomial_value(coefficients, widest)
+    inside = target <= largest * (1 + 16 * torch.finfo(target.dtype).eps)
+    target = torch.minimum(target, largest.detach())
+    start = _start(coefficients, widest, target.detach())
+    angle, converged = refine_root(lambda angle: _radius(coefficients, angle), target, start, widest)
+    cosine, sinc = cosine_and_lifted_sinc(angle * angle)
+    scale = sinc / polynomial_value(coefficients, angle)
+    return Unprojection(unit_directions(x * scale, y * scale, cosine), converged & inside)
 
 
 class RadialPolynomialCamera(Camera):
@@ -155,7 +169,9 @@ class RadialPolynomialCamera(Camera):
             )
         if not bool((self.aspect_ratio > 0).all()):
             raise ArgumentError(f"aspect_ratio: expected numbers above 0, got {self.aspect_ratio.tolist()}")
-        batch = self.principal_point.shape[:-1]
+        pairs = self.polynomial, self.principal_point
+        batch = torch.broadcast_shapes(self.aspect_ratio.shape, *(tensor.shape[:-1] for tensor in pairs))
+        self.polynomial, self.principal_point = (tensor.expand(*batch, -1) for tensor in pairs)
         self.aspect_ratio = self.aspect_ratio.expand(batch)
         if max_angle is None:
             self.max_angle = _widest_angle(self.polynomial)
@@ -166,3 +182,16 @@ class RadialPolynomialCamera(Camera):
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_radial_polynomial(pixels, *self._aligned(pixels))
+
+    def _on_pixels(
+        self, scale: tuple[float, float], offset: tuple[float, float], image_size: tuple[int, int]
+    ) -> RadialPolynomialCamera:
+        s, t = scale
+        return RadialPolynomialCamera(
+            self.polynomial * s,
+            self.principal_point * self.principal_point.new_tensor(scale)
+            + self.principal_point.new_tensor(offset),
+            self.aspect_ratio * (t / s),
+            image_size,
+            self.max_angle,
+        )

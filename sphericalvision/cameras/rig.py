@@ -96,6 +96,16 @@ class CameraRig:
         return (self.positions - self.center[..., None, :]).norm(dim=-1).mean(-1)
 
     @property
+    def baselines(self) -> Tensor:
+        """Distances between the cameras ``(*b, n, n)``, metres.
+
+        Examples:
+            >>> ring_rig(4, radius=0.2).baselines[0, 2]  # front to back
+            tensor(0.4000)
+        """
+        return (self.positions.unsqueeze(-2) - self.positions.unsqueeze(-3)).norm(dim=-1)
+
+    @property
     def axes(self) -> Tensor:
         """Optical axes in the world ``(*b, n, 3)``, unit length."""
         return self.world_from_camera[..., :3, 2]
@@ -178,6 +188,30 @@ class CameraRig:
             turn[..., :3, :3] = rotation.to(poses)
             poses = turn[..., None, :, :] @ poses
         return CameraRig(self.cameras, poses, self.masks)
+
+    def resized(self, image_size: Sequence[int] | Mapping[str, Sequence[int]]) -> CameraRig:
+        """The rig of the same images after they are resized; every ray stays as it is.
+
+        A pixel of a resized mask is usable only if all the pixels that it covers are.
+
+        Args:
+            image_size: (height, width) for all cameras, or for some of them by name.
+
+        Raises:
+            ArgumentError: an unknown name.
+
+        Examples:
+            >>> ring_rig(4, image_size=(768, 800)).resized((384, 400)).cameras["cam1"].image_size
+            (384, 400)
+        """
+        sizes = dict(image_size) if isinstance(image_size, Mapping) else dict.fromkeys(self.names, image_size)
+        if unknown := [name for name in sizes if name not in self.cameras]:
+            raise ArgumentError(
+                f"image_size: expected names among {', '.join(self.names)}, got {unknown[0]!r}"
+            )
+        cameras = {n: c.resized(sizes[n]) if n in sizes else c for n, c in self.cameras.items()}
+        masks = {name: _resized_mask(mask, cameras[name].image_size) for name, mask in self.masks.items()}
+        return CameraRig(cameras, self.world_from_camera, masks)
 
     def scaled(self, factor: float) -> CameraRig:
         """The rig with all positions multiplied by ``factor``; depths seen by it scale alike."""
@@ -285,6 +319,20 @@ def ring_rig(
     poses = transform_from_axis_angle(torch.stack((zero, longitude, zero), -1), position)
     exact = poses.round(decimals=12) + 0.0  # quarter turns without rounding, and no negative zeros
     return CameraRig([camera] * num_cameras, exact.to(torch.get_default_dtype()))
+
+
+def _resized_mask(mask: Tensor, image_size: tuple[int, int]) -> Tensor:
+    """Whether all pixels (*b, h, w) under each pixel of another size are True."""
+    for dim, new in ((-2, image_size[0]), (-1, image_size[1])):
+        old = mask.shape[dim]
+        step = torch.arange(new, device=mask.device)
+        first, last = (
+            step * old // new,
+            ((step + 1) * old + new - 1) // new,
+        )  # where the pixel begins and ends
+        bad = torch.nn.functional.pad((~mask).movedim(dim, -1).long().cumsum(-1), (1, 0))
+        mask = (bad[..., last] == bad[..., first]).movedim(-1, dim)
+    return mask
 
 
 def _check_poses(names: list[str], poses: Tensor) -> None:

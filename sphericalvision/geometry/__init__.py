@@ -4,15 +4,28 @@
 from sphericalvision.geometry.directions import (
     angle_from_axis,
     angle_over_radius,
+    components,
+    cosine_and_lifted_sinc,
     cosine_and_sinc,
     directions_from_longitude_latitude,
+    lifted_radius,
     longitude_latitude_from_directions,
     normalize,
     safe_hypot,
     safe_sqrt,
 )
 from sphericalvision.geometry.interpolation import bilinear_sample
-from sphericalvision.geometry.rootfinding import Root, increasing_limit, polynomial, solve_increasing
+from sphericalvision.geometry.inverse_table import InverseTable, tabulate_inverse
+from sphericalvision.geometry.least_squares import LeastSquares, solve_least_squares
+from sphericalvision.geometry.rootfinding import (
+    Root,
+    increasing_limit,
+    polynomial,
+    polynomial_value,
+    polynomial_with_curvature,
+    refine_root,
+    solve_increasing,
+)
 from sphericalvision.geometry.transforms import (
     axis_angle_from_transform,
     invert_transform,
@@ -22,21 +35,31 @@ from sphericalvision.geometry.transforms import (
 )
 
 __all__ = [
+    "InverseTable",
+    "LeastSquares",
     "Root",
     "angle_from_axis",
     "angle_over_radius",
     "axis_angle_from_transform",
     "bilinear_sample",
+    "components",
+    "cosine_and_lifted_sinc",
     "cosine_and_sinc",
     "directions_from_longitude_latitude",
     "increasing_limit",
     "invert_transform",
+    "lifted_radius",
     "longitude_latitude_from_directions",
     "normalize",
     "polynomial",
+    "polynomial_value",
+    "polynomial_with_curvature",
+    "refine_root",
     "safe_hypot",
     "safe_sqrt",
     "solve_increasing",
+    "solve_least_squares",
+    "tabulate_inverse",
     "transform_from_axis_angle",
     "transform_from_quaternion",
     "transform_points",

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How many cameras of a rig see each direction at each depth, and how much they overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.geometry import bilinear_sample
+
+__all__ = ["Overlap", "coverage", "overlap"]
+
+
+class Overlap(NamedTuple):
+    """Shares of the sphere's solid angle, from 0 to 1, at each depth (*)."""
+
+    seen: Tensor
+    """Seen by one camera or more."""
+    shared: Tensor
+    """Seen by two or more, so that depth can be told there."""
+    mean: Tensor
+    """Mean number of cameras that see a direction."""
+
+
+def coverage(rig: CameraRig, directions: Tensor, depths: Sequence[float] | Tensor) -> Tensor:
+    """Number of cameras (*b, d, V) that see the points at ``depths`` (d,) along ``directions`` (V, 3).
+
+    Fields of view, image borders and masks count; what stands in the way does not.
+
+    Args:
+        rig: single, or a batch of rigs.
+        directions: unit directions (V, 3) from the rig's centre in the world, of any grid.
+        depths: metres; infinity is allowed.
+
+    Raises:
+        ShapeError: ``directions`` is not (V, 3).
+        ArgumentError: a depth is not positive.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig = ring_rig(4)  # fisheyes of 220° that look forward, right, back and left
+        >>> forward, between = [0.0, 0.0, 1.0], [0.6, 0.0, 0.8]
+        >>> coverage(rig, torch.tensor([forward, between]), depths=[1.0, float("inf")]).tolist()
+        [[3, 2], [3, 2]]
+    """
+    check_last_dim("directions", directions, 3)
+    if directions.ndim != 2:
+        raise ShapeError(
+            f"directions: expected (V, 3), got {tuple(directions.shape)}; flatten the grid first"
+        )
+    far = torch.as_tensor(depths, dtype=directions.dtype, device=directions.device).reshape(-1)
+    if not bool((far > 0).all()):
+        raise ArgumentError(f"depths: expected metres above 0, got {far.tolist()}")
+    poses = rig.world_from_camera.to(directions)
+    # The point is seen along d + (center − position) / depth, which has no infinities at infinite depth.
+    offset = rig.center.to(directions).unsqueeze(-2) - poses[..., :3, 3]
+    counts = torch.zeros((), dtype=torch.long, device=directions.device)
+    for index, (name, camera) in enumerate(rig.cameras.items()):
+        shift = offset[..., index, None, None, :] / far[:, None, None]
+        points = directions + shift
+        turned = points.flatten(-3, -2) @ poses[..., index, :3, :3]
+        pixels, seen = camera.project(turned)
+        if name in rig.masks:
+            usable = rig.masks[name].to(pixels).unsqueeze(-3)
+            inside = torch.where(seen.unsqueeze(-1), pixels, 0.0)
+            seen = seen & (bilinear_sample(usable, inside).squeeze(-2) > 0.999)
+        counts = counts + seen.unflatten(-1, (len(far), len(directions))).long()
+    return counts
+
+
+def overlap(counts: Tensor, solid_angles: Tensor) -> Overlap:
+    """Overlap by solid angle from the ``counts`` (*, V) of ``coverage`` and the grid's ``solid_angles`` (V,).
+
+    Raises:
+        ShapeError: the numbers of directions differ.
+
+    Examples:
+        >>> seen, shared, mean = overlap(torch.tensor([[0, 1, 2, 3]]), torch.ones(4))
+        >>> seen.item(), shared.item(), mean.item()
+        (0.75, 0.5, 1.5)
+    """
+    if solid_angles.ndim != 1 or counts.shape[-1:] != solid_angles.shape:
+        raise ShapeError(
+            f"solid_angles: expected one for each of the {counts.shape[-1]} directions, got shape "
+            f"{tuple(solid_angles.shape)}"
+        )
+    weight = solid_angles / solid_angles.sum()
+    return Overlap(
+        ((counts >= 1) * weight).sum(-1), ((counts >= 2) * weight).sum(-1), (counts * weight).sum(-1)
+    )

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a camera sees around its axis, through image border, model and ``max_angle`` alike."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.core import ArgumentError
+
+__all__ = ["FieldOfView", "field_of_view", "focal_length_on_axis", "visible_angle"]
+
+_STEPS = 256  # angles looked at along each azimuth before the edge is bisected
+
+
+class FieldOfView(NamedTuple):
+    """Angles in radians between opposite edges of the view, measured through the optical axis."""
+
+    horizontal: float
+    """From the left to the right edge."""
+    vertical: float
+    """From the upper to the lower edge."""
+    widest: float
+    """The largest in any direction; the diagonal of an image without dark corners."""
+
+
+def directions_around_axis(angle: Tensor, azimuth: Tensor) -> Tensor:
+    """Unit directions (*, 3) at ``angle`` (*) from the axis; azimuth (*) 0 is to the right, π/2 down."""
+    angle, azimuth = torch.broadcast_tensors(angle, azimuth)
+    flat = torch.sin(angle)
+    return torch.stack((flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.cos(angle)), dim=-1)
+
+
+@torch.no_grad()
+def visible_angle(camera: Camera, azimuth: Tensor) -> Tensor:
+    """The widest angle from the axis (*) that ``camera`` sees in the half planes at ``azimuth`` (*), in radians.
+
+    Azimuth 0 is to the right and π/2 down, as in the image. 0 where nothing is seen.
+
+    Raises:
+        ArgumentError: the camera is a batch.
+
+    Examples:
+        >>> from sphericalvision.cameras import PinholeCamera
+        >>> camera = PinholeCamera([100.0, 100.0], [99.5, 49.5], (100, 200))
+        >>> visible_angle(camera, torch.tensor([0.0, math.pi / 2], dtype=torch.float64)).rad2deg()
+        tensor([45.0000, 26.5651], dtype=torch.float64)
+    """
+    check_single(camera)
+    camera, azimuth = camera.to(torch.float64), azimuth.double()
+    limit = float(camera.max_angle)
+    steps = torch.linspace(0, limit, _STEPS, dtype=torch.float64, device=azimuth.device)
+    seen = camera.project(directions_around_axis(steps, azimuth.unsqueeze(-1))).valid
+    last = (seen * torch.arange(1, _STEPS + 1, device=azimuth.device)).amax(-1) - 1
+    low = steps[last.clamp_min(0)]
+    high = steps[(last + 1).clamp_max(_STEPS - 1)]
+    for _ in range(48):
+        middle = (low + high) / 2
+        sees = camera.project(directions_around_axis(middle, azimuth)).valid
+        low, high = torch.where(sees, middle, low), torch.where(sees, high, middle)
+    return torch.where(last < 0, 0.0, torch.where(last == _STEPS - 1, limit, low))
+
+
+def field_of_view(camera: Camera) -> FieldOfView:
+    """The angles that ``camera`` sees.
+
+    Raises:
+        ArgumentError: the camera is a batch.
+
+    Examples:
+        >>> from sphericalvision.cameras import FisheyeCamera
+        >>> fisheye = FisheyeCamera.from_field_of_view((600, 800), math.radians(190))
+        >>> [round(math.degrees(angle)) for angle in field_of_view(fisheye)]
+        [190, 190, 190]
+    """
+    azimuth = torch.arange(360, dtype=torch.float64, device=camera.device) * (math.pi / 180)
+    angle = visible_angle(camera, azimuth)
+    across = angle[:180] + angle[180:]
+    return FieldOfView(float(across[0]), float(across[90]), float(across.max()))
+
+
+@torch.no_grad()
+def focal_length_on_axis(camera: Camera) -> Tensor:
+    """Pixels per radian at the optical axis along u and v, (2,), float64: comparable between models.
+
+    NaN where the camera's model does not reach the axis.
+
+    Raises:
+        ArgumentError: the camera is a batch.
+
+    Examples:
+        >>> from sphericalvision.cameras import UnifiedCamera
+        >>> focal_length_on_axis(UnifiedCamera([300.0, 300.0], [255.5, 255.5], 0.5, None, (512, 512))).round()
+        tensor([200., 200.], dtype=torch.float64)
+    """
+    check_single(camera)
+    step = 1e-4  # the error of central differences is of its square
+    sides = torch.tensor([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]], dtype=torch.float64)
+    pixels, valid = camera.to(torch.float64)._project(sides.to(camera.device))
+    slope = torch.stack((pixels[0, 0] - pixels[1, 0], pixels[2, 1] - pixels[3, 1])) / (2 * step)
+    return torch.where(valid.all(), slope, torch.nan)
+
+
+def check_single(camera: Camera) -> None:
+    """Raise ``ArgumentError`` if the camera is a batch."""
+    if camera.batch_shape:
+        raise ArgumentError(
+            f"camera: expected a single camera, got a batch {camera.batch_shape}; take one with camera.select(i)"
+        )

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nonlinear least squares of few parameters: Levenberg-Marquardt within bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+__all__ = ["LeastSquares", "solve_least_squares"]
+
+_PATIENCE = 12  # rejected steps in a row, each with ten times the damping
+
+
+class LeastSquares(NamedTuple):
+    """A minimum and how good it is."""
+
+    solution: Tensor
+    """Parameters (p,)."""
+    rms: float
+    """Root of the mean of the squared residuals there."""
+
+
+@torch.no_grad()
+def solve_least_squares(
+    residuals: Callable[[Tensor], Tensor],
+    start: Tensor,
+    jacobian: Callable[[Tensor], Tensor] | None = None,
+    lower: Tensor | None = None,
+    upper: Tensor | None = None,
+    iterations: int = 100,
+    tolerance: float = 1e-9,
+) -> LeastSquares:
+    """Parameters (p,) near ``start`` that make the sum of the squared ``residuals`` (m,) smallest.
+
+    Levenberg-Marquardt with columns scaled to unit length, so that the units of the parameters do not matter. A
+    parameter at its bound stays there as long as the residuals push it outwards.
+
+    Args:
+        residuals: maps parameters (p,) to residuals (m,), differentiable; m is not below p.
+        start: (p,), floating point; float64 for more than six digits.
+        jacobian: maps parameters (p,) to the derivatives (m, p); by default ``torch.func.jacfwd`` of the residuals.
+        lower: smallest parameters (p,); a parameter with equal bounds is fixed.
+        upper: largest parameters (p,).
+        iterations: most steps taken.
+        tolerance: the search ends when a step makes the sum smaller by less than this fraction.
+
+    References:
+        J. Nocedal, S. Wright, "Numerical Optimization", 2nd ed. (2006), section 10.3.
+
+    Examples:
+        >>> time = torch.linspace(0, 1, 20, dtype=torch.float64)
+        >>> measured = 3 * torch.exp(-2 * time)
+        >>> decay = lambda p: p[0] * torch.exp(-p[1] * time) - measured
+        >>> solution, rms = solve_least_squares(decay, torch.ones(2, dtype=torch.float64))
+        >>> [round(value, 9) for value in solution.tolist()], rms < 1e-12
+        ([3.0, 2.0], True)
+    """
+    low = torch.full_like(start, -torch.inf) if lower is None else lower
+    high = torch.full_like(start, torch.inf) if upper is None else upper
+    jacobian = jacobian or torch.func.jacfwd(residuals)
+    x = start.clamp(low, high)
+    residual = residuals(x)
+    cost, damping = _cost(residual), 1e-3
+    for _ in range(iterations):
+        if not 0 < cost < torch.inf:
+            break
+        columns = jacobian(x)
+        gradient = columns.mT @ residual
+        held = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)) | (low == high)
+        length = torch.linalg.vector_norm(columns, dim=0)
+        scale = torch.where(held | (length == 0), 0.0, 1 / torch.where(length == 0, 1.0, length))
+        u, s, vh = torch.linalg.svd(torch.nan_to_num(columns * scale), full_matrices=False)
+        along = u.mT @ residual
+        for _ in range(_PATIENCE):
+            step = -scale * (vh.mT @ (s / (s * s + damping) * along))
+            tried = (x + step).clamp(low, high)
+            tried_residual = residuals(tried)
+            tried_cost = _cost(tried_residual)
+            if tried_cost < cost:
+                break
+            damping = min(damping * 10, 1e8)
+        else:
+            break  # no direction leads down any more
+        gain = 1 - tried_cost / cost
+        x, residual, cost, damping = tried, tried_residual, tried_cost, max(damping / 10, 1e-12)
+        if gain < tolerance:
+            break
+    return LeastSquares(x, (cost / max(residual.numel(), 1)) ** 0.5)
+
+
+def _cost(residual: Tensor) -> float:
+    cost = float((residual * residual).sum())
+    return cost if cost == cost else float("inf")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A crown on the next coarser level (average pooling) and on the next finer one (interpolation)."""
+"""A crown on the next coarser level (average and maximum pooling) and on the next finer one (interpolation)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from torch import Tensor, nn
 from sphericalvision.core import ArgumentError
 from sphericalvision.crown.layout import Crown, check_crown, crown_map
 
-__all__ = ["CrownAvgPool2d", "CrownUpsample", "crown_avg_pool2d", "crown_upsample"]
+__all__ = [
+    "CrownAvgPool2d",
+    "CrownMaxPool2d",
+    "CrownUpsample",
+    "crown_avg_pool2d",
+    "crown_max_pool2d",
+    "crown_upsample",
+]
 
 
 def crown_avg_pool2d(crown: Crown, stride: int = 2) -> Crown:
@@ -30,15 +37,69 @@ def crown_avg_pool2d(crown: Crown, stride: int = 2) -> Crown:
         >>> crown_avg_pool2d(to_crown(torch.ones(1, 3, 162))).col.shape
         torch.Size([1, 5, 3, 5, 3])
     """
-    check_crown(crown, 2)
-    if stride not in (1, 2) or (stride == 2 and crown.level == 0):
-        raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
+    _check_pool(crown, stride)
 
     def pool(rectangles: Tensor) -> Tensor:
         pooled = F.avg_pool2d(rectangles.flatten(0, 1), 3, stride, padding=1, count_include_pad=False)
         return pooled.unflatten(0, (-1, 5))
 
     return crown_map(pool, crown)
+
+
+def crown_max_pool2d(crown: Crown, stride: int = 2) -> Crown:
+    """Take the largest of each kept place and its six hexagonal neighbours inside the rectangle.
+
+    Args:
+        crown: rectangles ``(B, 5, C, h, w)``.
+        stride: 1, or 2 to keep the vertices of the next coarser level.
+
+    Raises:
+        ShapeError: if the crown is no crown without hypotheses.
+        ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
+
+    Examples:
+        >>> import torch
+        >>> from sphericalvision.crown import to_crown
+        >>> crown_max_pool2d(to_crown(torch.ones(1, 3, 162))).row.shape
+        torch.Size([1, 5, 3, 3, 5])
+    """
+    _check_pool(crown, stride)
+
+    def pool(rectangles: Tensor) -> Tensor:
+        height, width = rectangles.shape[-2:]
+        padded = F.pad(rectangles, (1, 1, 1, 1), value=-torch.inf)
+        largest = rectangles[..., ::stride, ::stride]
+        for row, column in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)):
+            around = padded[..., row : row + height : stride, column : column + width : stride]
+            largest = torch.maximum(largest, around)
+        return largest
+
+    return crown_map(pool, crown)
+
+
+def _check_pool(crown: Crown, stride: int) -> None:
+    check_crown(crown, 2)
+    if stride not in (1, 2) or (stride == 2 and crown.level == 0):
+        raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
+
+
+class CrownMaxPool2d(nn.Module):
+    """Maximum pooling over a place and its six neighbours; see ``crown_max_pool2d``.
+
+    Examples:
+        >>> CrownMaxPool2d()
+        CrownMaxPool2d(stride=2)
+    """
+
+    def __init__(self, stride: int = 2) -> None:
+        super().__init__()
+        self.stride = stride
+
+    def forward(self, crown: Crown) -> Crown:
+        return crown_max_pool2d(crown, self.stride)
+
+    def extra_repr(self) -> str:
+        return f"stride={self.stride}"
 
 
 class CrownAvgPool2d(nn.Module):

@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hexagonal convolutions on the vertices of an icosphere, with true neighbours everywhere.
+
+Taps 0 to 5 go round the centre, tap 6, counter-clockwise as panoramas are seen, from inside. In a chart they are
+``[[., 5, 4], [0, 6, 3], [1, 2, .]]``, the order of ``CrownConv2d``. What "north" is for them is the orientation:
+
+``chart`` (``north=None``)
+    Taps follow the axes of the chart that owns the vertex: tap 4 points east along the belt, and north is halfway
+    between taps 5 and 0. Towards the poles north drifts from this middle to tap 5 at the west edge of a chart and to
+    tap 0 at the east edge, 30° each way, so that orientation jumps by 60° where two polar faces meet.
+``north`` (``north=north_fraction(level)``)
+    Tap 5 points north at every vertex but the poles. The value of a tap is interpolated along the arc between the two
+    neighbours at its sides; this is the mean of two convolutions, and orientation jumps nowhere.
+
+The twelve vertices of valence five have five neighbours and a gap. The tap of the gap reads their mean:
+
+==============  ================================  =======================================
+vertex          ``chart``: gap, first neighbour   ``north``: gap, first neighbour
+==============  ================================  =======================================
+north pole      tap 1, tap 2 towards A(0)         tap 5, tap 2 towards A(0)
+A(k)            tap 0, tap 5 towards the pole     tap 2, tap 5 towards the pole
+B(k)            tap 2, tap 3 towards the pole     tap 5, tap 2 towards the pole
+south pole      tap 4, tap 5 towards B(1)         tap 5, tap 2 towards B(3)
+==============  ================================  =======================================
+
+At a pole, north is the limit along the meridian of longitude zero. So the sum over the ring is 6/5 of the sum over the
+five neighbours: constants stay constants, and a kernel of a centre and six equal taps commutes with all rotations
+of the icosahedron.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.crown.conv import COL_TAPS, _planar_kernel
+from sphericalvision.crown.hexpad import check_values, fill_charts, hex_pad
+from sphericalvision.icosphere import icosphere_vertices, vertex_at
+
+__all__ = ["HexConv2d", "HexConv3d", "hex_conv2d", "hex_conv3d", "north_fraction"]
+
+ORIENTATIONS = ("chart", "north")
+
+# Taps of the five neighbours in the order of ``ring_ids``, then the tap of the gap, at north pole, A, B, south pole.
+CHART_RINGS = ((2, 3, 4, 5, 0, 1), (1, 2, 3, 4, 5, 0), (3, 4, 5, 0, 1, 2), (5, 0, 1, 2, 3, 4))
+NORTH_RINGS = ((2, 3, 4, 0, 1, 5), (0, 1, 3, 4, 5, 2), (2, 3, 4, 0, 1, 5), (4, 0, 1, 2, 3, 5))
+NEXT_TAP = (5, 0, 1, 2, 3, 4, 6)  # a kernel turned on by one neighbour
+
+
+def north_fraction(
+    level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
+) -> Tensor:
+    """Return where north lies between the neighbours of taps 5 (0) and 0 (1) in the chart of a vertex, ``(V,)``.
+
+    The fraction is that of angles in the tangent plane. At the twelve vertices of valence five it is 0 and not used.
+
+    References:
+        Zhang et al. (2019), "Orientation-aware semantic segmentation on icosahedron spheres", section 3.2.
+
+    Examples:
+        >>> fraction = north_fraction(3)[1:-1].view(5, 16, 8)
+        >>> fraction[0, 3]  # from the west edge of a polar face into the belt, where north is halfway
+        tensor([0.0000, 0.1850, 0.3219, 0.4354, 0.5000, 0.4637, 0.4990, 0.5334])
+    """
+    return _north_fraction(level).to(dtype=dtype or torch.get_default_dtype(), device=device)
+
+
+@lru_cache(maxsize=16)
+def _north_fraction(level: int) -> Tensor:
+    n = 2**level
+    vertices = icosphere_vertices(level, torch.float64)
+    chart = torch.arange(5)[:, None, None]
+    row, column = torch.arange(1, 2 * n + 1)[:, None], torch.arange(n)
+    center, up = (vertices[vertex_at(chart, row - step, column, level)] for step in (0, 1))
+    # West of column 0 lies the first row of the chart before, then its last column.
+    west_row = torch.where(row <= n, 1, row - n)
+    west_column = torch.where(row <= n, row - 1, n - 1)
+    at_edge = column == 0
+    left = vertices[
+        vertex_at(
+            torch.where(at_edge, (chart - 1) % 5, chart),
+            torch.where(at_edge, west_row, row),
+            torch.where(at_edge, west_column, column - 1),
+            level,
+        )
+    ]
+    north = torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64).expand_as(center)
+
+    def angle(start: Tensor, end: Tensor) -> Tensor:
+        """Angle at the centre from one direction to another, counter-clockwise from inside."""
+        flat_start, flat_end = (v - (v * center).sum(-1, keepdim=True) * center for v in (start, end))
+        turned = (torch.linalg.cross(flat_end, flat_start) * center).sum(-1)
+        return torch.atan2(turned, (flat_start * flat_end).sum(-1))
+
+    fraction = (angle(up, north) / angle(up, left)).clamp(0, 1)
+    fraction[:, n - 1 :: n, 0] = 0
+    return F.pad(fraction.flatten(), (1, 1))
+
+
+def hex_conv2d(
+    values: Tensor,
+    weight: Tensor,
+    bias: Tensor | None = None,
+    stride: int = 1,
+    north: Tensor | None = None,
+) -> Tensor:
+    """Convolve values on an icosphere with seven taps: each vertex and its six true neighbours.
+
+    Args:
+        values: ``(B, in, V)``; the level follows from V.
+        weight: ``(out, in, 7)``, see the module for the order of taps.
+        bias: ``(out,)``.
+        stride: 1, or 2 to keep the vertices of the next coarser level.
+        north: ``north_fraction(level)`` of this level for taps aligned with north; without it they follow the charts.
+
+    Returns:
+        ``(B, out, V)``, or of the next coarser level; channels are the fastest dimension in memory.
+
+    Raises:
+        ShapeError: if values, weight or north do not fit.
+        ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
+
+    References:
+        Zhang et al. (2019), "Orientation-aware semantic segmentation on icosahedron spheres"; Lee et al. (2019),
+        "SpherePHD".
+
+    Examples:
+        >>> hex_conv2d(torch.ones(1, 4, 162), torch.ones(8, 4, 7), stride=2).shape
+        torch.Size([1, 8, 42])
+    """
+    _check_conv(values, weight, 2, stride, north)
+    charts, rings = hex_pad(values)
+    start = stride - 1  # a coarser chart begins at the second row of the finer one
+    inside = charts[..., start:, :].flatten(0, 1)
+
+    def convolve(kernel: Tensor, bias: Tensor | None) -> Tensor:
+        planar = _planar_kernel(kernel, COL_TAPS)
+        return F.conv2d(inside, planar, bias, stride).unflatten(0, (-1, 5))
+
+    own = _oriented(convolve, weight, bias, _own_fraction(north, values, stride))
+    special = torch.einsum("bivj,oivj->bov", rings, _ring_kernel(weight, north))
+    return fill_charts(own, special if bias is None else special + bias[:, None])
+
+
+def hex_conv3d(
+    values: Tensor,
+    weight: Tensor,
+    bias: Tensor | None = None,
+    stride: int = 1,
+    north: Tensor | None = None,
+) -> Tensor:
+    """Convolve volumes on an icosphere with seven taps at three neighbouring hypotheses.
+
+    Before the first and after the last hypothesis these are repeated.
+
+    Args:
+        values: ``(B, in, N, V)``; the level follows from V.
+        weight: ``(out, in, 21)``, index ``7 * depth + tap``.
+        bias: ``(out,)``.
+        stride: 1, or 2 to keep the vertices of the next coarser level; all N hypotheses are kept.
+        north: ``north_fraction(level)`` of this level for taps aligned with north; without it they follow the charts.
+
+    Returns:
+        ``(B, out, N, V)``, or of the next coarser level.
+
+    Raises:
+        ShapeError: if values, weight or north do not fit.
+        ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
+
+    Examples:
+        >>> hex_conv3d(torch.ones(1, 4, 16, 42), torch.ones(8, 4, 21)).shape
+        torch.Size([1, 8, 16, 42])
+    """
+    _check_conv(values, weight, 3, stride, north)
+    charts, rings = hex_pad(torch.cat((values[:, :, :1], values, values[:, :, -1:]), 2))
+    inside = charts[..., stride - 1 :, :].flatten(0, 1)
+
+    def convolve(kernel: Tensor, bias: Tensor | None) -> Tensor:
+        planar = _planar_kernel(kernel, COL_TAPS)
+        return F.conv3d(inside, planar, bias, (1, stride, stride)).unflatten(0, (-1, 5))
+
+    by_depth = weight.unflatten(-1, (3, 7))
+    own = _oriented(convolve, by_depth, bias, _own_fraction(north, values, stride))
+    windows = rings.unfold(2, 3, 1)
+    special = torch.einsum("binvjd,oidvj->bonv", windows, _ring_kernel(by_depth, north))
+    return fill_charts(own, special if bias is None else special + bias[:, None, None])
+
+
+def _oriented(convolve: object, weight: Tensor, bias: Tensor | None, fraction: Tensor | None) -> Tensor:
+    """Convolve along the charts, or between two neighbouring orientations."""
+    if fraction is None:
+        return convolve(weight, bias)  # type: ignore[operator]
+    turned = weight.index_select(-1, torch.tensor(NEXT_TAP, device=weight.device))
+    both = convolve(torch.cat((weight, turned)), None if bias is None else bias.repeat(2))  # type: ignore[operator]
+    along, next_one = both.chunk(2, 2)
+    return torch.lerp(along, next_one, fraction)
+
+
+def _own_fraction(north: Tensor | None, values: Tensor, stride: int) -> Tensor | None:
+    """View ``(V,)`` as what charts own and the stride keeps, ``(5, 1, [1,] rows, columns)``."""
+    if north is None:
+        return None
+    n = math.isqrt((values.shape[-1] - 2) // 10)
+    charts = north.to(values)[1:-1].view(5, *(1,) * (values.ndim - 2), 2 * n, n)
+    return charts[..., stride - 1 :: stride, ::stride]
+
+
+def _ring_kernel(weight: Tensor, north: Tensor | None) -> Tensor:
+    """Arrange seven taps ``(*, 7)`` as weights of the rings ``(*, 12, 6)``."""
+    pole_north, a, b, pole_south = CHART_RINGS if north is None else NORTH_RINGS
+    taps = torch.tensor((pole_north, *(a, b) * 5, pole_south), device=weight.device)
+    ring = weight.index_select(-1, taps.flatten()).unflatten(-1, (12, 6))
+    center = weight[..., None, 6:].expand(*ring.shape[:-1], 1)
+    return torch.cat((ring[..., :5] + ring[..., 5:] / 5, center), -1)
+
+
+def _check_conv(values: Tensor, weight: Tensor, spatial_dims: int, stride: int, north: Tensor | None) -> None:
+    level = check_values(values, spatial_dims)
+    taps = 7 if spatial_dims == 2 else 21
+    if weight.ndim != 3 or weight.shape[-1] != taps:
+        raise ShapeError(f"weight: expected shape (out, in, {taps}), got {tuple(weight.shape)}")
+    if weight.shape[1] != values.shape[1]:
+        raise ShapeError(f"values: expected {weight.shape[1]} channels (dimension 1), got {values.shape[1]}")
+    if stride not in (1, 2) or (stride == 2 and level == 0):
+        raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {level}")
+    if north is not None and tuple(north.shape) != (values.shape[-1],):
+        raise ShapeError(
+            f"north: expected north_fraction({level}) of shape ({values.shape[-1]},), got {tuple(north.shape)}"
+        )
+
+
+class _HexConv(nn.Module):
+    """Weights and orientation of a hexagonal convolution."""
+
+    taps: int
+    north: Tensor | None
+
+    def __init__(
+        self,
+        in_channels: int,
+        out_channels: int,
+        stride: int = 1,
+        bias: bool = False,
+        orientation: str = "chart",
+        level: int | None = None,
+    ) -> None:
+        super().__init__()
+        check_choice("orientation", orientation, ORIENTATIONS)
+        if stride not in (1, 2):
+            raise ArgumentError(f"stride: expected 1 or 2, got {stride}")
+        if orientation == "north" and level is None:
+            raise ArgumentError("level: expected the level of the values for orientation 'north', got None")
+        self.stride = stride
+        self.orientation = orientation
+        self.level = level
+        self.weight = nn.Parameter(torch.empty(out_channels, in_channels, self.taps))
+        self.bias = nn.Parameter(torch.empty(out_channels)) if bias else None
+        north = north_fraction(level) if orientation == "north" and level is not None else None
+        self.register_buffer("north", north, persistent=False)
+        self.reset_parameters()
+
+    def reset_parameters(self) -> None:
+        """Draw weights as ``torch.nn.Conv2d`` does, for a fan-in of ``in_channels * taps``."""
+        nn.init.kaiming_uniform_(self.weight, a=math.sqrt(5))
+        if self.bias is not None:
+            bound = 1 / math.sqrt(self.weight[0].numel())
+            nn.init.uniform_(self.bias, -bound, bound)
+
+    def extra_repr(self) -> str:
+        out_channels, in_channels, _ = self.weight.shape
+        level = "" if self.level is None else f", level={self.level}"
+        return (
+            f"{in_channels}, {out_channels}, stride={self.stride}, bias={self.bias is not None}, "
+            f"orientation={self.orientation!r}{level}"
+        )
+
+
+class HexConv2d(_HexConv):
+    """Hexagonal convolution of values ``(B, C, V)`` on an icosphere, true neighbours everywhere.
+
+    Args:
+        in_channels: channels of the values given.
+        out_channels: channels of the values returned.
+        stride: 1, or 2 to keep the vertices of the next coarser level.
+        bias: whether to add a learned bias.
+        orientation: ``"chart"``, one convolution whose taps follow the charts, within 30° of north; or ``"north"``,
+            aligned with north by interpolation, at the price of two.
+        level: of the values given; needed for ``"north"`` only.
+
+    Examples:
+        >>> HexConv2d(3, 32, stride=2)
+        HexConv2d(3, 32, stride=2, bias=False, orientation='chart')
+        >>> HexConv2d(3, 8, orientation="north", level=2)(torch.rand(2, 3, 162)).shape
+        torch.Size([2, 8, 162])
+    """
+
+    taps = 7
+
+    def forward(self, values: Tensor) -> Tensor:
+        return hex_conv2d(values, self.weight, self.bias, self.stride, self.north)
+
+
+class HexConv3d(_HexConv):
+    """Hexagonal convolution of volumes ``(B, C, N, V)`` with weight ``(out, in, 21)``; see ``hex_conv3d``.
+
+    Arguments are those of ``HexConv2d``; hypotheses are always kept.
+
+    Examples:
+        >>> HexConv3d(64, 32)
+        HexConv3d(64, 32, stride=1, bias=False, orientation='chart')
+    """
+
+    taps = 21
+
+    def forward(self, values: Tensor) -> Tensor:
+        return hex_conv3d(values, self.weight, self.bias, self.stride, self.north)

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Charts of an icosphere continued by their true neighbours, and the rings of its twelve special vertices.
+
+With ``n = 2**level``, a chart owns ``2n`` rows and ``n`` columns of vertices. One more row and column on every side
+hold what lies across the border; each of them is a slice of the chart before or after::
+
+    row 0           north pole, then column 0 of the next chart, upper half
+    east column     column 0 of the next chart, lower half, then its last row, then the south pole
+    west column     first row of the chart before, then its last column, upper half and one more
+    row 2n + 1      last column of the chart before, lower half
+
+Along the edges of the polar faces this turns the neighbour by a sixth of a turn, as the sphere does. The twelve
+vertices of the icosahedron have five neighbours, so they are gathered apart, as rings.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ShapeError
+from sphericalvision.crown.layout import _charts
+from sphericalvision.icosphere import level_from_num_vertices
+
+__all__ = ["check_values", "fill_charts", "hex_pad", "ring_ids"]
+
+
+def check_values(values: Tensor, spatial_dims: int | None = None) -> int:
+    """Return the level of values on an icosphere or raise ``ShapeError`` unless they are ``(B, C, [N,] V)``."""
+    if values.ndim not in (3, 4) or (spatial_dims is not None and values.ndim != spatial_dims + 1):
+        expected = {None: "(B, C, V) or (B, C, N, V)", 2: "(B, C, V)", 3: "(B, C, N, V)"}[spatial_dims]
+        raise ShapeError(f"values: expected shape {expected}, got {tuple(values.shape)}")
+    return level_from_num_vertices(values.shape[-1])
+
+
+def ring_ids(level: int) -> list[list[int]]:
+    """Return the five neighbours of the twelve vertices of valence five and these vertices themselves, ``(12, 6)``.
+
+    Vertices come in the order of their ids: north pole, A(k) and B(k) of chart k = 0 to 4, south pole. Neighbours
+    go round counter-clockwise as panoramas are seen, from inside, towards
+
+    * A(0) to A(4) at the north pole,
+    * A(k-1), B(k), B(k+1), A(k+1) and the north pole at A(k),
+    * the south pole, B(k+1), A(k), A(k-1) and B(k-1) at B(k),
+    * B(1), B(0), B(4), B(3), B(2) at the south pole.
+
+    Examples:
+        >>> ring_ids(0)[:2]
+        [[1, 3, 5, 7, 9, 0], [9, 2, 4, 3, 0, 1]]
+    """
+    n = 2**level
+    last = 1 + 10 * n * n
+
+    def own(chart: int, row: int, column: int) -> int:
+        return 1 + ((chart % 5) * 2 * n + row - 1) * n + column
+
+    def east(chart: int, row: int) -> int:
+        """Place in column 1, which at level 0 is the border with the next chart."""
+        if n > 1:
+            return own(chart, row, 1) if row else own(chart + 1, 1, 0)
+        return {0: own(chart + 1, 1, 0), 1: own(chart + 1, 2, 0), 2: last}[row]
+
+    rings = [[own(k, 1, 0) for k in range(5)] + [0]]
+    for k in range(5):
+        rings.append(
+            [
+                own(k - 1, 1, n - 1),
+                own(k, n + 1, 0),
+                east(k, n),
+                east(k, n - 1),
+                own(k, n - 1, 0) if n > 1 else 0,
+                own(k, n, 0),
+            ]
+        )
+        rings.append(
+            [
+                east(k, 2 * n),
+                east(k, 2 * n - 1),
+                own(k, 2 * n - 1, 0),
+                own(k - 1, n, n - 1),
+                own(k - 1, n + 1, n - 1),
+                own(k, 2 * n, 0),
+            ]
+        )
+    rings.append([own(k, 2 * n, n - 1) for k in (1, 0, 4, 3, 2)] + [last])
+    return rings
+
+
+def hex_pad(values: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the charts of values with their true neighbours around, and the rings of the special vertices.
+
+    Args:
+        values: ``(B, C, V)``, or ``(B, C, N, V)`` with N hypotheses.
+
+    Returns:
+        charts ``(B, 5, C, [N,] 2n + 2, n + 2)``, zero in the north-west and south-east corner, which are no
+        neighbours of any vertex; and ``(B, C, [N,] 12, 6)``, five neighbours and the vertex itself, see ``ring_ids``.
+
+    Raises:
+        ShapeError: if the shape is another one or V is not the number of vertices of an icosphere.
+
+    Examples:
+        >>> charts, rings = hex_pad(torch.arange(12.0).view(1, 1, 12))
+        >>> charts[0, 1, 0]
+        tensor([[ 0.,  0.,  5.],
+                [ 1.,  3.,  6.],
+                [ 1.,  4., 11.],
+                [ 2.,  2.,  0.]])
+    """
+    check_values(values)
+    return _Pad.apply(values)
+
+
+def fill_charts(charts: Tensor, special: Tensor) -> Tensor:
+    """Return values ``(B, C, [N,] V)`` from what charts own and the twelve special vertices.
+
+    Args:
+        charts: ``(B, 5, C, [N,] 2n, n)``.
+        special: ``(B, C, [N,] 12)``; these replace what the charts say.
+
+    Examples:
+        >>> fill_charts(torch.zeros(1, 5, 1, 4, 2), torch.ones(1, 1, 12)).sum()
+        tensor(12.)
+    """
+    return _Fill.apply(charts, special)
+
+
+class _Pad(torch.autograd.Function):
+    """Copy values to charts and rings; the adjoint is ``_Unpad``."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor) -> tuple[Tensor, Tensor]:
+        return _pad(values)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        return _Unpad.apply(*gradients)
+
+
+class _Unpad(torch.autograd.Function):
+    """Sum charts and rings into values; the adjoint is ``_Pad``."""
+
+    @staticmethod
+    def forward(ctx: Any, padded: Tensor, rings: Tensor) -> Tensor:
+        return _unpad(padded, rings)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
+        return _Pad.apply(*gradients)
+
+
+class _Fill(torch.autograd.Function):
+    """Copy charts and special vertices to values; the adjoint is ``_Take``."""
+
+    @staticmethod
+    def forward(ctx: Any, charts: Tensor, special: Tensor) -> Tensor:
+        return _fill(charts, special)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
+        return _Take.apply(*gradients)
+
+
+class _Take(torch.autograd.Function):
+    """Copy values to charts without, and to a tensor with, the special vertices; the adjoint is ``_Fill``."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor) -> tuple[Tensor, Tensor]:
+        n = 2 ** level_from_num_vertices(values.shape[-1])
+        charts = _charts(values, n)
+        inner = charts[..., n - 1 :: n, 0].movedim(1, -2).flatten(-2)
+        special = torch.cat((values[..., :1], inner, values[..., -1:]), -1)
+        taken = _empty(tuple(charts.shape), 2, values, 1).copy_(charts)
+        taken[..., n - 1 :: n, 0] = 0
+        return taken, special
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        return _Fill.apply(*gradients)
+
+
+def _empty(shape: tuple[int, ...], channel_dim: int, like: Tensor, like_dim: int) -> Tensor:
+    """Return an uninitialised tensor, its channels fastest in memory if those of ``like`` are."""
+    if like.stride(like_dim) != 1 or like.shape[like_dim] == 1:
+        return like.new_empty(shape)
+    others = shape[:channel_dim] + shape[channel_dim + 1 :]
+    return like.new_empty((*others, shape[channel_dim])).movedim(-1, channel_dim)
+
+
+def _pad(values: Tensor) -> tuple[Tensor, Tensor]:
+    batch, *channels, vertices = values.shape
+    level = level_from_num_vertices(vertices)
+    n = 2**level
+    charts = _charts(values, n)
+    padded = _empty((batch, 5, *channels, 2 * n + 2, n + 2), 2, values, 1)
+    padded[..., 1:-1, 1:-1] = charts
+
+    west = charts[..., 0].roll(-1, 1)  # west edge of the next chart
+    padded[..., 0, 0] = 0
+    padded[..., 0, 1] = values[:, None, ..., 0]
+    padded[..., 0, 2:] = west[..., :n]
+    padded[..., 1 : n + 1, -1] = west[..., n:]
+    padded[..., n + 1 : -2, -1] = charts[..., -1, 1:].roll(-1, 1)
+    padded[..., -2, -1] = values[:, None, ..., -1]
+    padded[..., -1, -1] = 0
+
+    east = charts[..., -1].roll(1, 1)  # east edge of the chart before
+    padded[..., 1 : n + 1, 0] = charts[..., 0, :].roll(1, 1)
+    padded[..., n + 1 :, 0] = east[..., : n + 1]
+    padded[..., -1, 1:-1] = east[..., n:]
+
+    ids = torch.tensor(ring_ids(level), device=values.device)
+    return padded, values.index_select(-1, ids.flatten()).unflatten(-1, (12, 6))
+
+
+def _unpad(padded: Tensor, rings: Tensor) -> Tensor:
+    batch, _, *channels, _, columns = padded.shape
+    n = columns - 2
+    values = _empty((batch, *channels, 2 + 10 * n * n), 1, padded, 2)
+    values[..., 0] = padded[..., 0, 1].sum(1)
+    values[..., -1] = padded[..., -2, -1].sum(1)
+    charts = _charts(values, n)
+    charts.copy_(padded[..., 1:-1, 1:-1])
+    charts[..., :n, 0] += padded[..., 0, 2:].roll(1, 1)
+    charts[..., n:, 0] += padded[..., 1 : n + 1, -1].roll(1, 1)
+    charts[..., -1, 1:] += padded[..., n + 1 : -2, -1].roll(1, 1)
+    charts[..., 0, :] += padded[..., 1 : n + 1, 0].roll(-1, 1)
+    charts[..., : n + 1, -1] += padded[..., n + 1 :, 0].roll(-1, 1)
+    charts[..., n:, -1] += padded[..., -1, 1:-1].roll(-1, 1)
+    ids = torch.tensor(ring_ids(n.bit_length() - 1), device=padded.device)
+    return values.index_add_(-1, ids.flatten(), rings.flatten(-2))
+
+
+def _fill(charts: Tensor, special: Tensor) -> Tensor:
+    batch, _, *channels, _, n = charts.shape
+    values = _empty((batch, *channels, 2 + 10 * n * n), 1, charts, 2)
+    own = _charts(values, n)
+    own.copy_(charts)
+    own[..., n - 1 :: n, 0] = special[..., 1:-1].unflatten(-1, (5, 2)).movedim(-2, 1)
+    values[..., 0], values[..., -1] = special[..., 0], special[..., -1]
+    return values

@@ -370,7 +370,7 @@ def test_what_is_no_calibration_says_what_is_known(tmp_path: Path) -> None:
     (tmp_path / "lens.txt").write_text(OCAM)
     assert "use read_camera" in refused(tmp_path / "lens.txt")
     ring_rig().to_yaml(tmp_path / "rig.yaml")
-    with pytest.raises(SphericalVisionError, match="for read_rig"):
+    with pytest.raises(SphericalVisionError, match="use read_rig"):
         read_camera(tmp_path / "rig.yaml")
 
 

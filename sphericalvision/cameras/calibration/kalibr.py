@@ -93,7 +93,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 def _camera(values: Any, where: str) -> Camera:
     kind = entry(values, "camera_model", where)
-    if kind not in _INTRINSICS:
+    if not isinstance(kind, str) or kind not in _INTRINSICS:
         raise FileFormatError(
             f"{where}, camera_model: expected one of {', '.join(_INTRINSICS)}, got {kind!r}"
         )

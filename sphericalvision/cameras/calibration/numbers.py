@@ -170,9 +170,10 @@ def widest_angle(camera: Camera, mask: Tensor | None = None) -> float:
         return float(torch.where(valid, angles, 0.0).max()) if len(pixels) else 0.0
     border = _border_pixels(camera.image_size)
     angles, valid = _angles(camera, border)
-    if not bool(valid.all()):
-        angles = _angles_at_the_edge(camera, border)
-    return float(angles.max())
+    if bool(valid.all()):
+        return float(angles.max())
+    limit = float(camera.max_angle)
+    return limit if limit < math.pi else float(_angles_at_the_edge(camera, border).max())
 
 
 def _angles(camera: Camera, pixels: Tensor) -> tuple[Tensor, Tensor]:
@@ -180,7 +181,7 @@ def _angles(camera: Camera, pixels: Tensor) -> tuple[Tensor, Tensor]:
     return torch.atan2(directions[..., :2].norm(dim=-1), directions[..., 2]), valid
 
 
-def _border_pixels(image_size: tuple[int, int], samples: int = 256) -> Tensor:
+def _border_pixels(image_size: tuple[int, int], samples: int = 128) -> Tensor:
     """Corners and other pixels of the outermost rows and columns, (n, 2)."""
     height, width = image_size
     across = torch.linspace(0, width - 1, min(width, samples), dtype=torch.float64).round()
@@ -195,7 +196,7 @@ def _angles_at_the_edge(camera: Camera, border: Tensor) -> Tensor:
     forward = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     near, far = camera.project(forward).pixels.expand_as(border), border
     widest = torch.zeros_like(border[:, 0])
-    for fraction in (1.0, *([0.5] * 40)):
+    for fraction in (1.0, *([0.5] * 30)):
         pixels = near + fraction * (far - near)
         angles, valid = _angles(camera, pixels)
         widest = torch.where(valid, torch.maximum(widest, angles), widest)

@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Small calibrations of every format, typed in, and the projections they stand for, written down a second time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+import yaml
+
+from sphericalvision.cameras import Camera
+
+HALF = 0.5**0.5
+QUARTER_TURN = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
+"""Takes what is right of the first camera to the front of the second."""
+
+
+def dump(path: Path, content: Any) -> Path:
+    """Write keys with values as JSON or YAML."""
+    path.write_text(
+        json.dumps(content) if path.suffix == ".json" else yaml.safe_dump(content, sort_keys=False)
+    )
+    return path
+
+
+def directions(max_degrees: float = 60.0, rings: int = 7, spokes: int = 12) -> np.ndarray:
+    """Unit vectors (n, 3) from the axis out to an angle."""
+    angle = np.radians(np.linspace(0.0, max_degrees, rings))[:, None]
+    around = np.linspace(0.0, 2 * np.pi, spokes, endpoint=False)
+    rays = (np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle) + 0 * around)
+    return np.stack(rays, -1).reshape(-1, 3)
+
+
+def assert_projects(camera: Camera, expected: np.ndarray, rays: np.ndarray, tolerance: float = 1e-9) -> None:
+    """The camera, read in double precision, sees ``rays`` at the ``expected`` pixels."""
+    pixels = camera.project(torch.from_numpy(rays)).pixels.numpy()
+    np.testing.assert_allclose(pixels, expected, rtol=0, atol=tolerance)
+
+
+# Projections, each written from its definition and away from the package ----------------------------------------------
+
+
+def opencv_plain(rays: np.ndarray, matrix: Any, distortion: Any) -> np.ndarray:
+    zero = np.zeros(3)
+    points = cv2.projectPoints(
+        rays[:, None], zero, zero, np.array(matrix, float), np.array(distortion, float)
+    )
+    return points[0].reshape(-1, 2)
+
+
+def opencv_fisheye(rays: np.ndarray, matrix: Any, distortion: Any) -> np.ndarray:
+    zero = np.zeros(3)
+    points = cv2.fisheye.projectPoints(
+        rays[:, None], zero, zero, np.array(matrix, float), np.array(distortion, float)
+    )
+    return points[0].reshape(-1, 2)
+
+
+def opencv_omnidir(rays: np.ndarray, matrix: Any, xi: float, distortion: Any) -> np.ndarray:
+    zero = np.zeros((1, 3))
+    points = cv2.omnidir.projectPoints(
+        rays[:, None], zero, zero, np.array(matrix, float), xi, np.array(distortion, float)
+    )
+    return points[0].reshape(-1, 2)
+
+
+def double_sphere(
+    rays: np.ndarray, fx: float, fy: float, cx: float, cy: float, xi: float, alpha: float
+) -> Any:
+    x, y, z = rays.T
+    first = np.sqrt(x * x + y * y + z * z)
+    second = np.sqrt(x * x + y * y + (xi * first + z) ** 2)
+    below = alpha * second + (1 - alpha) * (xi * first + z)
+    return np.stack((fx * x / below + cx, fy * y / below + cy), -1)
+
+
+def extended_unified(
+    rays: np.ndarray, fx: float, fy: float, cx: float, cy: float, alpha: float, beta: float
+) -> Any:
+    x, y, z = rays.T
+    below = alpha * np.sqrt(beta * (x * x + y * y) + z * z) + (1 - alpha) * z
+    return np.stack((fx * x / below + cx, fy * y / below + cy), -1)
+
+
+def kannala_brandt(rays: np.ndarray, fx: float, fy: float, cx: float, cy: float, *k: float) -> Any:
+    """Past 90° too, where ``cv2.fisheye`` is not right."""
+    x, y, z = rays.T
+    radius = np.hypot(x, y)
+    theta = np.arctan2(radius, z)
+    stretched = theta * (1 + sum(c * theta ** (2 * i) for i, c in enumerate(k, start=1)))
+    scale = stretched / np.where(radius > 0, radius, 1)
+    return np.stack((fx * x * scale + cx, fy * y * scale + cy), -1)
+
+
+# Files ----------------------------------------------------------------------------------------------------------------
+
+KALIBR: dict[str, dict[str, Any]] = {
+    "pinhole none": {"camera_model": "pinhole", "intrinsics": [300.5, 301.0, 159.25, 120.75]},
+    "pinhole radtan": {
+        "camera_model": "pinhole",
+        "intrinsics": [461.6, 460.2, 362.7, 246.0],
+        "distortion_model": "radtan",
+        "distortion_coeffs": [-0.277, 0.067, 0.00088, 0.00012],
+        "resolution": [752, 480],
+    },
+    "pinhole equidistant": {
+        "camera_model": "pinhole",
+        "intrinsics": [190.98, 190.97, 254.93, 256.9],
+        "distortion_model": "equidistant",
+        "distortion_coeffs": [0.0035, 0.0007, -0.002, 0.0002],
+        "resolution": [512, 512],
+    },
+    "omni none": {"camera_model": "omni", "intrinsics": [1.2, 400.0, 401.0, 320.5, 240.25]},
+    "omni radtan": {
+        "camera_model": "omni",
+        "intrinsics": [0.8, 833.0, 830.3, 373.85, 253.75],
+        "distortion_model": "radtan",
+        "distortion_coeffs": [-0.33, 0.13, 0.00056, 0.00058],
+        "resolution": [752, 480],
+    },
+    "eucm none": {"camera_model": "eucm", "intrinsics": [0.63, 1.04, 191.1, 191.2, 254.96, 256.88]},
+    "ds none": {"camera_model": "ds", "intrinsics": [-0.17, 0.593, 158.3, 158.2, 254.96, 256.89]},
+}
+
+
+def kalibr(*kinds: str, **changes: Any) -> dict[str, Any]:
+    """A camchain of these cameras, each 10 cm to the right of the one before and a quarter turn further right."""
+    content: dict[str, Any] = {}
+    for index, kind in enumerate(kinds):
+        defaults = {"distortion_model": "none", "distortion_coeffs": [], "resolution": [512, 512]}
+        content[f"cam{index}"] = {**defaults, **KALIBR[kind], "rostopic": f"/cam{index}"}
+        if index:
+            rows = [[*row, t] for row, t in zip(QUARTER_TURN, (0.0, 0.0, -0.1), strict=True)]
+            content[f"cam{index}"]["T_cn_cnm1"] = [*rows, [0.0, 0.0, 0.0, 1.0]]
+    content["cam0"].update(changes)
+    return content
+
+
+MATRIX = [[300.5, 0.0, 159.25], [0.0, 301.0, 120.75], [0.0, 0.0, 1.0]]
+FISHEYE = [[190.98, 0.0, 254.93], [0.0, 190.97, 256.9], [0.0, 0.0, 1.0]]
+OMNIDIR = [[400.0, 0.0, 320.5], [0.0, 401.0, 240.25], [0.0, 0.0, 1.0]]
+
+
+def opencv_yaml(**values: Any) -> str:
+    """A FileStorage as OpenCV lays it out, lists of lists and plain lists being matrices."""
+    lines = ["%YAML:1.0", "---"]
+    for key, value in values.items():
+        if isinstance(value, list):
+            rows = value if isinstance(value[0], list) else [[number] for number in value]
+            data = ", ".join(repr(float(number)) for row in rows for number in row)
+            lines += [f"{key}: !!opencv-matrix", f"   rows: {len(rows)}", f"   cols: {len(rows[0])}"]
+            lines += ["   dt: d", f"   data: [ {data} ]"]
+        else:
+            lines.append(f"{key}: {value}")
+    return "\n".join(lines) + "\n"
+
+
+def opencv_stereo(**changes: Any) -> dict[str, Any]:
+    return {
+        "image_width": 320,
+        "image_height": 240,
+        "M1": MATRIX,
+        "D1": [-0.28, 0.07, 0.001, -0.002, 0.01],
+        "M2": MATRIX,
+        "D2": [-0.27, 0.06, 0.0, 0.0, 0.0],
+        "R": QUARTER_TURN,
+        "T": [0.0, 0.0, -100.0],
+        **changes,
+    }
+
+
+COLMAP = """# Camera list with one line of data per camera:
+#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]
+# Number of cameras: 9
+1 SIMPLE_PINHOLE 320 240 300.5 160 120.5
+2 PINHOLE 320 240 300.5 301.0 160.25 120.75
+3 SIMPLE_RADIAL 320 240 300.5 160 120.5 -0.1
+4 RADIAL 320 240 300.5 160 120.5 -0.1 0.02
+5 OPENCV 320 240 300.5 301.0 160.25 120.75 -0.28 0.07 0.001 -0.002
+6 FULL_OPENCV 320 240 300.5 301.0 160.25 120.75 0.1 0.02 0.001 -0.002 0.01 0.12 0.03 0.004
+7 SIMPLE_RADIAL_FISHEYE 320 240 120.5 160 120.5 0.01
+8 RADIAL_FISHEYE 320 240 120.5 160 120.5 0.01 -0.002
+9 OPENCV_FISHEYE 320 240 120.5 121.0 160.25 120.75 0.01 -0.002 0.001 -0.0002
+"""
+
+
+def mei(**changes: Any) -> dict[str, Any]:
+    """KITTI-360's ``image_02.yaml`` with rounded numbers."""
+    return {
+        "model_type": "MEI",
+        "camera_name": "image_02",
+        "image_width": 1400,
+        "image_height": 1400,
+        "mirror_parameters": {"xi": 2.2134},
+        "distortion_parameters": {"k1": 0.0168, "k2": 1.6549, "p1": 4.2e-4, "p2": 4.3e-4},
+        "projection_parameters": {"gamma1": 1336.3, "gamma2": 1335.8, "u0": 716.9, "v0": 705.8},
+        **changes,
+    }
+
+
+def camodocal_pinhole() -> dict[str, Any]:
+    return {
+        "model_type": "PINHOLE",
+        "image_width": 752,
+        "image_height": 480,
+        "distortion_parameters": {"k1": -0.277, "k2": 0.067, "p1": 0.00088, "p2": 0.00012},
+        "projection_parameters": {"fx": 461.6, "fy": 460.2, "cx": 362.7, "cy": 246.0},
+    }
+
+
+def camodocal_kannala_brandt() -> dict[str, Any]:
+    keys = ("k2", "k3", "k4", "k5", "mu", "mv", "u0", "v0")
+    values = (0.0035, 0.0007, -0.002, 0.0002, 190.98, 190.97, 254.93, 256.9)
+    return {
+        "model_type": "KANNALA_BRANDT",
+        "image_width": 512,
+        "image_height": 512,
+        "projection_parameters": dict(zip(keys, values, strict=True)),
+    }
+
+
+def woodscape(name: str = "FV", **changes: Any) -> dict[str, Any]:
+    """A front camera: it looks along the vehicle's x, its y down being the vehicle's -z."""
+    intrinsic = {
+        "model": "radial_poly",
+        "poly_order": 4,
+        "k1": 339.7,
+        "k2": -32.0,
+        "k3": 48.3,
+        "k4": -7.2,
+        "cx_offset": 3.9,
+        "cy_offset": -3.1,
+        "aspect_ratio": 1.01,
+        "width": 1280.0,
+        "height": 966.0,
+    }
+    extrinsic = {"quaternion": [0.5, -0.5, 0.5, -0.5], "translation": [3.75, 0.0, 0.66]}
+    return {"intrinsic": {**intrinsic, **changes}, "extrinsic": extrinsic, "name": name}
+
+
+MULTICOL_C, MULTICOL_D, MULTICOL_E = 0.98, -0.0035, 0.0039
+
+
+def multicol(**changes: Any) -> dict[str, Any]:
+    """Like Lafida's cameras, with an affine part far enough from 1 to be noticed."""
+    direct = [-209.2, 0.0, 0.00214, -4.22e-06, 1.77e-08]
+    inverse = [293.7, 150.0, -10.4, 28.2, 7.1]
+    return {
+        "Camera.Iw": 754,
+        "Camera.Ih": 480,
+        "Camera.nrpol": len(direct),
+        "Camera.nrinvpol": len(inverse),
+        **{f"Camera.a{power}": value for power, value in enumerate(direct)},
+        **{f"Camera.pol{power}": value for power, value in enumerate(inverse)},
+        "Camera.c": MULTICOL_C,
+        "Camera.d": MULTICOL_D,
+        "Camera.e": MULTICOL_E,
+        "Camera.u0": 392.2,
+        "Camera.v0": 243.5,
+        "Camera.mirrorMask": 1,
+        **changes,
+    }
+
+
+def multicol_system() -> dict[str, Any]:
+    """Two cameras; the second looks to the right: Cayley parameters are tan of half the angle along the axis."""
+    rows = ([0.0, 0.0, 0.0, 0.0, 0.0, 0.1], [0.0, 1.0, 0.0, 0.1, 0.0, 0.0])
+    content: dict[str, Any] = {"CameraSystem.nrCams": 2}
+    for camera, row in enumerate(rows, start=1):
+        content |= {f"CameraSystem.cam{camera}_{place}": value for place, value in enumerate(row, start=1)}
+    return content
+
+
+def basalt(*kinds: str) -> dict[str, Any]:
+    """A rig of these camera types: front, then one that looks to the right."""
+    center = {"cx": 254.96, "cy": 256.89}
+    intrinsics = {
+        "ds": {"fx": 158.3, "fy": 158.2, **center, "xi": -0.17, "alpha": 0.593},
+        "eucm": {"fx": 191.1, "fy": 191.2, **center, "alpha": 0.63, "beta": 1.04},
+        "ucm": {"fx": 191.1, "fy": 191.2, **center, "alpha": 0.63},
+        "kb4": {"fx": 190.98, "fy": 190.97, **center, "k1": 0.0035, "k2": 0.0007, "k3": -0.002, "k4": 2e-4},
+        "pinhole": {"fx": 300.5, "fy": 301.0, **center},
+    }
+    poses = [
+        {"px": 0.0, "py": 0.0, "pz": 0.1, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0},
+        {"px": 0.1, "py": 0.0, "pz": 0.0, "qx": 0.0, "qy": HALF, "qz": 0.0, "qw": HALF},
+    ]
+    return {
+        "value0": {
+            "T_imu_cam": [poses[index % 2] for index in range(len(kinds))],
+            "intrinsics": [{"camera_type": kind, "intrinsics": intrinsics[kind]} for kind in kinds],
+            "resolution": [[512, 512]] * len(kinds),
+        }
+    }

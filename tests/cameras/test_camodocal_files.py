@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camodocal's YAML: KITTI-360's fisheyes, alone and with their poses, and its pinhole and Kannala-Brandt cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from calibration_samples import (
+    assert_projects,
+    camodocal_kannala_brandt,
+    camodocal_pinhole,
+    directions,
+    dump,
+    mei,
+    opencv_fisheye,
+    opencv_omnidir,
+    opencv_plain,
+)
+
+from sphericalvision.cameras import (
+    BrownConradyCamera,
+    KannalaBrandtCamera,
+    UnifiedCamera,
+    read_camera,
+    read_cameras,
+    read_rig,
+)
+from sphericalvision.core import MissingFileError
+
+POSES = """image_00: 1 0 0 1.57 0 1 0 0.05 0 0 1 -1.55
+image_02: 0.0 0.0 -1.0 0.7 1.0 0.0 0.0 -0.3 0.0 -1.0 0.0 -1.5
+image_03: 0.0 0.0 1.0 0.7 -1.0 0.0 0.0 0.4 0.0 -1.0 0.0 -1.5
+"""
+
+
+def write_opencv_like(path: Path, content: dict[str, Any]) -> Path:
+    """With the header of OpenCV's dialect, as KITTI-360 has it."""
+    dump(path, content)
+    path.write_text(f"%YAML:1.0\n---\n{path.read_text()}")
+    return path
+
+
+def test_mei_projects_as_omnidir(tmp_path: Path) -> None:
+    camera = read_camera(write_opencv_like(tmp_path / "image_02.yaml", mei()), dtype=torch.float64)
+    assert isinstance(camera, UnifiedCamera)
+    assert camera.image_size == (1400, 1400)
+    matrix = [[1336.3, 0, 716.9], [0, 1335.8, 705.8], [0, 0, 1]]
+    rays = directions(85.0)
+    assert_projects(camera, opencv_omnidir(rays, matrix, 2.2134, [0.0168, 1.6549, 4.2e-4, 4.3e-4]), rays)
+
+
+def test_pinhole_projects_as_opencv(tmp_path: Path) -> None:
+    camera = read_camera(dump(tmp_path / "cam0.yaml", camodocal_pinhole()), dtype=torch.float64)
+    assert type(camera) is BrownConradyCamera
+    matrix = [[461.6, 0, 362.7], [0, 460.2, 246.0], [0, 0, 1]]
+    rays = directions(25.0)
+    assert_projects(camera, opencv_plain(rays, matrix, [-0.277, 0.067, 0.00088, 0.00012]), rays)
+
+
+def test_kannala_brandt_projects_as_opencv_fisheye(tmp_path: Path) -> None:
+    camera = read_camera(dump(tmp_path / "cam0.yaml", camodocal_kannala_brandt()), dtype=torch.float64)
+    assert type(camera) is KannalaBrandtCamera
+    matrix = [[190.98, 0, 254.93], [0, 190.97, 256.9], [0, 0, 1]]
+    rays = directions(85.0)
+    assert_projects(camera, opencv_fisheye(rays, matrix, [0.0035, 0.0007, -0.002, 0.0002]), rays)
+
+
+def test_several_cameras_in_one_file(tmp_path: Path) -> None:
+    path = dump(tmp_path / "fisheyes.yaml", {"image_02": mei(), "image_03": mei()})
+    assert list(read_cameras(path)) == ["image_02", "image_03"]
+    assert read_camera(path, "image_03").equals(read_camera(path, "image_02"))
+
+
+def test_folder_with_poses_is_a_rig(tmp_path: Path) -> None:
+    """The vehicle's frame has x forward, y right, z down; camera 2 looks left, camera 3 right."""
+    for name in ("image_02", "image_03"):
+        write_opencv_like(tmp_path / f"{name}.yaml", mei(camera_name=name))
+    (tmp_path / "calib_cam_to_pose.txt").write_text(POSES)
+    for path in (tmp_path, tmp_path / "calib_cam_to_pose.txt"):
+        rig = read_rig(path)
+        assert rig.names == ["image_02", "image_03"]
+        torch.testing.assert_close(rig.axes, torch.tensor([[-1.0, 0, 0], [1, 0, 0]]))
+        torch.testing.assert_close(rig.positions[:, 1], torch.tensor([-0.3, 0.4]))
+
+
+def test_poses_without_cameras_say_what_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "calib_cam_to_pose.txt").write_text(POSES)
+    with pytest.raises(MissingFileError, match=r"image_02\.yaml"):
+        read_rig(tmp_path)
+    write_opencv_like(tmp_path / "image_02.yaml", mei())
+    (tmp_path / "calib_cam_to_pose.txt").write_text(POSES.replace("-0.3 0.0 -1.0 0.0 -1.5", "-0.3 0.0"))
+    with pytest.raises(ValueError, match="line 2, image_02: expected 4 rows of 4 numbers, got 9"):
+        read_rig(tmp_path)
+
+
+def test_camera_without_pose_makes_no_rig(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"holds one camera without poses, .* use read_camera"):
+        read_rig(dump(tmp_path / "image_02.yaml", mei()))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"model_type": "SCARAMUZZA"}, "model_type: expected one of MEI, PINHOLE, KANNALA_BRANDT"),
+        ({"mirror_parameters": {}}, "mirror_parameters: the key 'xi' is missing"),
+        ({"mirror_parameters": {"xi": -2.0}}, "xi: expected numbers above -1"),
+        ({"image_width": 0}, "image_width and image_height: expected the width and height"),
+        ({"projection_parameters": {"gamma1": 1.0}}, "projection_parameters: the key"),
+    ],
+)
+def test_broken_file_names_file_and_key(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=r"image_02\.yaml") as caught:
+        read_camera(dump(tmp_path / "image_02.yaml", mei(**changes)))
+    assert message in str(caught.value)
+
+
+def test_field_of_view_ends_where_the_model_does(tmp_path: Path) -> None:
+    """In an image larger than the image circle, bisection between the centre and the border finds the circle's edge."""
+    values = mei(image_width=9000, image_height=9000)
+    values["projection_parameters"] |= {"u0": 4499.5, "v0": 4499.5}
+    values["distortion_parameters"] = dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0)
+    camera = read_camera(dump(tmp_path / "image_02.yaml", values), dtype=torch.float64)
+    limit = np.arccos(-1 / 2.2134)  # where a larger angle no longer means a larger radius
+    assert camera.max_angle.item() == pytest.approx(limit, abs=1e-5)

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files of every format, damaged by hypothesis: refused by name, and never with a raw error.
+
+Three kinds of damage: cut off anywhere, a key or a value replaced or gone, and bytes that mean nothing. A file cut in
+the middle of its last number is still a file; what must not happen is any other exception than those for files.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from calibration_samples import (
+    COLMAP,
+    MATRIX,
+    QUARTER_TURN,
+    basalt,
+    camodocal_kannala_brandt,
+    camodocal_pinhole,
+    kalibr,
+    mei,
+    multicol,
+    multicol_system,
+    opencv_stereo,
+    opencv_yaml,
+    woodscape,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sphericalvision.cameras import read_cameras, read_rig
+from sphericalvision.core import FileFormatError, MissingFileError
+
+JUNK: list[Any] = [
+    "words", "", None, [], {}, [[]], float("nan"), float("inf"), -1.0, 0.0, 1e300, True, [1.0], {"a": 1},
+    "1e-3", [None], ["x"] * 4, 10**400,
+]  # fmt: skip
+
+
+def opencv_values(**changes: Any) -> dict[str, Any]:
+    """What a parsed FileStorage looks like, so that any part of it can be replaced."""
+    values: dict[str, Any] = {}
+    for key, value in opencv_stereo(**changes).items():
+        if isinstance(value, list):
+            rows = value if isinstance(value[0], list) else [[number] for number in value]
+            data = [float(number) for row in rows for number in row]
+            value = {"rows": len(rows), "cols": len(rows[0]), "dt": "d", "data": data}
+        values[key] = value
+    return values
+
+
+CONTENTS: dict[str, Callable[[], dict[str, Any]]] = {
+    "camchain.yaml": lambda: kalibr("pinhole radtan", "ds none", "omni radtan", "pinhole equidistant"),
+    "calibration.json": lambda: basalt("ds", "eucm", "kb4", "ucm", "pinhole"),
+    "image_02.yaml": mei,
+    "pinhole.yaml": camodocal_pinhole,
+    "kannala.yaml": camodocal_kannala_brandt,
+    "FV.json": woodscape,
+    "fisheye.yaml": multicol,
+    "stereo.yaml": opencv_values,
+    "stereo.json": lambda: opencv_values(
+        xi_1=1.2, xi_2=0.9, D1=[0.1, 0.0, 0.0, 0.0], D2=[0.1, 0.0, 0.0, 0.0]
+    ),
+}
+TEXTS: dict[str, str] = {
+    **{
+        name: json.dumps(make()) if name.endswith("json") else yaml.safe_dump(make())
+        for name, make in CONTENTS.items()
+    },
+    "cameras.txt": COLMAP,
+    "plain.yml": opencv_yaml(image_width=320, image_height=240, camera_matrix=MATRIX, dist_coeffs=[0.1] * 5),
+    "plain.xml": "<?xml version='1.0'?><opencv_storage><image_width>320</image_width><image_height>240"
+    "</image_height><camera_matrix type_id='opencv-matrix'><rows>3</rows><cols>3</cols><dt>d</dt>"
+    f"<data>{' '.join(str(number) for row in MATRIX for number in row)}</data></camera_matrix></opencv_storage>",
+}
+
+
+def read_everything(path: Path) -> None:
+    """As a camera and, where the file has poses, as a rig."""
+    read_cameras(path, max_angle=1.0, image_size=(240, 320))
+    if path.name not in (
+        "cameras.txt",
+        "plain.yml",
+        "plain.xml",
+        "pinhole.yaml",
+        "kannala.yaml",
+        "fisheye.yaml",
+    ):
+        unit = "mm" if path.stem == "stereo" else None
+        if path.name != "image_02.yaml":
+            read_rig(path, max_angle=1.0, translation_unit=unit, image_size=(240, 320))
+
+
+@contextmanager
+def written(text: str | bytes, name: str) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of implausible rigs, where a pose could still be read
+        path = Path(folder) / name
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        yield path
+
+
+def survives(text: str | bytes, name: str) -> None:
+    """Read, or refused with an error that names the file."""
+    with written(text, name) as path:
+        message = str(path)
+        try:
+            read_everything(path)
+        except FileFormatError as error:
+            message = str(error)
+        assert str(path) in message
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_intact_file_is_read(name: str) -> None:
+    with written(TEXTS[name], name) as path:
+        read_everything(path)
+
+
+@given(data=st.data())
+@settings(max_examples=150, deadline=None)
+def test_file_cut_anywhere(data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(sorted(TEXTS)))
+    survives(TEXTS[name][: data.draw(st.integers(0, len(TEXTS[name])))], name)
+
+
+@given(data=st.data())
+@settings(max_examples=150, deadline=None)
+def test_any_bytes_anywhere(data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(sorted(TEXTS)))
+    text = TEXTS[name].encode()
+    start = data.draw(st.integers(0, len(text)))
+    end = data.draw(st.integers(start, min(len(text), start + 20)))
+    survives(text[:start] + data.draw(st.binary(max_size=12)) + text[end:], name)
+
+
+@given(
+    text=st.text(max_size=200), name=st.sampled_from(["a.yaml", "a.json", "a.xml", "a.txt", "cameras.txt"])
+)
+@settings(max_examples=100, deadline=None)
+def test_any_text(text: str, name: str) -> None:
+    with written(text, name) as path, pytest.raises(FileFormatError) as caught:
+        read_cameras(path)
+    assert str(path) in str(caught.value)
+
+
+def places(content: Any, at: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+    """Where values stand, by keys and indices."""
+    items = content.items() if isinstance(content, dict) else enumerate(content)
+    found: list[tuple[str | int, ...]] = []
+    for key, value in items:
+        found.append((*at, key))
+        if isinstance(value, dict | list):
+            found += places(value, (*at, key))
+    return found
+
+
+@given(data=st.data())
+@settings(max_examples=400, deadline=None)
+def test_anything_in_place_of_a_value(data: st.DataObject) -> None:
+    """Values replaced, keys deleted, lists made longer or shorter; also two at once."""
+    name = data.draw(st.sampled_from(sorted(CONTENTS)))
+    content: Any = copy.deepcopy(CONTENTS[name]())
+    for _ in range(data.draw(st.integers(1, 2))):
+        *way, last = data.draw(st.sampled_from(places(content)))
+        inner = content
+        for key in way:
+            inner = inner[key]
+        damage = data.draw(st.sampled_from(["replace", "delete", "repeat"]))
+        if damage == "delete":
+            del inner[last]
+        elif damage == "repeat" and isinstance(inner, list):
+            inner.append(inner[last])
+        else:
+            inner[last] = copy.deepcopy(data.draw(st.sampled_from(JUNK)))
+        if not places(content):
+            break
+    survives(json.dumps(content) if name.endswith("json") else yaml.safe_dump(content), name)
+
+
+NEEDED = {
+    "camchain.yaml": ("intrinsics", "resolution", "camera_model", "T_cn_cnm1"),
+    "calibration.json": (
+        "intrinsics",
+        "T_imu_cam",
+        "resolution",
+        "camera_type",
+        "fx",
+        "alpha",
+        "k4",
+        "qw",
+        "px",
+    ),
+    "image_02.yaml": ("model_type", "xi", "k1", "p2", "gamma1", "v0", "image_width", "projection_parameters"),
+    "FV.json": ("intrinsic", "k1", "k4", "cx_offset", "width", "quaternion", "translation"),
+    "fisheye.yaml": ("Camera.nrpol", "Camera.a2", "Camera.pol4", "Camera.c", "Camera.u0", "Camera.Ih"),
+    "stereo.yaml": ("M1", "M2", "data", "rows"),
+}
+
+
+@pytest.mark.parametrize("name", NEEDED)
+@pytest.mark.parametrize("junk", ["words", None, [], {}, float("nan")], ids=repr)
+def test_needed_values_are_refused_by_name(name: str, junk: Any) -> None:
+    """Not only no raw error: a file in which something needed is broken is never read."""
+    intact = CONTENTS[name]()
+    for *way, last in places(intact):
+        if last not in NEEDED[name]:
+            continue
+        for delete in (False, True):
+            content: Any = copy.deepcopy(intact)
+            inner = content
+            for key in way:
+                inner = inner[key]
+            if delete:
+                del inner[last]
+            else:
+                inner[last] = junk
+            text = json.dumps(content) if name.endswith("json") else yaml.safe_dump(content)
+            with written(text, name) as path, pytest.raises(FileFormatError) as caught:
+                read_everything(path)
+            assert str(path) in str(caught.value)
+
+
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_words_of_a_text_file(data: st.DataObject) -> None:
+    """COLMAP's lines with a word replaced, dropped or repeated."""
+    lines = COLMAP.splitlines()
+    row = data.draw(st.integers(3, len(lines) - 1))
+    words: list[str] = lines[row].split()
+    place = data.draw(st.integers(0, len(words) - 1))
+    junk = data.draw(st.sampled_from(["", "nan", "x", "-1", "1e400", "0 0", "#", "FOV"]))
+    words[place : place + 1] = junk.split()
+    lines[row] = " ".join(words)
+    survives("\n".join(lines), "cameras.txt")
+
+
+@pytest.mark.parametrize("damage", ["nan 0 0", "0 0", "2 0 0", "words 0 0"])
+def test_poses_of_folders(tmp_path: Path, damage: str) -> None:
+    (tmp_path / "image_02.yaml").write_text(yaml.safe_dump(mei()))
+    line = "image_02: " + " ".join(f"{' '.join(map(str, row))} 0" for row in QUARTER_TURN)
+    path = tmp_path / "calib_cam_to_pose.txt"
+    path.write_text(line.replace("0.0 0.0 -1.0", damage, 1))
+    with pytest.raises(FileFormatError, match="line 1, image_02"):
+        read_rig(tmp_path)
+
+
+def test_system_with_other_files_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "MultiCamSys_Calibration.yaml").write_text(yaml.safe_dump(multicol_system()))
+    for index in (0, 1):
+        (tmp_path / f"InteriorOrientationFisheye{index}.yaml").write_text("- 1\n- 2\n")
+    with pytest.raises(FileFormatError, match=r"InteriorOrientationFisheye0\.yaml: expected keys"):
+        read_rig(tmp_path)
+    (tmp_path / "InteriorOrientationFisheye0.yaml").unlink()
+    with pytest.raises(MissingFileError):
+        read_rig(tmp_path)
+
+
+def test_key_that_stands_twice_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "camchain.yaml"
+    path.write_text(yaml.safe_dump(kalibr("ds none")) + "cam0: {}\n")
+    with pytest.raises(FileFormatError, match=r"the key 'cam0' stands twice.*line \d+"):
+        read_rig(path)
+
+
+def test_yaml_runs_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "camchain.yaml"
+    path.write_text("cam0: !!python/object/apply:os.system ['exit 1']\n")
+    with pytest.raises(FileFormatError, match="not valid YAML"):
+        read_rig(path)

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OpenCV's FileStorage: plain, fisheye and omnidir cameras, pairs of them, in YAML, XML and JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from calibration_samples import (
+    FISHEYE,
+    MATRIX,
+    OMNIDIR,
+    QUARTER_TURN,
+    assert_projects,
+    directions,
+    opencv_fisheye,
+    opencv_omnidir,
+    opencv_plain,
+    opencv_stereo,
+    opencv_yaml,
+)
+
+from sphericalvision.cameras import (
+    BrownConradyCamera,
+    CameraRig,
+    KannalaBrandtCamera,
+    PinholeCamera,
+    UnifiedCamera,
+    read_camera,
+    read_rig,
+    ring_rig,
+    save_camera,
+    save_rig,
+)
+
+SIZE = {"image_width": 320, "image_height": 240}
+RATIONAL = [0.1, 0.02, 0.001, -0.002, 0.01, 0.12, 0.03, 0.004]
+PLAIN = [-0.28, 0.07, 0.001, -0.002, 0.01]
+KB = [0.0035, 0.0007, -0.002, 0.0002]
+
+
+def write(path: Path, **values: Any) -> Path:
+    path.write_text(opencv_yaml(**values))
+    return path
+
+
+@pytest.mark.parametrize("distortion", [PLAIN[:4], PLAIN, RATIONAL], ids=len)
+def test_plain(tmp_path: Path, distortion: list[float]) -> None:
+    path = write(tmp_path / "camera.yml", **SIZE, camera_matrix=MATRIX, distortion_coefficients=distortion)
+    camera = read_camera(path, dtype=torch.float64)
+    assert type(camera) is BrownConradyCamera
+    assert camera.image_size == (240, 320)
+    rays = directions(28.0)
+    assert_projects(camera, opencv_plain(rays, MATRIX, distortion), rays)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"fisheye_model": 1, "camera_matrix": FISHEYE, "distortion_coefficients": KB},
+        {"distortion_model": "equidistant", "camera_matrix": FISHEYE, "distortion_coefficients": KB},
+        {"K": FISHEYE, "D": KB},
+    ],
+    ids=["the tutorial's flag", "ROS's name", "names of cv2.fisheye"],
+)
+def test_fisheye(tmp_path: Path, values: dict[str, Any]) -> None:
+    camera = read_camera(
+        write(tmp_path / "camera.yaml", image_width=512, image_height=512, **values), dtype=torch.float64
+    )
+    assert type(camera) is KannalaBrandtCamera
+    rays = directions(85.0)
+    assert_projects(camera, opencv_fisheye(rays, FISHEYE, KB), rays)
+
+
+def test_flag_decides_between_four_coefficients(tmp_path: Path) -> None:
+    plain = write(tmp_path / "camera.yaml", **SIZE, fisheye_model=0, K=MATRIX, D=PLAIN[:4])
+    assert type(read_camera(plain)) is BrownConradyCamera
+
+
+def test_omnidir(tmp_path: Path) -> None:
+    distortion = [-0.1, 0.02, 1e-3, -2e-3]
+    path = write(tmp_path / "omni.yaml", image_width=640, image_height=480, K=OMNIDIR, D=distortion, xi=[1.2])
+    camera = read_camera(path, dtype=torch.float64)
+    assert type(camera) is UnifiedCamera
+    rays = directions(80.0)
+    assert_projects(camera, opencv_omnidir(rays, OMNIDIR, 1.2, distortion), rays)
+
+
+@pytest.mark.parametrize(
+    "spelling", [("cameraMatrix", "dist_coeffs"), ("Camera_Matrix", "distCoeffs"), ("K", "D")]
+)
+def test_keys_are_known_in_the_spellings_of_the_samples(tmp_path: Path, spelling: tuple[str, str]) -> None:
+    values = {spelling[0]: MATRIX, spelling[1]: PLAIN}
+    camera = read_camera(write(tmp_path / "camera.yaml", cameraResolution=[320, 240], **values))
+    assert type(camera) is BrownConradyCamera
+    assert camera.image_size == (240, 320)
+
+
+def test_matrix_without_distortion_is_a_pinhole(tmp_path: Path) -> None:
+    assert type(read_camera(write(tmp_path / "camera.yaml", **SIZE, K=MATRIX))) is PinholeCamera
+
+
+def test_image_size_can_be_given_where_the_file_does_not_tell(tmp_path: Path) -> None:
+    path = write(tmp_path / "intrinsics.yml", K=MATRIX, D=PLAIN)
+    with pytest.raises(
+        ValueError, match=r"intrinsics\.yml has no image_width .* image_size=\(height, width\)"
+    ):
+        read_camera(path)
+    assert read_camera(path, image_size=(240, 320)).image_size == (240, 320)
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".yml", ".xml", ".json"])
+def test_files_that_opencv_writes_are_read(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"camera{suffix}"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("calibration_time", "Sat 21 Nov 2026 07:00:00")
+    storage.write("image_width", 320)
+    storage.write("image_height", 240)
+    storage.write("camera_matrix", np.array(MATRIX))
+    storage.write("distortion_coefficients", np.array([PLAIN]))
+    storage.write("per_view_reprojection_errors", np.array([[0.1], [0.2]], np.float32))
+    storage.release()
+    camera = read_camera(path, dtype=torch.float64)
+    assert isinstance(camera, BrownConradyCamera)
+    assert camera.focal_length.tolist() == [300.5, 301.0]
+    assert camera.principal_point.tolist() == [159.25, 120.75]
+    assert camera.distortion.tolist() == PLAIN
+
+
+def cameras() -> dict[str, Any]:
+    focal, center, size = [300.1, 299.9], [159.3, 120.7], (240, 320)
+    third = 1 / 3
+    return {
+        "pinhole": PinholeCamera(torch.tensor(focal, dtype=torch.float64), center, size),
+        "plain": BrownConradyCamera(
+            torch.tensor(focal, dtype=torch.float64), center, [-third, 0.1, 0, 0, 0.0], size
+        ),
+        "rational": BrownConradyCamera(torch.tensor(focal, dtype=torch.float64), center, RATIONAL, size),
+        "fisheye": KannalaBrandtCamera(torch.tensor(focal, dtype=torch.float64), center, KB, size, 1.0),
+        "omnidir": UnifiedCamera(
+            torch.tensor(focal, dtype=torch.float64), center, third, [0.1, 0, 0, 0, 0], size
+        ),
+    }
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".xml", ".json"])
+@pytest.mark.parametrize("name", cameras())
+def test_camera_is_read_back_as_written(tmp_path: Path, name: str, suffix: str) -> None:
+    camera = cameras()[name]
+    path = tmp_path / f"camera{suffix}"
+    save_camera(camera, path, format="opencv")
+    again = read_camera(path, max_angle=float(camera.max_angle), dtype=torch.float64)
+    assert again.equals(camera)
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def test_opencv_reads_what_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    save_camera(cameras()["plain"], path, format="opencv")
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    matrix, distortion = (storage.getNode(key).mat() for key in ("camera_matrix", "distortion_coefficients"))
+    rays = directions(20.0)
+    assert_projects(cameras()["plain"], opencv_plain(rays, matrix, distortion), rays)
+
+
+def test_stereo_pair(tmp_path: Path) -> None:
+    """R and T take the first camera's coordinates to the second's: the second is 10 cm to the right, looking right."""
+    path = write(tmp_path / "stereo.yml", **opencv_stereo())
+    with pytest.raises(ValueError, match=r"translation_unit: .*does not tell the unit of T"):
+        read_rig(path)
+    rig = read_rig(path, translation_unit="mm")
+    torch.testing.assert_close(rig.positions, torch.tensor([[0.0, 0, 0], [0.1, 0, 0]]))
+    torch.testing.assert_close(rig.axes, torch.tensor([[0.0, 0, 1], [1, 0, 0]]), rtol=0, atol=1e-6)
+
+
+def test_stereo_sample_in_two_files(tmp_path: Path) -> None:
+    values = opencv_stereo()
+    write(tmp_path / "intrinsics.yml", **{key: values[key] for key in ("M1", "D1", "M2", "D2")})
+    write(tmp_path / "extrinsics.yml", **{key: values[key] for key in ("R", "T")}, R1=QUARTER_TURN)
+    for path in (tmp_path, tmp_path / "extrinsics.yml", tmp_path / "intrinsics.yml"):
+        rig = read_rig(path, translation_unit="mm", image_size=(240, 320))
+        torch.testing.assert_close(rig.radius, torch.tensor(0.05))
+
+
+def test_omnidir_stereo_sample_with_rotation_vector(tmp_path: Path) -> None:
+    values = {}
+    for index in (1, 2):
+        values[f"camera_matrix_{index}"] = OMNIDIR
+        values[f"distortion_coefficients_{index}"] = [0.1, 0.0, 0.0, 0.0]
+        values[f"xi_{index}"] = 1.2
+    rvec = cv2.Rodrigues(np.array(QUARTER_TURN))[0].ravel().tolist()
+    path = write(tmp_path / "stereo.yaml", **values, rvec=rvec, tvec=[0.0, 0.0, -0.1])
+    rig = read_rig(path, translation_unit="m", image_size=(480, 640))
+    assert {type(camera) for camera in rig.cameras.values()} == {UnifiedCamera}
+    torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0, 0]), rtol=0, atol=1e-6)
+
+
+def test_pair_is_read_back_as_written_without_a_unit(tmp_path: Path) -> None:
+    both = cameras()
+    poses = ring_rig(2, radius=0.1).to(torch.float64).world_from_camera
+    poses = torch.linalg.inv(poses[0]) @ poses  # the first camera is the world, as in the format
+    rig = CameraRig({"cam1": both["fisheye"], "cam2": both["omnidir"]}, poses)
+    save_rig(rig, tmp_path / "stereo.yaml", format="opencv")
+    again = read_rig(tmp_path / "stereo.yaml", dtype=torch.float64)
+    torch.testing.assert_close(again.world_from_camera, poses, rtol=0, atol=1e-15)
+    for name, camera in rig.cameras.items():
+        assert again.cameras[name].with_max_angle(camera.max_angle).equals(camera)
+
+
+def test_what_opencv_cannot_hold_is_refused(tmp_path: Path) -> None:
+    rig = CameraRig([cameras()["plain"]] * 3, torch.eye(4, dtype=torch.float64).repeat(3, 1, 1))
+    with pytest.raises(ValueError, match="one camera or two, this rig has 3"):
+        save_rig(rig, tmp_path / "rig.yaml", format="opencv")
+    with pytest.raises(ValueError, match=r"expected the suffix \.yaml"):
+        save_camera(cameras()["plain"], tmp_path / "camera.txt", format="opencv")
+    with_k3 = UnifiedCamera([300.0, 300.0], [159.5, 119.5], 1.0, [0.1, 0.0, 0.0, 0.0, 0.01], (240, 320))
+    with pytest.raises(ValueError, match="holds 4 numbers of distortion"):
+        save_camera(with_k3, tmp_path / "camera.yaml", format="opencv")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"camera_matrix": [[300.0, 0.5, 159.0], [0, 300, 119], [0, 0, 1]]}, "camera_matrix: a skew of 0.5"),
+        ({"camera_matrix": [[300.0, 0, 159.0], [0, 300, 119]]}, "camera_matrix: expected 9 numbers, got 6"),
+        ({"camera_matrix": [[300.0, 0, 159], [0, 300, 119], [0, 0, 2]]}, "camera_matrix: expected 0 0 1"),
+        ({"distortion_coefficients": [0.1, 0.2]}, "distortion_coefficients"),
+        ({"image_width": "wide"}, "image_width and image_height: expected numbers"),
+    ],
+)
+def test_broken_file_names_file_and_key(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    values = {**SIZE, "camera_matrix": MATRIX, "distortion_coefficients": PLAIN, **changes}
+    with pytest.raises(ValueError, match=r"camera\.yaml") as caught:
+        read_camera(write(tmp_path / "camera.yaml", **values))
+    assert message in str(caught.value)
+
+
+def test_matrix_shorter_than_announced_is_refused(tmp_path: Path) -> None:
+    text = opencv_yaml(**SIZE, camera_matrix=MATRIX).replace(", 1.0 ]", " ]")
+    (tmp_path / "camera.yaml").write_text(text)
+    with pytest.raises(ValueError, match="camera_matrix: announces 3 x 3 numbers but holds 8"):
+        read_camera(tmp_path / "camera.yaml")
+
+
+def test_pair_without_transform_makes_no_rig(tmp_path: Path) -> None:
+    values = opencv_stereo()
+    del values["R"]
+    with pytest.raises(ValueError, match=r"holds 2 cameras without poses, .* use read_cameras"):
+        read_rig(write(tmp_path / "stereo.yaml", **values), translation_unit="mm")
+
+
+def test_xml_of_another_kind_is_refused(tmp_path: Path) -> None:
+    for text, message in (
+        ("<?xml version='1.0'?><calibration/>", "expected OpenCV's <opencv_storage>, got <calibration>"),
+        ("<?xml version='1.0'?><opencv_storage><a>", "not valid XML .*line 1"),
+        ("<?xml version='1.0'?><!DOCTYPE a [<!ENTITY b 'c'>]><opencv_storage/>", "no document type"),
+    ):
+        (tmp_path / "camera.xml").write_text(text)
+        with pytest.raises(ValueError, match=message):
+            read_camera(tmp_path / "camera.xml")

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""save_camera and save_rig: the choice of a format, batches, masks, and the package's own YAML with every model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.cameras import (
+    BrownConradyCamera,
+    Camera,
+    CameraRig,
+    EquirectangularCamera,
+    ExtendedUnifiedCamera,
+    FisheyeCamera,
+    KannalaBrandtCamera,
+    PinholeCamera,
+    RadialPolynomialCamera,
+    UnifiedCamera,
+    read_camera,
+    read_rig,
+    ring_rig,
+    save_camera,
+    save_rig,
+)
+from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
+from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation, quaternion_from_rotation
+from sphericalvision.geometry import transform_from_axis_angle
+
+SIZE = (240, 320)
+
+
+def cameras() -> dict[str, Camera]:
+    focal, center = [100.1, 99.9], [160.3, 119.7]
+    return {
+        "plain": BrownConradyCamera([300.1, 299.9], center, [-0.1, 0.02, 1e-3, -1e-3, 0.01], SIZE),
+        "rational": BrownConradyCamera([300.1, 299.9], center, [0.1] * 8, SIZE, 0.5),
+        "unified": UnifiedCamera(focal, center, 1.2, None, SIZE, 1.4),
+        "mei": UnifiedCamera([400.0, 401.0], center, 1.2, [-0.1, 0.02, 1e-4, 0.0, 1e-3], SIZE),
+        "extended": ExtendedUnifiedCamera(focal, center, 0.63, 1.04, SIZE),
+        "polynomial": RadialPolynomialCamera([99.0, -9.0, 14.0, -2.1], center, 1.01, SIZE),
+    }
+
+
+@pytest.mark.parametrize("name", cameras())
+def test_own_yaml_returns_the_same_camera(tmp_path: Path, name: str) -> None:
+    camera = cameras()[name]
+    save_camera(camera, tmp_path / "camera.yaml")
+    assert read_camera(tmp_path / "camera.yaml").equals(camera)
+
+
+def test_own_yaml_returns_the_same_rig(tmp_path: Path) -> None:
+    rig = CameraRig(cameras(), torch.eye(4).repeat(len(cameras()), 1, 1))
+    save_rig(rig, tmp_path / "anything.at.all")
+    again = read_rig((tmp_path / "anything.at.all").rename(tmp_path / "rig.yaml"))
+    assert all(again.cameras[name].equals(camera) for name, camera in rig.cameras.items())
+
+
+def test_unknown_format_names_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="format: expected one of 'native', 'ocamcalib', 'basalt'"):
+        save_camera(cameras()["plain"], tmp_path / "a.yaml", format="yaml")
+    with pytest.raises(ValueError, match=r"format: expected one of 'native', 'omnimvs'.*got 'colmap'"):
+        save_rig(ring_rig(), tmp_path / "a.txt", format="colmap")
+
+
+@pytest.mark.parametrize("format", CAMERA_FORMATS)
+def test_batch_of_cameras_is_refused(tmp_path: Path, format: str) -> None:
+    batch = KannalaBrandtCamera(torch.ones(2, 2), torch.ones(2, 2), torch.zeros(2, 4), SIZE, 1.0)
+    with pytest.raises(ValueError, match=r"got a batch \(2,\); use select"):
+        save_camera(batch, tmp_path / "camera.yaml", format=format)
+
+
+@pytest.mark.parametrize("format", RIG_FORMATS)
+def test_batch_of_rigs_is_refused(tmp_path: Path, format: str) -> None:
+    with pytest.raises(ValueError, match=r"got a batch; use rig\.select"):
+        save_rig(CameraRig.stack([ring_rig(), ring_rig()]), tmp_path / "rig.yaml", format=format)
+
+
+@pytest.mark.parametrize("format", RIG_FORMATS[1:])
+def test_model_that_no_other_format_has_is_sent_to_native(tmp_path: Path, format: str) -> None:
+    pair = CameraRig([EquirectangularCamera((80, 160))] * 2, torch.eye(4).repeat(2, 1, 1))
+    with pytest.raises(ValueError, match=rf"'{format}' has no equirectangular model.*Write it as 'native'"):
+        save_rig(pair, tmp_path / "rig.yaml", format=format)
+    assert not list(tmp_path.iterdir())
+
+
+def test_masks_that_are_not_written_are_told(tmp_path: Path) -> None:
+    mask = {"cam1": torch.ones(SIZE, dtype=torch.bool)}
+    rig = CameraRig([PinholeCamera([300.0, 300.0], [159.5, 119.5], SIZE)], torch.eye(4)[None], mask)
+    with pytest.warns(UserWarning, match=r"'kalibr' holds no masks, those of cam1 are not written"):
+        save_rig(rig, tmp_path / "camchain.yaml", format="kalibr")
+
+
+def test_learned_intrinsics_are_written(tmp_path: Path) -> None:
+    focal = torch.tensor([300.0, 301.0], requires_grad=True)
+    for format in ("native", "basalt", "kalibr", "opencv", "colmap"):
+        path = tmp_path / ("cameras.txt" if format == "colmap" else "camera.yaml")
+        path = path.with_suffix(".json") if format == "basalt" else path
+        save_camera(PinholeCamera(focal, [159.5, 119.5], SIZE), path, format=format)
+        camera = read_camera(path)
+        assert isinstance(camera, PinholeCamera)
+        assert camera.focal_length.tolist() == [300.0, 301.0]
+
+
+def test_failed_writing_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    save_camera(cameras()["plain"], path)
+    before = path.read_text()
+    with pytest.raises(ValueError, match="fisheye"):
+        save_camera(FisheyeCamera("equisolid", 100.0, [1.0, 1.0], SIZE, 1.0), path, format="opencv")
+    assert path.read_text() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["camera.yaml"]
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1e-7, 1e-3, 45.0, 120.0, 179.0, 180.0 - 1e-7, 180.0])
+def test_rotations_become_quaternions_and_vectors_to_the_last_digits(degrees: float) -> None:
+    axis = torch.tensor([0.6, -0.48, 0.64], dtype=torch.float64)
+    vector = axis * torch.deg2rad(torch.tensor(degrees, dtype=torch.float64))
+    rotation = transform_from_axis_angle(vector[None], torch.zeros(1, 3, dtype=torch.float64))[0, :3, :3]
+    w, x, y, z = quaternion_from_rotation(rotation)
+    assert w >= 0
+    assert w * w + x * x + y * y + z * z == pytest.approx(1.0, abs=1e-14)
+    found = torch.tensor(axis_angle_from_rotation(rotation), dtype=torch.float64)
+    angle = found.norm()
+    skew = torch.linalg.cross(
+        torch.eye(3, dtype=torch.float64), (found / angle.clamp_min(1e-300)).expand(3, 3)
+    )
+    rodrigues = torch.eye(3, dtype=torch.float64) + angle.sin() * skew + (1 - angle.cos()) * skew @ skew
+    torch.testing.assert_close(rodrigues, rotation, rtol=0, atol=2e-15)

@@ -70,6 +70,7 @@ class DepthModule(pl.LightningModule):
         aggregation: "concatenation", or "variance" for any number of cameras and few training frames.
         feature_coarsening: levels by which features are coarser than images, 2 or 1.
         volume_channels: half the width of the regulariser; ``feature_channels`` when not given.
+        recompute: train in less than half the memory, for a third more work; the results are the same.
         learning_rate: of Adam, at its highest.
         weight_decay: of Adam.
         schedule: ``"constant"``, ``"step"`` or ``"cosine"``; see ``learning_rate_factor``.
@@ -92,6 +93,7 @@ class DepthModule(pl.LightningModule):
         aggregation: str = "concatenation",
         feature_coarsening: int = 2,
         volume_channels: int | None = None,
+        recompute: bool = False,
         learning_rate: float = 1e-3,
         weight_decay: float = 0.0,
         schedule: str = "step",
@@ -121,6 +123,7 @@ class DepthModule(pl.LightningModule):
             feature_coarsening=feature_coarsening,
             volume_channels=volume_channels,
         )
+        self.net.recompute = recompute
         self.tables = RigTables(self.net.sweep)
         self.validation_metric = DepthIndexError(num_hypotheses)
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -17,6 +18,7 @@ from sphericalvision.models.aggregation import (
     mean_and_variance,
 )
 from sphericalvision.models.features import FeatureExtractor
+from sphericalvision.models.recompute import recomputed
 from sphericalvision.models.regularization import CostRegularizer
 from sphericalvision.sweep import (
     DepthIndex,
@@ -114,6 +116,18 @@ class IcoSweepNet(nn.Module):
         )
 
     @property
+    def recompute(self) -> bool:
+        """Whether training saves memory by computing the inside of blocks twice: the same results, a third more work.
+
+        May be set at any time.
+        """
+        return self.regularizer.recompute
+
+    @recompute.setter
+    def recompute(self, value: bool) -> None:
+        self.regularizer.recompute = value
+
+    @property
     def any_cameras(self) -> bool:
         """Whether rigs of any number of cameras are taken, in any order, with the same weights."""
         return self.aggregation == "variance"
@@ -206,7 +220,8 @@ class IcoSweepNet(nn.Module):
         step a camera.
         """
         if self.training and self.norm == "batch":
-            return torch.stack([self.features(camera_images) for camera_images in images.unbind(1)], 1)
+            run = partial(recomputed, self.features) if self.recompute else self.features
+            return torch.stack([run(camera_images) for camera_images in images.unbind(1)], 1)
         return self.features(images.flatten(0, 1)).unflatten(0, images.shape[:2])
 
     def _not_blank(self, images: Tensor, tables: SweepTables) -> Tensor:

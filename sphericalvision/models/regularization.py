@@ -16,6 +16,7 @@ from sphericalvision.crown import (
     from_crown,
     to_crown,
 )
+from sphericalvision.models.recompute import recomputed
 
 __all__ = ["ConvNorm3d", "CostBlock", "CostRegularizer"]
 
@@ -69,6 +70,9 @@ class CostRegularizer(nn.Module):
         norm: "batch" or "instance".
         fusion_channels: width between the first two convolutions; ``in_channels`` when not given.
 
+    Attributes:
+        recompute: whether to save memory in training by computing the inside of each block twice.
+
     References:
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
         representation of icosahedron", table of layers.
@@ -87,6 +91,7 @@ class CostRegularizer(nn.Module):
         fusion_channels: int | None = None,
     ) -> None:
         super().__init__()
+        self.recompute = False
         width = 2 * channels
         self.fusion = CostBlock(in_channels, fusion_channels or in_channels, width, norm)
         self.blocks = nn.ModuleList(CostBlock(width, width, width, norm) for _ in range(4))
@@ -94,8 +99,12 @@ class CostRegularizer(nn.Module):
         self.score = CrownConv3d(channels, 1)
 
     def forward(self, volume: Tensor) -> Tensor:
-        volume = self.fusion(volume)
+        volume = self._run(self.fusion, volume)
         for block in self.blocks:
-            volume = volume + block(volume) if torch.is_grad_enabled() else block(volume).add_(volume)
+            change = self._run(block, volume)
+            volume = volume + change if torch.is_grad_enabled() else change.add_(volume)
         crown = crown_relu(self.reduction(to_crown(volume)))
         return from_crown(self.score(crown)).squeeze(1)
+
+    def _run(self, block: nn.Module, volume: Tensor) -> Tensor:
+        return recomputed(block, volume) if self.recompute and self.training else block(volume)

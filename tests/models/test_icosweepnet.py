@@ -133,6 +133,19 @@ def test_every_parameter_learns(generator: torch.Generator) -> None:
         assert parameter.grad.abs().max() > 0, name
 
 
+@pytest.mark.parametrize("norm", ["batch", "instance"])
+def test_recomputing_changes_neither_gradients_nor_statistics(generator: torch.Generator, norm: str) -> None:
+    nets = small_net(norm=norm).double().train(), small_net(norm=norm).double().train()
+    nets[1].recompute = True
+    batch, rig = images(generator).double(), ring_rig(3).to(torch.float64)
+    for net in nets:
+        net(batch, rig, camera_order=range(3)).square().sum().backward()
+    for (name, one), other in zip(nets[0].named_parameters(), nets[1].parameters(), strict=True):
+        torch.testing.assert_close(other.grad, one.grad, msg=name)
+    for (name, one), other in zip(nets[0].named_buffers(), nets[1].buffers(), strict=True):
+        torch.testing.assert_close(other, one, msg=name)
+
+
 def test_a_few_steps_fit_one_sample(generator: torch.Generator) -> None:
     net, rig = small_net().train(), ring_rig(3)
     batch = images(generator, batch=1)

@@ -39,6 +39,7 @@ console = Console()
 
 PATH_KEYS = {
     "rig",
+    "calibration",
     "images",
     "masks",
     "checkpoint",

@@ -7,10 +7,13 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from sphericalvision import cameras
-from sphericalvision.cameras import CameraRig, ring_rig
+import torch
 
-__all__ = ["make_ring", "rig_from_file"]
+from sphericalvision import cameras
+from sphericalvision.cameras import Camera, CameraRig, read_cameras, read_rig, ring_rig
+from sphericalvision.core import FileFormatError
+
+__all__ = ["make_ring", "radians", "read_calibration", "rig_from_file"]
 
 
 def make_ring(
@@ -42,3 +45,33 @@ def rig_from_file(
     """
     max_angle = None if max_angle_deg is None else math.radians(max_angle_deg)
     return cameras.read_rig(path, translation_unit=translation_unit, max_angle=max_angle)
+
+
+def read_calibration(
+    path: str,
+    translation_unit: str | None = None,
+    max_angle: float | None = None,
+    dtype: torch.dtype | None = None,
+) -> CameraRig | dict[str, Camera]:
+    """The rig of a calibration or, if it has no poses, its cameras by name; arguments as ``read_rig``'s.
+
+    Raises:
+        FileFormatError: the file holds neither.
+    """
+    try:
+        return read_rig(path, translation_unit=translation_unit, max_angle=max_angle, dtype=dtype)
+    except FileFormatError as no_rig:
+        try:
+            return read_cameras(path, max_angle=max_angle, dtype=dtype)
+        except FileFormatError:
+            raise no_rig from None
+
+
+def radians(degrees: float | None) -> float | None:
+    """Degrees of a config in radians; ``None`` stays.
+
+    Examples:
+        >>> radians(180.0)
+        3.141592653589793
+    """
+    return None if degrees is None else math.radians(degrees)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures, point clouds and meshes of what the rest of the package computes."""
 
+from sphericalvision.viz.cameras import angle_map, coverage_panorama, rig_picture
 from sphericalvision.viz.color import depth_to_color, error_to_color
 from sphericalvision.viz.crown import crown_picture
 from sphericalvision.viz.figure import add_scale_bar, sheet
@@ -18,6 +19,8 @@ from sphericalvision.viz.pointcloud import PointCloud, panorama_point_cloud, sav
 __all__ = [
     "PointCloud",
     "add_scale_bar",
+    "angle_map",
+    "coverage_panorama",
     "crown_picture",
     "depth_panorama",
     "depth_to_color",
@@ -27,6 +30,7 @@ __all__ = [
     "icosphere_to_panorama",
     "panorama_point_cloud",
     "rgb_panorama",
+    "rig_picture",
     "save_depth_panorama",
     "save_error_panorama",
     "save_point_cloud",

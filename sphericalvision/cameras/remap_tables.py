@@ -142,7 +142,9 @@ class RemapTables(nn.Module):
     def _labels(self, image: Tensor, valid: Tensor) -> Remapped:
         height, width = self.target_size
         index = self.lookups[0].index(self.image_size).flatten(-2).unsqueeze(-2)
-        values = torch.take_along_dim(image.flatten(-2), index, dim=-1).unflatten(-1, (height, width))
+        batch = torch.broadcast_shapes(image.shape[:-3], index.shape[:-2])
+        pixels = image.expand(*batch, *image.shape[-3:]).flatten(-2)
+        values = pixels.gather(-1, index.expand(*pixels.shape[:-1], -1)).unflatten(-1, (height, width))
         values = torch.where(valid.unsqueeze(-3), values, torch.full_like(values[..., :1, :1], self.fill))
         return Remapped(values, valid.expand(*values.shape[:-3], height, width))
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.cameras.plane_distortion import (
     distort,
     fold_radius,
@@ -19,7 +20,7 @@ from sphericalvision.cameras.plane_distortion import (
     undistort,
 )
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import normalize
+from sphericalvision.geometry import components
 
 __all__ = ["BrownConradyCamera", "project_brown_conrady", "unproject_brown_conrady"]
 
@@ -79,7 +80,7 @@ def project_brown_conrady(
     """Pixels (*, 2) of ``points`` (*, 3) as ``cv2.projectPoints`` computes them.
 
     Valid in front of the camera, up to where the distortion stops being one-to-one: where the determinant of its
-    Jacobian vanishes, or 89.994° from the axis. Not valid points get their undistorted pixels.
+    Jacobian vanishes, or 89.994° from the axis.
 
     Args:
         points: (*, 3) in the camera's frame, any length.
@@ -102,19 +103,21 @@ def project_brown_conrady(
     """
     check_last_dim("points", points, 3)
     _check_distortion(distortion)
-    x, y, z = points.unbind(-1)
-    depth = torch.where(z.abs() > torch.finfo(z.dtype).tiny, z, 1.0)
+    x, y, z = components(points)
+    front = z > math.sqrt(torch.finfo(z.dtype).tiny)
+    depth = torch.where(front, z, 1.0)
     x, y = x / depth, y / depth
-    inside = (z > 0) & (x * x + y * y <= radius_limit(distortion).square())
+    inside = front & (torch.addcmul(x * x, y, y) <= radius_limit(distortion).square())
     plane_x, plane_y = torch.where(inside, x, 0.0), torch.where(inside, y, 0.0)
-    u, v = distort(plane_x, plane_y, distortion)
+    distorted = distort(plane_x, plane_y, distortion)
     with torch.no_grad():
-        valid = inside & (jacobian(plane_x, plane_y, distortion).determinant > 0)
+        valid = inside & (jacobian(plane_x, plane_y, distorted, distortion).determinant > 0)
+    u, v = distorted.u, distorted.v
     if distortion.shape[-1] == 14:
         u, v, meets = _tilt(u, v, distortion[..., 12:])
         valid = valid & meets
-    distorted = torch.stack((torch.where(inside, u, x), torch.where(inside, v, y)), dim=-1)
-    return Projection(distorted * focal_length + principal_point, valid)
+    u, v = torch.where(inside, u, x), torch.where(inside, v, y)
+    return Projection(pixels_from_plane(u, v, focal_length, principal_point), valid)
 
 
 def unproject_brown_conrady(
@@ -131,12 +134,12 @@ def unproject_brown_conrady(
     """
     check_last_dim("pixels", pixels, 2)
     _check_distortion(distortion)
-    u, v = ((pixels - principal_point) / focal_length).unbind(-1)
+    u, v = plane_from_pixels(pixels, focal_length, principal_point)
     meets = None
     if distortion.shape[-1] == 14:
         u, v, meets = _untilt(u, v, distortion[..., 12:])
     x, y, valid = undistort(u, v, distortion)
-    directions = normalize(torch.stack((x, y, torch.ones_like(x)), dim=-1))
+    directions = unit_directions(x, y, torch.ones_like(x))
     return Unprojection(directions, valid if meets is None else valid & meets)
 
 
@@ -186,9 +189,14 @@ class BrownConradyCamera(Camera):
         check_last_dim("focal_length", self.focal_length, 2)
         check_last_dim("principal_point", self.principal_point, 2)
         _check_distortion(self.distortion)
+        batch = torch.broadcast_shapes(
+            self.focal_length.shape[:-1], self.principal_point.shape[:-1], self.distortion.shape[:-1]
+        )
+        for name in self.intrinsic_names:
+            setattr(self, name, getattr(self, name).expand(*batch, -1))
         if max_angle is None:
             self.max_angle = torch.atan(fold_radius(self.distortion))
-        self._set_batch(*self.principal_point.shape[:-1])
+        self._set_batch(*batch)
 
     def _project(self, points: Tensor) -> Projection:
         return project_brown_conrady(points, *self._aligned(points))

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import normalize, safe_sqrt
+from sphericalvision.geometry import components, safe_sqrt
 
 __all__ = ["ExtendedUnifiedCamera", "project_extended_unified", "unproject_extended_unified"]
 
@@ -49,14 +50,15 @@ def project_extended_unified(
         [720.0, 240.0]
     """
     check_last_dim("points", points, 3)
-    x, y, z = points.unbind(-1)
-    squared = beta * (x * x + y * y) + z * z
-    length = torch.sqrt(torch.where(squared > 0, squared, 1.0))
+    x, y, z = components(points)
+    squared = torch.addcmul(beta * torch.addcmul(x * x, y, y), z, z)
+    length = torch.sqrt(squared.clamp_min(torch.finfo(z.dtype).tiny))
+    valid = z > _widest_cosine(alpha) * length
+    # Beyond the model's end points land far outside of the image, in place of a division by 0.
     denominator = alpha * length + (1 - alpha) * z
-    positive = denominator > torch.finfo(z.dtype).eps * length
-    plane = points[..., :2] / torch.where(positive, denominator, length).unsqueeze(-1)
-    valid = positive & (z > _widest_cosine(alpha) * length)
-    return Projection(plane * focal_length + principal_point, valid)
+    denominator = torch.maximum(denominator, torch.finfo(z.dtype).eps * length)
+    pixels = pixels_from_plane(x / denominator, y / denominator, focal_length, principal_point)
+    return Projection(pixels, valid)
 
 
 def unproject_extended_unified(
@@ -70,12 +72,12 @@ def unproject_extended_unified(
         [1.0, 0.0, 0.0]
     """
     check_last_dim("pixels", pixels, 2)
-    offset = (pixels - principal_point) / focal_length
-    squared = beta * (offset * offset).sum(-1)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    squared = beta * torch.addcmul(x * x, y, y)
     under_root = 1 - (2 * alpha - 1) * squared
     divisor = alpha * safe_sqrt(under_root) + 1 - alpha
     depth = (1 - alpha * alpha * squared) / divisor.clamp_min(torch.finfo(pixels.dtype).eps)
-    return Unprojection(normalize(torch.cat((offset, depth.unsqueeze(-1)), dim=-1)), under_root >= 0)
+    return Unprojection(unit_directions(x, y, depth), under_root >= 0)
 
 
 class ExtendedUnifiedCamera(Camera):
@@ -129,7 +131,11 @@ class ExtendedUnifiedCamera(Camera):
             raise ArgumentError(f"alpha: expected numbers in [0, 1], got {self.alpha.tolist()}")
         if not bool((self.beta > 0).all()):
             raise ArgumentError(f"beta: expected numbers above 0, got {self.beta.tolist()}")
-        batch = self.principal_point.shape[:-1]
+        pairs = self.focal_length, self.principal_point
+        batch = torch.broadcast_shapes(
+            self.alpha.shape, self.beta.shape, *(tensor.shape[:-1] for tensor in pairs)
+        )
+        self.focal_length, self.principal_point = (tensor.expand(*batch, -1) for tensor in pairs)
         self.alpha, self.beta = self.alpha.expand(batch), self.beta.expand(batch)
         if max_angle is None:
             self.max_angle = self._widest_angle()

@@ -11,11 +11,39 @@ import math
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, addcmul
 
-__all__ = ["LARGEST_RADIUS", "Jacobian", "distort", "fold_radius", "jacobian", "radius_limit", "undistort"]
+from sphericalvision.geometry import increasing_limit, tabulate_inverse
+
+__all__ = [
+    "Distorted",
+    "Jacobian",
+    "Undistorted",
+    "distort",
+    "fold_radius",
+    "jacobian",
+    "radius_limit",
+    "undistort",
+]
 
 LARGEST_RADIUS = 1e4  # tan(89.994°): its eighth power still fits into float32
+_SAMPLES = 256
+_STEP = math.atan(LARGEST_RADIUS) / (_SAMPLES - 1)
+
+
+class Distorted(NamedTuple):
+    """Distorted places, and what the Jacobian has in common with them; each (*)."""
+
+    u: Tensor
+    v: Tensor
+    squared: Tensor
+    """r² of the undistorted place."""
+    radial: Tensor
+    """Its radial factor g(r²)."""
+    divisor: Tensor | None
+    """The denominator of g, for rational distortion."""
+    factor: Tensor
+    """g + 2 p1 y + 2 p2 x."""
 
 
 class Jacobian(NamedTuple):
@@ -29,7 +57,194 @@ class Jacobian(NamedTuple):
     @property
     def determinant(self) -> Tensor:
         """Positive where the distortion keeps orientation, and so is one-to-one near by."""
-        return self.ux * self.vy - self.uy * self.vx
+        return addcmul(self.ux * self.vy, self.uy, self.vx, value=-1)
+
+
+class Undistorted(NamedTuple):
+    """The plane's points (x, y) and whether they were found; each (*)."""
+
+    x: Tensor
+    y: Tensor
+    converged: Tensor
+
+
+def distort(x: Tensor, y: Tensor, coefficients: Tensor) -> Distorted:
+    """The distorted (u, v), each (*), of the plane's points (x, y).
+
+    Examples:
+        >>> distorted = distort(torch.tensor(0.5), torch.tensor(0.0), torch.tensor([-0.4, 0.0, 0.0, 0.0]))
+        >>> round(distorted.u.item(), 6)  # 0.5 (1 - 0.4 · 0.25)
+        0.45
+    """
+    p1, p2 = coefficients[..., 2], coefficients[..., 3]
+    squared = addcmul(x * x, y, y)
+    radial, divisor = _radial(coefficients, squared)
+    factor = addcmul(addcmul(radial, 2 * p1, y), 2 * p2, x)
+    u, v = addcmul(x * factor, p2, squared), addcmul(y * factor, p1, squared)
+    if coefficients.shape[-1] >= 12:
+        s1, s2, s3, s4 = coefficients[..., 8:12].unbind(-1)
+        u = addcmul(u, addcmul(s1, s2, squared), squared)
+        v = addcmul(v, addcmul(s3, s4, squared), squared)
+    return Distorted(u, v, squared, radial, divisor, factor)
+
+
+def jacobian(x: Tensor, y: Tensor, distorted: Distorted, coefficients: Tensor) -> Jacobian:
+    """The derivatives of ``distort`` at (x, y), from what it returned there.
+
+    Examples:
+        >>> one, zero, coefficients = torch.tensor(1.0), torch.tensor(0.0), torch.tensor([-0.25, 0.0, 0.0, 0.0])
+        >>> jacobian(one, zero, distort(one, zero, coefficients), coefficients).ux.item()  # 1 - 0.75
+        0.25
+    """
+    p1, p2 = coefficients[..., 2], coefficients[..., 3]
+    squared, factor = distorted.squared, distorted.factor
+    twice = 2 * _radial_slope(coefficients, distorted)
+    along = twice * x
+    mixed = addcmul(addcmul(2 * p1 * x, 2 * p2, y), along, y)
+    ux, uy = addcmul(factor, x, along + 4 * p2), mixed
+    vx, vy = mixed, addcmul(factor, y, addcmul(4 * p1, twice, y))
+    if coefficients.shape[-1] >= 12:
+        s1, s2, s3, s4 = coefficients[..., 8:12].unbind(-1)
+        along_u, along_v = addcmul(2 * s1, 4 * s2, squared), addcmul(2 * s3, 4 * s4, squared)
+        ux, uy = addcmul(ux, x, along_u), addcmul(uy, y, along_u)
+        vx, vy = addcmul(vx, x, along_v), addcmul(vy, y, along_v)
+    return Jacobian(ux, uy, vx, vy)
+
+
+def radius_limit(coefficients: Tensor) -> Tensor:
+    """A radius (*) between the first fold of the radial distortion and where it would turn again, or 10⁴.
+
+    Inside of it a positive determinant means one-to-one: together they are the domain of the distortion. Without
+    derivatives.
+    """
+    with torch.no_grad():
+        folded = _radially_folded(coefficients).to(coefficients)
+        reached = folded.cummax(-1).values
+        turned = (reached * (1 - folded)).cummax(-1).values
+        middle = (1 - reached).sum(-1) + (reached - turned).sum(-1) / 2
+        return torch.where(reached[..., -1] > 0, torch.tan(middle * _STEP), LARGEST_RADIUS)
+
+
+def fold_radius(coefficients: Tensor, azimuths: int = 32) -> Tensor:
+    """The largest radius (*) at which the distortion is still one-to-one, over all azimuths; 10⁴ where it always is.
+
+    Without derivatives.
+
+    Examples:
+        >>> round(fold_radius(torch.tensor([-1 / 3, 0.0, 0.0, 0.0])).item(), 3)  # r - r³/3
+        1.0
+    """
+    with torch.no_grad():
+        turns = torch.arange(azimuths, dtype=coefficients.dtype, device=coefficients.device)
+        azimuth = turns.unsqueeze(-1) * (2 * math.pi / azimuths)
+        limit = torch.atan(radius_limit(coefficients))[..., None, None]
+        coefficients = coefficients[..., None, None, :]
+
+        def determinant(angle: Tensor) -> Tensor:
+            x, y = torch.tan(angle) * azimuth.cos(), torch.tan(angle) * azimuth.sin()
+            slopes = jacobian(x, y, distort(x, y, coefficients), coefficients)
+            return torch.where(angle <= limit + 1e-6, slopes.determinant, -1.0)
+
+        end = torch.full((*coefficients.shape[:-3], azimuths), math.atan(LARGEST_RADIUS)).to(azimuth)
+        return torch.tan(increasing_limit(determinant, end, _SAMPLES)).amax(-1)
+
+
+def undistort(u: Tensor, v: Tensor, coefficients: Tensor, iterations: int = 5) -> Undistorted:
+    """The plane's points (x, y) whose distorted places are (u, v), each (*): the inverse of ``distort``.
+
+    Newton's method in two dimensions from a table of the radial part. A step that would leave the region where the
+    distortion is one-to-one is halved. The search is not recorded by autograd: two Newton steps from the solution are,
+    and they carry exact first and second derivatives (implicit function theorem). Where no solution was found the last
+    place is returned, without derivatives.
+
+    Examples:
+        >>> found = undistort(torch.tensor(0.45), torch.tensor(0.0), torch.tensor([-0.4, 0.0, 0.0, 0.0]))
+        >>> round(found.x.item(), 5), found.converged.item()
+        (0.5, True)
+    """
+    with torch.no_grad():
+        limit = radius_limit(coefficients).square()
+        x, y = torch.zeros_like(u), torch.zeros_like(v)
+        step_x, step_y = _radial_start(u, v, coefficients)
+        for _ in range(iterations):
+            new_x, new_y = x + step_x, y + step_y
+            distorted = distort(new_x, new_y, coefficients)
+            slopes = jacobian(new_x, new_y, distorted, coefficients)
+            determinant = slopes.determinant
+            inside = (determinant > 0) & (distorted.squared <= limit)
+            newton_x, newton_y = _newton_step(u - distorted.u, v - distorted.v, slopes, determinant)
+            x, y = torch.where(inside, new_x, x), torch.where(inside, new_y, y)
+            step_x = torch.where(inside, newton_x, step_x / 2)
+            step_y = torch.where(inside, newton_y, step_y / 2)
+        converged = _agree(distort(x, y, coefficients), u, v)
+    for _ in range(2):
+        distorted = distort(x, y, coefficients)
+        slopes = jacobian(x, y, distorted, coefficients)
+        determinant = torch.where(converged, slopes.determinant, 1.0)
+        newton_x, newton_y = _newton_step(u - distorted.u, v - distorted.v, slopes, determinant)
+        x = x + torch.where(converged, newton_x, 0.0)
+        y = y + torch.where(converged, newton_y, 0.0)
+    return Undistorted(x, y, converged)
+
+
+def _agree(distorted: Distorted, u: Tensor, v: Tensor) -> Tensor:
+    """Whether two more Newton steps make (u, v) exact."""
+    error, size = (distorted.u - u).abs() + (distorted.v - v).abs(), u.abs() + v.abs()
+    return error <= torch.finfo(u.dtype).eps ** 0.5 * (1 + size)
+
+
+def _newton_step(u: Tensor, v: Tensor, slopes: Jacobian, determinant: Tensor) -> tuple[Tensor, Tensor]:
+    """The Jacobian's inverse times (u, v)."""
+    x = addcmul(slopes.vy * u, slopes.uy, v, value=-1) / determinant
+    y = addcmul(slopes.ux * v, slopes.vx, u, value=-1) / determinant
+    return x, y
+
+
+def _radial_start(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
+    """The solution (x, y) were there no tangential and thin prism distortion, to some digits."""
+    growing = (~_radially_folded(coefficients)).to(u).cumprod(-1).sum(-1, keepdim=True)
+    radius = torch.tan((growing - 1).clamp_min(1) / (_SAMPLES - 1) * _angles(coefficients))
+    radial, _ = _radial(coefficients.unsqueeze(-2), radius * radius)
+    table = tabulate_inverse(radius, torch.atan(radius * radial))
+    target = torch.hypot(u, v)
+    ratio = table.lookup(torch.atan(target)) / target.clamp_min(torch.finfo(u.dtype).tiny)
+    return u * ratio, v * ratio
+
+
+def _radially_folded(coefficients: Tensor) -> Tensor:
+    """Where, of the radii up to 10⁴ at equal angles (*, n), the radial distortion falls or has passed a pole."""
+    coefficients = coefficients.unsqueeze(-2)
+    squared = torch.tan(_angles(coefficients)).square()
+    radial, divisor = _radial(coefficients, squared)
+    slope = _radial_slope(coefficients, Distorted(radial, radial, squared, radial, divisor, radial))
+    growing = (radial > 0) & (radial + 2 * squared * slope > 0)
+    if divisor is not None:
+        growing = growing & (divisor > 0)
+    return ~growing
+
+
+def _angles(coefficients: Tensor) -> Tensor:
+    end = (_SAMPLES - 1) * _STEP
+    return torch.linspace(0, end, _SAMPLES, dtype=coefficients.dtype, device=coefficients.device)
+
+
+def _radial(coefficients: Tensor, squared: Tensor) -> tuple[Tensor, Tensor | None]:
+    """The factor g(r²) of the radial distortion and its denominator, if it has one."""
+    factor = _one_plus(_numerator(coefficients), squared)
+    below = _denominator(coefficients)
+    if not below:
+        return factor, None
+    divisor = _one_plus(below, squared)
+    return factor / divisor, divisor
+
+
+def _radial_slope(coefficients: Tensor, distorted: Distorted) -> Tensor:
+    """The derivative of g with respect to r²."""
+    slope = _slope(_numerator(coefficients), distorted.squared)
+    if distorted.divisor is None:
+        return slope
+    below = _slope(_denominator(coefficients), distorted.squared)
+    return addcmul(slope, distorted.radial, below, value=-1) / distorted.divisor
 
 
 def _numerator(coefficients: Tensor) -> list[Tensor]:
@@ -44,180 +259,16 @@ def _denominator(coefficients: Tensor) -> list[Tensor]:
 
 def _one_plus(terms: list[Tensor], squared: Tensor) -> Tensor:
     """1 + t1 s + t2 s² + ..."""
-    value = terms[-1] * squared
-    for term in reversed(terms[:-1]):
-        value = (value + term) * squared
-    return value + 1
+    value = addcmul(terms[-2], terms[-1], squared)
+    for term in reversed(terms[:-2]):
+        value = addcmul(term, value, squared)
+    return value * squared + 1
 
 
 def _slope(terms: list[Tensor], squared: Tensor) -> Tensor:
     """Derivative t1 + 2 t2 s + 3 t3 s² + ... of ``_one_plus``."""
-    value = len(terms) * terms[-1]
-    for power in range(len(terms) - 1, 0, -1):
-        value = value * squared + power * terms[power - 1]
+    weighted = [power * term for power, term in enumerate(terms, start=1)]
+    value = addcmul(weighted[-2], weighted[-1], squared)
+    for term in reversed(weighted[:-2]):
+        value = addcmul(term, value, squared)
     return value
-
-
-def _radial(coefficients: Tensor, squared: Tensor) -> Tensor:
-    """The factor g(r²) of the radial distortion."""
-    factor = _one_plus(_numerator(coefficients), squared)
-    below = _denominator(coefficients)
-    return factor / _one_plus(below, squared) if below else factor
-
-
-def _radial_and_slope(coefficients: Tensor, squared: Tensor) -> tuple[Tensor, Tensor]:
-    """g and its derivative with respect to r²."""
-    above, below = _numerator(coefficients), _denominator(coefficients)
-    factor, slope = _one_plus(above, squared), _slope(above, squared)
-    if below:
-        divisor = _one_plus(below, squared)
-        factor = factor / divisor
-        slope = (slope - factor * _slope(below, squared)) / divisor
-    return factor, slope
-
-
-def distort(x: Tensor, y: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
-    """The distorted (u, v), each (*), of the plane's points (x, y).
-
-    Examples:
-        >>> u, v = distort(torch.tensor(0.5), torch.tensor(0.0), torch.tensor([-0.4, 0.0, 0.0, 0.0]))
-        >>> round(u.item(), 6), v.item()  # 0.5 (1 - 0.4 · 0.25)
-        (0.45, 0.0)
-    """
-    p1, p2 = coefficients[..., 2], coefficients[..., 3]
-    squared = x * x + y * y
-    factor = _radial(coefficients, squared) + 2 * p1 * y + 2 * p2 * x
-    u, v = x * factor + p2 * squared, y * factor + p1 * squared
-    if coefficients.shape[-1] >= 12:
-        s1, s2, s3, s4 = coefficients[..., 8:12].unbind(-1)
-        u, v = u + (s1 + s2 * squared) * squared, v + (s3 + s4 * squared) * squared
-    return u, v
-
-
-def jacobian(x: Tensor, y: Tensor, coefficients: Tensor) -> Jacobian:
-    """The derivatives of ``distort``.
-
-    Examples:
-        >>> jacobian(torch.tensor(1.0), torch.tensor(0.0), torch.tensor([-0.25, 0.0, 0.0, 0.0])).ux.item()  # 1 - 0.75
-        0.25
-    """
-    p1, p2 = coefficients[..., 2], coefficients[..., 3]
-    squared = x * x + y * y
-    factor, slope = _radial_and_slope(coefficients, squared)
-    factor = factor + 2 * p1 * y + 2 * p2 * x
-    twice = 2 * slope
-    mixed = twice * x * y + 2 * p1 * x + 2 * p2 * y
-    ux, uy = factor + x * (twice * x + 4 * p2), mixed
-    vx, vy = mixed, factor + y * (twice * y + 4 * p1)
-    if coefficients.shape[-1] >= 12:
-        s1, s2, s3, s4 = coefficients[..., 8:12].unbind(-1)
-        along_u, along_v = 2 * s1 + 4 * s2 * squared, 2 * s3 + 4 * s4 * squared
-        ux, uy = ux + x * along_u, uy + y * along_u
-        vx, vy = vx + x * along_v, vy + y * along_v
-    return Jacobian(ux, uy, vx, vy)
-
-
-def _angles(coefficients: Tensor, samples: int) -> Tensor:
-    end = math.atan(LARGEST_RADIUS)
-    return torch.linspace(0, end, samples, dtype=coefficients.dtype, device=coefficients.device)
-
-
-def radius_limit(coefficients: Tensor, samples: int = 256) -> Tensor:
-    """A radius (*) between the first fold of the radial distortion and where it would turn again, or 10⁴.
-
-    Inside of it a positive determinant means one-to-one: together they are the domain of the distortion. Without
-    derivatives.
-    """
-    with torch.no_grad():
-        radius = torch.tan(_angles(coefficients, samples))
-        squared = radius * radius
-        factor, slope = _radial_and_slope(coefficients.unsqueeze(-2), squared)
-        folded = ~((factor > 0) & (factor + 2 * squared * slope > 0))
-        below = _denominator(coefficients.unsqueeze(-2))
-        if below:
-            folded = folded | (_one_plus(below, squared) <= 0)
-        reached = folded.long().cummax(-1).values
-        turned = (reached * (~folded).long()).cummax(-1).values
-        middle = (1 - reached).sum(-1) + (reached - turned).sum(-1) // 2
-        return torch.where(reached[..., -1] > 0, radius[middle.clamp_max(samples - 1)], LARGEST_RADIUS)
-
-
-def fold_radius(coefficients: Tensor, samples: int = 256, azimuths: int = 32) -> Tensor:
-    """The largest radius (*) at which the distortion is still one-to-one, over all azimuths; 10⁴ where it always is.
-
-    Without derivatives.
-
-    Examples:
-        >>> round(fold_radius(torch.tensor([-1 / 3, 0.0, 0.0, 0.0], dtype=torch.float64)).item(), 6)  # r - r³/3
-        1.0
-    """
-    with torch.no_grad():
-        turns = torch.arange(azimuths, dtype=coefficients.dtype, device=coefficients.device)
-        azimuth = turns.unsqueeze(-1) * (2 * math.pi / azimuths)
-        cosine, sine = azimuth.cos(), azimuth.sin()
-        coefficients = coefficients[..., None, None, :]
-        limit = torch.atan(radius_limit(coefficients))
-
-        def folded(angle: Tensor) -> Tensor:
-            radius = torch.tan(angle)
-            return ~(jacobian(radius * cosine, radius * sine, coefficients).determinant > 0) | (angle > limit)
-
-        angles = _angles(coefficients, samples)
-        good = (~folded(angles)).long().cumprod(-1).sum(-1, keepdim=True)
-        low, high = angles[good - 1], angles[good.clamp_max(samples - 1)]
-        for _ in range(40):
-            middle = (low + high) / 2
-            bad = folded(middle)
-            low, high = torch.where(bad, low, middle), torch.where(bad, middle, high)
-        return torch.tan(low).squeeze(-1).amax(-1)
-
-
-class Undistorted(NamedTuple):
-    """The plane's points and whether they were found."""
-
-    x: Tensor
-    y: Tensor
-    converged: Tensor
-
-
-def undistort(u: Tensor, v: Tensor, coefficients: Tensor, iterations: int = 20) -> Undistorted:
-    """The plane's points (x, y) whose distorted places are (u, v), each (*): the inverse of ``distort``.
-
-    Newton's method in two dimensions from the centre, in which a step that would not come closer, or would leave the
-    region where the distortion is one-to-one, is halved. The search is not recorded by autograd: two Newton steps from
-    the solution are, and they carry exact first and second derivatives (implicit function theorem). Where no solution
-    was found the last place is returned, without derivatives.
-
-    Examples:
-        >>> found = undistort(torch.tensor(0.45), torch.tensor(0.0), torch.tensor([-0.4, 0.0, 0.0, 0.0]))
-        >>> round(found.x.item(), 5), found.converged.item()
-        (0.5, True)
-    """
-    with torch.no_grad():
-        limit = radius_limit(coefficients).square()
-        x, y = torch.zeros_like(u), torch.zeros_like(v)
-        step_x, step_y = u, v  # at the centre the Jacobian is the identity
-        scale, error = torch.ones_like(u), u * u + v * v
-        for _ in range(iterations):
-            new_x, new_y = x + scale * step_x, y + scale * step_y
-            new_u, new_v = distort(new_x, new_y, coefficients)
-            slopes = jacobian(new_x, new_y, coefficients)
-            determinant = slopes.determinant
-            to_u, to_v = u - new_u, v - new_v
-            new_error = to_u * to_u + to_v * to_v
-            inside = (determinant > 0) & (new_x * new_x + new_y * new_y <= limit)
-            better = (new_error < error) & inside
-            x, y = torch.where(better, new_x, x), torch.where(better, new_y, y)
-            step_x = torch.where(better, (slopes.vy * to_u - slopes.uy * to_v) / determinant, step_x)
-            step_y = torch.where(better, (slopes.ux * to_v - slopes.vx * to_u) / determinant, step_y)
-            error = torch.where(better, new_error, error)
-            scale = torch.where(better, (2 * scale).clamp_max(1), scale / 2)
-        converged = error.sqrt() <= torch.finfo(u.dtype).eps ** 0.75 * (1 + u.abs() + v.abs())
-    for _ in range(2):
-        now_u, now_v = distort(x, y, coefficients)
-        slopes = jacobian(x, y, coefficients)
-        determinant = torch.where(converged, slopes.determinant, 1.0)
-        from_u, from_v = now_u - u, now_v - v
-        x = x - torch.where(converged, (slopes.vy * from_u - slopes.uy * from_v) / determinant, 0.0)
-        y = y - torch.where(converged, (slopes.ux * from_v - slopes.vx * from_u) / determinant, 0.0)
-    return Undistorted(x, y, converged)

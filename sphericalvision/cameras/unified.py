@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.cameras.plane_distortion import (
     distort,
     fold_radius,
@@ -19,7 +20,7 @@ from sphericalvision.cameras.plane_distortion import (
     undistort,
 )
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import normalize, safe_sqrt
+from sphericalvision.geometry import components, safe_sqrt
 
 __all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
 
@@ -32,10 +33,10 @@ def _widest_cosine(xi: Tensor) -> Tensor:
 
 def _lift(x: Tensor, y: Tensor, xi: Tensor) -> Unprojection:
     """Directions of the undistorted plane's points."""
-    squared = x * x + y * y
+    squared = torch.addcmul(x * x, y, y)
     under_root = 1 + (1 - xi * xi) * squared
     scale = (xi + safe_sqrt(under_root)) / (1 + squared)
-    return Unprojection(normalize(torch.stack((scale * x, scale * y, scale - xi), dim=-1)), under_root >= 0)
+    return Unprojection(unit_directions(scale * x, scale * y, scale - xi), under_root >= 0)
 
 
 def project_unified(
@@ -68,24 +69,22 @@ def project_unified(
         [520.0, 240.0]
     """
     check_last_dim("points", points, 3)
-    x, y, z = points.unbind(-1)
-    squared = x * x + y * y + z * z
-    length = torch.sqrt(torch.where(squared > 0, squared, 1.0))
-    denominator = z + xi * length
-    positive = denominator > torch.finfo(z.dtype).eps * length
-    denominator = torch.where(positive, denominator, length)
-    valid = positive & (z > _widest_cosine(xi) * length)
-    if distortion is None:
-        plane = points[..., :2] / denominator.unsqueeze(-1)
-        return Projection(plane * focal_length + principal_point, valid)
+    x, y, z = components(points)
+    squared = torch.addcmul(torch.addcmul(x * x, y, y), z, z)
+    length = torch.sqrt(squared.clamp_min(torch.finfo(z.dtype).tiny))
+    valid = z > _widest_cosine(xi) * length
+    # Beyond the model's end points land far outside of the image, in place of a division by 0.
+    denominator = torch.maximum(torch.addcmul(z, xi, length), torch.finfo(z.dtype).eps * length)
     x, y = x / denominator, y / denominator
-    inside = positive & (x * x + y * y <= radius_limit(distortion).square())
-    plane_x, plane_y = torch.where(inside, x, 0.0), torch.where(inside, y, 0.0)
-    u, v = distort(plane_x, plane_y, distortion)
-    with torch.no_grad():
-        valid = valid & inside & (jacobian(plane_x, plane_y, distortion).determinant > 0)
-    distorted = torch.stack((torch.where(inside, u, x), torch.where(inside, v, y)), dim=-1)
-    return Projection(distorted * focal_length + principal_point, valid)
+    if distortion is not None:
+        inside = torch.addcmul(x * x, y, y) <= radius_limit(distortion).square()
+        plane_x, plane_y = torch.where(inside, x, 0.0), torch.where(inside, y, 0.0)
+        distorted = distort(plane_x, plane_y, distortion)
+        with torch.no_grad():
+            one_to_one = jacobian(plane_x, plane_y, distorted, distortion).determinant > 0
+        valid = valid & inside & one_to_one
+        x, y = torch.where(inside, distorted.u, x), torch.where(inside, distorted.v, y)
+    return Projection(pixels_from_plane(x, y, focal_length, principal_point), valid)
 
 
 def unproject_unified(
@@ -105,7 +104,7 @@ def unproject_unified(
         [1.0, 0.0, 0.0]
     """
     check_last_dim("pixels", pixels, 2)
-    x, y = ((pixels - principal_point) / focal_length).unbind(-1)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
     if distortion is None:
         return _lift(x, y, xi)
     x, y, converged = undistort(x, y, distortion)
@@ -167,8 +166,11 @@ class UnifiedCamera(Camera):
             )
         if not bool((self.xi > -1).all()):
             raise ArgumentError(f"xi: expected numbers above -1, got {self.xi.tolist()}")
-        batch = self.principal_point.shape[:-1]
-        self.xi = self.xi.expand(batch)
+        pairs = [self.focal_length, self.principal_point]
+        pairs += [] if self.distortion is None else [self.distortion]
+        batch = torch.broadcast_shapes(self.xi.shape, *(tensor.shape[:-1] for tensor in pairs))
+        self.focal_length, self.principal_point, *rest = (tensor.expand(*batch, -1) for tensor in pairs)
+        self.xi, self.distortion = self.xi.expand(batch), rest[0] if rest else None
         if max_angle is None:
             self.max_angle = self._widest_angle()
         self._set_batch(*batch)

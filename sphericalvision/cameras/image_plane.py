@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between pixels, the plane in units of the focal length, and directions, component by component."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sphericalvision.geometry import components
+
+__all__ = ["pixels_from_plane", "plane_from_pixels", "unit_directions"]
+
+
+def pixels_from_plane(x: Tensor, y: Tensor, focal_length: Tensor, principal_point: Tensor) -> Tensor:
+    """Pixels (*, 2) of (x, y), each (*), in units of the focal length (*, 1 or 2).
+
+    Examples:
+        >>> x, y = torch.tensor(0.5), torch.tensor(1.0)
+        >>> pixels_from_plane(x, y, torch.tensor([10.0, 20.0]), torch.tensor([100.0, 200.0])).tolist()
+        [105.0, 220.0]
+    """
+    cu, cv = principal_point.unbind(-1)
+    u = torch.addcmul(cu, x, focal_length[..., 0])
+    v = torch.addcmul(cv, y, focal_length[..., -1])
+    return torch.stack((u, v), dim=-1)
+
+
+def plane_from_pixels(pixels: Tensor, focal_length: Tensor, principal_point: Tensor) -> tuple[Tensor, Tensor]:
+    """Offsets (x, y), each (*), of ``pixels`` (*, 2) from the principal point in units of the focal length (*, 1 or 2).
+
+    Examples:
+        >>> pixels = torch.tensor([105.0, 220.0])
+        >>> x, y = plane_from_pixels(pixels, torch.tensor([10.0, 20.0]), torch.tensor([100.0, 200.0]))
+        >>> x.item(), y.item()
+        (0.5, 1.0)
+    """
+    (u, v), (cu, cv) = components(pixels), principal_point.unbind(-1)
+    return (u - cu) / focal_length[..., 0], (v - cv) / focal_length[..., -1]
+
+
+def unit_directions(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+    """(x, y, z), each (*) and not all 0, scaled to unit length, (*, 3).
+
+    Examples:
+        >>> unit_directions(torch.tensor(0.0), torch.tensor(0.0), torch.tensor(2.0)).tolist()
+        [0.0, 0.0, 1.0]
+    """
+    shrink = torch.addcmul(torch.addcmul(x * x, y, y), z, z).rsqrt()
+    return torch.stack((x * shrink, y * shrink, z * shrink), dim=-1)

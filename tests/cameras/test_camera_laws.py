@@ -11,13 +11,17 @@ import torch
 from laws import camera_laws as laws
 
 from sphericalvision.cameras import (
+    BrownConradyCamera,
     Camera,
     DoubleSphereCamera,
     EquirectangularCamera,
+    ExtendedUnifiedCamera,
     FisheyeCamera,
     KannalaBrandtCamera,
     OCamCamera,
     PinholeCamera,
+    RadialPolynomialCamera,
+    UnifiedCamera,
 )
 
 SIZE = (96, 112)
@@ -44,6 +48,7 @@ def _fisheye(projection: str, degrees: float) -> Callable[[float], Camera]:
     return lambda s: FisheyeCamera(projection, [23.0 * s, 22.0], CENTER, SIZE, math.radians(degrees))
 
 
+OPENCV_14 = [-0.28, 0.07, 1.1e-3, -7e-4, 0.01, 0.05, -0.02, 3e-3, 1e-3, -5e-4, 8e-4, 2e-4, 0.03, -0.02]
 MODELS: dict[str, Callable[[float], Camera]] = {  # from a factor near 1 that makes another camera of the kind
     "equidistant": _fisheye("equidistant", 110),
     "equisolid": _fisheye("equisolid", 120),
@@ -70,6 +75,19 @@ MODELS: dict[str, Callable[[float], Camera]] = {  # from a factor near 1 that ma
     ),
     "kannala brandt": lambda s: KannalaBrandtCamera(
         [24.0 * s, 23.8], CENTER, [-0.007, 0.045, -0.0435, 0.0084], SIZE, math.radians(100)
+    ),
+    "brown conrady": lambda s: BrownConradyCamera(
+        [60.0 * s, 61.0], CENTER, [-0.12, 0.03, 1e-3, -7e-4, 0.002], SIZE, math.radians(50)
+    ),
+    "brown conrady, 14": lambda s: BrownConradyCamera(
+        [60.0 * s, 61.0], CENTER, OPENCV_14, SIZE, math.radians(42)
+    ),
+    "unified": lambda s: UnifiedCamera([48.0 * s, 47.0], CENTER, 0.9, None, SIZE, math.radians(110)),
+    "unified, xi > 1": lambda s: UnifiedCamera([75.0 * s, 74.0], CENTER, 2.2, None, SIZE),
+    "mei": lambda s: UnifiedCamera([75.0 * s, 74.0], CENTER, 2.2, [0.017, 0.9, 4e-4, 4e-4, 0.01], SIZE),
+    "extended unified": lambda s: ExtendedUnifiedCamera([24.0 * s, 23.8], CENTER, 0.63, 1.04, SIZE),
+    "radial polynomial": lambda s: RadialPolynomialCamera(
+        [24.0 * s, -2.3, 3.4, -0.51], CENTER, 1.02, SIZE, math.radians(110)
     ),
     "pinhole": lambda s: PinholeCamera([60.0 * s, 61.0], CENTER, SIZE),
     "pinhole, 80°": lambda s: PinholeCamera([60.0 * s, 61.0], CENTER, SIZE, math.radians(40)),

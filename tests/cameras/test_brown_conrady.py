@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Brown-Conrady model against OpenCV, finite differences and the place where its distortion folds."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import (
+    BrownConradyCamera,
+    PinholeCamera,
+    project_brown_conrady,
+    unproject_brown_conrady,
+)
+
+FOCAL, CENTER, SIZE = [500.0, 510.0], [320.0, 240.0], (481, 641)
+# k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 τx τy
+COEFFICIENTS = [-0.28, 0.07, 1.1e-3, -7e-4, 0.01, 0.05, -0.02, 3e-3, 1e-3, -5e-4, 8e-4, 2e-4, 0.03, -0.02]
+LENGTHS = [4, 5, 8, 12, 14]
+KINECT = [
+    7.27,
+    12.43,
+    2.5e-4,
+    -1.1e-4,
+    3.94,
+    7.56,
+    14.2,
+    7.7,
+]  # a rational lens: large terms that all but cancel
+MATRIX = np.array([[FOCAL[0], 0, CENTER[0]], [0, FOCAL[1], CENTER[1]], [0, 0, 1]])
+
+
+def lens(distortion: list[float], size: tuple[int, int] = SIZE) -> BrownConradyCamera:
+    tensors = (torch.tensor(values, dtype=torch.float64) for values in (FOCAL, CENTER, distortion))
+    return BrownConradyCamera(*tensors, size)
+
+
+def points_before(generator: torch.Generator, count: int = 300, widest: float = 0.7) -> Tensor:
+    """Points whose x/z and y/z are below ``widest``, at several depths, (count, 3)."""
+    numbers = torch.rand(count, 3, generator=generator, dtype=torch.float64)
+    plane = (2 * numbers[:, :2] - 1) * widest
+    return torch.cat((plane, torch.ones(count, 1, dtype=torch.float64)), -1) * (0.5 + 4 * numbers[:, 2:])
+
+
+def opencv_pixels(points: Tensor, distortion: list[float]) -> np.ndarray:
+    zero = np.zeros(3)
+    return cv2.projectPoints(points.numpy()[:, None], zero, zero, MATRIX, np.array(distortion))[0][:, 0]
+
+
+@pytest.mark.parametrize("distortion", [*(COEFFICIENTS[:n] for n in LENGTHS), KINECT], ids=len)
+def test_against_opencv_and_back(distortion: list[float], generator: torch.Generator) -> None:
+    camera, points = lens(distortion, (2001, 2001)), points_before(generator)
+    pixels, _ = camera.project(points)
+    np.testing.assert_allclose(pixels, opencv_pixels(points, distortion), rtol=0, atol=1e-10)
+    inside = (pixels >= 0).all(-1)
+    directions, valid = camera.unproject(pixels)
+    assert inside.float().mean() > 0.5
+    assert valid[inside].all()
+    expected = torch.nn.functional.normalize(points, dim=-1)
+    torch.testing.assert_close(directions, expected, rtol=0, atol=2e-14)
+
+
+def test_tilt_against_numbers_of_opencv() -> None:
+    """From ``cv2.projectPoints(np.array([[[0.3, -0.2, 1.0]]]), zero, zero, MATRIX, np.array(COEFFICIENTS))``."""
+    pixels = lens(COEFFICIENTS).project(torch.tensor([0.3, -0.2, 1.0], dtype=torch.float64)).pixels
+    np.testing.assert_allclose(pixels, [463.749921445295, 142.45174737252583], rtol=0, atol=1e-9)
+
+
+def test_without_distortion_it_is_a_pinhole(generator: torch.Generator) -> None:
+    points = points_before(generator)
+    points[::3, 2] *= -1
+    pinhole = PinholeCamera(*(torch.tensor(values, dtype=torch.float64) for values in (FOCAL, CENTER)), SIZE)
+    pixels, valid = lens([0.0] * 5).project(points)
+    assert torch.equal(valid, pinhole.project(points).valid)
+    torch.testing.assert_close(pixels[valid], pinhole.project(points).pixels[valid], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("tangential", [0.0, 0.01])
+def test_ends_where_the_determinant_vanishes(tangential: float) -> None:
+    """By finite differences of OpenCV's pixels along rays from the centre: the first sign change is the end."""
+    distortion = [-0.3, 0.0, tangential, -tangential / 2]
+    camera = lens(distortion, (4001, 4001))
+    step = 1e-6
+    for azimuth in np.linspace(0, 2 * np.pi, 7):
+        radius = np.linspace(
+            0.9, 1.7, 81
+        )  # up to the radius 1.83 at which the lens sees straight ahead again
+        plane = torch.tensor(np.stack((radius * np.cos(azimuth), radius * np.sin(azimuth)), -1))
+        shifts = torch.tensor([[step, 0.0], [-step, 0.0], [0.0, step], [0.0, -step]], dtype=torch.float64)
+        places = torch.nn.functional.pad((plane[:, None] + shifts).reshape(-1, 2), (0, 1), value=1.0)
+        moved = opencv_pixels(places, distortion).reshape(-1, 4, 2)
+        along_x, along_y = moved[:, 0] - moved[:, 1], moved[:, 2] - moved[:, 3]
+        positive = along_x[:, 0] * along_y[:, 1] - along_x[:, 1] * along_y[:, 0] > 0
+        first = np.cumprod(positive).astype(bool)
+        points = torch.nn.functional.pad(plane, (0, 1), value=1.0)
+        _, valid = project_brown_conrady(points, *camera._aligned(points))
+        np.testing.assert_array_equal(valid, first)
+
+
+def test_field_of_view_by_default_ends_at_the_fold() -> None:
+    """r − r³/3 grows up to r = 1, that is 45°; −1/3 + r²/20 never folds."""
+    assert lens([-1 / 3, 0.0, 0.0, 0.0]).max_angle.item() == pytest.approx(math.pi / 4, abs=1e-3)
+    assert lens([-1 / 3, 0.07, 0.0, 0.0]).max_angle.item() == pytest.approx(math.pi / 2, abs=1e-3)
+
+
+def test_pixels_that_nothing_maps_to_are_reported() -> None:
+    """The largest radius of r − r³/3 is 2/3 focal lengths; up to just below it there is a direction."""
+    camera = lens([-1 / 3, 0.0, 0.0, 0.0], (4001, 4001))
+    radius = torch.tensor([0.5, 0.66, 0.6666, 0.667, 0.8, 100.0], dtype=torch.float64)
+    pixels = torch.tensor(CENTER) + torch.stack((radius, torch.zeros_like(radius)), -1) * torch.tensor(FOCAL)
+    directions, valid = unproject_brown_conrady(pixels, *camera._aligned(pixels))
+    assert valid.tolist() == [True, True, True, False, False, False]
+    assert directions.isfinite().all()
+    plane = directions[:3, 0] / directions[:3, 2]
+    torch.testing.assert_close(plane - plane**3 / 3, radius[:3], rtol=0, atol=1e-12)
+
+
+def test_behind_and_beside_the_camera_is_not_valid_and_finite() -> None:
+    points = torch.tensor(
+        [[0.1, 0.2, -1.0], [1.0, 0.0, 0.0], [1.0, 0.0, 1e-30], [1e3, 0.0, 1e-2], [0.0, 0.0, 0.0]]
+    )
+    for dtype in (torch.float32, torch.float64):
+        camera = lens(KINECT).to(dtype)
+        pixels, valid = camera.project(points.to(dtype))
+        assert not valid.any()
+        assert pixels.isfinite().all()
+
+
+@pytest.mark.parametrize("distortion", [COEFFICIENTS[:5], COEFFICIENTS], ids=len)
+def test_second_derivatives_are_right(distortion: list[float]) -> None:
+    """Of the iterative inverse, with respect to pixels and coefficients, from the centre to the corner."""
+    camera = lens(distortion)
+    pixels = torch.tensor([CENTER, [350.0, 200.0], [600.0, 30.0]], dtype=torch.float64, requires_grad=True)
+    points = torch.tensor([[0.0, 0.0, 1.0], [0.3, -0.2, 1.5]], dtype=torch.float64, requires_grad=True)
+    change = torch.zeros(len(distortion), dtype=torch.float64, requires_grad=True)
+    focal, center = camera.focal_length / 500, camera.principal_point / 500
+
+    def unproject(pixels: Tensor, change: Tensor) -> Tensor:
+        return unproject_brown_conrady(pixels / 500, focal, center, camera.distortion + change).directions
+
+    def project(points: Tensor, change: Tensor) -> Tensor:
+        return project_brown_conrady(points, focal, center, camera.distortion + change).pixels
+
+    assert torch.autograd.gradcheck(unproject, (pixels, change))
+    assert torch.autograd.gradgradcheck(unproject, (pixels, change), atol=1e-4)
+    assert torch.autograd.gradgradcheck(project, (points, change), atol=1e-4)
+
+
+def test_functional_transforms_and_tracing(generator: torch.Generator) -> None:
+    """No branch depends on data: vmap over cameras, jacrev, compile and export give what a plain call gives."""
+    camera = lens(COEFFICIENTS)
+    pixels = camera.project(points_before(generator, 5, 0.4)).pixels
+    arguments = pixels, camera.focal_length, camera.principal_point, camera.distortion
+
+    def directions(*arguments: Tensor) -> Tensor:
+        return unproject_brown_conrady(*arguments).directions
+
+    scales = torch.tensor([0.5, 1.0], dtype=torch.float64)
+    several = torch.func.vmap(lambda s: directions(*arguments[:3], s * camera.distortion))(scales)
+    torch.testing.assert_close(several[1], directions(*arguments))
+    jacobian = torch.func.vmap(torch.func.jacrev(lambda pixel: directions(pixel, *arguments[1:])))(pixels)
+    by_autograd = torch.autograd.functional.jacobian(lambda p: directions(p, *arguments[1:]).sum(0), pixels)
+    torch.testing.assert_close(jacobian, by_autograd.movedim(1, 0))
+    compiled = torch.compile(directions, fullgraph=True, backend="eager")
+    torch.testing.assert_close(compiled(*arguments), directions(*arguments))
+
+    class Unproject(torch.nn.Module):
+        def forward(self, pixels: Tensor) -> Tensor:
+            return camera.unproject(pixels).directions
+
+    exported = torch.export.export(Unproject(), (pixels,)).module()
+    torch.testing.assert_close(exported(pixels), directions(*arguments))
+
+
+def test_intrinsics_broadcast_over_a_batch() -> None:
+    camera = BrownConradyCamera(torch.full((3, 2), 500.0), CENTER, [-0.2, 0.0, 0.0, 0.0], SIZE)
+    assert camera.batch_shape == (3,)
+    assert camera.distortion.shape == (3, 4)
+    assert camera.project(torch.zeros(3, 7, 3)).pixels.shape == (3, 7, 2)
+
+
+def test_other_numbers_of_coefficients_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"distortion: expected .* got shape \(6,\); fill up with zeros"):
+        lens([0.0] * 6)

@@ -15,7 +15,7 @@ PROGRESS := $(BIN)/python -uc 'import sys; [print("   ", line.strip()[:90]) for 
 # A process for each core, up to four, each with one thread: the tests are many and small.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: help demo test test-all lint format docs clean
+.PHONY: help demo test test-all lint format docs bench clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -45,6 +45,9 @@ format: $(VENV)/.installed-all ## rewrite the code in the project's style
 
 docs: $(VENV)/.installed-all ## build the documentation into site/; a warning is an error
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --clean
+
+bench: $(VENV)/.installed-recipes ## measure speed; ARGS="groups=[cameras]" for a part of it
+	@$(BIN)/python -m sphericalvision.recipes.benchmark $(ARGS)
 
 clean: ## remove what can be made again (the environment too)
 	@rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info

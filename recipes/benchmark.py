@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measure speed: ``sphericalvision-benchmark groups=[network]``.
+
+Every figure stands beside a plain way to do the same work, run in turns with it; ratios are what counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig
+
+from sphericalvision.core import check_choice
+from sphericalvision.recipes.benchmarking import (
+    Comparison,
+    Measured,
+    machine,
+    measure,
+    print_measured,
+    save_measured,
+)
+from sphericalvision.recipes.cli import choose_device, command, console, output_folder
+
+__all__ = ["GROUPS", "benchmark", "main"]
+
+GROUPS = ("machine", "cameras", "convolutions", "network")
+"""Each is a module ``bench_<group>`` with a function ``comparisons(config, device)``."""
+
+
+def comparisons(group: str, config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """The comparisons of one group, each made when its turn comes.
+
+    Raises:
+        ArgumentError: there is no such group.
+    """
+    check_choice("groups", group, GROUPS)
+    yield from import_module(f"sphericalvision.recipes.bench_{group}").comparisons(config, device)
+
+
+def benchmark(config: DictConfig, folder: Path) -> list[Measured]:
+    """Measure the groups that ``config`` names; the tables go to ``folder``."""
+    for group in config.groups:
+        check_choice("groups", group, GROUPS)
+    if config.threads is not None:
+        torch.set_num_threads(config.threads)
+    device = choose_device(config.device)
+    facts = machine(device)
+    for key, value in facts.items():
+        console.print(f"{key}: {value}", highlight=False)
+    rows: list[Measured] = []
+    for group in config.groups:
+        for comparison in comparisons(group, config, device):
+            with console.status(comparison.title):
+                measured = measure(comparison, config.seconds, device)
+            print_measured(measured)
+            rows += measured
+            written = save_measured(folder, rows, facts)  # after each, so that an interruption loses little
+    for path in written:
+        print(path)
+    return rows
+
+
+@command("benchmark")
+def main(config: DictConfig) -> None:
+    """Command line of the benchmark."""
+    benchmark(config, output_folder())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Losses on hypothesis indices."""
+"""Losses on hypothesis indices, and losses on any grid weighted by solid angle."""
 
 from __future__ import annotations
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
 
-__all__ = ["depth_index_huber"]
+__all__ = ["depth_index_huber", "solid_angle_cross_entropy", "solid_angle_mean"]
 
 
 def depth_index_huber(
-    pred_index: Tensor, target_index: Tensor, mask: Tensor | None = None, delta: float = 1.0
+    pred_index: Tensor,
+    target_index: Tensor,
+    mask: Tensor | None = None,
+    delta: float = 1.0,
+    weights: Tensor | None = None,
 ) -> Tensor:
     """Return the mean Huber loss of hypothesis indices over the points of a mask.
 
@@ -22,6 +27,7 @@ def depth_index_huber(
         mask: ``(B, V)``, True where the ground truth counts; everywhere when not given. Values of the target
             outside the mask have no influence, NaN included.
         delta: index difference at which the loss turns from quadratic to linear.
+        weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.
 
     Returns:
         A scalar; 0, with zero gradients, if the mask is empty.
@@ -33,7 +39,6 @@ def depth_index_huber(
         Huber (1964), "Robust estimation of a location parameter".
 
     Examples:
-        >>> import torch
         >>> depth_index_huber(torch.tensor([[0.0, 3.0]]), torch.tensor([[1.0, 0.0]]))  # (0.5 + 2.5) / 2
         tensor(1.5000)
     """
@@ -42,10 +47,103 @@ def depth_index_huber(
             f"target_index: expected the shape of pred_index {tuple(pred_index.shape)}, "
             f"got {tuple(target_index.shape)}"
         )
+    if mask is not None and mask.shape != pred_index.shape:
+        raise ShapeError(f"mask: expected shape {tuple(pred_index.shape)}, got {tuple(mask.shape)}")
+    if weights is not None:
+        if weights.shape not in (pred_index.shape, pred_index.shape[-1:]):
+            raise ShapeError(f"weights: expected shape ({pred_index.shape[-1]},), got {tuple(weights.shape)}")
+        target = target_index if mask is None else target_index.where(mask, pred_index.detach())
+        losses = F.huber_loss(pred_index, target, delta=delta, reduction="none")
+        shares = weights.to(losses).expand_as(losses)
+        shares = shares if mask is None else shares.where(mask, 0.0)
+        return _ratio((losses * shares).sum(), shares.sum())
     if mask is None:
         return F.huber_loss(pred_index, target_index, delta=delta)
-    if mask.shape != pred_index.shape:
-        raise ShapeError(f"mask: expected shape {tuple(pred_index.shape)}, got {tuple(mask.shape)}")
     target = target_index.where(mask, pred_index.detach())
     total = F.huber_loss(pred_index, target, delta=delta, reduction="sum")
     return total / mask.sum().clamp(min=1)
+
+
+def solid_angle_mean(values: Tensor, solid_angles: Tensor, mask: Tensor | None = None) -> Tensor:
+    """Return the mean of values over the sphere, or over the part of it that a mask leaves.
+
+    Any loss at each place becomes one in which every part of the sphere counts by its size:
+    ``solid_angle_mean((pred - target).abs(), grid.solid_angles, mask).mean()``.
+
+    Args:
+        values: ``(*b, *shape)`` on a grid.
+        solid_angles: ``(*shape)`` of that grid, ``grid.solid_angles``.
+        mask: of the values' shape or one that broadcasts to it, True where they count. Values outside have no
+            influence, and get no gradient, NaN included.
+
+    Returns:
+        ``(*b)``; 0, with zero gradients, where the mask is empty.
+
+    Raises:
+        ShapeError: if the values do not lie on the grid, or the mask does not fit them.
+
+    Examples:
+        >>> from sphericalvision.sphere import Equirectangular
+        >>> grid = Equirectangular(64, 128)
+        >>> height = -grid.directions[..., 1]
+        >>> solid_angle_mean(height.abs(), grid.solid_angles)  # the mean over pixels is 0.64
+        tensor(0.5002)
+    """
+    dims = solid_angles.ndim
+    if values.ndim < dims or values.shape[values.ndim - dims :] != solid_angles.shape:
+        size = ", ".join(map(str, solid_angles.shape))
+        raise ShapeError(f"values: expected shape (*, {size}) as the solid angles, got {tuple(values.shape)}")
+    shares = solid_angles.to(values).expand_as(values)
+    if mask is not None:
+        try:
+            counts = mask.bool().expand_as(values)
+        except RuntimeError:
+            raise ShapeError(
+                f"mask: expected a shape that broadcasts to {tuple(values.shape)}, got {tuple(mask.shape)}"
+            ) from None
+        shares, values = shares.where(counts, 0.0), values.where(counts, 0.0)
+    grid = tuple(range(-dims, 0))
+    return _ratio((values * shares).sum(grid), shares.sum(grid))
+
+
+def solid_angle_cross_entropy(
+    logits: Tensor, labels: Tensor, solid_angles: Tensor, ignore_index: int = -100
+) -> Tensor:
+    """Return the mean cross entropy of labels on a grid, every place weighted by its solid angle.
+
+    Args:
+        logits: ``(B, classes, *shape)``.
+        labels: ``(B, *shape)`` integers.
+        solid_angles: ``(*shape)`` of the grid.
+        ignore_index: label of places that do not count.
+
+    Returns:
+        A scalar, over all places of all images that count; 0, with zero gradients, if there is none.
+
+    Raises:
+        ShapeError: if the shapes do not fit.
+
+    Examples:
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> ico = Icosphere(2)
+        >>> labels = torch.zeros(1, 162, dtype=torch.long)
+        >>> solid_angle_cross_entropy(torch.zeros(1, 2, 162), labels, ico.solid_angles)  # log 2
+        tensor(0.6931)
+    """
+    if tuple(logits.shape[2:]) != tuple(solid_angles.shape) or labels.shape != (
+        *logits.shape[:1],
+        *solid_angles.shape,
+    ):
+        size = ", ".join(map(str, solid_angles.shape))
+        raise ShapeError(
+            f"logits, labels: expected shapes (B, classes, {size}) and (B, {size}), "
+            f"got {tuple(logits.shape)} and {tuple(labels.shape)}"
+        )
+    losses = F.cross_entropy(logits, labels, ignore_index=ignore_index, reduction="none")
+    shares = solid_angles.to(losses).expand_as(losses).where(labels != ignore_index, 0.0)
+    return _ratio((losses * shares).sum(), shares.sum())
+
+
+def _ratio(total: Tensor, weight: Tensor) -> Tensor:
+    """Return total / weight, and 0 where there is no weight."""
+    return total / weight.where(weight > 0, torch.ones_like(weight))

@@ -19,6 +19,14 @@ from sphericalvision.data.scenes import (
     render_directions,
     render_rig,
 )
+from sphericalvision.data.sphere_rotation import (
+    num_yaw_steps,
+    random_rotations,
+    rotate_on_sphere,
+    yaw_on_sphere,
+    yaw_rotation,
+)
+from sphericalvision.data.sphere_transforms import RandomSphereRotation, RandomYaw
 from sphericalvision.data.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
 
 __all__ = [
@@ -27,6 +35,8 @@ __all__ = [
     "OmniStereoDataset",
     "PhotometricAugmentation",
     "RandomShift",
+    "RandomSphereRotation",
+    "RandomYaw",
     "RotateFivefold",
     "Scene",
     "SceneDataset",
@@ -34,7 +44,9 @@ __all__ = [
     "ToSphere",
     "collate_samples",
     "make_scene",
+    "num_yaw_steps",
     "ocam_from_camera",
+    "random_rotations",
     "ray_depth",
     "read_ground_truth",
     "read_image",
@@ -42,8 +54,11 @@ __all__ = [
     "render_directions",
     "render_rig",
     "rotate_fivefold",
+    "rotate_on_sphere",
     "split_frames",
     "write_ground_truth",
     "write_image",
     "write_omnistereo",
+    "yaw_on_sphere",
+    "yaw_rotation",
 ]

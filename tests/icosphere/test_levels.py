@@ -119,13 +119,14 @@ def test_upsampling_is_linear_interpolation(level: int, generator: torch.Generat
 
 
 def test_upsampling_then_pooling_stays_close_to_a_smooth_function() -> None:
-    """A function of curvature 1 loses an amount of the order of the square of the vertices' distance."""
-    errors = []
-    for level in (3, 4):
+    """What is lost falls on average with the square of the vertices' distance."""
+    losses = []
+    for level in (3, 4, 5):
         height = icosphere_vertices(level, torch.float64)[:, 1]
-        errors.append((icosphere_pool(icosphere_upsample(height)) - height).abs().max().item())
-    assert errors[0] < 0.01
-    assert errors[1] < errors[0] / 3
+        losses.append((icosphere_pool(icosphere_upsample(height)) - height).abs())
+    assert losses[0].max() < 0.01
+    assert losses[1].mean() < losses[0].mean() / 3
+    assert losses[2].mean() < losses[1].mean() / 3
 
 
 def test_gradients(generator: torch.Generator) -> None:

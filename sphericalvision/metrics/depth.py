@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-
 import torch
 from torch import Tensor
-from torchmetrics import Metric
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
+from sphericalvision.metrics.images import MeanOverImages, shares_of_points, weighted_mean
 
 __all__ = ["DepthError", "DepthIndexError", "depth_error", "depth_index_error"]
 
@@ -53,10 +51,10 @@ def depth_index_error(
     """
     if num_hypotheses < 1:
         raise ArgumentError(f"num_hypotheses: expected a positive number, got {num_hypotheses!r}")
-    shares = _shares(pred_index, target_index, mask, weights)
+    shares = shares_of_points(pred_index, target_index, mask, weights)
     error = (pred_index - target_index).abs().to(shares.dtype) * (100 / num_hypotheses)
-    above = {f">{threshold}": _mean(100.0 * (error > threshold), shares) for threshold in (1, 3, 5)}
-    return above | {"MAE": _mean(error, shares), "RMS": _mean(error.square(), shares).sqrt()}
+    above = {f">{threshold}": weighted_mean(100.0 * (error > threshold), shares) for threshold in (1, 3, 5)}
+    return above | {"MAE": weighted_mean(error, shares), "RMS": weighted_mean(error.square(), shares).sqrt()}
 
 
 def depth_error(
@@ -97,80 +95,21 @@ def depth_error(
     if not max_depth > 0:
         raise ArgumentError(f"max_depth: expected a positive number of metres, got {max_depth!r}")
     in_range = (target_depth > 0) & (target_depth <= max_depth)
-    shares = _shares(pred_depth, target_depth, in_range if mask is None else in_range & mask, weights)
+    shares = shares_of_points(
+        pred_depth, target_depth, in_range if mask is None else in_range & mask, weights
+    )
     pred = pred_depth.clamp(max=max_depth).to(shares.dtype)
     target = target_depth.to(shares.dtype)
     error = (pred - target).abs()
     ratio = torch.maximum(pred / target, target / pred)
     return {
-        "AbsRel": _mean(error / target, shares),
-        "RMSE": _mean(error.square(), shares).sqrt(),
-        "d<1.25": _mean((ratio < 1.25).to(shares.dtype), shares),
+        "AbsRel": weighted_mean(error / target, shares),
+        "RMSE": weighted_mean(error.square(), shares).sqrt(),
+        "d<1.25": weighted_mean((ratio < 1.25).to(shares.dtype), shares),
     }
 
 
-def _shares(pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None) -> Tensor:
-    """Return float64 weights ``(B, V)``: zero outside the mask, one in total per image (NaN if empty)."""
-    if pred.ndim != 2:
-        raise ShapeError(f"prediction: expected shape (B, V), got {tuple(pred.shape)}")
-    named = {"target": target, "mask": pred if mask is None else mask}
-    for name, tensor in named.items():
-        if tensor.shape != pred.shape:
-            raise ShapeError(
-                f"{name}: expected the shape of the prediction {tuple(pred.shape)}, got {tuple(tensor.shape)}"
-            )
-    shares = torch.ones(pred.shape, dtype=torch.float64, device=pred.device)
-    if weights is not None:
-        if weights.shape not in (pred.shape, pred.shape[1:]):
-            raise ShapeError(f"weights: expected shape ({pred.shape[1]},), got {tuple(weights.shape)}")
-        shares = shares * weights
-    if mask is not None:
-        shares = shares.masked_fill(~mask.bool(), 0)
-    return shares / shares.sum(1, keepdim=True)
-
-
-def _mean(values: Tensor, shares: Tensor) -> Tensor:
-    """Return the weighted mean ``(B,)``; values without weight are ignored, NaN included."""
-    return torch.where(shares == 0, 0.0, values * shares).sum(1)
-
-
-class _MeanOverImages(Metric):
-    """Means over images of errors known for each image; states are sums, so processes add up."""
-
-    full_state_update = False
-    error_names: tuple[str, ...]
-    sums: Tensor
-    num_images: Tensor
-
-    def __init__(self, **kwargs: object) -> None:
-        super().__init__(**kwargs)
-        zeros = torch.zeros(len(self.error_names), dtype=torch.float64)
-        self.add_state("sums", default=zeros, dist_reduce_fx="sum")
-        self.add_state("num_images", default=torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-
-    @abstractmethod
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        """Return the errors of each image ``(B,)`` by name; NaN for an image that does not count."""
-
-    def update(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None = None, weights: Tensor | None = None
-    ) -> None:
-        """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and ``(V,)`` weights."""
-        errors = self._errors(pred, target, mask, weights)
-        table = torch.stack([errors[name] for name in self.error_names])
-        counts = ~table.isnan().all(0)
-        self.sums += table[:, counts].sum(1)
-        self.num_images += counts.sum()
-
-    def compute(self) -> dict[str, Tensor]:
-        """Return the means over all images with at least one valid point, by name; NaN if there was none."""
-        means = (self.sums / self.num_images).float()
-        return dict(zip(self.error_names, means, strict=True))
-
-
-class DepthIndexError(_MeanOverImages):
+class DepthIndexError(MeanOverImages):
     """The field's table row: ``>1 >3 >5 MAE RMS`` in percent of N, per image and then averaged over images.
 
     See ``depth_index_error``; images without a valid point do not count.
@@ -201,7 +140,7 @@ class DepthIndexError(_MeanOverImages):
         return depth_index_error(pred, target, self.num_hypotheses, mask, weights)
 
 
-class DepthError(_MeanOverImages):
+class DepthError(MeanOverImages):
     """``AbsRel``, ``RMSE`` (m) and ``d<1.25`` of depths in metres, per image and then averaged over images.
 
     See ``depth_error``; images without a valid point do not count.

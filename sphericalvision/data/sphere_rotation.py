@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What lies on a sphere, rotated: images, depth, normals and labels, by any rotation or exactly by a turn of the grid.
+
+Convention:
+    Rotations turn the content: what stood in direction d then stands in ``rotation @ d``. A positive yaw turns forward
+    (+z) towards right (+x); in an equirectangular image that moves columns to the right.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.geometry import transform_from_quaternion
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
+
+__all__ = ["num_yaw_steps", "random_rotations", "rotate_on_sphere", "yaw_on_sphere", "yaw_rotation"]
+
+KINDS = ("image", "depth", "normals", "labels")
+
+
+def rotate_on_sphere(values: Tensor, grid: SphereGrid, rotation: Tensor, kind: str = "image") -> Tensor:
+    """Rotate what lies on a grid.
+
+    Args:
+        values: ``(*, *grid.shape)``, with the three components in the dimension before the grid's for normals.
+        grid: where the values are given, before and after.
+        rotation: ``(3, 3)``, or ``(B, 3, 3)`` for values whose first dimension is B.
+        kind: ``"image"`` is interpolated; ``"labels"``, of any dtype, and ``"depth"``, along the ray and therefore
+            as long as before, are taken from the nearest place, so that no label and no depth is invented;
+            ``"normals"`` are interpolated, turned, and of unit length again (zero stays zero).
+
+    Returns:
+        As the values; differentiable in values and rotation for images and normals.
+
+    Raises:
+        ShapeError: if values, grid and rotation do not fit.
+        ArgumentError: if the kind is unknown.
+
+    Examples:
+        >>> grid = Equirectangular(8, 16)
+        >>> height = -grid.directions[..., 1]
+        >>> upside_down = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
+        >>> torch.allclose(rotate_on_sphere(height, grid, upside_down), -height, atol=1e-5)
+        True
+    """
+    flat = _flat(values, grid, rotation.shape, rotation.ndim - 2, kind)
+    if rotation.shape[-2:] != (3, 3):
+        raise ShapeError(f"rotation: expected shape (3, 3) or (B, 3, 3), got {tuple(rotation.shape)}")
+    directions = grid.directions.reshape(-1, 3)
+    looked_at = directions @ rotation.to(directions)  # its transpose, on rows
+    if kind in ("depth", "labels"):
+        return _gathered(flat, grid.nearest(looked_at)).view(values.shape)
+    sampled = grid.sample(flat.unflatten(-1, grid.shape), looked_at)
+    if kind == "image":
+        return sampled.reshape(values.shape)
+    return F.normalize(_turned(sampled, rotation), dim=-2).view(values.shape)
+
+
+def yaw_on_sphere(values: Tensor, grid: SphereGrid, steps: Tensor | int, kind: str = "image") -> Tensor:
+    """Turn what lies on a grid about the vertical by steps that map the grid onto itself: nothing is interpolated.
+
+    Args:
+        values: ``(*, *grid.shape)``, with the three components in the dimension before the grid's for normals.
+        grid: ``Equirectangular`` (a step is a column), ``Icosphere`` (72°), ``Cubemap`` or ``Healpix`` (90°).
+        steps: any whole number, or ``(B,)`` of them for values whose first dimension is B.
+        kind: ``"image"``, ``"depth"``, ``"normals"`` (which are turned, too) or ``"labels"``, of any dtype.
+
+    Raises:
+        ShapeError: if values, grid and steps do not fit.
+        ArgumentError: if the grid has no such steps or the kind is unknown.
+
+    Examples:
+        >>> yaw_on_sphere(torch.arange(8).view(1, 8), Equirectangular(1, 8), 3, "labels")
+        tensor([[5, 6, 7, 0, 1, 2, 3, 4]])
+    """
+    steps = torch.as_tensor(steps, device=values.device)
+    flat = _flat(values, grid, steps.shape, steps.ndim, kind)
+    moved = _gathered(flat, _yaw_ids(grid, steps))
+    if kind == "normals":
+        moved = _turned(moved, yaw_rotation(yaw_angle(steps, num_yaw_steps(grid))))
+    return moved.view(values.shape)
+
+
+def num_yaw_steps(grid: SphereGrid) -> int:
+    """Return how many turns about the vertical map a grid onto itself.
+
+    Raises:
+        ArgumentError: if they are not known for this grid.
+
+    Examples:
+        >>> num_yaw_steps(Icosphere(3)), num_yaw_steps(Equirectangular(32, 64))
+        (5, 64)
+    """
+    if isinstance(grid, Equirectangular):
+        return grid.width
+    if isinstance(grid, Icosphere):
+        return 5
+    if isinstance(grid, (Cubemap, Healpix)):
+        return 4
+    raise ArgumentError(
+        "grid: expected Equirectangular, Icosphere, Cubemap or Healpix, whose exact turns about the vertical are "
+        f"known, got {type(grid).__name__}; turn it by any angle with rotate_on_sphere"
+    )
+
+
+def yaw_rotation(angle: Tensor) -> Tensor:
+    """Return the rotations ``(*, 3, 3)`` about the vertical by angles ``(*)`` in radians, forward towards right.
+
+    Examples:
+        >>> yaw_rotation(torch.tensor(torch.pi / 2)).round() @ torch.tensor([0.0, 0.0, 1.0])
+        tensor([1., 0., 0.])
+    """
+    sine, cosine = angle.sin(), angle.cos()
+    zero, one = torch.zeros_like(sine), torch.ones_like(sine)
+    rows = ((cosine, zero, sine), (zero, one, zero), (-sine, zero, cosine))
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
+def yaw_angle(steps: Tensor, num_steps: int) -> Tensor:
+    """Return the angles in radians, float64, of whole steps of which a turn has ``num_steps``."""
+    return steps.double() * (2 * math.pi / num_steps)
+
+
+def random_rotations(
+    count: int, max_angle: float = math.pi, generator: torch.Generator | None = None
+) -> Tensor:
+    """Draw rotations ``(count, 3, 3)`` evenly from all whose angle is at most ``max_angle``.
+
+    Args:
+        count: number of rotations.
+        max_angle: radians, above 0 to π; π draws from all of SO(3).
+        generator: source of randomness; torch's global one when not given.
+
+    Raises:
+        ArgumentError: if the angle is out of range.
+
+    References:
+        Miles (1965), "On random rotations in R³": the density of the angle is proportional to 1 - cos.
+
+    Examples:
+        >>> turns = random_rotations(4)
+        >>> torch.allclose(turns @ turns.mT, torch.eye(3), atol=1e-6)
+        True
+    """
+    if not 0 < max_angle <= math.pi:
+        raise ArgumentError(f"max_angle: expected more than 0, up to π radians, got {max_angle!r}")
+    axis = F.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=-1)
+    share = torch.rand(count, generator=generator, dtype=torch.float64)
+    wanted = share * (max_angle - math.sin(max_angle))
+    low, high = torch.zeros_like(share), torch.full_like(share, max_angle)
+    for _ in range(60):  # the angle whose distribution function is the share, by bisection
+        angle = (low + high) / 2
+        below = angle - angle.sin() < wanted
+        low, high = torch.where(below, angle, low), torch.where(below, high, angle)
+    half = high[:, None] / 2
+    quaternion = torch.cat((half.cos(), half.sin() * axis), -1)
+    turns = transform_from_quaternion(quaternion, torch.zeros_like(axis))[:, :3, :3]
+    return turns.to(torch.get_default_dtype())
+
+
+def _flat(values: Tensor, grid: SphereGrid, batch: torch.Size, batched: int, kind: str) -> Tensor:
+    """Return values as ``(c, n)``, or ``(B, c, n)`` for a batch of rotations, once everything fits together."""
+    check_choice("kind", kind, KINDS)
+    shape = tuple(grid.shape)
+    leading = values.shape[: values.ndim - len(shape)]
+    size = ", ".join(map(str, shape))
+    if values.ndim < len(shape) or tuple(values.shape[values.ndim - len(shape) :]) != shape:
+        raise ShapeError(f"values: expected shape (*, {size}) for this grid, got {tuple(values.shape)}")
+    if batched > 1 or (batched == 1 and (not leading or leading[0] != batch[0])):
+        raise ShapeError(
+            f"values: expected shape ({batch[0]}, *, {size}) to go with {batch[0]} rotations, "
+            f"got {tuple(values.shape)}"
+        )
+    if kind == "normals" and (len(leading) <= batched or leading[-1] != 3):
+        raise ShapeError(f"values: expected normals (*, 3, {size}), got {tuple(values.shape)}")
+    return values.reshape(*leading[:batched], -1, math.prod(shape))
+
+
+def _gathered(flat: Tensor, ids: Tensor) -> Tensor:
+    """Return values ``(c, n)`` at ids ``(n,)``, or ``(B, c, n)`` at ``(B, n)``."""
+    return flat.index_select(-1, ids) if ids.ndim == 1 else flat.gather(-1, ids[:, None].expand_as(flat))
+
+
+def _turned(flat: Tensor, rotation: Tensor) -> Tensor:
+    """Return vectors, three of the ``c`` rows of ``(c, n)`` or ``(B, c, n)`` each, turned: ``(.., c / 3, 3, n)``."""
+    vectors = flat.unflatten(-2, (-1, 3))
+    rotation = rotation.to(vectors)
+    return (rotation if rotation.ndim == 2 else rotation[:, None]) @ vectors
+
+
+def _yaw_ids(grid: SphereGrid, steps: Tensor) -> Tensor:
+    """Return where in the flattened grid the value of each place comes from, ``(n,)`` or ``(B, n)``."""
+    count, steps = num_yaw_steps(grid), steps[..., None]
+    place = torch.arange(math.prod(grid.shape), device=steps.device)
+    if isinstance(grid, Equirectangular):
+        return place - place % count + (place - steps) % count
+    if isinstance(grid, Icosphere):
+        chart_size = (grid.num_vertices - 2) // 5
+        turned = 1 + (place - 1 - steps * chart_size) % (5 * chart_size)
+        return torch.where((place == 0) | (place == grid.num_vertices - 1), place, turned)
+    directions = grid.directions.reshape(-1, 3)
+    turn = yaw_rotation(yaw_angle(steps.squeeze(-1), count))
+    return grid.nearest(directions @ turn.to(directions))

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What metrics share: weights of points that sum to one in each image, and means over images."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import torch
+from torch import Tensor
+from torchmetrics import Metric
+
+from sphericalvision.core import ShapeError
+
+__all__ = ["MeanOverImages", "shares_of_points", "weighted_mean"]
+
+
+def shares_of_points(pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None) -> Tensor:
+    """Return float64 weights ``(B, V)``: zero outside the mask, one in total per image (NaN if empty)."""
+    if pred.ndim != 2:
+        raise ShapeError(f"prediction: expected shape (B, V), got {tuple(pred.shape)}")
+    named = {"target": target, "mask": pred if mask is None else mask}
+    for name, tensor in named.items():
+        if tensor.shape != pred.shape:
+            raise ShapeError(
+                f"{name}: expected the shape of the prediction {tuple(pred.shape)}, got {tuple(tensor.shape)}"
+            )
+    shares = torch.ones(pred.shape, dtype=torch.float64, device=pred.device)
+    if weights is not None:
+        if weights.shape not in (pred.shape, pred.shape[1:]):
+            raise ShapeError(f"weights: expected shape ({pred.shape[1]},), got {tuple(weights.shape)}")
+        shares = shares * weights
+    if mask is not None:
+        shares = shares.masked_fill(~mask.bool(), 0)
+    return shares / shares.sum(1, keepdim=True)
+
+
+def weighted_mean(values: Tensor, shares: Tensor) -> Tensor:
+    """Return the weighted mean ``(B,)``; values without weight are ignored, NaN included."""
+    return torch.where(shares == 0, 0.0, values * shares).sum(1)
+
+
+class MeanOverImages(Metric):
+    """Means over images of errors known for each image; states are sums, so processes add up."""
+
+    full_state_update = False
+    error_names: tuple[str, ...]
+    sums: Tensor
+    num_images: Tensor
+
+    def __init__(self, **kwargs: object) -> None:
+        super().__init__(**kwargs)
+        zeros = torch.zeros(len(self.error_names), dtype=torch.float64)
+        self.add_state("sums", default=zeros, dist_reduce_fx="sum")
+        self.add_state("num_images", default=torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+
+    @abstractmethod
+    def _errors(
+        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
+    ) -> dict[str, Tensor]:
+        """Return the errors of each image ``(B,)`` by name; NaN for an image that does not count."""
+
+    def update(
+        self, pred: Tensor, target: Tensor, mask: Tensor | None = None, weights: Tensor | None = None
+    ) -> None:
+        """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and ``(V,)`` weights."""
+        errors = self._errors(pred, target, mask, weights)
+        table = torch.stack([errors[name] for name in self.error_names])
+        counts = ~table.isnan().all(0)
+        self.sums += table[:, counts].sum(1)
+        self.num_images += counts.sum()
+
+    def compute(self) -> dict[str, Tensor]:
+        """Return the means over all images with at least one valid point, by name; NaN if there was none."""
+        means = (self.sums / self.num_images).float()
+        return dict(zip(self.error_names, means, strict=True))

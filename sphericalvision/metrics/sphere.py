@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics of whatever lies on a grid of the sphere, weighted by solid angle: means, latitude profiles, segmentation.
+
+A pixel of an equirectangular image near a pole covers a hundredth of what one at the horizon does; weights by solid
+angle make numbers of different grids, and of different sizes of one grid, the same number.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torchmetrics import Metric
+
+from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.geometry import angle_from_axis
+from sphericalvision.sphere import SphereGrid
+
+__all__ = ["LatitudeBands", "LatitudeProfile", "SolidAngleIoU", "SolidAngleMean", "angular_error"]
+
+
+def angular_error(pred: Tensor, target: Tensor) -> Tensor:
+    """Return the angles in radians between directions, such as normals of a surface.
+
+    Args:
+        pred: ``(*, 3)`` of any length but zero.
+        target: ``(*, 3)``.
+
+    Returns:
+        ``(*)`` from 0 to π, exact for small angles too.
+
+    Raises:
+        ShapeError: if the last dimension is not 3.
+
+    Examples:
+        >>> angular_error(torch.tensor([2.0, 0.0, 0.0]), torch.tensor([0.0, 0.0, 1.0]))
+        tensor(1.5708)
+    """
+    check_last_dim("pred", pred, 3)
+    check_last_dim("target", target, 3)
+    cross = torch.linalg.cross(*torch.broadcast_tensors(pred, target))
+    return torch.atan2(cross.norm(dim=-1), (pred * target).sum(-1))
+
+
+class _OnGrid(Metric):
+    """A metric of values on one grid, whose solid angles it owns."""
+
+    full_state_update = False
+    solid_angles: Tensor
+
+    def __init__(self, grid: SphereGrid, **kwargs: object) -> None:
+        super().__init__(**kwargs)
+        self.grid_shape = tuple(grid.shape)
+        self.register_buffer("solid_angles", grid.solid_angles.double().flatten(), persistent=False)
+
+    def _flat(self, name: str, values: Tensor) -> Tensor:
+        """Return ``(B, *grid.shape)`` as ``(B, n)``."""
+        if tuple(values.shape[1:]) != self.grid_shape:
+            size = ", ".join(map(str, self.grid_shape))
+            raise ShapeError(f"{name}: expected shape (B, {size}) on this grid, got {tuple(values.shape)}")
+        return values.flatten(1)
+
+    def _weights(self, values: Tensor, mask: Tensor | None) -> Tensor:
+        """Return the solid angles ``(B, n)`` of values, zero outside the mask."""
+        weights = self.solid_angles.expand(values.shape)
+        if mask is None:
+            return weights
+        if mask.shape[:1] != values.shape[:1]:
+            raise ShapeError(f"mask: expected {len(values)} images as in the values, got {tuple(mask.shape)}")
+        return weights * self._flat("mask", mask).bool()
+
+
+class SolidAngleMean(_OnGrid):
+    """Mean of values over the sphere, per image and then averaged over images; images without a valid point are out.
+
+    Feed it any error at each place: ``(pred - target).abs()``, ``angular_error(...)``.
+
+    Args:
+        grid: on which the values lie.
+
+    ``update`` takes values ``(B, *grid.shape)`` and an optional mask of that shape, True where they count; values
+    outside have no influence, NaN included. ``compute`` returns a scalar, NaN if there was no image.
+
+    Raises:
+        ShapeError: if values or mask do not lie on the grid.
+
+    Examples:
+        >>> from sphericalvision.sphere import Equirectangular
+        >>> grid = Equirectangular(64, 128)
+        >>> metric = SolidAngleMean(grid)
+        >>> metric.update(grid.directions[None, ..., 1].square())  # y² has the mean 1/3 over the sphere
+        >>> metric.compute()
+        tensor(0.3334)
+    """
+
+    total: Tensor
+    num_images: Tensor
+
+    def __init__(self, grid: SphereGrid, **kwargs: object) -> None:
+        super().__init__(grid, **kwargs)
+        for name in ("total", "num_images"):
+            self.add_state(name, default=torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+
+    def update(self, values: Tensor, mask: Tensor | None = None) -> None:
+        """Add a batch."""
+        flat = self._flat("values", values)
+        weights = self._weights(flat, mask)
+        means = torch.where(weights > 0, flat * weights, 0.0).sum(1) / weights.sum(1)
+        counts = weights.sum(1) > 0
+        self.total += means[counts].sum()
+        self.num_images += counts.sum()
+
+    def compute(self) -> Tensor:
+        """Return the mean."""
+        return (self.total / self.num_images).float()
+
+
+class LatitudeBands(NamedTuple):
+    """Means in bands of equal width in latitude, from north to south.
+
+    Attributes:
+        latitude: ``(num_bands,)`` middles of the bands in radians, π/2 is up.
+        mean: ``(num_bands,)``; NaN where nothing counted.
+        solid_angle: ``(num_bands,)`` steradians that counted, summed over images.
+    """
+
+    latitude: Tensor
+    mean: Tensor
+    solid_angle: Tensor
+
+
+class LatitudeProfile(_OnGrid):
+    """Mean of values in bands of latitude: what a network loses towards the poles.
+
+    Values are weighted by solid angle and pooled over all images, so that a band that a mask leaves with few points
+    counts by those.
+
+    Args:
+        grid: on which the values lie.
+        num_bands: number of bands of equal width between the poles.
+
+    ``update`` takes values ``(B, *grid.shape)`` and an optional mask, as ``SolidAngleMean``; ``compute`` returns
+    ``LatitudeBands``. The mean over bands, weighted by their solid angles, is the mean over all that counted.
+
+    Raises:
+        ShapeError: if values or mask do not lie on the grid.
+        ArgumentError: if the number of bands is not positive.
+
+    Examples:
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> ico = Icosphere(4)
+        >>> metric = LatitudeProfile(ico, num_bands=3)
+        >>> metric.update((ico.vertices[None, :, 1] < 0).float())  # 1 in the upper half
+        >>> [round(value, 1) for value in metric.compute().mean.tolist()]
+        [1.0, 0.5, 0.0]
+    """
+
+    band: Tensor
+    total: Tensor
+    weight: Tensor
+
+    def __init__(self, grid: SphereGrid, num_bands: int = 18, **kwargs: object) -> None:
+        super().__init__(grid, **kwargs)
+        if num_bands < 1:
+            raise ArgumentError(f"num_bands: expected 1 or more, got {num_bands!r}")
+        self.num_bands = num_bands
+        x, y, z = grid.directions.double().reshape(-1, 3).unbind(-1)
+        from_pole = angle_from_axis(torch.stack((z, x, -y), -1))
+        band = (from_pole * (num_bands / math.pi)).long().clamp(0, num_bands - 1)
+        self.register_buffer("band", band, persistent=False)
+        for name in ("total", "weight"):
+            zeros = torch.zeros(num_bands, dtype=torch.float64)
+            self.add_state(name, default=zeros, dist_reduce_fx="sum")
+
+    def update(self, values: Tensor, mask: Tensor | None = None) -> None:
+        """Add a batch."""
+        flat = self._flat("values", values)
+        weights = self._weights(flat, mask)
+        weighted = torch.where(weights > 0, flat * weights, 0.0)
+        self.total.index_add_(0, self.band, weighted.sum(0))
+        self.weight.index_add_(0, self.band, weights.sum(0))
+
+    def compute(self) -> LatitudeBands:
+        """Return the bands from north to south."""
+        middle = torch.arange(self.num_bands, device=self.total.device) + 0.5
+        latitude = math.pi / 2 - middle * (math.pi / self.num_bands)
+        return LatitudeBands(latitude, (self.total / self.weight).float(), self.weight.float())
+
+
+class SolidAngleIoU(_OnGrid):
+    """Segmentation on the sphere: accuracy and intersection over union, by solid angle instead of by pixels.
+
+    Areas of all images are pooled before they are divided, as is usual for intersection over union.
+
+    Args:
+        grid: on which labels lie.
+        num_classes: number of classes; labels are 0 to num_classes - 1.
+        ignore_index: true label of places that do not count.
+
+    ``update`` takes predicted and true labels ``(B, *grid.shape)`` and an optional mask. ``compute`` returns
+    ``"accuracy"``, ``"mIoU"`` (mean over classes that occur in prediction or truth) and ``"IoU"`` ``(num_classes,)``,
+    NaN for classes that do not occur.
+
+    Raises:
+        ShapeError: if labels or mask do not lie on the grid.
+        ArgumentError: if a label that counts is none of the classes.
+
+    Examples:
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> ico = Icosphere(2)
+        >>> upper = (ico.vertices[None, :, 1] < 0).long()
+        >>> metric = SolidAngleIoU(ico, num_classes=2)
+        >>> metric.update(upper, upper)
+        >>> metric.compute()["mIoU"]
+        tensor(1.)
+    """
+
+    areas: Tensor
+
+    def __init__(
+        self, grid: SphereGrid, num_classes: int, ignore_index: int | None = None, **kwargs: object
+    ) -> None:
+        super().__init__(grid, **kwargs)
+        if num_classes < 1:
+            raise ArgumentError(f"num_classes: expected 1 or more, got {num_classes!r}")
+        self.num_classes, self.ignore_index = num_classes, ignore_index
+        zeros = torch.zeros(num_classes, num_classes, dtype=torch.float64)
+        self.add_state("areas", default=zeros, dist_reduce_fx="sum")
+
+    def update(self, pred: Tensor, target: Tensor, mask: Tensor | None = None) -> None:
+        """Add a batch of labels."""
+        predicted, true = self._flat("pred", pred), self._flat("target", target)
+        if len(predicted) != len(true):
+            raise ShapeError(f"target: expected {len(predicted)} images as in pred, got {len(true)}")
+        weights = self._weights(true, mask)
+        if self.ignore_index is not None:
+            weights = weights * (true != self.ignore_index)
+        counts = weights > 0
+        for name, labels in (("pred", predicted[counts]), ("target", true[counts])):
+            if len(labels) and not 0 <= int(labels.min()) <= int(labels.max()) < self.num_classes:
+                raise ArgumentError(
+                    f"{name}: expected labels from 0 to {self.num_classes - 1}, got {int(labels.min())} to "
+                    f"{int(labels.max())}; leave others out by a mask or ignore_index"
+                )
+        pair = true[counts] * self.num_classes + predicted[counts]
+        self.areas.view(-1).index_add_(0, pair.long(), weights[counts])
+
+    def compute(self) -> dict[str, Tensor]:
+        """Return accuracy and intersection over union."""
+        both = self.areas.diagonal()
+        iou = both / (self.areas.sum(0) + self.areas.sum(1) - both)
+        accuracy = both.sum() / self.areas.sum()
+        return {"accuracy": accuracy.float(), "mIoU": iou.nanmean().float(), "IoU": iou.float()}

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics and losses weighted by solid angle: integrals known in closed form, plain loops, masks, processes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.losses import depth_index_huber, solid_angle_cross_entropy, solid_angle_mean
+from sphericalvision.metrics import LatitudeProfile, SolidAngleIoU, SolidAngleMean, angular_error
+from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
+
+GRIDS = [Equirectangular(32, 64), Icosphere(4), Cubemap(24), Healpix(16)]
+
+
+def ids(grid: SphereGrid) -> str:
+    return type(grid).__name__
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=ids)
+def test_means_are_those_of_the_sphere(grid: SphereGrid) -> None:
+    """The mean of y² is 1/3 and of |x| 1/2, whatever the grid."""
+    x, y, _ = grid.directions.unbind(-1)
+    metric = SolidAngleMean(grid)
+    metric.update(torch.stack((y.square(), y.square())))
+    assert metric.compute().item() == pytest.approx(1 / 3, rel=5e-3)
+    values = solid_angle_mean(torch.stack((y.square(), x.abs())), grid.solid_angles)
+    assert values.tolist() == pytest.approx([1 / 3, 1 / 2], rel=5e-3)
+
+
+def loop_mean(values: Tensor, weights: Tensor, mask: Tensor) -> float:
+    """Point by point."""
+    total = weight = 0.0
+    for v, w, m in zip(values.tolist(), weights.tolist(), mask.tolist(), strict=True):
+        if m:
+            total, weight = total + v * w, weight + w
+    return total / weight if weight else math.nan
+
+
+def test_masked_means_equal_loops_and_empty_images_are_out(generator: torch.Generator) -> None:
+    grid = Equirectangular(6, 12)
+    values = torch.rand(4, 6, 12, generator=generator)
+    mask = torch.rand(4, 6, 12, generator=generator) > torch.tensor([0.0, 0.5, 0.9, 1.0]).view(4, 1, 1)
+    values[~mask] = torch.nan
+    weights = grid.solid_angles.flatten()
+    rows = [loop_mean(v, weights, m) for v, m in zip(values.flatten(1), mask.flatten(1), strict=True)]
+    metric = SolidAngleMean(grid)
+    metric.update(values[:1], mask[:1])
+    metric.update(values[1:], mask[1:])
+    assert metric.compute().item() == pytest.approx(sum(rows[:3]) / 3, rel=1e-5)
+    assert solid_angle_mean(values, grid.solid_angles, mask).tolist() == pytest.approx(
+        [*rows[:3], 0.0], rel=1e-5
+    )
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=ids)
+def test_profile_of_a_function_of_latitude(grid: SphereGrid, generator: torch.Generator) -> None:
+    """Bands against sorting every place by its latitude; together they are the mean over the sphere."""
+    values = torch.rand(2, *grid.shape, generator=generator)
+    mask = torch.rand(2, *grid.shape, generator=generator) > 0.3
+    profile = LatitudeProfile(grid, num_bands=7)
+    profile.update(values[:1], mask[:1])
+    profile.update(values[1:], mask[1:])
+    bands = profile.compute()
+    assert bands.latitude[0] == pytest.approx(math.pi / 2 * 6 / 7)  # north comes first
+    latitude = torch.asin(-grid.directions.double()[..., 1]).flatten()
+    weights = grid.solid_angles.double().flatten()
+    for k in range(7):
+        low, high = (math.pi / 2 - math.pi / 7 * (k + 1), math.pi / 2 - math.pi / 7 * k)
+        inside = (latitude > low) & (latitude <= high)
+        both = torch.cat([inside & m.flatten() for m in mask])
+        expected = loop_mean(values.flatten(), weights.repeat(2), both)
+        assert bands.mean[k].item() == pytest.approx(expected, rel=1e-4)
+    total = (bands.mean * bands.solid_angle).sum() / bands.solid_angle.sum()
+    everything = solid_angle_mean(values.double(), grid.solid_angles.double(), mask)
+    area = (mask.flatten(1) * weights).sum(1)
+    assert total.item() == pytest.approx((everything * area).sum().item() / area.sum().item(), rel=1e-5)
+
+
+def test_bands_without_a_point_are_not_a_number() -> None:
+    grid = Equirectangular(8, 16)
+    profile = LatitudeProfile(grid, num_bands=4)
+    profile.update(torch.ones(1, 8, 16), grid.directions[None, ..., 1] < 0)
+    bands = profile.compute()
+    assert bands.mean[:2].tolist() == [1.0, 1.0]
+    assert bands.mean[2:].isnan().all()
+    assert bands.solid_angle.sum().item() == pytest.approx(2 * math.pi, rel=1e-6)
+
+
+def test_segmentation_equals_loops(generator: torch.Generator) -> None:
+    grid = Equirectangular(6, 12)
+    pred, target = torch.randint(0, 3, (2, 2, 6, 12), generator=generator)
+    target[0, 0] = 255
+    mask = torch.rand(2, 6, 12, generator=generator) > 0.2
+    metric = SolidAngleIoU(grid, num_classes=4, ignore_index=255)
+    metric.update(pred[:1], target[:1], mask[:1])
+    metric.update(pred[1:], target[1:], mask[1:])
+    weights = grid.solid_angles.expand(2, 6, 12)
+    counts = mask & (target != 255)
+    ious = []
+    for label in range(4):
+        both = weights[counts & (pred == label) & (target == label)].sum()
+        either = weights[counts & ((pred == label) | (target == label))].sum()
+        ious.append((both / either).item())
+    result = metric.compute()
+    assert result["IoU"].tolist() == pytest.approx(ious, nan_ok=True, rel=1e-5)
+    assert result["IoU"][3].isnan()  # a class that does not occur
+    assert result["mIoU"].item() == pytest.approx(sum(ious[:3]) / 3, rel=1e-5)
+    right = weights[counts & (pred == target)].sum() / weights[counts].sum()
+    assert result["accuracy"].item() == pytest.approx(right.item(), rel=1e-5)
+
+
+def test_a_polar_row_counts_little() -> None:
+    """A whole row of wrong labels at the pole, one of eight, costs 2 % of the sphere."""
+    grid = Equirectangular(8, 16)
+    pred = torch.zeros(1, 8, 16, dtype=torch.long)
+    pred[:, 0] = 1
+    metric = SolidAngleIoU(grid, num_classes=2)
+    metric.update(pred, torch.zeros_like(pred))
+    assert metric.compute()["accuracy"].item() == pytest.approx((1 + math.cos(math.pi / 8)) / 2, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["mean", "profile", "iou"])
+def test_states_of_two_processes_add_up(name: str, generator: torch.Generator) -> None:
+    grid = Icosphere(2)
+
+    def make() -> SolidAngleMean | LatitudeProfile | SolidAngleIoU:
+        return {
+            "mean": lambda: SolidAngleMean(grid),
+            "profile": lambda: LatitudeProfile(grid, 5),
+            "iou": lambda: SolidAngleIoU(grid, 3),
+        }[name]()
+
+    values = torch.randint(0, 3, (4, 162), generator=generator)
+    arguments = (values,) if name != "iou" else (values, values.roll(1, -1))
+    together, first, second = make(), make(), make()
+    together.update(*arguments)
+    first.update(*(a[:1] for a in arguments))
+    second.update(*(a[1:] for a in arguments))
+    for state in together._defaults:  # what distributed training reduces by addition
+        torch.testing.assert_close(getattr(first, state) + getattr(second, state), getattr(together, state))
+    assert together.state_dict() == {}
+
+
+def test_angles_between_directions_are_exact_where_they_are_small() -> None:
+    angle = torch.tensor([0.0, 1e-4, 1.0, math.pi])
+    tilted = torch.stack((torch.zeros(4), -angle.sin(), angle.cos()), -1)
+    torch.testing.assert_close(
+        angular_error(3 * tilted, torch.tensor([0.0, 0.0, 1.0])), angle, rtol=1e-5, atol=1e-6
+    )
+
+
+def test_masked_places_get_no_gradient() -> None:
+    grid = Equirectangular(4, 8)
+    values = torch.rand(2, 4, 8, requires_grad=True)
+    mask = torch.zeros(2, 4, 8, dtype=torch.bool)
+    mask[0, 1, 2] = True
+    target = torch.where(mask, 0.5, torch.nan)
+    solid_angle_mean((values - target).abs(), grid.solid_angles, mask).sum().backward()
+    assert values.grad is not None
+    assert values.grad.nonzero().tolist() == [[0, 1, 2]]
+
+
+def test_cross_entropy_equals_its_definition(generator: torch.Generator) -> None:
+    grid = Equirectangular(4, 8)
+    logits = torch.randn(2, 5, 4, 8, generator=generator)
+    labels = torch.randint(0, 5, (2, 4, 8), generator=generator)
+    labels[1, :2] = -100
+    weights = grid.solid_angles.expand(2, 4, 8) * (labels >= 0)
+    probability = logits.softmax(1).gather(1, labels.clamp(min=0)[:, None])[:, 0]
+    expected = -(weights * probability.log()).sum() / weights.sum()
+    torch.testing.assert_close(solid_angle_cross_entropy(logits, labels, grid.solid_angles), expected)
+    nothing = solid_angle_cross_entropy(logits, torch.full_like(labels, -100), grid.solid_angles)
+    assert nothing.item() == 0
+
+
+def test_huber_loss_with_weights(generator: torch.Generator) -> None:
+    pred, target = 3 * torch.randn(2, 2, 162, generator=generator)
+    mask = torch.rand(2, 162, generator=generator) > 0.4
+    torch.testing.assert_close(
+        depth_index_huber(pred, target, mask, weights=torch.full((162,), 7.0)),
+        depth_index_huber(pred, target, mask),
+    )
+    angles = Icosphere(2).solid_angles
+    error = (pred - target).abs()
+    losses = torch.where(error <= 1, 0.5 * error**2, error - 0.5)
+    expected = (losses * angles)[mask].sum() / angles.expand(2, 162)[mask].sum()
+    torch.testing.assert_close(
+        depth_index_huber(pred, target.where(mask, torch.nan), mask, weights=angles), expected
+    )
+    assert depth_index_huber(pred, target, torch.zeros_like(mask), weights=angles).item() == 0
+
+
+def test_bad_arguments_are_named() -> None:
+    grid = Equirectangular(4, 8)
+    with pytest.raises(ShapeError, match=r"values: expected shape \(B, 4, 8\)"):
+        SolidAngleMean(grid).update(torch.zeros(1, 8, 4))
+    with pytest.raises(ShapeError, match="mask"):
+        SolidAngleMean(grid).update(torch.zeros(2, 4, 8), torch.ones(1, 4, 8))
+    with pytest.raises(ArgumentError, match="num_bands"):
+        LatitudeProfile(grid, 0)
+    labels = torch.full((1, 4, 8), 7)
+    with pytest.raises(ArgumentError, match="target: expected labels from 0 to 1, got 7 to 7"):
+        SolidAngleIoU(grid, 2).update(torch.zeros_like(labels), labels)
+    with pytest.raises(ShapeError, match="values: expected"):
+        solid_angle_mean(torch.zeros(8, 4), grid.solid_angles)
+    with pytest.raises(ShapeError, match="mask: expected"):
+        solid_angle_mean(torch.zeros(4, 8), grid.solid_angles, torch.ones(3, 8))
+    with pytest.raises(ShapeError, match="logits, labels"):
+        solid_angle_cross_entropy(torch.zeros(1, 2, 4, 8), torch.zeros(1, 8, 4).long(), grid.solid_angles)
+    with pytest.raises(ShapeError, match="weights"):
+        depth_index_huber(torch.zeros(1, 5), torch.zeros(1, 5), weights=torch.ones(4))

@@ -63,9 +63,7 @@ def cube_to_layout(
     return torch.cat([torch.cat(row, -1) for row in rows], -2)
 
 
-def cube_from_layout(
-    faces: Tensor | Sequence[Tensor] | Mapping[str, Tensor], layout: str = "dice"
-) -> Tensor:
+def cube_from_layout(faces: Tensor | Sequence[Tensor] | Mapping[str, Tensor], layout: str = "dice") -> Tensor:
     """Return the cube map ``(*, 6, s, s)`` that ``cube_to_layout`` arranged.
 
     Raises:
@@ -87,7 +85,9 @@ def cube_from_layout(
         return torch.stack([faces[name] for name in CUBE_FACES], -3)
     if not isinstance(faces, Tensor):
         if layout != "list" or len(faces) != 6:
-            raise ArgumentError(f"faces: expected layout 'list' with 6 faces, got {layout!r} with {len(faces)}")
+            raise ArgumentError(
+                f"faces: expected layout 'list' with 6 faces, got {layout!r} with {len(faces)}"
+            )
         return torch.stack(list(faces), -3)
     down, across = {"dice": (3, 4), "strip": (1, 6)}.get(layout, (0, 0))
     side = faces.shape[-1] // max(across, 1)

@@ -119,7 +119,7 @@ class Cubemap(nn.Module):
         return rays[..., :3].to(dtype), shares.to(dtype)
 
     def face_coordinates(self, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """Face ``(*)`` that each direction ``(*, 3)`` goes through, and its tangents (x, y) ``(*, 2)`` there, in [-1, 1].
+        """Face ``(*)`` that each direction ``(*, 3)`` goes through, and its tangents (x, y) ``(*, 2)`` there, -1 to 1.
 
         Examples:
             >>> face, tangents = Cubemap(4).face_coordinates(torch.tensor([3.0, 1.5, 0.0]))
@@ -150,7 +150,11 @@ class Cubemap(nn.Module):
         """
         check_values(values, self.shape)
         side = self.size + 2
-        ring = values.flatten(-3).index_select(-1, self.padded_ids.flatten()).unflatten(-1, (6, side, side))
+        ring = (
+            values.flatten(-3)
+            .index_select(-1, self.padded_ids.flatten().to(values.device))
+            .unflatten(-1, (6, side, side))
+        )
         top, bottom = ring[..., :1, :], ring[..., -1:, :]
         rows = []
         for edge, inner in ((top, ring[..., 1:2, :]), (bottom, ring[..., -2:-1, :])):
@@ -254,6 +258,7 @@ def _padded_ids(size: int, device: torch.device | str | None) -> Tensor:
         world = local @ world_from_face.mT
         face = (world @ world_from_face[..., 2].T).argmax(-1)
         there = (world.unsqueeze(-2) @ world_from_face[face]).squeeze(-2)
-        x, y = ((there[..., :2] / there[..., 2:] + 1) * (size / 2)).floor().long().clamp(0, size - 1).unbind(-1)
+        there = (there[..., :2] / there[..., 2:] + 1) * (size / 2)
+        x, y = there.floor().long().clamp(0, size - 1).unbind(-1)
         ids[:, row, column] = (face * size + y) * size + x
     return ids

@@ -8,14 +8,36 @@ import math
 import torch
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.core import check_last_dim
 from sphericalvision.geometry import (
     bilinear_sample,
     directions_from_longitude_latitude,
     longitude_latitude_from_directions,
 )
+from sphericalvision.sphere.values import check_positive, check_values
 
-__all__ = ["Equirectangular"]
+__all__ = ["Equirectangular", "wrap_panorama"]
+
+
+def wrap_panorama(image: Tensor, poles: bool = True) -> Tensor:
+    """A panorama ``(*, h, w)`` with one more column on either side and one more row above and below.
+
+    Args:
+        image: equirectangular, all around.
+        poles: whether it reaches up to the poles; then beyond a pole stands its row as seen from behind, else the
+            row is repeated.
+
+    Examples:
+        >>> wrap_panorama(torch.tensor([[1, 2, 3, 4]]).float())[0]
+        tensor([2., 3., 4., 1., 2., 3.])
+    """
+    width = image.shape[-1]
+
+    def beyond(row: Tensor) -> Tensor:  # an odd width has no pixel exactly behind, hence the mean of its two
+        return (row.roll(width // 2, -1) + row.roll((width + 1) // 2, -1)) / 2 if poles else row
+
+    image = torch.cat((beyond(image[..., :1, :]), image, beyond(image[..., -1:, :])), -2)
+    return torch.cat((image[..., -1:], image, image[..., :1]), -1)
 
 
 class Equirectangular(nn.Module):
@@ -54,17 +76,10 @@ class Equirectangular(nn.Module):
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
-        for name, size in (("height", height), ("width", width)):
-            if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-                raise ArgumentError(f"{name}: expected a positive number of pixels, got {size!r}")
+        check_positive(height=height, width=width)
         self.height = height
         self.width = width
-        # (2i + 1 - W) / W keeps the middle column of an odd width at longitude zero to the last bit.
-        column = torch.arange(width, dtype=torch.float64, device=device)
-        row = torch.arange(height, dtype=torch.float64, device=device)
-        longitude = (2 * column + 1 - width) * (math.pi / width)
-        latitude = (height - 1 - 2 * row) * (math.pi / 2 / height)
-        directions = directions_from_longitude_latitude(longitude, latitude[:, None])
+        directions = self.cell_samples(1, torch.float64, device)[0].view(height, width, 3)
         self.register_buffer(
             "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
         )
@@ -80,6 +95,32 @@ class Equirectangular(nn.Module):
         edges = torch.linspace(math.pi / 2, -math.pi / 2, self.height + 1, dtype=torch.float64)
         rows = (edges[:-1].sin() - edges[1:].sin()) * (2 * math.pi / self.width)
         return rows.to(self.directions)[:, None].expand(self.shape)
+
+    @property
+    def cell_widths(self) -> Tensor:
+        """Width ``(height, width)`` in radians at the equator: near the poles a row has more pixels than content."""
+        width = math.sqrt(2 * math.pi / self.width * math.pi / self.height)
+        return self.directions.new_full(self.shape, width)
+
+    def cell_samples(
+        self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Directions ``(height * width, samples**2, 3)`` spread over each pixel, and shares of its solid angle."""
+        height, width = self.height * samples, self.width * samples
+        column = torch.arange(width, dtype=torch.float64, device=device)
+        row = torch.arange(height, dtype=torch.float64, device=device)
+        # (2i + 1 - W) / W keeps the middle column of an odd width at longitude zero to the last bit.
+        longitude = (2 * column + 1 - width) * (math.pi / width)
+        latitude = (height - 1 - 2 * row) * (math.pi / 2 / height)
+        directions = directions_from_longitude_latitude(longitude, latitude[:, None])
+        directions = directions.view(self.height, samples, self.width, samples, 3).transpose(1, 2)
+        shares = latitude.cos().view(-1, 1, samples, 1).expand(-1, self.width, -1, samples)
+        shares = shares.reshape(-1, samples**2)
+        dtype = dtype or self.directions.dtype
+        return (
+            directions.reshape(-1, samples**2, 3).to(dtype),
+            (shares / shares.sum(-1, keepdim=True)).to(dtype),
+        )
 
     def pixels(self, directions: Tensor) -> Tensor:
         """Return the pixel coordinates (u, v) ``(*, 2)`` of directions ``(*, 3)``; integers are pixel centres.
@@ -104,6 +145,19 @@ class Equirectangular(nn.Module):
         column, row = (self.pixels(directions) + 0.5).floor().long().unbind(-1)
         return row.clamp(0, self.height - 1) * self.width + column % self.width
 
+    def image(self, values: Tensor) -> Tensor:
+        """The panorama with a border ``(*b, c, height + 2, width + 2)``, in which ``image_pixels`` are meant."""
+        check_values(values, self.shape)
+        return wrap_panorama(values)
+
+    def image_pixels(self, directions: Tensor) -> Tensor:
+        """Pixels (u, v) ``(*, 2)`` of ``image`` at which bilinear interpolation gives the value of each direction.
+
+        Differentiable in the directions ``(*, 3)``.
+        """
+        u, v = self.pixels(directions).unbind(-1)
+        return torch.stack((torch.remainder(u + 0.5, self.width) + 0.5, v + 1), -1)
+
     def sample(self, values: Tensor, directions: Tensor) -> Tensor:
         """Interpolate values bilinearly in longitude and latitude, across the seam and over the poles.
 
@@ -117,10 +171,7 @@ class Equirectangular(nn.Module):
         Raises:
             ShapeError: if the values are not on this grid.
         """
-        if values.ndim < 3 or tuple(values.shape[-2:]) != self.shape:
-            raise ShapeError(
-                f"values: expected shape (*b, c, {self.height}, {self.width}), got {tuple(values.shape)}"
-            )
+        check_values(values, self.shape)
         return bilinear_sample(values, self.pixels(directions), wrap_longitude=True)
 
     def extra_repr(self) -> str:

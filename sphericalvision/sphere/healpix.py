@@ -15,12 +15,11 @@ from sphericalvision.sphere.healpix_pixels import (
     nested_from_place,
     nested_from_ring,
     place_from_nested,
+    place_from_ring,
     place_of_direction,
     ring_from_place,
-    ring_of_pixel,
     ring_start_count_shift,
     ring_theta,
-    place_from_ring,
 )
 from sphericalvision.sphere.values import check_positive, check_values, sum_of_taps
 

@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Resampling between any two of icosphere, panorama and camera image, with a rotation in between."""
+"""Resampling between any two grids or cameras, with a rotation in between."""
 
 from __future__ import annotations
 
+import copy
+
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
-from sphericalvision.core import ArgumentError, ShapeError, check_choice
 from sphericalvision.sphere.base import SphereGrid
+from sphericalvision.sphere.cells import grid_shape
+from sphericalvision.sphere.resample_tables import RESAMPLE_MODES, ResampleTables
+from sphericalvision.sphere.values import check_values
 
-__all__ = ["resample", "resample_mask"]
+__all__ = ["RESAMPLE_MODES", "Resample", "resample", "resample_mask"]
 
 
 def resample(
@@ -20,23 +24,33 @@ def resample(
     rotation: Tensor | None = None,
     mode: str = "bilinear",
     fill: float = 0.0,
+    mask: Tensor | None = None,
 ) -> Tensor:
     """Resample values from one grid or camera to another.
+
+    Depth along the rays stays what it is: all grids and cameras are seen from the same centre. For many values on one
+    pair ``Resample`` is faster: it computes where to look once.
 
     Args:
         values: ``(*b, c, *source_shape)``; the shape of a camera is its ``image_size``.
         source: where the values are given.
         target: where they are wanted.
-        rotation: ``(3, 3)``, target_from_source: what was seen in direction d is then seen in ``rotation @
-        d``. mode: ``"bilinear"`` (linear in each triangle of an icosphere), or ``"nearest"`` for labels, of
-        any dtype. fill: value where the source or the target sees nothing, see ``resample_mask``.
+        rotation: ``(3, 3)``, or ``(*b, 3, 3)`` for one a sample, target_from_source: what was seen in direction d is
+            then seen in ``rotation @ d``.
+        mode: ``"bilinear"`` interpolates between the nearest values (linear in each triangle of an icosphere), and
+            aliases where the target is coarser. ``"area"`` is bilinear where it is not, and the mean over each cell of
+            the target where it is. ``"nearest"`` makes up no values: for labels, of any dtype.
+        fill: value where the source or the target sees nothing, see ``resample_mask``.
+        mask: ``(*b, *source_shape)``, values that may be used (bool, or nonzero). Results are means over usable values.
 
     Returns:
-        ``(*b, c, *target_shape)``; differentiable in values and rotation for ``"bilinear"``.
+        ``(*b, c, *target_shape)`` of the values' dtype; differentiable in values and, but for ``"nearest"``, in the
+        rotation and a camera's intrinsics.
 
     Raises:
-        ShapeError: if the values do not lie on the source or the rotation is no 3 x 3 matrix.
-        ArgumentError: if source or target is neither a grid nor a camera, or the mode is unknown.
+        ShapeError: if values or mask do not lie on the source, or the rotation is no 3 x 3 matrix.
+        ArgumentError: if source or target is neither a grid nor a camera, the mode is unknown, or integers are to be
+            interpolated.
 
     Examples:
         >>> from sphericalvision.icosphere import Icosphere
@@ -46,30 +60,21 @@ def resample(
         >>> height.shape, bool(height[0, 0].min() > 0.97)
         (torch.Size([1, 8, 16]), True)
     """
-    check_choice("mode", mode, ("bilinear", "nearest"))
-    shape, target_shape = _shape(source, "source"), _shape(target, "target")
-    if values.ndim <= len(shape) or tuple(values.shape[-len(shape) :]) != shape:
-        size = ", ".join(map(str, shape))
-        raise ShapeError(f"values: expected shape (*b, c, {size}) for this source, got {tuple(values.shape)}")
-    directions, valid = _target_directions(target, rotation)
-    if isinstance(source, Camera):
-        if mode == "bilinear":
-            result, seen = source.sample(values, directions)
-        else:
-            result, seen = _nearest_pixel(values, source, directions)
-        valid = valid & seen
-    elif mode == "bilinear":
-        result = source.sample(values, directions)
-    else:
-        result = values.flatten(-len(shape))[..., source.nearest(directions)]
-    return torch.where(valid, result, fill).to(values.dtype).unflatten(-1, target_shape)
+    check_values(values, grid_shape(source, "source"))
+    dtype = torch.promote_types(values.dtype if values.is_floating_point() else torch.float64, torch.float32)
+    tables = ResampleTables(source, target, rotation, mode, fill, dtype, values.device)
+    return tables(values, mask)
 
 
 def resample_mask(
-    source: SphereGrid | Camera, target: SphereGrid | Camera, rotation: Tensor | None = None
+    source: SphereGrid | Camera,
+    target: SphereGrid | Camera,
+    rotation: Tensor | None = None,
+    mode: str = "bilinear",
+    mask: Tensor | None = None,
 ) -> Tensor:
-    """Return where ``resample`` finds values, a bool tensor of the target's shape: all but what a camera
-    cannot see.
+    """Return where ``resample`` finds values, bool ``(*b, *target_shape)``: all but what a camera cannot see, and what
+    depends on masked values alone.
 
     Raises:
         ArgumentError: if source or target is neither a grid nor a camera.
@@ -80,48 +85,62 @@ def resample_mask(
         >>> resample_mask(Icosphere(2), Equirectangular(8, 16)).all()
         tensor(True)
     """
-    _, target_shape = _shape(source, "source"), _shape(target, "target")
-    directions, valid = _target_directions(target, rotation)
-    if isinstance(source, Camera):
-        valid = valid & source.project(directions).valid
-    return valid.view(target_shape)
+    device = next((t.device for t in (mask, rotation) if t is not None), _like(target).device)
+    dtype = torch.float32 if rotation is None else torch.promote_types(rotation.dtype, torch.float32)
+    with torch.no_grad():
+        tables = ResampleTables(source, target, rotation, mode, 0.0, dtype, device)
+        return tables.mask(mask)
 
 
-def _shape(grid: SphereGrid | Camera, name: str) -> tuple[int, ...]:
-    """Return the shape of values on a grid or of a camera's image."""
-    if isinstance(grid, Camera):
-        if grid.batch_shape:
-            raise ArgumentError(
-                f"{name}: expected a single camera, got a batch of shape {grid.batch_shape}; "
-                "take one with Camera.select"
-            )
-        return grid.image_size
-    if not isinstance(grid, SphereGrid):
-        raise ArgumentError(
-            f"{name}: expected a SphereGrid (Icosphere, Equirectangular) or a Camera, got {type(grid).__name__}"
-        )
-    return tuple(grid.shape)
+class Resample(ResampleTables):
+    """``resample`` between two fixed grids or cameras, its tables made once.
+
+    The tables are buffers that move with the module and are not saved. They hold no gradients by rotation or
+    intrinsics: for these use ``resample``.
+
+    Args:
+        source: where values are given.
+        target: where they are wanted.
+        rotation: ``(3, 3)`` or ``(*b, 3, 3)``, target_from_source.
+        mode: ``"bilinear"``, ``"nearest"`` or ``"area"``.
+        fill: value where nothing is seen.
+        dtype: of the tables; by default that of the grids' directions and the cameras' intrinsics.
+        device: of the tables; by default the target's.
+
+    Examples:
+        >>> from sphericalvision.sphere import Cubemap, Equirectangular
+        >>> to_cube = Resample(Equirectangular(32, 64), Cubemap(16), mode="area")
+        >>> to_cube
+        Resample((32, 64) -> (6, 16, 16), mode='area')
+        >>> to_cube(torch.rand(2, 3, 32, 64)).shape
+        torch.Size([2, 3, 6, 16, 16])
+    """
+
+    @torch.no_grad()
+    def __init__(
+        self,
+        source: SphereGrid | Camera,
+        target: SphereGrid | Camera,
+        rotation: Tensor | None = None,
+        mode: str = "bilinear",
+        fill: float = 0.0,
+        dtype: torch.dtype | None = None,
+        device: torch.device | str | None = None,
+    ) -> None:
+        grid_shape(source, "source")
+        grid_shape(target, "target")
+        if isinstance(source, nn.Module):
+            source = copy.deepcopy(source)  # its tables move with this module, the caller's stay
+        device = _like(target).device if device is None else torch.device(device)
+        if dtype is None:
+            dtype = torch.promote_types(_like(source).dtype, _like(target).dtype)
+        super().__init__(source, target, rotation, mode, fill, torch.float64, device)
+        self.to(dtype)
+
+    def __repr__(self) -> str:
+        return f"Resample({self.source_shape} -> {self.target_shape}, mode={self.mode!r})"
 
 
-def _target_directions(target: SphereGrid | Camera, rotation: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Return where the target looks, in the source's frame ``(n, 3)``, and whether it does ``(n,)``."""
-    if isinstance(target, Camera):
-        directions, valid = target.unproject(target.pixel_grid().flatten(0, 1))
-    else:
-        directions = target.directions.reshape(-1, 3)
-        valid = torch.ones(len(directions), dtype=torch.bool, device=directions.device)
-    if rotation is None:
-        return directions, valid
-    if tuple(rotation.shape) != (3, 3):
-        raise ShapeError(f"rotation: expected shape (3, 3), got {tuple(rotation.shape)}")
-    # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.
-    return directions.to(rotation) @ rotation, valid
-
-
-def _nearest_pixel(image: Tensor, camera: Camera, directions: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the pixels ``(*b, c, n)`` that directions ``(n, 3)`` fall on, and whether the camera sees them."""
-    height, width = camera.image_size
-    pixels, valid = camera.project(directions)
-    column, row = torch.where(valid[:, None], pixels, 0.0).round().long().unbind(-1)
-    index = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
-    return image.flatten(-2)[..., index], valid
+def _like(grid: SphereGrid | Camera) -> Tensor:
+    """A tensor of the grid's dtype and on its device."""
+    return grid.max_angle if isinstance(grid, Camera) else grid.directions

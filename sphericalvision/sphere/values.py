@@ -21,7 +21,7 @@ def check_positive(**sizes: int) -> None:
     """
     for name, size in sizes.items():
         if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-            raise ArgumentError(f"{name}: expected a positive whole number, got {size!r}")
+            raise ArgumentError(f"{name}: expected a positive number of pixels, got {size!r}")
 
 
 def check_values(values: Tensor, shape: Sequence[int]) -> None:

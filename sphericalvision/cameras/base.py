@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
@@ -12,7 +13,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
-from sphericalvision.geometry import angle_from_axis, bilinear_sample
+from sphericalvision.geometry import bilinear_sample, components
 
 if TYPE_CHECKING:
     from sphericalvision.cameras.conversion import Conversion
@@ -108,9 +109,9 @@ class Camera(ABC):
             ShapeError: ``points`` is not (*, 3), or does not start with the camera's batch dimensions.
         """
         check_last_dim("points", points, 3)
+        points = torch.stack(points.unbind(-1)).movedim(0, -1)  # components in rows: see geometry.components
         pixels, valid = self._project(points)
-        valid = valid & (points != 0).any(-1) & self._within_max_angle(points) & self.contains(pixels)
-        return Projection(pixels, valid)
+        return Projection(pixels, valid & self._within_max_angle(points) & self.contains(pixels))
 
     def unproject(self, pixels: Tensor) -> Unprojection:
         """Unit directions (*, 3) in the camera's frame of ``pixels`` (*, 2), given as (u, v).
@@ -122,7 +123,9 @@ class Camera(ABC):
         """
         check_last_dim("pixels", pixels, 2)
         directions, valid = self._unproject(pixels)
-        return Unprojection(directions, valid & self._within_max_angle(directions) & self.contains(pixels))
+        return Unprojection(
+            directions, valid & self._looks_within_max_angle(directions) & self.contains(pixels)
+        )
 
     def contains(self, pixels: Tensor) -> Tensor:
         """Whether ``pixels`` (*, 2) lie on the image, half a pixel around the outermost centres included, (*)."""
@@ -289,9 +292,27 @@ class Camera(ABC):
         ones = (1,) * max(values.ndim - 1 - len(batch), 0)
         return tensor.to(values).reshape((*batch, *ones, *tensor.shape[len(batch) :]))
 
+    def _widest(self, values: Tensor) -> Tensor:
+        """``max_angle`` to compare with, slackened so that a round trip does not lose the very edge."""
+        return self._align(self.max_angle, values) + 8 * torch.finfo(values.dtype).eps
+
     def _within_max_angle(self, points: Tensor) -> Tensor:
-        slack = 8 * torch.finfo(points.dtype).eps  # so that a round trip does not lose the very edge
-        return angle_from_axis(points) <= self._align(self.max_angle, points) + slack
+        """Whether points of any length are within ``max_angle`` of the axis, and not the camera's centre.
+
+        z |z| / (x² + y²) falls as the angle grows: squares decide, and no arc tangent is needed. The backward axis is
+        within no angle.
+        """
+        eps = torch.finfo(points.dtype).eps
+        cotangent = 1 / torch.tan(self._widest(points).clamp_max(math.pi - 1.5 * eps))
+        x, y, z = components(points.detach())
+        squared = torch.addcmul(x * x, y, y)
+        return torch.addcmul(z * z.abs(), squared, cotangent * cotangent.abs(), value=-1) > 0
+
+    def _looks_within_max_angle(self, directions: Tensor) -> Tensor:
+        """The same for unit directions."""
+        lowest = torch.cos(self._widest(directions)) - 4 * torch.finfo(directions.dtype).eps
+        lowest = torch.where(self._align(self.max_angle, directions) < math.pi, lowest, -2.0)
+        return directions[..., 2] >= lowest
 
     def _set_batch(self, *shape: int) -> None:
         """Give ``max_angle`` the batch dimensions of the intrinsics."""

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import normalize, safe_sqrt
+from sphericalvision.geometry import components, safe_sqrt
 
 __all__ = ["DoubleSphereCamera", "project_double_sphere", "unproject_double_sphere"]
 
@@ -37,20 +38,21 @@ def project_double_sphere(
         [320.0, 240.0]
     """
     check_last_dim("points", points, 3)
-    z = points[..., 2]
-    squared = points[..., 0] ** 2 + points[..., 1] ** 2
-    centre = (squared == 0) & (z == 0)
-    first = torch.sqrt(torch.where(centre, 1.0, squared + z * z))
-    shifted = xi * first + z
-    second = torch.sqrt(
-        torch.where(centre, 1.0, squared + shifted * shifted).clamp_min(torch.finfo(z.dtype).tiny)
-    )
-    denominator = alpha * second + (1 - alpha) * shifted
-    positive = denominator > torch.finfo(z.dtype).eps * first
-    pixels = points[..., :2] / torch.where(positive, denominator, first).unsqueeze(-1)
+    limits = torch.finfo(points.dtype)
+    x, y, z = components(points)
+    squared = (
+        torch.addcmul(x * x, y, y) + limits.tiny**0.5
+    )  # so that roots have derivatives at the camera's centre
+    first = torch.addcmul(squared, z, z).sqrt()
+    shifted = torch.addcmul(z, xi, first)
+    second = torch.addcmul(squared, shifted, shifted).sqrt()
+    denominator = torch.addcmul(alpha * second, 1 - alpha, shifted)
+    least = limits.eps * first
+    shrink = torch.maximum(denominator, least).reciprocal()
     w1 = torch.where(alpha <= 0.5, alpha / (1 - alpha).clamp_min(1e-9), (1 - alpha) / alpha.clamp_min(1e-9))
     w2 = (w1 + xi) / safe_sqrt(2 * w1 * xi + xi * xi + 1)
-    return Projection(pixels * focal_length + principal_point, positive & (z > -w2 * first))
+    valid = (denominator > least) & (z > -w2 * first)
+    return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), valid)
 
 
 def unproject_double_sphere(
@@ -64,14 +66,13 @@ def unproject_double_sphere(
         [0.0, 0.0, 1.0]
     """
     check_last_dim("pixels", pixels, 2)
-    offset = (pixels - principal_point) / focal_length
-    squared = (offset * offset).sum(-1)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    squared = torch.addcmul(x * x, y, y)
     under_root = 1 - (2 * alpha - 1) * squared
     depth = (1 - alpha * alpha * squared) / (alpha * safe_sqrt(under_root) + 1 - alpha).clamp_min(1e-9)
-    length = (depth * depth + squared).clamp_min(torch.finfo(pixels.dtype).tiny)
+    length = depth * depth + squared
     scale = (depth * xi + safe_sqrt(depth * depth + (1 - xi * xi) * squared)) / length
-    directions = torch.cat((offset * scale.unsqueeze(-1), (scale * depth - xi).unsqueeze(-1)), dim=-1)
-    return Unprojection(normalize(directions), under_root >= 0)
+    return Unprojection(unit_directions(x * scale, y * scale, scale * depth - xi), under_root >= 0)
 
 
 class DoubleSphereCamera(Camera):

@@ -38,7 +38,8 @@ def project_equirectangular(
     longitude, latitude = longitude_latitude_from_directions(points)
     u = (longitude + math.pi) * (width / (2 * math.pi)) - 0.5
     v = (vertical_field_of_view / 2 - latitude) * (height / vertical_field_of_view) - 0.5
-    return Projection(torch.stack((u, v), dim=-1), (points != 0).any(-1))
+    x, y, z = points.unbind(-1)
+    return Projection(torch.stack((u, v), dim=-1), x.abs() + y.abs() + z.abs() > 0)
 
 
 def unproject_equirectangular(
@@ -108,6 +109,10 @@ class EquirectangularCamera(Camera):
         changed.image_size = image_size
         changed.vertical_field_of_view = self.vertical_field_of_view * height / self.image_size[0]
         return changed
+
+    def _within_max_angle(self, points: Tensor) -> Tensor:
+        """As for any camera, and straight back."""
+        return super()._within_max_angle(points) | (self._widest(points) > math.pi)
 
     def _project(self, points: Tensor) -> Projection:
         return project_equirectangular(points, self.image_size, self.vertical_field_of_view)

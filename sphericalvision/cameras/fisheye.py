@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels
 from sphericalvision.core import ArgumentError, check_choice, check_last_dim
-from sphericalvision.geometry import angle_over_radius, cosine_and_sinc, safe_sqrt
+from sphericalvision.geometry import components, cosine_and_lifted_sinc, lifted_radius, normalize, safe_sqrt
 
 __all__ = [
     "FISHEYE_PROJECTIONS",
@@ -39,19 +40,21 @@ _WIDEST = {
 }
 
 
-def _length_plus_z(points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _length_plus_z(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """|p| and |p| + z, the latter without cancellation behind the camera, and whether it is clearly above 0.
 
-    It is not on the backward axis and at the camera's centre, where 1 stands in for it.
+    It is not on the backward axis, where something small stands in for it. The camera's centre is moved
+    forward a little.
     """
-    squared = points[..., 0] ** 2 + points[..., 1] ** 2
-    z = points[..., 2]
-    centre = (squared == 0) & (z == 0)
-    length = torch.sqrt(torch.where(centre, 1.0, squared + z * z))
-    front = z > 0
-    total = torch.where(front, length + z, squared / torch.where(front, 1.0, length - z))
-    clear = ~centre & (total > torch.finfo(points.dtype).eps ** 2 * length)
-    return length, torch.where(clear, total, 1.0), clear
+    limits = torch.finfo(z.dtype)
+    squared = torch.addcmul(x * x, y, y)
+    least = limits.tiny**0.25
+    z = z + (least - torch.addcmul(squared, z, z) / least).clamp_min(0)
+    length = torch.addcmul(squared, z, z).sqrt()
+    twice_front = 2 * z.clamp_min(0)
+    total = squared / (length + (twice_front - z)) + twice_front  # z + |z| + (|p| − |z|)
+    least = limits.eps**1.5 * length
+    return length, torch.maximum(total, least), total > least
 
 
 def project_fisheye(
@@ -80,18 +83,21 @@ def project_fisheye(
     """
     check_choice("projection", projection, FISHEYE_PROJECTIONS)
     check_last_dim("points", points, 3)
-    length, length_plus_z, valid = _length_plus_z(points)
+    x, y, z = components(points)
     if projection == "equidistant":
-        scale = angle_over_radius(points)
-    elif projection == "equisolid":
-        scale = torch.sqrt(2 / (length * length_plus_z))
-    elif projection == "stereographic":
-        scale = 2 / length_plus_z
+        radius = lifted_radius(x, y, z)
+        scale = torch.atan2(radius, z) / radius
+        valid = torch.maximum(radius, z) > 2 * torch.finfo(z.dtype).eps * z.abs()
     else:
-        scale = 1 / length
-    if projection == "orthographic":
-        valid = valid & (points[..., 2] >= 0)
-    return Projection(points[..., :2] * scale.unsqueeze(-1) * focal_length + principal_point, valid)
+        length, length_plus_z, valid = _length_plus_z(x, y, z)
+        if projection == "equisolid":
+            scale = (0.5 * length * length_plus_z).rsqrt()
+        elif projection == "stereographic":
+            scale = 2 / length_plus_z
+        else:
+            scale = 1 / length
+            valid = z >= 0
+    return Projection(pixels_from_plane(x * scale, y * scale, focal_length, principal_point), valid)
 
 
 def unproject_fisheye(
@@ -106,10 +112,10 @@ def unproject_fisheye(
     """
     check_choice("projection", projection, FISHEYE_PROJECTIONS)
     check_last_dim("pixels", pixels, 2)
-    offset = (pixels - principal_point) / focal_length
-    squared = (offset * offset).sum(-1)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    squared = torch.addcmul(x * x, y, y)
     if projection == "equidistant":
-        cosine, scale = cosine_and_sinc(squared)
+        cosine, scale = cosine_and_lifted_sinc(squared)
         valid = squared <= math.pi**2
     elif projection == "equisolid":
         cosine, scale = 1 - squared / 2, safe_sqrt(1 - squared / 4)
@@ -121,9 +127,9 @@ def unproject_fisheye(
     else:
         cosine, scale = safe_sqrt(1 - squared), torch.ones_like(squared)
         valid = squared <= 1
-    directions = torch.cat((offset * scale.unsqueeze(-1), cosine.unsqueeze(-1)), dim=-1)
+    directions = torch.stack((x * scale, y * scale, cosine), dim=-1)
     if projection in ("equisolid", "orthographic"):  # beyond the edge the formulas leave the sphere
-        directions = directions / torch.where(valid, 1.0, directions.norm(dim=-1)).unsqueeze(-1)
+        directions = normalize(directions)
     return Unprojection(directions, valid)
 
 

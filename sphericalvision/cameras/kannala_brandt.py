@@ -11,15 +11,19 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.core import check_last_dim
 from sphericalvision.geometry import (
-    angle_from_axis,
-    angle_over_radius,
-    cosine_and_sinc,
+    InverseTable,
+    components,
+    cosine_and_lifted_sinc,
     increasing_limit,
-    normalize,
+    lifted_radius,
     polynomial,
-    solve_increasing,
+    polynomial_value,
+    polynomial_with_curvature,
+    refine_root,
+    tabulate_inverse,
 )
 
 __all__ = ["KannalaBrandtCamera", "project_kannala_brandt", "unproject_kannala_brandt"]
@@ -36,12 +40,34 @@ def _radius_slope(coefficients: Tensor, squared: Tensor) -> Tensor:
     return value + 2 * squared * derivative
 
 
+def _squared_radius(coefficients: Tensor, squared: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The squared image radius s g(s)² of a squared angle s, and its first two derivatives with respect to s."""
+    g, slope, curvature = polynomial_with_curvature(coefficients, squared)
+    radius_slope = torch.addcmul(g, squared, slope, value=2)  # of θ g(θ²) with respect to θ
+    further = torch.addcmul(3 * slope, squared, curvature, value=2)
+    return squared * g * g, g * radius_slope, torch.addcmul(slope * radius_slope, g, further)
+
+
 def _widest_angle(coefficients: Tensor) -> Tensor:
     """The angle (*) in [0, π] up to which the image radius grows."""
     start = torch.full_like(coefficients[..., 0], math.pi)
     return increasing_limit(
-        lambda angle: _radius_slope(coefficients.unsqueeze(-2), angle * angle), start, samples=512
+        lambda angle: _radius_slope(coefficients.unsqueeze(-2), angle * angle), start, samples=256
     )
+
+
+def _bounded(squared_radius: Tensor) -> Tensor:
+    """Increasing; keeps the table of the inverse fine near the centre when the radius grows beyond measure at π."""
+    return squared_radius / (1 + squared_radius)
+
+
+def _inverse_table(coefficients: Tensor, widest: Tensor) -> InverseTable:
+    """Squared angles for bounded squared radii."""
+    with torch.no_grad():
+        share = torch.linspace(0, 1, 256, dtype=widest.dtype, device=widest.device)
+        squared = (widest.unsqueeze(-1) * share).square()
+        radius = squared.sqrt() * polynomial_value(coefficients.unsqueeze(-2), squared)
+        return tabulate_inverse(squared, _bounded(radius * radius))
 
 
 def project_kannala_brandt(
@@ -68,17 +94,18 @@ def project_kannala_brandt(
     """
     check_last_dim("points", points, 3)
     coefficients = _with_leading_one(distortion)
-    over_radius = angle_over_radius(points)
-    squared = over_radius * over_radius * (points[..., 0] ** 2 + points[..., 1] ** 2)
-    scale = over_radius * polynomial(coefficients, squared)[0]
-    valid = angle_from_axis(points.detach()) <= _widest_angle(coefficients)
-    return Projection(points[..., :2] * scale.unsqueeze(-1) * focal_length + principal_point, valid)
+    x, y, z = components(points)
+    radius = lifted_radius(x, y, z)
+    angle = torch.atan2(radius, z)
+    scale = angle * polynomial_value(coefficients, angle * angle) / radius
+    pixels = pixels_from_plane(x * scale, y * scale, focal_length, principal_point)
+    return Projection(pixels, angle <= _widest_angle(coefficients))
 
 
 def unproject_kannala_brandt(
     pixels: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
 ) -> Unprojection:
-    """Unit directions (*, 3) of ``pixels`` (*, 2), by Newton's method on the squared angle; past 90° too.
+    """Unit directions (*, 3) of ``pixels`` (*, 2), by Halley's method on the squared angle; past 90° too.
 
     The squared radius is a polynomial of the squared angle, which keeps all derivatives exact at the principal point.
     The arguments are those of ``project_kannala_brandt``.
@@ -90,21 +117,22 @@ def unproject_kannala_brandt(
     """
     check_last_dim("pixels", pixels, 2)
     coefficients = _with_leading_one(distortion)
-
-    def squared_radius(squared_angle: Tensor) -> tuple[Tensor, Tensor]:
-        value, derivative = polynomial(coefficients, squared_angle)
-        return squared_angle * value * value, value * (value + 2 * squared_angle * derivative)
-
-    offset = (pixels - principal_point) / focal_length
-    target = (offset * offset).sum(-1)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    target = torch.addcmul(x * x, y, y)
     widest = _widest_angle(coefficients)
-    squared, converged = solve_increasing(
-        squared_radius, target, torch.zeros_like(widest), widest * widest, start=target.detach()
+    table = _inverse_table(coefficients, widest)
+    most = table.limit / (1 - table.limit)
+    inside = target <= most * (1 + 16 * torch.finfo(target.dtype).eps)
+    target = torch.minimum(target, most)
+    squared, converged = refine_root(
+        lambda squared: _squared_radius(coefficients, squared),
+        target,
+        table.lookup(_bounded(target.detach())),
+        widest * widest,
     )
-    cosine, sinc = cosine_and_sinc(squared)
-    scale = sinc / polynomial(coefficients, squared)[0]
-    directions = torch.cat((offset * scale.unsqueeze(-1), cosine.unsqueeze(-1)), dim=-1)
-    return Unprojection(normalize(directions), converged)
+    cosine, sinc = cosine_and_lifted_sinc(squared.clamp_min(0))
+    scale = sinc / polynomial_value(coefficients, squared)
+    return Unprojection(unit_directions(x * scale, y * scale, cosine), converged & inside)
 
 
 class KannalaBrandtCamera(Camera):

@@ -17,75 +17,90 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import increasing_limit, normalize, polynomial, safe_hypot, solve_increasing
+from sphericalvision.geometry import (
+    InverseTable,
+    components,
+    increasing_limit,
+    lifted_radius,
+    normalize,
+    polynomial,
+    polynomial_with_curvature,
+    refine_root,
+    tabulate_inverse,
+)
 
 __all__ = ["OCamCamera", "project_ocam", "unproject_ocam"]
 
 
-def _apply_affine(ideal: Tensor, affine: Tensor) -> Tensor:
-    """Stretch and shear ideal offsets (*, 2), ordered (col', row')."""
+def _undo_affine(pixels: Tensor, principal_point: Tensor, affine: Tensor) -> tuple[Tensor, Tensor]:
+    """The ideal image's offsets col' and row' from its centre, each (*)."""
+    (u, v), (cu, cv) = components(pixels), principal_point.unbind(-1)
     c, d, e = affine.unbind(-1)
-    column, row = ideal.unbind(-1)
-    return torch.stack((e * row + column, c * row + d * column), dim=-1)
-
-
-def _undo_affine(offset: Tensor, affine: Tensor) -> Tensor:
-    c, d, e = affine.unbind(-1)
-    u, v = offset.unbind(-1)
+    u, v = u - cu, v - cv
     determinant = c - d * e
-    return torch.stack(((c * u - e * v) / determinant, (v - d * u) / determinant), dim=-1)
+    return (c * u - e * v) / determinant, (v - d * u) / determinant
 
 
-def _scale_by_inverse_polynomial(points: Tensor, inverse_polynomial: Tensor) -> tuple[Tensor, Tensor]:
-    """Image radius over ``hypot(x, y)`` from the polynomial in the angle from the image plane, and validity."""
-    x, y, z = points.unbind(-1)
-    radius = safe_hypot(x, y)
-    on_axis = radius <= torch.finfo(points.dtype).eps * z.abs()
-    angle = torch.atan2(-z, radius)
-    image_radius, slope = polynomial(inverse_polynomial, angle)
-    forward = torch.where(on_axis & (z > 0), z, 1.0)
-    scale = torch.where(on_axis, slope / forward, image_radius / torch.where(on_axis, 1.0, radius))
+def _scale_by_inverse_polynomial(
+    x: Tensor, y: Tensor, z: Tensor, inverse_polynomial: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Image radius over ``hypot(x, y)`` from the polynomial in the angle from the image plane, and validity.
+
+    On the axis it is the polynomial's slope over z, whatever radius the polynomial leaves there.
+    """
+    limits = torch.finfo(z.dtype)
+    depth = z.abs() + limits.tiny**0.45
+    squared = torch.addcmul(x * x, y, y)
+    least = (limits.eps * depth).square()
+    on_axis = squared <= least
+    radius = (squared + least + limits.tiny**0.55).sqrt()
+    image_radius, slope = polynomial(inverse_polynomial, torch.atan2(-z, radius))
+    scale = torch.where(on_axis, slope / depth, image_radius / radius)
     return scale, (slope > 0) & (image_radius > -1.0) & ~(on_axis & (z <= 0))
 
 
-def _scale_by_root(points: Tensor, direct: Tensor, max_radius: Tensor) -> tuple[Tensor, Tensor]:
+def _angle_of_radius(direct: Tensor, radius: Tensor) -> tuple[Tensor, Tensor]:
+    """Angle from the axis of an image radius, and a multiple of its derivative."""
+    value, slope = polynomial(direct, radius)
+    return torch.atan2(radius, -value), radius * slope - value
+
+
+def _inverse_table(direct: Tensor, max_radius: Tensor) -> InverseTable:
+    """Image radius over sin θ for angles θ from the axis, up to where larger radii no longer mean larger angles."""
+    with torch.no_grad():
+        direct = direct.unsqueeze(-2)
+        widest = increasing_limit(lambda rho: _angle_of_radius(direct, rho)[1], max_radius, samples=256)
+        share = torch.linspace(0, 1, 257, dtype=widest.dtype, device=widest.device)[1:]
+        radius = widest.unsqueeze(-1) * share
+        angle, _ = _angle_of_radius(direct, radius)
+        slope = radius / torch.sin(angle)
+        on_axis = -direct[..., 0].expand(slope[..., :1].shape)
+        return tabulate_inverse(
+            torch.cat((on_axis, slope), dim=-1), torch.cat((torch.zeros_like(on_axis), angle), dim=-1)
+        )
+
+
+def _scale_by_root(
+    x: Tensor, y: Tensor, z: Tensor, direct: Tensor, max_radius: Tensor
+) -> tuple[Tensor, Tensor]:
     """Image radius over ``hypot(x, y)`` such that the direct polynomial is met exactly, and validity.
 
-    The image radius ρ is found from the angle ``atan2(ρ, −f(ρ))``, which is bounded; the scale k = ρ/r then solves
-    ``k z + f(k r) = 0``, which is smooth on the axis too and carries the derivatives.
+    The scale k of a unit direction (r, z) solves k z + f(k r) = 0, which is smooth on the axis too.
     """
-    x, y, z = normalize(points).unbind(-1)
-    radius = safe_hypot(x, y)
-    with torch.no_grad():
-        widest = increasing_limit(lambda rho: _angle_of_radius(direct.unsqueeze(-2), rho)[1], max_radius)
-        solution = solve_increasing(
-            lambda rho: _angle_of_radius(direct, rho),
-            torch.atan2(radius, z),
-            torch.zeros_like(widest),
-            widest,
-            start=-direct[..., 0] * radius,
-        )
-        near = (z > 0) & (radius < 1e-3 * z)  # here ρ/r would lose digits, and f(ρ) is all but constant
-        scale = torch.where(
-            near, -direct[..., 0] / torch.where(near, z, 1.0), solution.value / torch.where(near, 1.0, radius)
-        )
-        scale = torch.where(torch.isfinite(scale), scale, 0.0)
-        valid = solution.converged & ~((radius == 0) & (z <= 0))
-    for _ in range(3):
-        value, slope = polynomial(direct, scale * radius)
-        derivative = z + radius * slope
-        usable = valid & (derivative > 0)
-        step = (scale * z + value) / torch.where(usable, derivative, 1.0)
-        scale = scale - torch.where(usable, step, 0.0)
-    length = torch.linalg.vector_norm(points, dim=-1)
-    return scale / torch.where(length > 0, length, 1.0), valid
+    radius = lifted_radius(x, y, z)
+    shrink = torch.addcmul(radius * radius, z, z).rsqrt()
+    r, along = radius * shrink, z * shrink
+    table = _inverse_table(direct, max_radius)
+    angle = torch.atan2(radius.detach(), z.detach())
+    inside = angle <= table.limit * (1 + 16 * torch.finfo(angle.dtype).eps)
 
+    def miss(scale: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        value, slope, curvature = polynomial_with_curvature(direct, scale * r)
+        return torch.addcmul(value, scale, along), torch.addcmul(along, r, slope), r * r * curvature
 
-def _angle_of_radius(direct: Tensor, radius: Tensor) -> tuple[Tensor, Tensor]:
-    """Angle from the axis of an image radius, and its derivative."""
-    value, slope = polynomial(direct, radius)
-    squared = radius * radius + value * value
-    return torch.atan2(radius, -value), (radius * slope - value) / squared
+    start = table.lookup(angle)
+    scale, converged = refine_root(miss, torch.zeros_like(start), start, 2 * start)
+    return scale * shrink, inside & converged
 
 
 def project_ocam(
@@ -119,12 +134,15 @@ def project_ocam(
                 [520., 240.]])
     """
     check_last_dim("points", points, 3)
+    x, y, z = components(points)
     if inverse_polynomial is None:
-        scale, valid = _scale_by_root(points, direct_polynomial, torch.as_tensor(max_radius).to(points))
+        scale, valid = _scale_by_root(x, y, z, direct_polynomial, torch.as_tensor(max_radius).to(points))
     else:
-        scale, valid = _scale_by_inverse_polynomial(points, inverse_polynomial)
-    ideal = points[..., :2] * scale.unsqueeze(-1)
-    return Projection(_apply_affine(ideal, affine) + principal_point, valid)
+        scale, valid = _scale_by_inverse_polynomial(x, y, z, inverse_polynomial)
+    column, row = x * scale, y * scale
+    c, d, e = affine.unbind(-1)
+    cu, cv = principal_point.unbind(-1)
+    return Projection(torch.stack((e * row + column + cu, c * row + d * column + cv), dim=-1), valid)
 
 
 def unproject_ocam(
@@ -140,11 +158,12 @@ def unproject_ocam(
         tensor([0., 0., 1.])
     """
     check_last_dim("pixels", pixels, 2)
-    ideal = _undo_affine(pixels - principal_point, affine)
-    radius = safe_hypot(ideal[..., 0], ideal[..., 1])
+    column, row = _undo_affine(pixels, principal_point, affine)
+    squared = torch.addcmul(column * column, row, row)
+    radius = (squared + torch.finfo(squared.dtype).tiny).sqrt()
     value, slope = polynomial(direct_polynomial, radius)
-    directions = torch.cat((ideal, -value.unsqueeze(-1)), dim=-1)
-    return Unprojection(normalize(directions), radius * slope - value > 0)
+    directions = normalize(torch.stack((column, row, -value), dim=-1))
+    return Unprojection(directions, radius * slope - value > 0)
 
 
 class OCamCamera(Camera):

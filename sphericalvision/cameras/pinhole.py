@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.core import check_last_dim
-from sphericalvision.geometry import normalize
+from sphericalvision.geometry import components
 
 __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
 
@@ -27,9 +28,9 @@ def project_pinhole(points: Tensor, focal_length: Tensor, principal_point: Tenso
         tensor([370., 240.])
     """
     check_last_dim("points", points, 3)
-    z = points[..., 2:]
-    depth = torch.where(z.abs() > torch.finfo(z.dtype).tiny, z, 1.0)
-    return Projection(points[..., :2] / depth * focal_length + principal_point, points[..., 2] > 0)
+    x, y, z = components(points)
+    shrink = z.abs().clamp_min(torch.finfo(z.dtype).tiny ** 0.4).copysign(z).reciprocal()
+    return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), z > 0)
 
 
 def unproject_pinhole(pixels: Tensor, focal_length: Tensor, principal_point: Tensor) -> Unprojection:
@@ -41,9 +42,8 @@ def unproject_pinhole(pixels: Tensor, focal_length: Tensor, principal_point: Ten
         tensor([0., 0., 1.])
     """
     check_last_dim("pixels", pixels, 2)
-    offset = (pixels - principal_point) / focal_length
-    directions = normalize(torch.cat((offset, torch.ones_like(offset[..., :1])), dim=-1))
-    return Unprojection(directions, torch.ones_like(offset[..., 0], dtype=torch.bool))
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    return Unprojection(unit_directions(x, y, torch.ones_like(x)), torch.ones_like(x, dtype=torch.bool))
 
 
 class PinholeCamera(Camera):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roots of increasing functions of one variable: bracketed Newton, vectorised, with implicit derivatives."""
+"""Polynomials, and roots of increasing functions of one variable: vectorised, with implicit derivatives."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["Root", "increasing_limit", "polynomial", "solve_increasing"]
+__all__ = [
+    "Root",
+    "increasing_limit",
+    "polynomial",
+    "polynomial_value",
+    "polynomial_with_curvature",
+    "refine_root",
+    "solve_increasing",
+]
 
 
 class Root(NamedTuple):
@@ -21,6 +29,31 @@ class Root(NamedTuple):
     """True (*) where the bracket holds a root."""
 
 
+def _horner(coefficients: Tensor, x: Tensor, order: int) -> list[Tensor]:
+    """The polynomial's first Taylor coefficients at ``x``: value, derivative, half the second one, ..., each (*)."""
+    descending = coefficients.unbind(-1)[::-1]
+    taylor = [descending[0]]
+    for coefficient in descending[1:]:
+        known = taylor
+        taylor = [torch.addcmul(coefficient, known[0], x)]
+        taylor += [torch.addcmul(known[k - 1], known[k], x) for k in range(1, len(known))]
+        if len(known) <= order:
+            taylor.append(known[-1])
+    taylor += [torch.zeros_like(x)] * (order + 1 - len(taylor))
+    shape = torch.broadcast_shapes(x.shape, taylor[0].shape)
+    return [value.expand(shape) for value in taylor]
+
+
+def polynomial_value(coefficients: Tensor, x: Tensor) -> Tensor:
+    """Value (*) at ``x`` (*) of the polynomials with ascending ``coefficients`` (*, n).
+
+    Examples:
+        >>> polynomial_value(torch.tensor([1.0, 0.0, 3.0]), torch.tensor(2.0)).item()  # 1 + 3 x²
+        13.0
+    """
+    return _horner(coefficients, x, 0)[0]
+
+
 def polynomial(coefficients: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
     """Value and derivative (*) at ``x`` (*) of the polynomials with ascending ``coefficients`` (*, n).
 
@@ -29,29 +62,84 @@ def polynomial(coefficients: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
         >>> value.item(), derivative.item()
         (13.0, 12.0)
     """
-    value = torch.zeros_like(x) + coefficients[..., -1]
-    derivative = torch.zeros_like(value)
-    for power in range(coefficients.shape[-1] - 2, -1, -1):
-        derivative = derivative * x + value
-        value = value * x + coefficients[..., power]
+    value, derivative = _horner(coefficients, x, 1)
     return value, derivative
 
 
-def increasing_limit(derivative: Callable[[Tensor], Tensor], upper: Tensor, samples: int = 128) -> Tensor:
-    """How far from 0 towards ``upper`` (*) a function increases, up to one step of ``upper / samples``.
+def polynomial_with_curvature(coefficients: Tensor, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Value, first and second derivative (*) at ``x`` (*) of the polynomials with ascending ``coefficients`` (*, n).
 
-    The limit (*) carries no derivative. ``derivative`` maps (*, samples) to (*, samples).
+    Examples:
+        >>> [value.item() for value in polynomial_with_curvature(torch.tensor([1.0, 0.0, 3.0]), torch.tensor(2.0))]
+        [13.0, 12.0, 6.0]
+    """
+    value, derivative, half = _horner(coefficients, x, 2)
+    return value, derivative, 2 * half
+
+
+def increasing_limit(derivative: Callable[[Tensor], Tensor], upper: Tensor, samples: int = 128) -> Tensor:
+    """How far from 0 towards ``upper`` (*) a function increases.
+
+    The first of ``samples`` at which it does not is looked for, and the place before it where the derivative, drawn as
+    a straight line, is 0. The limit (*) carries no derivative. ``derivative`` maps (*, samples) to (*, samples).
 
     Examples:
         >>> round(increasing_limit(torch.cos, torch.tensor(3.2), samples=65).item(), 2)  # sin rises up to π/2
-        1.55
+        1.57
     """
     with torch.no_grad():
         steps = torch.linspace(0, 1, samples, dtype=upper.dtype, device=upper.device)
         at = upper.unsqueeze(-1) * steps
-        rising = (derivative(at) > 0).to(torch.long).cumprod(-1)
-        last = (rising.sum(-1, keepdim=True) - 1).clamp_min(0)
-        return at.gather(-1, last).squeeze(-1)
+        slope = derivative(at)
+        rising = (slope > 0).to(torch.long).cumprod(-1).sum(-1, keepdim=True)
+        last, following = (rising - 1).clamp_min(0), rising.clamp_max(samples - 1)
+        positive, negative = slope.gather(-1, last), slope.gather(-1, following)
+        share = (positive / (positive - negative)).nan_to_num(0.0).clamp(0, 1)
+        share = torch.where(rising < samples, share, 1.0)
+        return torch.lerp(at.gather(-1, last), at.gather(-1, following), share).squeeze(-1)
+
+
+def refine_root(
+    function: Callable[[Tensor], tuple[Tensor, Tensor, Tensor]], target: Tensor, start: Tensor, upper: Tensor
+) -> Root:
+    """Solve ``function(x) = target`` for ``x`` (*) in [0, upper] from a start close by: two steps of Halley's method.
+
+    Each step cubes the error, as measured by the curvature of the function; a start good to three digits gives all of
+    float64's. The first step is not recorded by autograd. The second is, and alone carries exact first and second
+    derivatives with respect to the target and to everything that ``function`` depends on. Converged means that the
+    second step was too small for a third one to matter.
+
+    Args:
+        function: maps x (*) to its value, its derivative, which is positive, and its second derivative, each (*).
+        target: wanted values (*).
+        start: where to start (*), for instance ``InverseTable.lookup``.
+        upper: the end of the range, broadcastable to (*).
+
+    References:
+        E. Halley, "A new, exact and easy method of finding the roots of equations", Phil. Trans. 18 (1694).
+
+    Examples:
+        >>> cube = lambda x: (x**3, 3 * x**2, 6 * x)
+        >>> two = torch.tensor(2.0, dtype=torch.float64, requires_grad=True)
+        >>> root = refine_root(cube, two, torch.tensor(1.25, dtype=torch.float64), torch.tensor(2.0))
+        >>> (slope,) = torch.autograd.grad(root.value, two)
+        >>> round(root.value.item(), 12), round(slope.item(), 12)  # ∛2 and 1 / (3 ∛4)
+        (1.259921049895, 0.209986841649)
+    """
+    with torch.no_grad():
+        first = start - _halley_step(function, target, start)
+        first = torch.minimum(first.clamp_min(0), upper)
+    step = _halley_step(function, target, first)
+    return Root(first - step, step.abs() <= torch.finfo(step.dtype).eps ** 0.5 * upper)
+
+
+def _halley_step(
+    function: Callable[[Tensor], tuple[Tensor, Tensor, Tensor]], target: Tensor, x: Tensor
+) -> Tensor:
+    value, slope, curvature = function(x)
+    slope = slope.clamp_min(torch.finfo(slope.dtype).eps)
+    newton = (value - target) / slope
+    return newton / (1 - 0.5 * newton * curvature / slope).clamp_min(0.25)
 
 
 def solve_increasing(

@@ -50,6 +50,7 @@ def commands() -> list[tuple[str, str]]:
 def test_python_of_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The blocks of a page are one program, read from top to bottom."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(ROOT / "docs")  # as MkDocs does for the pages' helper
     namespace: dict[str, object] = {"__name__": "page"}
     for number, source in enumerate(blocks(page, "python"), start=1):
         exec(compile(source, f"{page.name}, block {number}", "exec"), namespace)

@@ -126,14 +126,14 @@ def test_intact_file_is_read(name: str) -> None:
 
 
 @given(data=st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_file_cut_anywhere(data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(sorted(TEXTS)))
     survives(TEXTS[name][: data.draw(st.integers(0, len(TEXTS[name])))], name)
 
 
 @given(data=st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_any_bytes_anywhere(data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(sorted(TEXTS)))
     text = TEXTS[name].encode()
@@ -145,7 +145,7 @@ def test_any_bytes_anywhere(data: st.DataObject) -> None:
 @given(
     text=st.text(max_size=200), name=st.sampled_from(["a.yaml", "a.json", "a.xml", "a.txt", "cameras.txt"])
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_any_text(text: str, name: str) -> None:
     with written(text, name) as path, pytest.raises(FileFormatError) as caught:
         read_cameras(path)
@@ -164,7 +164,7 @@ def places(content: Any, at: tuple[str | int, ...] = ()) -> list[tuple[str | int
 
 
 @given(data=st.data())
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_anything_in_place_of_a_value(data: st.DataObject) -> None:
     """Values replaced, keys deleted, lists made longer or shorter; also two at once."""
     name = data.draw(st.sampled_from(sorted(CONTENTS)))

@@ -12,13 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
-from sphericalvision.cameras.plane_distortion import (
-    distort,
-    fold_radius,
-    jacobian,
-    radius_limit,
-    undistort,
-)
+from sphericalvision.cameras.plane_distortion import distort_inside, fold_radius, undistort
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components
 
@@ -104,19 +98,12 @@ def project_brown_conrady(
     check_last_dim("points", points, 3)
     _check_distortion(distortion)
     x, y, z = components(points)
-    front = z > math.sqrt(torch.finfo(z.dtype).tiny)
-    depth = torch.where(front, z, 1.0)
-    x, y = x / depth, y / depth
-    inside = front & (torch.addcmul(x * x, y, y) <= radius_limit(distortion).square())
-    plane_x, plane_y = torch.where(inside, x, 0.0), torch.where(inside, y, 0.0)
-    distorted = distort(plane_x, plane_y, distortion)
-    with torch.no_grad():
-        valid = inside & (jacobian(plane_x, plane_y, distorted, distortion).determinant > 0)
-    u, v = distorted.u, distorted.v
+    shrink = z.abs().clamp_min(torch.finfo(z.dtype).tiny ** 0.4).copysign(z).reciprocal()
+    u, v, valid = distort_inside(x * shrink, y * shrink, distortion)
+    valid = valid & (z > 0)
     if distortion.shape[-1] == 14:
         u, v, meets = _tilt(u, v, distortion[..., 12:])
         valid = valid & meets
-    u, v = torch.where(inside, u, x), torch.where(inside, v, y)
     return Projection(pixels_from_plane(u, v, focal_length, principal_point), valid)
 
 

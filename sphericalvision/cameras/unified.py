@@ -12,13 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
-from sphericalvision.cameras.plane_distortion import (
-    distort,
-    fold_radius,
-    jacobian,
-    radius_limit,
-    undistort,
-)
+from sphericalvision.cameras.plane_distortion import distort_inside, fold_radius, undistort
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components, safe_sqrt
 
@@ -77,13 +71,8 @@ def project_unified(
     denominator = torch.maximum(torch.addcmul(z, xi, length), torch.finfo(z.dtype).eps * length)
     x, y = x / denominator, y / denominator
     if distortion is not None:
-        inside = torch.addcmul(x * x, y, y) <= radius_limit(distortion).square()
-        plane_x, plane_y = torch.where(inside, x, 0.0), torch.where(inside, y, 0.0)
-        distorted = distort(plane_x, plane_y, distortion)
-        with torch.no_grad():
-            one_to_one = jacobian(plane_x, plane_y, distorted, distortion).determinant > 0
-        valid = valid & inside & one_to_one
-        x, y = torch.where(inside, distorted.u, x), torch.where(inside, distorted.v, y)
+        x, y, one_to_one = distort_inside(x, y, distortion)
+        valid = valid & one_to_one
     return Projection(pixels_from_plane(x, y, focal_length, principal_point), valid)
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the pages' own code uses, and no reader needs: example files, and pictures inside the page.
 
-MkDocs loads this file as a hook, which makes it importable from the pages as ``shown``.
+MkDocs loads this file as a hook; ``on_config`` then makes it importable from the pages as ``shown``.
 """
 
 from __future__ import annotations
@@ -14,8 +14,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-sys.path.append(str(Path(__file__).parent))
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []  # kept until the end of the process
+
+
+def on_config(config: object) -> None:
+    """What MkDocs calls once it is configured."""
+    sys.path.append(str(Path(__file__).parent))
 
 
 def example(**files: str) -> Path:
@@ -27,7 +31,7 @@ def example(**files: str) -> Path:
     return folder
 
 
-def show(picture: np.ndarray) -> None:
-    """Print an RGB picture (h, w, 3) as HTML."""
-    data = base64.b64encode(cv2.imencode(".png", picture[..., ::-1])[1]).decode()
-    print(f'<img class="picture" alt="" src="data:image/png;base64,{data}">')
+def picture(pixels: np.ndarray) -> str:
+    """An RGB picture (h, w, 3) as HTML; the page's own ``print`` is what markdown-exec collects."""
+    data = base64.b64encode(cv2.imencode(".png", pixels[..., ::-1])[1]).decode()
+    return f'<img class="picture" alt="" src="data:image/png;base64,{data}">'

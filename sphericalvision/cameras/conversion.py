@@ -115,7 +115,7 @@ def convert(
     vector, model, covered = min(fits, key=lambda fit: (-round(fit[2], 3), fit[3]))[:3]
     result = model.build(vector, camera.image_size, covered, camera)
     if isinstance(result, OCamCamera):
-        result = _with_direct_polynomial(result, covered)
+        result, covered = _with_direct_polynomial(result, held_out, covered)
     return Conversion(result, *_errors(exact, result, held_out, covered), covered)
 
 
@@ -191,8 +191,10 @@ def _fit(
     camera: Camera, model: FittedModel, held_out: Tensor, limit: float
 ) -> tuple[Tensor, FittedModel, float, float]:
     """Vector, model, covered angle and RMS of the best fit; the field of view shrinks to what the model reaches."""
+    best: Tensor | None = None
     for _ in range(_ROUNDS):
         samples = _samples(camera, limit, model)
+        starts = [*model.own_start(camera), *model.starts(model, samples)] if best is None else [best]
         low, high = model.limits(samples.pixels)
 
         def residuals(vector: Tensor, samples: Samples = samples) -> Tensor:
@@ -201,9 +203,8 @@ def _fit(
         def jacobian(vector: Tensor, samples: Samples = samples) -> Tensor:
             return model.jacobian(vector, samples.directions).flatten(0, 1)
 
-        best: Tensor | None = None
         least = math.inf
-        for start in (*model.own_start(camera), *model.starts(model, samples)):
+        for start in starts:
             solution, rms = solve_least_squares(residuals, start, jacobian, low, high)
             if rms < least:
                 best, least = solution, rms
@@ -251,15 +252,28 @@ def _cap(limit: float, count: int, like: Camera) -> Tensor:
     return directions_around_axis(angle, step * (math.pi * (3 - math.sqrt(5))))
 
 
-def _with_direct_polynomial(ocam: OCamCamera, covered: float) -> OCamCamera:
-    """The camera with a direct polynomial that inverts its inverse one."""
-    angle = torch.linspace(0, covered, 2049, dtype=torch.float64, device=ocam.device)
+def _with_direct_polynomial(ocam: OCamCamera, held_out: Tensor, covered: float) -> tuple[OCamCamera, float]:
+    """The camera with a direct polynomial that inverts its inverse one, and out to which angle both are one-to-one."""
     assert ocam.inverse_polynomial is not None
-    radius = polynomial(ocam.inverse_polynomial.double(), angle - math.pi / 2)[0]
-    direct = fit_direct(angle, radius).to(ocam.polynomial)
-    return OCamCamera(
-        direct, ocam.inverse_polynomial, ocam.principal_point, ocam.affine, ocam.image_size, covered
-    )
+    result = ocam
+    for _ in range(_ROUNDS):
+        angle = torch.linspace(0, covered, 2049, dtype=torch.float64, device=ocam.device)
+        radius = polynomial(ocam.inverse_polynomial.double(), angle - math.pi / 2)[0]
+        result = OCamCamera(
+            fit_direct(angle, radius).to(ocam.polynomial),
+            ocam.inverse_polynomial,
+            ocam.principal_point,
+            ocam.affine,
+            ocam.image_size,
+            covered,
+        )
+        angle = angle_from_axis(held_out)
+        inside = result.exact().to(torch.float64)._project(held_out).valid
+        lost = angle[~inside & (angle <= covered)]
+        if not len(lost):
+            break
+        covered = float(lost.min()) * (1 - 1e-3)
+    return result.with_max_angle(covered), covered
 
 
 def _complete(camera: OCamCamera, num_coefficients: int | None) -> OCamCamera:

@@ -65,7 +65,8 @@ def fit_inverse_polynomial(
     if not widest > 0:
         raise ArgumentError(f"camera: this {camera!r} sees nothing around its axis")
     angle, radius = _profile(exact, widest)
-    points = directions_around_axis(angle[::16], azimuth[::15, None])
+    steps = torch.linspace(0, 1, 1001, dtype=torch.float64, device=camera.device) * (1 - 1e-9)
+    points = directions_around_axis(steps * widest, azimuth[::15, None])
     expected = exact.project(points)
     for number in [degree] if degree is not None else range(1, _HIGHEST_DEGREE + 1):
         fitted = OCamCamera(

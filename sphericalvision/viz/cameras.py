@@ -187,8 +187,8 @@ def coverage_panorama(
     seen, shared, mean = overlap(counts, solid_angles)
     colors = matplotlib.colormaps["viridis"](np.linspace(0.1, 1, max(len(rig), 1)))
     palette = np.concatenate(([[0.75, 0.75, 0.75, 1.0]], colors))
-    figure = Figure(figsize=(9, 5.4), dpi=_DPI, layout="constrained")
-    axes = figure.add_subplot()
+    figure = Figure(figsize=(9, 5.8), dpi=_DPI)
+    axes = figure.add_axes((0.08, 0.18, 0.9, 0.7))
     picture = palette[counts.reshape(grid.shape).numpy()]
     axes.imshow(picture, extent=(-180, 180, -90, 90), interpolation="nearest", aspect="equal")
     longitude, latitude = longitude_latitude_from_directions(rig.axes)

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conversion: models that are the same lens find each other, and the errors told are the errors made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from sphericalvision.cameras import (
+    BrownConradyCamera,
+    Camera,
+    DoubleSphereCamera,
+    EquirectangularCamera,
+    ExtendedUnifiedCamera,
+    FisheyeCamera,
+    KannalaBrandtCamera,
+    OCamCamera,
+    PinholeCamera,
+    RadialPolynomialCamera,
+    UnifiedCamera,
+    convert,
+    fit_inverse_polynomial,
+)
+from sphericalvision.core import ArgumentError
+from tests.cameras.test_camera_laws import MODELS
+
+F, C, SIZE = [210.0, 208.0], [318.2, 322.7], (640, 640)
+EXACT = 1e-6  # pixels
+
+
+def double(camera: Camera) -> Camera:
+    return camera.to(torch.float64)
+
+
+def wide_lens() -> DoubleSphereCamera:
+    """A lens of 200° like the one of a real capture."""
+    lens = DoubleSphereCamera([300.0, 299.8], [609.5, 607.5], -0.2, 0.6, (1216, 1216), math.radians(100))
+    return double(lens)
+
+
+def real_ocam() -> OCamCamera:
+    """A lens of 220° whose polynomials have the degrees and sizes of real files: f of degree 4, 1600 x 1532 pixels."""
+    direct = [-264.0, 0.0, 8.33e-4, -5.97e-7, 1.01e-9]
+    affine = [1.0003, -2.7e-4, -9.2e-4]
+    return double(OCamCamera(direct, None, [798.3, 771.6], affine, (1532, 1600), math.radians(110)))
+
+
+def unseen_directions(camera: Camera, max_angle: float, count: int = 3000) -> torch.Tensor:
+    """Random directions within an angle that the camera sees; the conversion knows nothing of them."""
+    generator = torch.Generator().manual_seed(7)
+    random = torch.rand(2, count, generator=generator, dtype=torch.float64)
+    cosine = 1 - (1 - math.cos(max_angle)) * random[0]
+    flat, azimuth = (1 - cosine * cosine).sqrt(), 2 * math.pi * random[1]
+    points = torch.stack((flat * azimuth.cos(), flat * azimuth.sin(), cosine), dim=-1)
+    return points[camera.project(points).valid]
+
+
+def gap(a: Camera, b: Camera, points: torch.Tensor) -> torch.Tensor:
+    return (double(a).project(points).pixels - double(b).project(points).pixels).norm(dim=-1)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_camera_is_its_own_conversion(name: str) -> None:
+    camera = double(MODELS[name](1.0))
+    camera = (
+        camera.exact() if isinstance(camera, OCamCamera) and camera.inverse_polynomial is None else camera
+    )
+    conversion = camera.convert(to=type(camera))
+    tolerance = 0.01 if name == "ocam exact" else EXACT  # here an inverse polynomial is fitted
+    assert conversion.max_error < tolerance
+    assert conversion.rms_error <= conversion.max_error
+    assert type(conversion.camera) is type(camera)
+    assert conversion.camera.image_size == camera.image_size
+
+
+SAME_LENS: dict[str, tuple[Camera, type[Camera], dict[str, object]]] = {
+    "double sphere of xi 0 is extended unified": (
+        DoubleSphereCamera(F, C, 0.0, 0.55, SIZE, 1.6),
+        ExtendedUnifiedCamera,
+        {"alpha": 0.55, "beta": 1.0},
+    ),
+    "extended unified of beta 1 is unified": (
+        ExtendedUnifiedCamera(F, C, 0.6, 1.0, SIZE, 1.7),
+        UnifiedCamera,
+        {"xi": 1.5, "focal_length": [2.5 * f for f in F]},
+    ),
+    "unified of xi 1 is stereographic": (
+        UnifiedCamera([2 * f for f in F], C, 1.0, None, SIZE, 1.9),
+        FisheyeCamera,
+        {"focal_length": F},
+    ),
+    "an equidistant lens has no coefficients": (
+        FisheyeCamera("equidistant", F, C, SIZE, 1.9),
+        KannalaBrandtCamera,
+        {"focal_length": F, "distortion": [0.0] * 4},
+    ),
+    "nor more than one power": (
+        FisheyeCamera("equidistant", F, C, SIZE, 1.9),
+        RadialPolynomialCamera,
+        {"polynomial": [F[0], 0.0, 0.0, 0.0], "aspect_ratio": F[1] / F[0]},
+    ),
+    "a pinhole is a double sphere of alpha 0": (
+        PinholeCamera(F, C, SIZE),
+        DoubleSphereCamera,
+        {"focal_length": F},
+    ),
+    "and has no distortion": (PinholeCamera(F, C, SIZE), BrownConradyCamera, {"distortion": [0.0] * 8}),
+}
+
+
+@pytest.mark.parametrize("name", SAME_LENS)
+def test_the_same_lens_in_other_words(name: str) -> None:
+    """Models that coincide for some parameters are found from starts that know nothing of them."""
+    camera, to, expected = SAME_LENS[name]
+    options = {"num_coefficients": 0} if to is UnifiedCamera else {}
+    conversion = convert(double(camera), to, **options)
+    assert conversion.max_error < 1e-5
+    for key, value in ({"principal_point": C} | expected).items():
+        found = getattr(conversion.camera, key)
+        torch.testing.assert_close(found, torch.tensor(value).to(found), atol=1e-4, rtol=1e-6)
+    if to is FisheyeCamera:
+        assert conversion.camera.projection == "stereographic"
+
+
+def test_there_and_back_again() -> None:
+    """Double sphere to extended unified and back: within what the first of the two conversions said."""
+    lens = wide_lens()
+    there = lens.convert(to=ExtendedUnifiedCamera)
+    back = there.camera.convert(to=DoubleSphereCamera)
+    assert there.max_error < 0.3
+    points = unseen_directions(lens, lens.max_angle)
+    assert gap(lens, back.camera, points).max() <= there.max_error + back.max_error + EXACT
+    assert back.camera.focal_length.sub(lens.focal_length).abs().max() < 1.0
+
+
+TARGETS: dict[type[Camera], float] = {  # pixels of 1216 x 1216, largest
+    BrownConradyCamera: 0.15,
+    KannalaBrandtCamera: 0.02,
+    UnifiedCamera: 0.25,
+    ExtendedUnifiedCamera: 0.3,
+    DoubleSphereCamera: EXACT,
+    FisheyeCamera: 40.0,
+    RadialPolynomialCamera: 2.0,
+    OCamCamera: 0.01,
+    PinholeCamera: 400.0,
+}
+
+
+@pytest.mark.parametrize("to", TARGETS)
+def test_the_error_told_is_the_error_made(to: type[Camera]) -> None:
+    lens = wide_lens()
+    camera, largest, rms, covered = lens.convert(to=to)
+    assert type(camera) is to
+    assert camera.dtype == lens.dtype
+    assert 0 <= rms <= largest < TARGETS[to]
+    points = unseen_directions(lens, covered - 1e-9)
+    made = gap(lens, camera, points)
+    if isinstance(camera, OCamCamera):  # both polynomials count
+        made = torch.maximum(made, gap(lens, camera.exact(), points))
+    assert double(camera).project(points).valid.float().mean() > 0.9, (
+        "but for pixels that move out at the border"
+    )
+    assert made.max() <= 1.05 * largest + 1e-9
+    assert made.square().mean().sqrt() == pytest.approx(rms, rel=0.1, abs=1e-9)
+    pinhole_like = to in (PinholeCamera, BrownConradyCamera)
+    assert math.degrees(covered) == pytest.approx(80 if pinhole_like else 100, abs=1e-6)
+    assert float(camera.max_angle) == pytest.approx(covered)
+
+
+def test_ocam_of_220_degrees_as_kannala_brandt() -> None:
+    ocam = real_ocam()
+    conversion = ocam.convert(to=KannalaBrandtCamera)
+    assert (
+        conversion.max_error < 0.8
+    )  # the affine part's shear, which Kannala-Brandt lacks, is 0.7 px at the edge
+    upright = OCamCamera(
+        ocam.polynomial, None, ocam.principal_point, [1.0003, 0.0, 0.0], ocam.image_size, ocam.max_angle
+    )
+    assert upright.convert(to=KannalaBrandtCamera).max_error < 0.15
+    assert math.degrees(conversion.covered_angle) == pytest.approx(110)
+
+
+def test_both_polynomials_of_an_ocam_camera_are_the_lens() -> None:
+    lens = wide_lens()
+    ocam, largest, _, _ = lens.convert(to=OCamCamera)
+    assert isinstance(ocam, OCamCamera)
+    points = unseen_directions(lens, lens.max_angle)
+    assert gap(lens, ocam, points).max() <= 1.05 * largest
+    assert gap(lens, ocam.exact(), points).max() <= 1.05 * largest
+    assert ocam.polynomial[1] == 0
+    assert ocam.polynomial[0] < 0
+
+
+def test_inverse_polynomial_in_the_convention_of_files() -> None:
+    ocam = real_ocam()
+    fitted, residual = fit_inverse_polynomial(ocam, tolerance=0.01)
+    assert residual <= 0.01
+    points = unseen_directions(ocam, float(ocam.max_angle))
+    assert gap(ocam, fitted, points).max() <= 1.05 * residual
+    for angle in (0.2, 1.0, 1.9):  # the root of the direct polynomial by bisection, against the sum of powers
+        low, high = 0.0, 2000.0
+        for _ in range(80):
+            radius = (low + high) / 2
+            value = sum(float(a) * radius**power for power, a in enumerate(ocam.polynomial))
+            low, high = (radius, high) if math.atan2(radius, -value) < angle else (low, radius)
+        theta = angle - math.pi / 2  # from the image plane
+        told = sum(float(b) * theta**power for power, b in enumerate(fitted.inverse_polynomial))
+        assert told == pytest.approx(low, abs=0.011)
+
+
+def test_more_coefficients_fit_better() -> None:
+    residuals = [fit_inverse_polynomial(real_ocam(), degree).residual for degree in (3, 6, 9)]
+    assert residuals == sorted(residuals, reverse=True)
+    fitted, _ = fit_inverse_polynomial(real_ocam(), 6)
+    assert len(fitted.inverse_polynomial) == 7
+    with pytest.raises(ArgumentError, match="1 to 17"):
+        fit_inverse_polynomial(real_ocam(), 18)
+    lens = wide_lens()
+    errors = [lens.convert(to="radial_polynomial", num_coefficients=n).max_error for n in (2, 4, 7)]
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_a_smaller_angle_is_fitted_better() -> None:
+    lens = wide_lens()
+    whole, middle = (lens.convert(to=PinholeCamera, max_angle=math.radians(a)) for a in (70, 30))
+    assert middle.max_error < 0.2 * whole.max_error
+    assert math.degrees(middle.covered_angle) == pytest.approx(30)
+
+
+def test_cropped_cameras_convert_where_they_look() -> None:
+    """The axis lies outside of the crop."""
+    crop = wide_lens().cropped(0, 0, 500, 560)
+    conversion = crop.convert(to=KannalaBrandtCamera)
+    assert conversion.max_error < 0.05
+    assert conversion.camera.image_size == (500, 560)
+
+
+def test_dtype_follows_the_camera() -> None:
+    lens = wide_lens().to(torch.float32)
+    conversion = lens.convert(to=KannalaBrandtCamera)
+    assert conversion.camera.dtype == torch.float32
+    assert conversion.max_error < 0.02
+
+
+REFUSED: dict[str, tuple[Callable[[], object], str]] = {
+    "unknown class": (lambda: wide_lens().convert(to=Camera), "PinholeCamera"),
+    "unknown name": (lambda: wide_lens().convert(to="kb4"), "kannala_brandt"),
+    "panorama": (lambda: wide_lens().convert(to=EquirectangularCamera), "reproject"),
+    "coefficients": (lambda: wide_lens().convert(to="brown_conrady", num_coefficients=6), "4, 5, 8, 12, 14"),
+    "no choice": (lambda: wide_lens().convert(to="double_sphere", num_coefficients=2), "num_coefficients"),
+    "projection": (lambda: wide_lens().convert(to="ocam", projection="equidistant"), "FisheyeCamera"),
+    "past 90°": (lambda: wide_lens().convert(to="pinhole", max_angle=1.6), "before 90°"),
+    "no angle": (lambda: wide_lens().convert(to="ocam", max_angle=0.0), "max_angle"),
+    "batch": (lambda: type(wide_lens()).stack([wide_lens()] * 2).convert(to="ocam"), "select"),
+    "looks backwards": (
+        lambda: wide_lens().cropped(0, 0, 40, 40).convert(to=PinholeCamera),
+        "nothing is left|sees nothing",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_impossible_wishes_are_refused(name: str) -> None:
+    wish, message = REFUSED[name]
+    with pytest.raises(ArgumentError, match=message):
+        wish()

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fields of view, and how many cameras see a direction: against counting by hand and solid angles in closed form."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from sphericalvision.cameras import (
+    CameraRig,
+    FisheyeCamera,
+    PinholeCamera,
+    coverage,
+    field_of_view,
+    focal_length_on_axis,
+    overlap,
+    ring_rig,
+    visible_angle,
+)
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import Icosphere
+from tests.cameras.test_camera_laws import MODELS
+
+
+def test_counts_are_those_of_asking_each_camera_for_each_point() -> None:
+    rig = ring_rig(4, radius=0.3, image_size=(64, 80))
+    generator = torch.Generator().manual_seed(0)
+    mask = torch.ones(64, 80, dtype=torch.bool)
+    mask[:, :30] = mask[45:, :] = False
+    rig = CameraRig(rig.cameras, rig.world_from_camera, {"cam2": mask})
+    directions = torch.nn.functional.normalize(torch.randn(200, 3, generator=generator), dim=-1)
+    depths = [0.4, 2.0, math.inf]
+    counts = coverage(rig, directions, depths)
+    assert counts.shape == (3, 200)
+    for row, depth in zip(counts, depths, strict=True):
+        for number, direction in zip(row.tolist(), directions, strict=True):
+            point = direction * min(depth, 1e6)
+            expected = 0
+            for name, pose in zip(rig.names, rig.world_from_camera, strict=True):
+                pixel, seen = rig.cameras[name].project(pose[:3, :3].T @ (point - pose[:3, 3]))
+                if seen and name in rig.masks:
+                    u, v = pixel.tolist()
+                    corners = [(math.floor(v), math.floor(u)), (math.ceil(v), math.ceil(u))]
+                    rows = {min(max(corner[0], 0), 63) for corner in corners}
+                    columns = {min(max(corner[1], 0), 79) for corner in corners}
+                    seen = all(bool(mask[i, j]) for i in rows for j in columns)
+                expected += int(seen)
+            assert number == expected, (direction, depth)
+
+
+def test_shares_are_solid_angles() -> None:
+    """A cap of half angle a is (1 − cos a) / 2 of the sphere; two caps back to back share their excess over 90°."""
+    lens = FisheyeCamera.from_field_of_view((400, 400), math.radians(220))
+    poses = torch.eye(4).repeat(2, 1, 1)
+    poses[1, 0, 0] = poses[1, 2, 2] = -1.0  # half a turn about y
+    sphere = Icosphere(6)
+    counts = coverage(CameraRig([lens, lens], poses), sphere.vertices, [math.inf])
+    seen, shared, mean = (part.item() for part in overlap(counts, sphere.solid_angles))
+    cap = (1 - math.cos(math.radians(110))) / 2
+    assert seen == pytest.approx(1.0)
+    assert shared == pytest.approx(math.sin(math.radians(20)), abs=0.005)
+    assert mean == pytest.approx(2 * cap, abs=0.005)
+
+
+def test_batches_are_covered_one_by_one() -> None:
+    rigs = [ring_rig(3), ring_rig(3, radius=0.1).rotated(tilt=0.5)]
+    directions = Icosphere(2).vertices
+    together = coverage(CameraRig.stack(rigs), directions, [0.5, 5.0])
+    for index, rig in enumerate(rigs):
+        assert torch.equal(together[index], coverage(rig, directions, [0.5, 5.0]))
+
+
+def test_wrong_arguments_of_coverage_are_named() -> None:
+    rig = ring_rig(3)
+    with pytest.raises(ArgumentError, match="depths"):
+        coverage(rig, torch.eye(3), [1.0, 0.0])
+    with pytest.raises(ShapeError, match="flatten the grid"):
+        coverage(rig, torch.ones(2, 2, 3), [1.0])
+    with pytest.raises(ShapeError, match="solid_angles"):
+        overlap(torch.ones(2, 4), torch.ones(3))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_just_inside_of_the_visible_angle_is_seen_and_just_outside_not(name: str) -> None:
+    camera = MODELS[name](1.0).to(torch.float64)
+    azimuth = torch.linspace(0, 6, 50, dtype=torch.float64)
+    angle = visible_angle(camera, azimuth)
+    for step, expected in ((-1e-6, True), (1e-6, False)):
+        turned = (angle + step).clamp_max(math.pi)
+        flat = turned.sin()
+        points = torch.stack((flat * azimuth.cos(), flat * azimuth.sin(), turned.cos()), dim=-1)
+        seen = camera.project(points).valid
+        assert torch.equal(seen | (turned == math.pi), torch.full_like(seen, expected) | (turned == math.pi))
+
+
+def test_fields_of_view_of_a_pinhole() -> None:
+    camera = PinholeCamera([100.0, 50.0], [99.5, 49.5], (100, 200))
+    horizontal, vertical, widest = field_of_view(camera)
+    assert horizontal == pytest.approx(math.pi / 2)
+    assert vertical == pytest.approx(math.pi / 2)
+    assert widest == pytest.approx(2 * math.atan(math.sqrt(2)), abs=0.01)
+    assert focal_length_on_axis(camera).tolist() == pytest.approx([100.0, 50.0], rel=1e-7)
+
+
+def test_baselines_are_distances() -> None:
+    baselines = ring_rig(4, radius=0.2).baselines
+    side = 0.2 * math.sqrt(2)
+    torch.testing.assert_close(baselines[0], torch.tensor([0.0, side, 0.4, side]))
+    torch.testing.assert_close(baselines, baselines.T)
+
+
+def test_resized_rigs_keep_rays_and_shrink_masks() -> None:
+    rig = ring_rig(2, image_size=(64, 64))
+    mask = torch.ones(64, 64, dtype=torch.bool)
+    mask[10, 20] = False
+    rig = CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})
+    half = rig.resized((32, 32))
+    assert (~half.masks["cam1"]).nonzero().tolist() == [[5, 10]]
+    third = rig.resized({"cam1": (20, 24)})
+    assert third.cameras["cam2"].image_size == (64, 64)
+    covered = (~third.masks["cam1"]).nonzero().tolist()
+    assert covered == [[3, 7]]  # rows 9.6 to 12.8, columns 18.7 to 21.3
+    with pytest.raises(ArgumentError, match="cam1, cam2"):
+        rig.resized({"front": (20, 24)})

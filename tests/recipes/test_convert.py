@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Converting and inspecting calibrations from the command line."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.cameras import (
+    CameraRig,
+    DoubleSphereCamera,
+    KannalaBrandtCamera,
+    OCamCamera,
+    read_camera,
+    read_rig,
+    ring_rig,
+    save_camera,
+)
+from sphericalvision.data.image_io import read_image, write_image
+from tests.recipes.tiny import Run
+
+LENS = DoubleSphereCamera([75.0, 75.0], [152.3, 151.5], -0.2, 0.6, (304, 304), math.radians(100))
+
+
+@pytest.fixture
+def calibration(tmp_path: Path) -> Path:
+    """A rig of four equal lenses."""
+    poses = ring_rig(4).world_from_camera
+    CameraRig(dict.fromkeys(("front", "right", "back", "left"), LENS), poses).to_yaml(tmp_path / "rig.yaml")
+    return tmp_path / "rig.yaml"
+
+
+def test_a_rig_is_converted_with_its_poses(
+    run: Run, calibration: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("convert", f"calibration={calibration}", "to=kannala_brandt", "output=new/kb.yaml")
+    printed = capsys.readouterr().out
+    assert "max error" in printed
+    assert "front" in printed
+    old, new = read_rig(calibration), read_rig(calibration.parent / "new/kb.yaml")
+    assert new.names == old.names
+    torch.testing.assert_close(new.world_from_camera, old.world_from_camera)
+    points = torch.tensor([[0.3, -0.2, 1.0], [1.0, 0.0, -0.1], [0.0, 1.0, 0.2]])
+    for name in old.names:
+        assert isinstance(new.cameras[name], KannalaBrandtCamera)
+        torch.testing.assert_close(
+            new.cameras[name].project(points).pixels, LENS.project(points).pixels, rtol=0, atol=0.01
+        )
+    assert sorted(path.name for path in (calibration.parent / "new").iterdir()) == ["kb.yaml"]
+
+
+def test_one_camera_goes_to_the_file_of_another_program(run: Run, calibration: Path) -> None:
+    run(
+        "convert",
+        f"calibration={calibration}",
+        "camera=left",
+        "to=ocam",
+        "format=ocamcalib",
+        "output=left.txt",
+    )
+    ocam = read_camera(calibration.parent / "left.txt", max_angle=math.radians(100))
+    assert isinstance(ocam, OCamCamera)
+    points = torch.tensor([[0.3, -0.2, 1.0], [1.0, 0.0, -0.1]])
+    torch.testing.assert_close(ocam.project(points).pixels, LENS.project(points).pixels, rtol=0, atol=0.02)
+
+
+def test_a_file_of_one_camera_is_converted_to_one_camera(run: Run, tmp_path: Path) -> None:
+    save_camera(LENS, tmp_path / "lens.yaml")
+    run("convert", "calibration=lens.yaml", "to=extended_unified", "output=lens.json", "format=basalt")
+    assert read_camera(tmp_path / "lens.json").model == "extended_unified"
+
+
+def test_without_output_nothing_is_written(
+    run: Run, calibration: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("convert", f"calibration={calibration}", "to=pinhole", "camera=front", "fit_angle_deg=40")
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "80.0°" in printed, "what is kept of the field of view"
+    assert sorted(path.name for path in calibration.parent.iterdir()) == ["rig.yaml"]
+
+
+def test_mistakes_are_told_in_one_paragraph(failing: Callable[..., str], calibration: Path) -> None:
+    assert "calibration=..." in failing("convert")
+    assert "nowhere.yaml" in failing("convert", "calibration=nowhere.yaml")
+    words = (f"calibration={calibration}",)
+    assert "front, right, back, left" in failing("convert", *words, "camera=up")
+    assert "kannala_brandt" in failing("convert", *words, "to=kb4")
+    assert "before 90°" in failing("convert", *words, "to=pinhole", "fit_angle_deg=95")
+    assert "colmap" in failing("convert", *words, "camera=left", "format=docx", "output=a")
+    assert "depths" in failing("inspect", f"rig={calibration}", "depths=[0]")
+
+
+def test_a_rig_is_inspected(run: Run, calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("inspect", f"rig={calibration}", "level=4", "output=seen")
+    printed = " ".join(capsys.readouterr().out.split())
+    for expected in ("double_sphere", "200.0°", "0.400", "0.283", "by two or more", "far away"):
+        assert expected in printed
+    folder = calibration.parent / "seen"
+    names = [f"angles_{name}" for name in ("front", "right", "back", "left")]
+    names += ["rig", "coverage_1m", "coverage_far"]
+    assert sorted(path.name for path in folder.iterdir()) == sorted(f"{name}.png" for name in names)
+    assert all(read_image(path).std() > 0.05 for path in folder.iterdir())
+
+
+def test_images_and_masks_are_drawn(run: Run, calibration: Path) -> None:
+    for name in ("front", "right", "back", "left"):
+        write_image(calibration.parent / name / "0.png", torch.rand(3, 304, 304))
+        write_image(calibration.parent / name / "mask.png", torch.ones(1, 304, 304))
+    run(
+        "inspect",
+        f"rig={calibration}",
+        "images={camera}/{frame}.png",
+        "masks={camera}/mask.png",
+        "frame=0",
+        "level=3",
+        "output=seen",
+    )
+    assert (calibration.parent / "seen/angles_left.png").is_file()
+
+
+def test_one_camera_without_poses_is_inspected(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_camera(LENS, tmp_path / "lens.yaml")
+    run("inspect", "rig=lens.yaml", "output=seen")
+    assert "no poses" in capsys.readouterr().out
+    assert len(list((tmp_path / "seen").iterdir())) == 1
+
+
+REAL = Path(__file__).resolve().parents[2].parent / "shared" / "real"
+FILES = {  # the largest error in pixels as Kannala-Brandt; the OCam lens is not one, and reaches 127°
+    "itbt_lobby/config.yaml": 1.0,
+    "kaist_hall/calibration.json": 0.1,
+    "ocam_single/calib_results_0.txt": 2.0,
+    "calibrations/tumvi_512_basalt_ds.json": 0.1,
+    "calibrations/tumvi_512_kalibr_kb4.yaml": 1e-6,
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_real_calibrations(name: str) -> None:
+    """The same as above on files of real cameras, where they are at hand."""
+    folder = Path(os.environ.get("SPHERICALVISION_REAL", REAL))
+    if not (folder / name).is_file():
+        pytest.skip("real calibrations not found; set SPHERICALVISION_REAL to their folder")
+    from sphericalvision.cameras import read_cameras
+
+    camera = next(iter(read_cameras(folder / name, dtype=torch.float64).values()))
+    assert camera.convert(to=KannalaBrandtCamera).max_error < FILES[name]

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.cameras.pinhole import PinholeCamera
 from sphericalvision.cameras.remap import remap
 from sphericalvision.cameras.remap_tables import Remapped
@@ -93,7 +94,10 @@ def undistorted_camera(
     focal = _scale_on_axis(camera) if focal_length is None else torch.as_tensor(focal_length)
     focal = focal.to(camera.device, camera.dtype)
     if not bool((focal > 0).all()):
-        raise ArgumentError(f"focal_length: expected positive pixels, got {focal_length}")
+        raise ArgumentError(
+            f"focal_length: expected positive pixels, got {focal_length}"
+            + ("; the camera's image has no scale on its axis to take over" if focal_length is None else "")
+        )
     batch = torch.broadcast_shapes(focal.shape, camera.batch_shape)
     middle = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=focal.dtype, device=focal.device)
     return PinholeCamera(
@@ -103,14 +107,6 @@ def undistorted_camera(
 
 def _scale_on_axis(camera: Camera) -> Tensor:
     """Pixels a radian (*b,) around the optical axis: the geometric mean of both directions."""
-    step = 1e-4
-    around = torch.tensor(
-        [[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]], dtype=torch.float64, device=camera.device
-    )
-    pixels = camera.project(around.expand(*camera.batch_shape, 4, 3)).pixels
-    along_u, along_v = (
-        (pixels[..., 0, :] - pixels[..., 1, :]) / (2 * step),
-        (pixels[..., 2, :] - pixels[..., 3, :]) / (2 * step),
-    )
-    area = along_u[..., 0] * along_v[..., 1] - along_u[..., 1] * along_v[..., 0]
-    return area.abs().sqrt()
+    if camera.batch_shape:
+        return torch.stack([_scale_on_axis(camera.select(index)) for index in range(camera.batch_shape[0])])
+    return focal_length_on_axis(camera).prod(-1).sqrt()

@@ -155,7 +155,12 @@ class Equirectangular(nn.Module):
 
         Differentiable in the directions ``(*, 3)``.
         """
-        u, v = self.pixels(directions).unbind(-1)
+        x, y, z = directions.unbind(-1)
+        # At a pole the longitude turns without end, though the picture hardly does: there its derivative is left out.
+        at_pole = torch.hypot(x, z).detach() < (1e-3 * math.pi / self.height) * y.detach().abs()
+        x, z = (torch.where(at_pole, side.detach(), side) for side in (x, z))
+        u = self.pixels(torch.stack((x, y, z), -1))[..., 0]
+        v = self.pixels(directions)[..., 1]
         return torch.stack((torch.remainder(u + 0.5, self.width) + 0.5, v + 1), -1)
 
     def sample(self, values: Tensor, directions: Tensor) -> Tensor:
@@ -171,8 +176,7 @@ class Equirectangular(nn.Module):
         Raises:
             ShapeError: if the values are not on this grid.
         """
-        check_values(values, self.shape)
-        return bilinear_sample(values, self.pixels(directions), wrap_longitude=True)
+        return bilinear_sample(self.image(values), self.image_pixels(directions))
 
     def extra_repr(self) -> str:
         return f"height={self.height}, width={self.width}"

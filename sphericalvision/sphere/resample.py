@@ -61,9 +61,7 @@ def resample(
         (torch.Size([1, 8, 16]), True)
     """
     check_values(values, grid_shape(source, "source"))
-    dtype = torch.promote_types(values.dtype if values.is_floating_point() else torch.float64, torch.float32)
-    tables = ResampleTables(source, target, rotation, mode, fill, dtype, values.device)
-    return tables(values, mask)
+    return ResampleTables(source, target, rotation, mode, fill, values.device)(values, mask)
 
 
 def resample_mask(
@@ -86,10 +84,8 @@ def resample_mask(
         tensor(True)
     """
     device = next((t.device for t in (mask, rotation) if t is not None), _like(target).device)
-    dtype = torch.float32 if rotation is None else torch.promote_types(rotation.dtype, torch.float32)
     with torch.no_grad():
-        tables = ResampleTables(source, target, rotation, mode, 0.0, dtype, device)
-        return tables.mask(mask)
+        return ResampleTables(source, target, rotation, mode, 0.0, device).mask(mask)
 
 
 class Resample(ResampleTables):
@@ -134,7 +130,7 @@ class Resample(ResampleTables):
         device = _like(target).device if device is None else torch.device(device)
         if dtype is None:
             dtype = torch.promote_types(_like(source).dtype, _like(target).dtype)
-        super().__init__(source, target, rotation, mode, fill, torch.float64, device)
+        super().__init__(source, target, rotation, mode, fill, device)
         self.to(dtype)
 
     def __repr__(self) -> str:

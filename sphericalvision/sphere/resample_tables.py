@@ -28,7 +28,7 @@ _SLACK = 0.25  # samples may lie this much further apart than the source's value
 class ResampleTables(nn.Module):
     """Tables of one pair of grids or cameras, with gradients by rotation and intrinsics where these have them.
 
-    The arguments are those of ``resample``; tables are computed in ``dtype`` and lie on ``device``.
+    The arguments are those of ``resample``; tables lie on ``device``.
     """
 
     usable: Tensor | None
@@ -42,16 +42,16 @@ class ResampleTables(nn.Module):
         rotation: Tensor | None,
         mode: str,
         fill: float,
-        dtype: torch.dtype,
         device: torch.device,
     ) -> None:
         super().__init__()
+        # In double precision, so that values, masks and modules agree about what lies on a border.
+        dtype = torch.float32 if device.type == "mps" else torch.float64
         check_choice("mode", mode, RESAMPLE_MODES)
         self.source_shape, self.target_shape = grid_shape(source, "source"), grid_shape(target, "target")
         self.mode, self.fill = mode, fill
         if rotation is not None:
-            rotation = _checked_rotation(rotation).to(device=device)
-            dtype = torch.promote_types(dtype, rotation.dtype)
+            rotation = _checked_rotation(rotation).to(device=device, dtype=dtype)
 
         usable = gain = valid = None
         dims = len(self.source_shape)
@@ -171,7 +171,7 @@ def _turned(directions: Tensor, rotation: Tensor | None) -> Tensor:
     if rotation is None:
         return directions
     # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.
-    return directions @ rotation.to(directions).unsqueeze(-3)
+    return directions @ rotation.unsqueeze(-3)
 
 
 def _checked_rotation(rotation: Tensor) -> Tensor:

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cube maps: their convention, their layouts, and images that come out of panoramas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from laws.grid_laws import DOUBLE, some_rotation, spread_directions
+
+from sphericalvision.cameras import PinholeCamera
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.sphere import (
+    CUBE_LAYOUTS,
+    Cubemap,
+    Equirectangular,
+    cube_from_layout,
+    cube_to_layout,
+    resample,
+    world_from_cube_face,
+)
+
+
+def test_convention_cubemap() -> None:
+    """Front, right, back, left, up, down; rows grow downwards; up and down hang on the front face."""
+    grid = Cubemap(2, dtype=DOUBLE)
+    forward = [[0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, -1, 0], [0, 1, 0]]
+    middle = grid.directions.flatten(1, 2).mean(1)
+    torch.testing.assert_close(
+        middle / middle.norm(dim=-1, keepdim=True), torch.tensor(forward, dtype=DOUBLE)
+    )
+    expected = torch.tensor([-0.5, -0.5, 1.0], dtype=DOUBLE) / math.sqrt(1.5)
+    torch.testing.assert_close(grid.directions[0, 0, 0], expected)  # front, top left: left and up
+    assert grid.directions[4, 1, 0] @ grid.directions[0, 0, 0] > 0.66  # neighbours across the edge
+    assert grid.directions[5, 0, 1] @ grid.directions[0, 1, 1] > 0.66
+    for name, axes in zip(grid.faces, world_from_cube_face(DOUBLE), strict=True):
+        assert torch.linalg.det(axes) == 1, name
+
+
+def test_faces_are_pinhole_images() -> None:
+    grid = Cubemap(8, dtype=DOUBLE)
+    camera = PinholeCamera(
+        torch.tensor([4.0, 4.0], dtype=DOUBLE), torch.tensor([3.5, 3.5], dtype=DOUBLE), (8, 8)
+    )
+    rays = camera.unproject(camera.pixel_grid(DOUBLE)).directions
+    for face, world_from_face in enumerate(world_from_cube_face(DOUBLE)):
+        torch.testing.assert_close(rays @ world_from_face.T, grid.directions[face])
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 8])
+def test_interpolation_is_continuous_everywhere(size: int) -> None:
+    """A nudge across any edge, corner or pixel border changes a value as little as the nudge."""
+    grid = Cubemap(size, dtype=DOUBLE)
+    values = torch.randn(1, 6, size, size, dtype=DOUBLE)
+    directions = spread_directions(20_000)
+    nudged = directions + 1e-9 * torch.randn(20_000, 3, dtype=DOUBLE)
+    assert (grid.sample(values, directions) - grid.sample(values, nudged)).abs().max() < 1e-6
+    assert grid.sample(values, directions).abs().max() <= values.abs().max()
+
+
+def test_corners_and_edges_are_what_they_touch() -> None:
+    grid = Cubemap(4, dtype=DOUBLE)
+    values = torch.randn(1, 6, 4, 4, dtype=DOUBLE)
+    corner = grid.sample(values, torch.tensor([[1.0, -1.0, 1.0]], dtype=DOUBLE)).item()
+    assert corner == pytest.approx(
+        ((values[0, 0, 0, 3] + values[0, 1, 0, 0] + values[0, 4, 3, 3]) / 3).item()
+    )
+    edge = grid.sample(values, torch.tensor([[1.0, 0.0, 1.0]], dtype=DOUBLE)).item()
+    assert edge == pytest.approx((values[0, 0, 1:3, 3].sum() + values[0, 1, 1:3, 0].sum()).item() / 4)
+
+
+@pytest.mark.parametrize("layout", CUBE_LAYOUTS)
+def test_layouts_and_back(layout: str) -> None:
+    cube = torch.randn(2, 3, 6, 4, 4)
+    assert torch.equal(cube_from_layout(cube_to_layout(cube, layout), layout), cube)
+
+
+def test_the_dice_has_no_breaks() -> None:
+    """On the unfolded cube neighbouring pixels of neighbouring faces look almost the same way."""
+    size = 16
+    dice = cube_to_layout(Cubemap(size).directions.permute(3, 0, 1, 2), "dice")
+    assert dice.shape == (3, 3 * size, 4 * size)
+    for step in (dice.diff(dim=-1), dice.diff(dim=-2)):
+        inside = (dice.norm(dim=0) > 0)[: step.shape[1], : step.shape[2]]
+        length = step.norm(dim=0)
+        broken = inside & (length > 0.2) & (length < 0.95)  # 1: at the empty places
+        assert not broken.any()
+
+
+def test_errors_say_what_is_expected() -> None:
+    with pytest.raises(ShapeError, match=r"values: expected a cube map \(\*, 6, s, s\), got \(5, 4, 4\)"):
+        cube_to_layout(torch.zeros(5, 4, 4))
+    with pytest.raises(ArgumentError, match="layout: expected one of 'dice', 'strip', 'list', 'dict'"):
+        cube_to_layout(torch.zeros(6, 4, 4), "cross")
+    with pytest.raises(ShapeError, match=r"faces: expected one picture .* got \(3, 10, 12\)"):
+        cube_from_layout(torch.zeros(3, 10, 12), "dice")
+    with pytest.raises(ArgumentError, match="keys front, right"):
+        cube_from_layout({"front": torch.zeros(4, 4)}, "dict")
+    with pytest.raises(ArgumentError, match="size: expected a positive number of pixels, got 0"):
+        Cubemap(0)
+    with pytest.raises(ShapeError, match=r"values: expected shape \(\*b, c, 6, 4, 4\), got \(6, 4, 4\)"):
+        Cubemap(4).sample(torch.zeros(6, 4, 4), torch.ones(1, 3))
+
+
+def brute_force(
+    image: np.ndarray, ray: Callable[[int, int], np.ndarray], size: tuple[int, int]
+) -> np.ndarray:
+    """Look every pixel up in a panorama with plain arithmetic, one by one."""
+    height, width = image.shape
+    result = np.empty(size)
+    for row in range(size[0]):
+        for column in range(size[1]):
+            x, y, z = ray(row, column)
+            u = (math.atan2(x, z) + math.pi) * width / (2 * math.pi) - 0.5
+            v = (math.pi / 2 - math.asin(-y / math.sqrt(x * x + y * y + z * z))) * height / math.pi - 0.5
+            j, i = math.floor(v), math.floor(u)
+            value = 0.0
+            for dj, wj in ((0, 1 - (v - j)), (1, v - j)):
+                for di, wi in ((0, 1 - (u - i)), (1, u - i)):
+                    r, c = j + dj, i + di
+                    if r < 0 or r >= height:  # beyond the pole: the same row, half a turn further
+                        r, c = (-1 - r if r < 0 else 2 * height - 1 - r), c + width // 2
+                    value += wj * wi * image[r, c % width]
+            result[row, column] = value
+    return result
+
+
+def test_panorama_to_cube_agrees_with_brute_force() -> None:
+    image = torch.rand(16, 32, dtype=DOUBLE)
+    ours = resample(image[None], Equirectangular(16, 32), Cubemap(7))[0]
+    for face, world_from_face in enumerate(world_from_cube_face(DOUBLE).numpy()):
+
+        def ray(row: int, column: int, axes: np.ndarray = world_from_face) -> np.ndarray:
+            return axes @ np.array([(2 * column - 6) / 7, (2 * row - 6) / 7, 1.0])
+
+        expected = torch.from_numpy(brute_force(image.numpy(), ray, (7, 7)))
+        torch.testing.assert_close(ours[face], expected, rtol=0, atol=1e-10)
+
+
+def test_panorama_to_perspective_agrees_with_brute_force() -> None:
+    """A 100° view straight back and up, across the seam and the pole."""
+    image = torch.rand(16, 32, dtype=DOUBLE)
+    focal = 4.5 / math.tan(math.radians(50))
+    camera = PinholeCamera(
+        torch.tensor([focal, focal], dtype=DOUBLE), torch.tensor([4.0, 4.0], dtype=DOUBLE), (9, 9)
+    )
+    tilt = math.radians(55)
+    world_from_camera = np.array(
+        [[-1, 0, 0], [0, math.cos(tilt), -math.sin(tilt)], [0, -math.sin(tilt), -math.cos(tilt)]]
+    )
+    ours = resample(image[None], Equirectangular(16, 32), camera, torch.from_numpy(world_from_camera.T))[0]
+
+    def ray(row: int, column: int) -> np.ndarray:
+        return world_from_camera @ np.array([(column - 4) / focal, (row - 4) / focal, 1.0])
+
+    torch.testing.assert_close(
+        ours, torch.from_numpy(brute_force(image.numpy(), ray, (9, 9))), rtol=0, atol=1e-10
+    )
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_positions_are_right_to_a_thousandth_of_a_pixel(dtype: torch.dtype) -> None:
+    """A panorama whose values are its own columns and rows tells where each result was read."""
+    height, width = 256, 512
+    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    ramp = torch.stack((columns, rows)).to(dtype)
+    focal = 64 / math.tan(math.radians(35))
+    camera = PinholeCamera(torch.tensor([focal, focal]), torch.tensor([63.5, 63.5]), (128, 128))
+    rotation = some_rotation(5)
+    for target, rays in (
+        (Cubemap(64), Cubemap(64, dtype=DOUBLE).directions.flatten(0, 2)),
+        (camera, camera.to(DOUBLE).unproject(camera.pixel_grid(DOUBLE).flatten(0, 1)).directions),
+    ):
+        found = resample(ramp, Equirectangular(height, width), target, rotation.to(dtype)).flatten(1).double()
+        x, y, z = (rays @ rotation).unbind(-1)
+        u = (torch.atan2(x, z) / math.pi + 1) * (width / 2) - 0.5
+        v = (0.5 - torch.asin(-y) / math.pi) * height - 0.5
+        inside = (u > 0) & (u < width - 1) & (v > 0) & (v < height - 1)  # ramps end at the seam and the poles
+        assert inside.double().mean() > 0.9
+        assert (found - torch.stack((u, v)))[:, inside].abs().max() < 1e-3
+
+
+def test_two_sizes_of_one_scene_agree() -> None:
+    """Half pixels are kept: a cube of any size, and a panorama of any size, show the same place at a tangent."""
+    smooth = Equirectangular(128, 256, dtype=DOUBLE).directions.movedim(-1, 0)
+    for size in (31, 64):
+        grid = Cubemap(size, dtype=DOUBLE)
+        cube = resample(smooth, Equirectangular(128, 256), grid)
+        assert (cube - grid.directions.movedim(-1, 0)).abs().max() < 4e-4

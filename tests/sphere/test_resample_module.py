@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``Resample`` and what resampling does with cameras, masks, depth and gradients."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from laws.grid_laws import DOUBLE, MAKERS, some_rotation
+from torch import Tensor
+
+from sphericalvision.cameras import FisheyeCamera, KannalaBrandtCamera, PinholeCamera
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.sphere import (
+    Cubemap,
+    Equirectangular,
+    Healpix,
+    Icosphere,
+    Resample,
+    SphereGrid,
+    TangentImages,
+    resample,
+    resample_mask,
+)
+
+FISHEYE = FisheyeCamera.from_field_of_view((48, 64), math.radians(200)).to(DOUBLE)
+SMALL = [Equirectangular(6, 12), Cubemap(4), Healpix(2), Icosphere(1), TangentImages(0, 5)]
+
+
+@pytest.mark.parametrize("mode", ["bilinear", "nearest", "area"])
+@pytest.mark.parametrize("source", [*SMALL, FISHEYE], ids=lambda source: type(source).__name__)
+def test_module_is_the_function(source: SphereGrid | FisheyeCamera, mode: str) -> None:
+    shape = source.image_size if isinstance(source, FisheyeCamera) else source.shape
+    values = torch.rand(2, 3, *shape, dtype=DOUBLE)
+    for target in (Icosphere(1), FISHEYE):
+        module = Resample(source, target, some_rotation(), mode, fill=-1, dtype=DOUBLE)
+        torch.testing.assert_close(
+            module(values),
+            resample(values, source, target, some_rotation(), mode, fill=-1),
+            rtol=0,
+            atol=1e-12,
+        )
+        assert torch.equal(module.mask(), resample_mask(source, target, some_rotation(), mode))
+        assert module.state_dict() == {}
+        assert list(module.parameters()) == []
+
+
+def test_module_moves_and_leaves_the_grid_alone() -> None:
+    grid = Cubemap(4)
+    module = Resample(grid, Equirectangular(6, 12))
+    assert {b.dtype for b in module.buffers() if b.is_floating_point()} == {torch.float32}
+    module.to(DOUBLE).to("meta")
+    assert {b.device.type for b in module.buffers()} == {"meta"}
+    assert grid.directions.dtype == torch.float32
+    assert grid.directions.device.type == "cpu"
+
+
+@pytest.mark.parametrize("source", [SMALL[1], SMALL[3], FISHEYE], ids=lambda source: type(source).__name__)
+def test_module_compiles_whole(source: SphereGrid | FisheyeCamera) -> None:
+    shape = source.image_size if isinstance(source, FisheyeCamera) else source.shape
+    values, mask = torch.rand(1, 2, *shape, dtype=DOUBLE), torch.rand(1, *shape) > 0.2
+    module = Resample(source, Icosphere(1), mode="area", dtype=DOUBLE)
+    compiled = torch.compile(module, fullgraph=True, backend="eager")
+    torch.testing.assert_close(compiled(values, mask), module(values, mask))
+
+
+@pytest.mark.parametrize("source", MAKERS)
+def test_masked_values_do_not_matter(source: str) -> None:
+    """NaN under the mask never comes out; what is left is a mean of usable values."""
+    grid, target = MAKERS[source](2), Icosphere(2, dtype=DOUBLE)
+    usable = (grid.directions[..., 0] > -0.2).expand(2, *grid.shape)
+    values = torch.where(usable.unsqueeze(1), 2.0, torch.nan).double()
+    for mode in ("bilinear", "area", "nearest"):
+        result = resample(values, grid, target, mode=mode, fill=-7.0, mask=usable)
+        valid = resample_mask(grid, target, mode=mode, mask=usable)
+        assert valid.shape == (2, 162)
+        torch.testing.assert_close(result[:, 0], torch.where(valid, 2.0, -7.0).double(), rtol=0, atol=1e-12)
+        x = target.directions[:, 0]
+        assert valid[:, x > 0].all()
+        assert not valid[:, x < -0.7].any()
+
+
+def test_pixels_that_the_camera_does_not_see_do_not_matter() -> None:
+    """Around a fisheye's circle images hold anything; interpolation at its rim leaves it out."""
+    seen = FISHEYE.unproject(FISHEYE.pixel_grid(DOUBLE)).valid
+    image = torch.where(seen, 1.0, torch.nan).double()[None]
+    for mode in ("bilinear", "area"):
+        for target in (Equirectangular(24, 48), Healpix(4), FISHEYE):
+            result = resample(image, FISHEYE, target, some_rotation(), mode)
+            valid = resample_mask(FISHEYE, target, some_rotation(), mode)
+            torch.testing.assert_close(result[0], valid.double())
+            assert 0.2 < valid.double().mean() < 0.8
+
+
+def test_partial_grids_tell_what_they_see() -> None:
+    target = Healpix(8, dtype=DOUBLE)
+    angle = torch.atan2(target.directions[:, :2].norm(dim=-1), target.directions[:, 2])
+    image = torch.zeros(48, 48)
+    camera = FisheyeCamera.from_field_of_view((48, 48), math.radians(200))
+    valid = resample_mask(camera, target)
+    assert (
+        torch.equal(valid, angle <= math.radians(100))
+        or ((valid != (angle <= math.radians(100))) <= ((angle - math.radians(100)).abs() < 1e-5)).all()
+    )
+    assert (resample(image[None], camera, target, fill=9.0)[0] == torch.where(valid, 0.0, 9.0)).all()
+
+
+def test_depth_stays_along_the_ray() -> None:
+    """A sphere around the rig is as far in every direction, in every grid and camera, however they are turned."""
+    panorama = Equirectangular(16, 32)
+    pinhole = PinholeCamera([20.0, 20.0], [15.5, 15.5], (32, 32))
+    for target in (*SMALL, pinhole):
+        depth = resample(torch.full((1, 16, 32), 2.5), panorama, target, some_rotation().float())
+        torch.testing.assert_close(depth, torch.full_like(depth, 2.5))
+
+
+def test_area_of_a_nested_pair_is_the_exact_mean() -> None:
+    """Where cells fall into whole cells, the average is known."""
+    image = torch.rand(1, 16, 32, dtype=DOUBLE)
+    weight = Equirectangular(16, 32, dtype=DOUBLE).solid_angles
+    small = resample(image, Equirectangular(16, 32), Equirectangular(8, 16), mode="area")
+    blocks = (image * weight).view(1, 8, 2, 16, 2).sum((2, 4)) / weight.view(8, 2, 16, 2).sum((1, 3))
+    torch.testing.assert_close(small, blocks, rtol=5e-3, atol=0)
+    pixels = torch.rand(1, 768, dtype=DOUBLE)
+    coarse = resample(pixels, Healpix(8, nested=True), Healpix(4, nested=True), mode="area")
+    assert (coarse - pixels.view(1, 192, 4).mean(-1)).abs().max() < 0.25  # samples lie between the rings
+    assert coarse.mean().item() == pytest.approx(pixels.mean().item(), abs=2e-3)
+
+
+def test_area_of_a_growing_image_is_bilinear() -> None:
+    image = torch.rand(1, 8, 16, dtype=DOUBLE)
+    source, target = Equirectangular(8, 16), Cubemap(16)
+    assert torch.equal(resample(image, source, target, mode="area"), resample(image, source, target))
+
+
+def test_stripes_finer_than_the_target_turn_grey() -> None:
+    """The picture of aliasing: stripes of two pixels, made five times coarser."""
+    stripes = (torch.arange(320) // 2 % 2).double().expand(1, 160, 320)
+    source, target = Equirectangular(160, 320), Equirectangular(32, 64)
+    belt = slice(8, 24)
+    turned = some_rotation(6)
+    assert resample(stripes, source, target, turned)[0, belt].std() > 0.25
+    assert resample(stripes, source, target, turned, mode="area")[0, belt].std() < 0.12
+
+
+@pytest.mark.parametrize("mode", ["bilinear", "area"])
+def test_gradients_by_intrinsics(mode: str) -> None:
+    image = torch.rand(1, 12, 24, dtype=DOUBLE)
+    focal_length = torch.tensor([5.1, 5.3], dtype=DOUBLE, requires_grad=True)
+    center = torch.tensor([2.6, 2.4], dtype=DOUBLE, requires_grad=True)
+
+    def perspective(focal_length: Tensor, center: Tensor) -> Tensor:
+        return resample(
+            image, Equirectangular(12, 24), PinholeCamera(focal_length, center, (6, 6)), mode=mode
+        )
+
+    assert torch.autograd.gradcheck(perspective, (focal_length, center))
+    distortion = torch.tensor([0.02, 0.01, 0.0, 0.0], dtype=DOUBLE, requires_grad=True)
+
+    def onto_sphere(distortion: Tensor) -> Tensor:
+        lens = KannalaBrandtCamera(
+            torch.tensor([5.0, 5.0]), torch.tensor([5.5, 5.5]), distortion, (12, 12), 1.0
+        )
+        return resample(image[..., :12], lens, Icosphere(1), mode=mode)
+
+    assert torch.autograd.gradcheck(onto_sphere, (distortion,))
+
+
+def test_gradient_descent_finds_the_rotation() -> None:
+    """What gradients by rotation are for: two pictures of one scene, turned against each other."""
+    panorama, ico = Equirectangular(16, 32, dtype=DOUBLE), Icosphere(3, dtype=DOUBLE)
+    image = torch.stack(
+        (panorama.directions[..., 0], panorama.directions[..., 1] * panorama.directions[..., 2])
+    )
+    truth = torch.linalg.matrix_exp(skew(torch.tensor([0.1, -0.2, 0.15], dtype=DOUBLE)))
+    seen = resample(image, panorama, ico, truth)
+    turn = torch.zeros(3, dtype=DOUBLE, requires_grad=True)
+    optimizer = torch.optim.LBFGS([turn], max_iter=30, line_search_fn="strong_wolfe")
+
+    def loss() -> Tensor:
+        optimizer.zero_grad()
+        now = resample(image, panorama, ico, torch.linalg.matrix_exp(skew(turn)))
+        value = (now - seen).square().mean()
+        value.backward()
+        return value
+
+    optimizer.step(loss)
+    torch.testing.assert_close(
+        turn.detach(), torch.tensor([0.1, -0.2, 0.15], dtype=DOUBLE), rtol=0, atol=1e-4
+    )
+
+
+def skew(vector: Tensor) -> Tensor:
+    x, y, z = vector.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+
+
+class Ring:
+    """The least a grid must have: values at four directions of the horizon, the nearest counts."""
+
+    shape = (4,)
+    directions = torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0]])
+    solid_angles = torch.full((4,), math.pi)
+
+    def nearest(self, directions: Tensor) -> Tensor:
+        return (directions @ self.directions.T.to(directions)).argmax(-1)
+
+    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+        return values[..., self.nearest(directions)]
+
+
+def test_any_grid_takes_part() -> None:
+    values = torch.tensor([[1.0, 2.0, 3.0, 4.0]])
+    result = resample(values, Ring(), Equirectangular(4, 8))
+    assert result[0, 1].tolist() == [3, 4, 4, 1, 1, 2, 2, 3]
+    assert resample(result, Equirectangular(4, 8), Ring(), mode="nearest").shape == (1, 4)
+    with pytest.raises(ArgumentError, match=r"needs a method cell_samples.* which Ring lacks"):
+        resample(torch.zeros(1, 40, 80), Equirectangular(40, 80), Ring(), mode="area")
+
+
+def test_half_precision_is_computed_in_single() -> None:
+    image = torch.rand(1, 8, 16).to(torch.bfloat16)
+    result = resample(image, Equirectangular(8, 16), Cubemap(4))
+    assert result.dtype == torch.bfloat16
+    exact = resample(image.double(), Equirectangular(8, 16), Cubemap(4))
+    torch.testing.assert_close(result.double(), exact, rtol=0, atol=4e-3)
+
+
+def test_errors_name_the_argument() -> None:
+    grid = Cubemap(4)
+    with pytest.raises(ArgumentError, match=r"values: expected floating point numbers for mode 'bilinear'"):
+        resample(torch.zeros(1, 6, 4, 4, dtype=torch.long), grid, Healpix(1))
+    with pytest.raises(
+        ShapeError, match=r"mask: expected shape \(\*b, 6, 4, 4\) as the source, got \(4, 4\)"
+    ):
+        resample(torch.zeros(1, 6, 4, 4), grid, Healpix(1), mask=torch.ones(4, 4))
+    with pytest.raises(ArgumentError, match="mode: expected one of 'bilinear', 'nearest', 'area'"):
+        Resample(grid, Healpix(1), mode="bicubic")
+    with pytest.raises(ArgumentError, match="target: expected a SphereGrid"):
+        Resample(grid, "cube")  # type: ignore[arg-type]

@@ -73,6 +73,9 @@ def undistorted_camera(
 
     Its pixels are square and its principal point is the middle of the picture.
 
+    Raises:
+        ArgumentError: see ``undistort``.
+
     Examples:
         >>> from sphericalvision.cameras import FisheyeCamera
         >>> fisheye = FisheyeCamera.from_field_of_view((64, 64), math.radians(220))

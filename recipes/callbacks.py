@@ -136,15 +136,23 @@ class PlainProgress(Callback):
             print(f"step {trainer.global_step} validation: {values}", flush=True)
 
 
-def training_callbacks(folder: Path, checkpoint_minutes: float, panel_frames: int) -> list[Callback]:
+def training_callbacks(
+    folder: Path, checkpoint_minutes: float, panel_frames: int, monitor: tuple[str, str]
+) -> list[Callback]:
     """Callbacks of a training run whose results go to ``folder``.
 
-    ``checkpoints/best.ckpt`` has the smallest validation MAE, ``checkpoints/last.ckpt`` is renewed every
-    ``checkpoint_minutes`` and on interruption.
+    ``checkpoints/best.ckpt`` is the best by ``monitor``, a validated value and its best direction, "min" or "max";
+    ``checkpoints/last.ckpt`` is renewed every ``checkpoint_minutes`` and on interruption.
     """
     checkpoints = folder / "checkpoints"
+    value, mode = monitor
     best = ModelCheckpoint(
-        checkpoints, "best", monitor="val/MAE", save_on_train_epoch_end=False, enable_version_counter=False
+        checkpoints,
+        "best",
+        monitor=value,
+        mode=mode,
+        save_on_train_epoch_end=False,
+        enable_version_counter=False,
     )
     last = ModelCheckpoint(
         checkpoints,

@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 from pytorch_lightning.plugins.io import TorchCheckpointIO
+from torch import nn
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models import IcoSweepNet
@@ -32,12 +33,12 @@ SHAPED_BY = (
 
 
 class WeightsBesideCheckpoint(TorchCheckpointIO):
-    """Lightning's checkpoints, and beside each ``.ckpt`` the network's weights alone as ``.safetensors``.
+    """Lightning's checkpoints, and beside each ``.ckpt`` a depth network's weights alone as ``.safetensors``.
 
     Either file appears whole or not at all, so an interruption while saving leaves the previous ones.
     """
 
-    def __init__(self, net: IcoSweepNet) -> None:
+    def __init__(self, net: nn.Module) -> None:
         super().__init__()
         self.net = net
 
@@ -49,6 +50,8 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
         temporary = path.with_name(f".{path.name}.tmp")
         super().save_checkpoint(checkpoint, temporary, storage_options)
         temporary.replace(path)
+        if not isinstance(self.net, IcoSweepNet):
+            return
         weights = path.with_suffix(".safetensors")
         temporary = weights.with_name(f".{weights.stem}.tmp.safetensors")
         save_weights(self.net, temporary)

@@ -48,6 +48,7 @@ PATH_KEYS = {
     "init_weights",
     "root",
     "cache_dir",
+    "runs",
     "path",
 }
 """Last parts of the keys whose values are file names: what stands there is a name, never Hydra's grammar."""

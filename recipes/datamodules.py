@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader, Dataset
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.collate import collate_samples
 
-__all__ = ["DepthDataModule", "TrainingStream"]
+__all__ = ["SampleDataModule", "TrainingStream"]
 
 ENDLESS = 2**40
 
@@ -56,7 +56,7 @@ class TrainingStream(Dataset[Sample]):
             return self.dataset[self.index_at(position)]
 
 
-class DepthDataModule(pl.LightningDataModule):
+class SampleDataModule(pl.LightningDataModule):
     """Loaders over data sets that subclasses make; ``dataset(split)`` is all they need to say.
 
     Args:

@@ -14,7 +14,7 @@ from sphericalvision.core import check_choice
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.checkpoints import load_network
 from sphericalvision.recipes.cli import build, choose_device, command, output_folder, print_config
-from sphericalvision.recipes.datamodules import DepthDataModule
+from sphericalvision.recipes.datamodules import SampleDataModule
 from sphericalvision.recipes.evaluation import (
     Estimator,
     Row,
@@ -32,7 +32,7 @@ class Evaluation(NamedTuple):
     """A network and the data it is evaluated on."""
 
     net: IcoSweepNet
-    data: DepthDataModule
+    data: SampleDataModule
 
 
 def instantiate_evaluation(config: DictConfig) -> Evaluation:

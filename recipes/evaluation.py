@@ -17,7 +17,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.cli import print_table
-from sphericalvision.recipes.lit_depth import METRICS
 from sphericalvision.sweep import index_from_inverse_depth, photo_consistency
 
 __all__ = [
@@ -104,26 +103,27 @@ def sweep_estimator(net: IcoSweepNet) -> Estimator:
 
 
 def print_rows(title: str, rows: list[Row]) -> None:
-    """Print a table of errors."""
-    columns = ["", *METRICS]
-    print_table(title, columns, [[row.name, *(f"{row.values[key]:.2f}" for key in METRICS)] for row in rows])
+    """Print a table; the columns are those of the first row."""
+    names = list(rows[0].values)
+    print_table(
+        title, ["", *names], [[row.name, *(f"{row.values[key]:.2f}" for key in names)] for row in rows]
+    )
 
 
 def save_rows(stem: Path, rows: list[Row]) -> None:
-    """Write a table as ``.md``, ``.json`` and ``.csv``."""
+    """Write a table as ``.md``, ``.json`` and ``.csv``; the columns are those of the first row."""
     stem.parent.mkdir(parents=True, exist_ok=True)
-    lines = ["| | " + " | ".join(METRICS) + " |", "|---" + "|---:" * len(METRICS) + "|"]
-    lines += [
-        "| " + " | ".join([row.name, *(f"{row.values[k]:.2f}" for k in METRICS)]) + " |" for row in rows
-    ]
+    names = list(rows[0].values)
+    lines = ["| | " + " | ".join(names) + " |", "|---" + "|---:" * len(names) + "|"]
+    lines += ["| " + " | ".join([row.name, *(f"{row.values[k]:.2f}" for k in names)]) + " |" for row in rows]
     stem.with_suffix(".md").write_text("\n".join(lines) + "\n")
     stem.with_suffix(".json").write_text(
         json.dumps({row.name: dict(row.values) for row in rows}, indent=2) + "\n"
     )
     with stem.with_suffix(".csv").open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["name", *METRICS])
-        writer.writerows([row.name, *(row.values[key] for key in METRICS)] for row in rows)
+        writer.writerow(["name", *names])
+        writer.writerows([row.name, *(row.values[key] for key in names)] for row in rows)
 
 
 def _progress(loader: Iterable[Batch], label: str) -> Iterable[Batch]:

@@ -3,56 +3,25 @@
 
 from __future__ import annotations
 
-import math
+from pathlib import Path
 from typing import Any
 
 import pytorch_lightning as pl
 import torch
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import IcoSweepNet
+from sphericalvision.recipes.checkpoints import initialize, load_network
+from sphericalvision.recipes.optimization import adam_with_schedule, check_schedule
 from sphericalvision.recipes.rig_tables import RigTables
 from sphericalvision.sweep import index_from_inverse_depth
 
-__all__ = ["METRICS", "DepthModule", "learning_rate_factor"]
+__all__ = ["METRICS", "DepthModule"]
 
 METRICS = (">1", ">3", ">5", "MAE", "RMS")
 """Columns of the paper's tables, in order; percent of the number of hypotheses."""
-
-
-def learning_rate_factor(
-    step: int,
-    schedule: str,
-    num_steps: int,
-    warmup_steps: int = 0,
-    decay_after: int = 0,
-    decay_factor: float = 0.1,
-) -> float:
-    """Factor on the learning rate at ``step`` of ``num_steps``.
-
-    ``"step"`` multiplies by ``decay_factor`` from ``decay_after`` on; ``"cosine"`` falls from 1 to
-    ``decay_factor`` at ``num_steps``. Either rises linearly from 0 during ``warmup_steps``.
-
-    Raises:
-        ArgumentError: ``schedule`` is none of ``"constant"``, ``"step"``, ``"cosine"``.
-
-    Examples:
-        >>> [learning_rate_factor(s, "step", 6, decay_after=4) for s in (0, 3, 4, 5)]
-        [1.0, 1.0, 0.1, 0.1]
-        >>> round(learning_rate_factor(5, "cosine", 10, decay_factor=0.0), 3)
-        0.5
-    """
-    check_choice("optimizer.schedule", schedule, ("constant", "step", "cosine"))
-    warmup = min(1.0, (step + 1) / warmup_steps) if warmup_steps else 1.0
-    if schedule == "step":
-        return warmup * (decay_factor if step >= decay_after else 1.0)
-    if schedule == "cosine":
-        progress = min(1.0, step / max(1, num_steps))
-        return warmup * (decay_factor + (1.0 - decay_factor) * 0.5 * (1.0 + math.cos(math.pi * progress)))
-    return warmup
 
 
 class DepthModule(pl.LightningModule):
@@ -82,6 +51,10 @@ class DepthModule(pl.LightningModule):
         seed: with the iteration's number it seeds each training step, so that resuming changes nothing.
     """
 
+    metric_names = METRICS
+    monitor = ("val/MAE", "min")
+    unit = "percent of N"
+
     def __init__(
         self,
         level: int = 7,
@@ -105,12 +78,7 @@ class DepthModule(pl.LightningModule):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        learning_rate_factor(0, schedule, schedule_steps)
-        if schedule == "cosine" and schedule_steps <= 0:
-            raise ArgumentError(
-                f"optimizer.schedule_steps: a cosine needs the number of iterations, got {schedule_steps}; "
-                "set trainer.max_steps or optimizer.schedule_steps"
-            )
+        check_schedule(schedule, schedule_steps)
         self.save_hyperparameters()
         self.net = IcoSweepNet(
             level,
@@ -126,6 +94,15 @@ class DepthModule(pl.LightningModule):
         self.net.recompute = recompute
         self.tables = RigTables(self.net.sweep)
         self.validation_metric = DepthIndexError(num_hypotheses)
+
+    def initialize(self, weights: str | Path) -> None:
+        """Start from the parameters of another network; see ``checkpoints.initialize``."""
+        initialize(self.net, weights)
+
+    @staticmethod
+    def stored_network(checkpoint: Path) -> IcoSweepNet:
+        """The network of a checkpoint of this module."""
+        return load_network(checkpoint)
 
     def forward(self, images: Tensor, rig: Any) -> Tensor:
         """Hypothesis index ``(B, V)`` of sphere images ``(B, n, 3, V_level)`` seen by ``rig``."""
@@ -165,19 +142,4 @@ class DepthModule(pl.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """Adam with the schedule stepped at every iteration."""
-        h = self.hparams
-        optimizer = torch.optim.Adam(
-            self.net.parameters(), h["learning_rate"], weight_decay=h["weight_decay"]
-        )
-        scheduler = torch.optim.lr_scheduler.LambdaLR(
-            optimizer,
-            lambda step: learning_rate_factor(
-                step,
-                h["schedule"],
-                h["schedule_steps"],
-                h["warmup_steps"],
-                h["decay_after"],
-                h["decay_factor"],
-            ),
-        )
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+        return adam_with_schedule(self.net.parameters(), self.hparams)

@@ -9,12 +9,12 @@ from typing import Any
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift, ToSphere
 from sphericalvision.data.transforms import Compose
-from sphericalvision.recipes.datamodules import DepthDataModule, Sample
+from sphericalvision.recipes.datamodules import Sample, SampleDataModule
 
 __all__ = ["OmniStereoDataModule"]
 
 
-class OmniStereoDataModule(DepthDataModule):
+class OmniStereoDataModule(SampleDataModule):
     """OmniThings and its kin from disk, split and augmented as in the paper.
 
     Args:

@@ -17,7 +17,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold, SceneDataset
 from sphericalvision.data.photometric import PhotometricAugmentation
 from sphericalvision.data.transforms import Compose
-from sphericalvision.recipes.datamodules import DepthDataModule, Sample
+from sphericalvision.recipes.datamodules import Sample, SampleDataModule
 
 __all__ = ["Augmented", "SceneDataModule"]
 
@@ -35,7 +35,7 @@ class Augmented(Dataset[Sample]):
         return self.transform(self.dataset[index])
 
 
-class SceneDataModule(DepthDataModule):
+class SceneDataModule(SampleDataModule):
     """Rendered scenes: train, validation and test scenes come from disjoint ranges of seeds.
 
     Args:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Train a depth network: ``sphericalvision-train experiment=quickstart``.
+"""Train a network: ``sphericalvision-train experiment=quickstart`` (depth), ``experiment=spherical_digits``.
 
 Everything goes to one folder: the resolved config, checkpoints with the weights beside them, metrics (CSV and
 TensorBoard), depth panels and the final table.
@@ -19,11 +19,12 @@ from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
 
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.recipes.callbacks import training_callbacks
-from sphericalvision.recipes.checkpoints import WeightsBesideCheckpoint, initialize, load_network
+from sphericalvision.recipes.checkpoints import WeightsBesideCheckpoint
 from sphericalvision.recipes.cli import build, command, output_folder, print_config
-from sphericalvision.recipes.datamodules import DepthDataModule
+from sphericalvision.recipes.datamodules import SampleDataModule
 from sphericalvision.recipes.evaluation import Row, print_rows, save_rows
-from sphericalvision.recipes.lit_depth import METRICS, DepthModule
+from sphericalvision.recipes.lit_classification import ClassificationModule
+from sphericalvision.recipes.lit_depth import DepthModule
 from sphericalvision.recipes.next_steps import evaluate_command, resume_command
 
 __all__ = ["Run", "instantiate_run", "main", "train"]
@@ -32,8 +33,8 @@ __all__ = ["Run", "instantiate_run", "main", "train"]
 class Run(NamedTuple):
     """The objects of a training run."""
 
-    module: DepthModule
-    data: DepthDataModule
+    module: DepthModule | ClassificationModule
+    data: SampleDataModule
     trainer: pl.Trainer
 
 
@@ -42,10 +43,11 @@ def instantiate_run(config: DictConfig, folder: Path) -> Run:
     pl.seed_everything(config.seed, workers=True, verbose=False)
     module = build(config.model, **config.optimizer, seed=config.seed)
     data = build(config.data)
+    panel_frames = config.panel_frames if isinstance(module, DepthModule) else 0
     trainer = build(
         config.trainer,
         default_root_dir=str(folder),
-        callbacks=training_callbacks(folder, config.checkpoint_minutes, config.panel_frames),
+        callbacks=training_callbacks(folder, config.checkpoint_minutes, panel_frames, module.monitor),
         logger=[
             CSVLogger(str(folder), name="metrics", flush_logs_every_n_steps=20),
             TensorBoardLogger(str(folder), name="", version="tensorboard", default_hp_metric=False),
@@ -66,7 +68,7 @@ def resume_path(resume: str | None, folder: Path) -> Path | None:
     return check_file(resume, "a Lightning checkpoint to resume from, such as checkpoints/last.ckpt")
 
 
-def check_resume(path: Path | None, module: DepthModule) -> None:
+def check_resume(path: Path | None, module: DepthModule | ClassificationModule) -> None:
     """Refuse to resume a network of another shape or scale; its step count would mean nothing here.
 
     Raises:
@@ -74,7 +76,7 @@ def check_resume(path: Path | None, module: DepthModule) -> None:
     """
     if path is None:
         return
-    stored = load_network(path).hyperparameters
+    stored = module.stored_network(path).hyperparameters
     for key, value in module.net.hyperparameters.items():
         if stored[key] != value:
             raise ArgumentError(
@@ -99,7 +101,7 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
     checkpoint = resume_path(config.resume, folder)
     check_resume(checkpoint, module)
     if config.init_weights is not None and checkpoint is None:
-        initialize(module.net, config.init_weights)
+        module.initialize(config.init_weights)
     last = folder / "checkpoints" / "last.ckpt"
     try:
         trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
@@ -110,15 +112,33 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
     trainer.save_checkpoint(last)
     best = Path(trainer.checkpoint_callback.best_model_path or last)  # type: ignore[union-attr]
     trainer.validate(module, data, ckpt_path=best, weights_only=True, verbose=False)
-    values = {name: float(trainer.callback_metrics[f"val/{name.replace('>', 'over_')}"]) for name in METRICS}
+    values = logged_values(trainer, module, "val")
+    report(f"validation ({module.unit})", folder / "validation", trainer, values)
+    if isinstance(module, ClassificationModule):
+        trainer.test(module, data, ckpt_path=best, weights_only=True, verbose=False)
+        report(f"test ({module.unit})", folder / "test", trainer, logged_values(trainer, module, "test"))
     if trainer.is_global_zero:
-        rows = [Row(f"step {trainer.global_step}, best checkpoint", values)]
-        print_rows("validation (percent of N)", rows)
-        save_rows(folder / "validation", rows)
         print(f"\nResults are in {folder}")
         print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")
-        print(f"Evaluate: {evaluate_command(best, config)}")
+        if isinstance(module, DepthModule):
+            print(f"Evaluate: {evaluate_command(best, config)}")
     return values
+
+
+def logged_values(
+    trainer: pl.Trainer, module: DepthModule | ClassificationModule, split: str
+) -> dict[str, float]:
+    """The metrics of the last validation ("val") or test ("test"), by name."""
+    keys = {name: f"{split}/{name.replace('>', 'over_')}" for name in module.metric_names}
+    return {name: float(trainer.callback_metrics[key]) for name, key in keys.items()}
+
+
+def report(title: str, stem: Path, trainer: pl.Trainer, values: dict[str, float]) -> None:
+    """Print the best checkpoint's metrics and save them beside the run."""
+    if trainer.is_global_zero:
+        rows = [Row(f"step {trainer.global_step}, best checkpoint", values)]
+        print_rows(title, rows)
+        save_rows(stem, rows)
 
 
 @command("train")

@@ -2,6 +2,7 @@
 """Networks, composed of the rooms below, and their weights."""
 
 from sphericalvision.models.aggregation import concatenate_cameras, mean_and_variance
+from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
 from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.regularization import CostRegularizer
@@ -15,10 +16,13 @@ from sphericalvision.models.weights import (
 )
 
 __all__ = [
+    "CLASSIFIER_NETWORKS",
     "CostRegularizer",
     "FeatureExtractor",
     "IcoSweepNet",
+    "SphereClassifier",
     "available_weights",
+    "classifier_grid",
     "concatenate_cameras",
     "load_reference_checkpoint",
     "load_weights",

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Digits on the sphere: drawn where they belong, learned by the same command as depth, gathered in a table."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.data import random_rotations, rotate_on_sphere, yaw_on_sphere
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
+from sphericalvision.recipes.digits import SphericalDigits, draw_on_sphere, load_digits
+from sphericalvision.recipes.digits_datamodule import NUM_DIGITS, DigitsDataModule
+from sphericalvision.recipes.digits_table import DigitsRun, table
+from sphericalvision.recipes.lit_classification import ClassificationModule
+from sphericalvision.sphere import Equirectangular
+from tests.recipes.tiny import Run
+
+TINY = (
+    "experiment=spherical_digits",
+    "model.level=3",
+    "model.width=4",
+    "data.num_val=8",
+    "data.num_test=12",
+    "data.batch_size=4",
+    "trainer.max_steps=2",
+    "trainer.val_check_interval=1",
+    "trainer.accelerator=cpu",
+)
+
+
+def test_the_digits_are_scikit_learns() -> None:
+    images, labels = load_digits()
+    assert images.shape == (NUM_DIGITS, 1, 8, 8)
+    assert labels.bincount().tolist() == [178, 182, 177, 183, 181, 182, 181, 179, 174, 180]
+    assert (images.min(), images.max()) == (0, 1)
+
+
+def test_a_picture_stands_upright_ahead() -> None:
+    """Its middle is forward, its top is up, its right is right; nothing is behind."""
+    grid = Equirectangular(91, 181)
+    picture = torch.zeros(3, 9, 9)
+    picture[0, 4, 4] = picture[1, 1, 4] = picture[2, 4, 7] = 1
+    drawn = draw_on_sphere(picture, grid, math.radians(120))
+    middle, top, right = (grid.directions.view(-1, 3)[channel.argmax()] for channel in drawn.flatten(1))
+    torch.testing.assert_close(middle, torch.tensor([0.0, 0.0, 1.0]), rtol=0, atol=1e-3)
+    assert top[1] < -0.3
+    assert abs(top[0]) < 1e-3
+    assert right[0] > 0.3
+    assert abs(right[1]) < 1e-3
+    assert (drawn[:, grid.directions[..., 2] < 0.4] == 0).all()
+
+
+def test_a_rotated_picture_is_the_upright_one_rotated(generator: torch.Generator) -> None:
+    grid = Icosphere(5)
+    image = torch.nn.functional.interpolate(load_digits()[0][:1], (32, 32), mode="bilinear")[0]
+    turn = random_rotations(1, generator=generator)[0]
+    drawn = draw_on_sphere(image, grid, math.radians(120), turn)
+    moved = rotate_on_sphere(draw_on_sphere(image, grid, math.radians(120)), grid, turn)
+    assert (drawn - moved).abs().mean() < 0.01
+
+
+def test_rotations_are_fixed_in_tests_and_new_in_training() -> None:
+    grid = Icosphere(2)
+    fixed = SphericalDigits(range(5), grid, "rotated", 2.0, seed=1)
+    assert torch.equal(fixed[3]["values"], fixed[3]["values"])
+    assert not torch.equal(
+        fixed[3]["values"], SphericalDigits(range(5), grid, "rotated", 2.0, 2)[3]["values"]
+    )
+    new = SphericalDigits(range(5), grid, "rotated", 2.0)
+    assert not torch.equal(new[3]["values"], new[3]["values"])
+    upright = SphericalDigits(range(5), grid, "upright", 2.0)
+    assert torch.equal(upright[3]["values"], upright[3]["values"])
+
+
+def test_splits_share_no_digit() -> None:
+    data = DigitsDataModule("hex", 3, num_val=200, num_test=500)
+    numbers = [number for split in ("train", "val", "test") for number in data.indices[split]]
+    assert numbers == list(range(NUM_DIGITS))
+    assert len(data.indices["train"]) == 1097
+
+
+@pytest.mark.parametrize("network", CLASSIFIER_NETWORKS)
+def test_networks_are_alike_but_for_their_convolutions(network: str) -> None:
+    net = SphereClassifier(network, level=4)
+    parameters = sum(parameter.numel() for parameter in net.parameters())
+    assert parameters == pytest.approx(47_300, rel=0.02)
+    assert math.prod(net.grid.shape) == pytest.approx(2562, rel=0.02)
+    values = torch.rand(2, 1, *net.grid.shape)
+    logits = net(values)
+    assert logits.shape == (2, 10)
+    logits.sum().backward()
+    assert all(parameter.grad is not None for parameter in net.parameters())
+    again = SphereClassifier(**net.hyperparameters)
+    again.load_state_dict(net.state_dict())
+    torch.testing.assert_close(again.eval()(values), net.eval()(values))
+
+
+@pytest.mark.parametrize("network", ["hex", "crown"])
+def test_a_turn_by_a_fifth_is_nothing_on_the_icosphere(network: str) -> None:
+    """Taps turn with the grid about the vertical; the poles, where north is no direction, are out of reach here."""
+    net = SphereClassifier(network, level=3).eval()
+    digit = draw_on_sphere(load_digits()[0][7], net.grid, math.radians(60))[None]
+    torch.testing.assert_close(net(yaw_on_sphere(digit, net.grid, 2)), net(digit), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("network", "invariant"), [("sphere", True), ("planar", False)])
+def test_a_turn_by_columns_is_nothing_without_a_seam(network: str, invariant: bool) -> None:
+    net = SphereClassifier(network, level=3).eval()
+    values = torch.rand(2, 1, *net.grid.shape)
+    difference = (net(values.roll(8, -1)) - net(values)).abs().max()  # a multiple of both poolings
+    assert (difference < 1e-5) == invariant
+
+
+@pytest.mark.parametrize("network", CLASSIFIER_NETWORKS)
+def test_training_and_table(run: Run, tmp_path: Path, network: str) -> None:
+    """The same command as for depth; two runs of one network become a row of the table."""
+    for orientation in ("upright", "rotated"):
+        words = (f"model.network={network}", f"data.orientation={orientation}")
+        run("train", *TINY, *words, f"output=runs/{orientation}")
+    folder = tmp_path / "runs/upright"
+    assert (folder / "checkpoints/best.ckpt").is_file()
+    (tested,) = json.loads((folder / "test.json").read_text()).values()
+    assert set(tested) == {"upright", "rotated"}
+    module = ClassificationModule.load_from_checkpoint(folder / "checkpoints/best.ckpt", weights_only=True)
+    assert module.net.network == network
+
+    run("digits_table", "runs=runs")
+    row = json.loads((tmp_path / "runs/digits.json").read_text())[network]
+    assert row["N/N"] == pytest.approx(tested["upright"])
+    assert row["N/R"] == pytest.approx(tested["rotated"])
+    assert {"parameters", "N/N", "N/R", "R/R", "R/N"} == set(row)
+    assert (
+        (tmp_path / "runs/digits.md").read_text().startswith("| convolution | parameters | N/N | N/R | R/R")
+    )
+
+
+def test_test_accuracies_are_those_of_a_loop(run: Run, tmp_path: Path) -> None:
+    run("train", *TINY, "model.network=hex", "output=run")
+    net = ClassificationModule.stored_network(tmp_path / "run/checkpoints/best.ckpt").eval()
+    data = DigitsDataModule("hex", 3, num_val=8, num_test=12)
+    (tested,) = json.loads((tmp_path / "run/test.json").read_text()).values()
+    for orientation, percent in tested.items():
+        digits = data.digits("test", orientation)
+        samples = [digits[i] for i in range(len(digits))]
+        right = [int(net(s["values"][None]).argmax() == s["label"]) for s in samples]
+        assert percent == pytest.approx(100 * sum(right) / len(right), abs=1e-3)
+
+
+def test_resumed_training_equals_uninterrupted_training(run: Run, tmp_path: Path) -> None:
+    words = (*TINY, "data.orientation=rotated", "optimizer.schedule=constant")
+    run("train", *words, "output=first")
+    last = tmp_path / "first/checkpoints/last.ckpt"
+    run("train", *words, "trainer.max_steps=4", "output=resumed", f"resume={last}")
+    run("train", *words, "trainer.max_steps=4", "output=straight")
+    resumed, straight = (
+        torch.load(tmp_path / name / "checkpoints/last.ckpt", weights_only=True)["state_dict"]
+        for name in ("resumed", "straight")
+    )
+    for name, value in straight.items():
+        torch.testing.assert_close(resumed[name], value, rtol=0, atol=0, msg=name)
+
+
+def test_runs_that_only_differ_in_their_seed_are_averaged() -> None:
+    runs = [
+        DigitsRun("hex", 9, "upright", {"upright": accuracy, "rotated": 10.0}) for accuracy in (90.0, 94.0)
+    ]
+    assert table(runs) == {"hex": {"parameters": 9, "N/N": 92.0, "N/R": 10.0}}
+
+
+def test_mistakes_are_told(failing: Callable[..., str], tmp_path: Path) -> None:
+    assert "expected one of 'upright', 'rotated'" in failing("train", *TINY, "data.orientation=tilted")
+    assert "level: expected 3 or more" in failing("train", *TINY, "model.level=2")
+    assert "--multirun" in failing("digits_table", f"runs={tmp_path}")
+    assert classifier_grid("sphere", 3).shape == (16, 32)

@@ -211,12 +211,13 @@ def _own_fraction(north: Tensor | None, values: Tensor, stride: int) -> Tensor |
 
 
 def _ring_kernel(weight: Tensor, north: Tensor | None) -> Tensor:
-    """Arrange seven taps ``(*, 7)`` as weights of the rings ``(*, 12, 6)``."""
+    """Arrange seven taps ``(*, 7)`` as weights of the rings ``(*, 12, 6)``: five neighbours, then the centre."""
     pole_north, a, b, pole_south = CHART_RINGS if north is None else NORTH_RINGS
     taps = torch.tensor((pole_north, *(a, b) * 5, pole_south), device=weight.device)
-    ring = weight.index_select(-1, taps.flatten()).unflatten(-1, (12, 6))
-    center = weight[..., None, 6:].expand(*ring.shape[:-1], 1)
-    return torch.cat((ring[..., :5] + ring[..., 5:] / 5, center), -1)
+    of_tap = torch.eye(7, dtype=weight.dtype, device=weight.device)
+    neighbors = of_tap[taps[:, :5]] + of_tap[taps[:, 5:]] / 5  # each has its share of the mean in the gap
+    ring = torch.cat((neighbors, of_tap[6].expand(12, 1, 7)), 1)
+    return (weight @ ring.view(72, 7).T).unflatten(-1, (12, 6))
 
 
 def _check_conv(values: Tensor, weight: Tensor, spatial_dims: int, stride: int, north: Tensor | None) -> None:

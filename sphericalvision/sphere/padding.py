@@ -117,20 +117,21 @@ def cube_pad(faces: Tensor, padding: Padding) -> Tensor:
     sides = _four(padding)
     if max(sides) > size:
         raise ArgumentError(f"padding: expected at most the size {size} of the faces, got {padding}")
-    ids, other_ids = cube_pad_ids(size, sides, faces.device)
+    ids, corners, other_ids = cube_pad_ids(size, sides, faces.device)
     flat = faces.flatten(-3)
     padded = flat.index_select(-1, ids.flatten())
-    if (sides[0] or sides[1]) and (sides[2] or sides[3]):
-        padded = (padded + flat.index_select(-1, other_ids.flatten())) / 2
+    if len(corners):
+        difference = flat.index_select(-1, other_ids) - padded.index_select(-1, corners)
+        padded = padded.index_add(-1, corners, difference / 2)
     return padded.unflatten(-1, tuple(ids.shape))
 
 
 def cube_pad_ids(
     size: int, padding: tuple[int, int, int, int], device: torch.device | str | None = None
-) -> tuple[Tensor, Tensor]:
-    """Return two pixels whose mean each place of padded faces shows, each ``(6, height, width)``.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the pixel at each place of padded faces, ``(6, height, width)``, and what to average it with in corners.
 
-    They are the same pixel everywhere but in the corners.
+    The places in the corners ``(m,)`` count through the padded faces; the pixels are ``(m,)``, too.
 
     Examples:
         >>> cube_pad_ids(1, (1, 1, 0, 0))[0][0]
@@ -144,7 +145,16 @@ def cube_pad_ids(
     corner = (row.abs() > size) & (column.abs() > size)
     beside = _fold(torch.where(corner, row.clamp(1 - size, size - 1), row), column, size)
     below = _fold(row, torch.where(corner, column.clamp(1 - size, size - 1), column), size)
-    return beside, below
+    height, width = row.shape
+    place = torch.arange(6 * height * width, device=device).view(6, height, width)
+    corners = torch.cat(
+        [
+            place[:, vertical, horizontal].flatten()
+            for vertical in (slice(top), slice(top + size, None))
+            for horizontal in (slice(left), slice(left + size, None))
+        ]
+    )
+    return beside, corners, below.flatten()[corners]
 
 
 def _fold(row: Tensor, column: Tensor, size: int) -> Tensor:

@@ -74,7 +74,7 @@ def sphere_taps(
     forward = latitude.cos() + y * latitude.sin()
     height_above = latitude.sin() - y * latitude.cos()
     longitude = torch.atan2(x, forward)
-    tap_latitude = torch.atan2(height_above, torch.hypot(x, forward))
+    tap_latitude = torch.atan2(height_above, (x * x + forward * forward).sqrt())
     u = longitude * (width / (2 * math.pi))
     v = (height - 1) / 2 - tap_latitude * (height / math.pi)
     return torch.stack((u, v), -1).to(dtype or torch.get_default_dtype())

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every convolution, padding and crown layer under torch.compile, torch.export and in ONNX."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.crown import (
+    CrownAvgPool2d,
+    CrownBatchNorm2d,
+    CrownBatchNorm3d,
+    CrownConv2d,
+    CrownConv3d,
+    CrownExchange,
+    CrownMaxPool2d,
+    CrownPointwise,
+    CrownUpsample,
+    FromCrown,
+    HexConv2d,
+    HexConv3d,
+    ToCrown,
+)
+from sphericalvision.sphere import CubePad2d, EquirectangularPad2d, SphereConv2d, make_circular
+
+
+def crown_network() -> nn.Module:
+    return nn.Sequential(
+        ToCrown(),
+        CrownConv2d(3, 4, bias=True),
+        CrownBatchNorm2d(4),
+        CrownPointwise(nn.GELU()),
+        CrownExchange(),
+        CrownMaxPool2d(),
+        CrownConv2d(4, 4),
+        CrownUpsample(),
+        CrownAvgPool2d(),
+        FromCrown(),
+    )
+
+
+def crown_network_3d() -> nn.Module:
+    return nn.Sequential(
+        ToCrown(), CrownConv3d(2, 3, bias=True), CrownBatchNorm3d(3), CrownConv3d(3, 2, stride=2), FromCrown()
+    )
+
+
+NETWORKS: dict[str, tuple[Callable[[], nn.Module], tuple[int, ...]]] = {
+    "crown": (crown_network, (2, 3, 162)),
+    "crown_3d": (crown_network_3d, (1, 2, 4, 42)),
+    "hex": (lambda: nn.Sequential(HexConv2d(3, 4, bias=True), nn.ReLU(), HexConv2d(4, 2, 2)), (2, 3, 162)),
+    "hex_north": (lambda: HexConv2d(3, 4, stride=2, orientation="north", level=2), (2, 3, 162)),
+    "hex_3d": (lambda: HexConv3d(2, 3, bias=True), (1, 2, 4, 42)),
+    "sphere": (lambda: nn.Sequential(SphereConv2d(2, 3, stride=2), SphereConv2d(3, 2)), (2, 2, 12, 24)),
+    "panorama": (
+        lambda: nn.Sequential(EquirectangularPad2d((1, 2, 3, 1)), nn.Conv2d(2, 3, 3)),
+        (2, 2, 6, 12),
+    ),
+    "cube": (lambda: nn.Sequential(CubePad2d(1), nn.Conv2d(2, 3, 3)), (6, 2, 4, 4)),
+    "circular": (
+        lambda: make_circular(nn.Sequential(nn.Conv2d(2, 3, 3, padding=1), nn.ReLU())),
+        (1, 2, 6, 12),
+    ),
+}
+
+
+def make(name: str) -> tuple[nn.Module, Tensor]:
+    torch.manual_seed(0)
+    network, shape = NETWORKS[name]
+    torch._dynamo.reset()
+    return network().eval(), torch.randn(shape)
+
+
+def check_compiled(name: str, backend: str) -> None:
+    network, values = make(name)
+    values.requires_grad_()
+    compiled = torch.compile(network, fullgraph=True, backend=backend)
+    inputs = (values, *network.parameters())
+    expected, result = network(values), compiled(values)
+    torch.testing.assert_close(result, expected, rtol=1e-4, atol=1e-5)
+    weights = torch.randn_like(expected)
+    for ours, theirs in zip(
+        torch.autograd.grad(result, inputs, weights),
+        torch.autograd.grad(expected, inputs, weights),
+        strict=True,
+    ):
+        torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_compiles_as_one_graph(name: str) -> None:
+    check_compiled(name, "aot_eager")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NETWORKS)
+def test_compiles_with_inductor(name: str) -> None:
+    check_compiled(name, "inductor")
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_exports(name: str) -> None:
+    network, values = make(name)
+    program = torch.export.export(network, (values,))
+    other = torch.randn_like(values)
+    torch.testing.assert_close(program.module()(other), network(other))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NETWORKS)
+def test_runs_as_onnx(name: str, tmp_path: Path) -> None:
+    reason = "not installed: pip install onnx onnxscript onnxruntime"
+    for package in ("onnx", "onnxscript"):
+        pytest.importorskip(package, reason=reason)
+    onnxruntime = pytest.importorskip("onnxruntime", reason=reason)
+    network, values = make(name)
+    path = tmp_path / "network.onnx"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(network, (values,), path, dynamo=True, verbose=False)
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    other = torch.randn_like(values)
+    (result,) = session.run(None, {session.get_inputs()[0].name: other.numpy()})
+    torch.testing.assert_close(torch.from_numpy(result), network(other).detach(), rtol=1e-4, atol=1e-4)

@@ -109,7 +109,7 @@ class Camera(ABC):
             ShapeError: ``points`` is not (*, 3), or does not start with the camera's batch dimensions.
         """
         check_last_dim("points", points, 3)
-        points = torch.stack(points.unbind(-1)).movedim(0, -1)  # components in rows: see geometry.components
+        points = torch.stack(points.unbind(-1)).movedim(0, -1)  # with contiguous components
         pixels, valid = self._project(points)
         return Projection(pixels, valid & self._within_max_angle(points) & self.contains(pixels))
 
@@ -131,7 +131,7 @@ class Camera(ABC):
         """Whether ``pixels`` (*, 2) lie on the image, half a pixel around the outermost centres included, (*)."""
         height, width = self.image_size
         u, v = pixels.unbind(-1)
-        return (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
+        return ((u - (width - 1) / 2).abs() <= width / 2) & ((v - (height - 1) / 2).abs() <= height / 2)
 
     def sample(self, image: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         """Values (*b, c, n) of ``image`` (*b, c, h, w) where ``points`` (*b, n, 3) appear, and validity (*b, n).

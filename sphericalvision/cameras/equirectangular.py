@@ -15,7 +15,9 @@ from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import (
     bilinear_sample,
+    components,
     directions_from_longitude_latitude,
+    from_components,
     longitude_latitude_from_directions,
 )
 
@@ -39,7 +41,7 @@ def project_equirectangular(
     u = (longitude + math.pi) * (width / (2 * math.pi)) - 0.5
     v = (vertical_field_of_view / 2 - latitude) * (height / vertical_field_of_view) - 0.5
     x, y, z = points.unbind(-1)
-    return Projection(torch.stack((u, v), dim=-1), x.abs() + y.abs() + z.abs() > 0)
+    return Projection(from_components(u, v), x.abs() + y.abs() + z.abs() > 0)
 
 
 def unproject_equirectangular(
@@ -53,7 +55,7 @@ def unproject_equirectangular(
         -1.0
     """
     height, width = image_size
-    u, v = pixels.unbind(-1)
+    u, v = components(pixels)
     longitude = (u + 0.5) * (2 * math.pi / width) - math.pi
     latitude = vertical_field_of_view / 2 - (v + 0.5) * (vertical_field_of_view / height)
     directions = directions_from_longitude_latitude(longitude, latitude)

@@ -13,7 +13,14 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels
 from sphericalvision.core import ArgumentError, check_choice, check_last_dim
-from sphericalvision.geometry import components, cosine_and_lifted_sinc, lifted_radius, normalize, safe_sqrt
+from sphericalvision.geometry import (
+    components,
+    cosine_and_lifted_sinc,
+    from_components,
+    lifted_radius,
+    normalize,
+    safe_sqrt,
+)
 
 __all__ = [
     "FISHEYE_PROJECTIONS",
@@ -127,7 +134,7 @@ def unproject_fisheye(
     else:
         cosine, scale = safe_sqrt(1 - squared), torch.ones_like(squared)
         valid = squared <= 1
-    directions = torch.stack((x * scale, y * scale, cosine), dim=-1)
+    directions = from_components(x * scale, y * scale, cosine)
     if projection in ("equisolid", "orthographic"):  # beyond the edge the formulas leave the sphere
         directions = normalize(directions)
     return Unprojection(directions, valid)

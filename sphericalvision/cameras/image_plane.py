@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sphericalvision.geometry import components
+from sphericalvision.geometry import components, from_components
 
 __all__ = ["pixels_from_plane", "plane_from_pixels", "unit_directions"]
 
@@ -20,9 +20,7 @@ def pixels_from_plane(x: Tensor, y: Tensor, focal_length: Tensor, principal_poin
         [105.0, 220.0]
     """
     cu, cv = principal_point.unbind(-1)
-    u = torch.addcmul(cu, x, focal_length[..., 0])
-    v = torch.addcmul(cv, y, focal_length[..., -1])
-    return torch.stack((u, v), dim=-1)
+    return from_components(x * focal_length[..., 0] + cu, y * focal_length[..., -1] + cv)
 
 
 def plane_from_pixels(pixels: Tensor, focal_length: Tensor, principal_point: Tensor) -> tuple[Tensor, Tensor]:
@@ -46,4 +44,4 @@ def unit_directions(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
         [0.0, 0.0, 1.0]
     """
     shrink = torch.addcmul(torch.addcmul(x * x, y, y), z, z).rsqrt()
-    return torch.stack((x * shrink, y * shrink, z * shrink), dim=-1)
+    return from_components(x * shrink, y * shrink, z * shrink)

@@ -20,6 +20,7 @@ from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import (
     InverseTable,
     components,
+    from_components,
     increasing_limit,
     lifted_radius,
     normalize,
@@ -142,7 +143,7 @@ def project_ocam(
     column, row = x * scale, y * scale
     c, d, e = affine.unbind(-1)
     cu, cv = principal_point.unbind(-1)
-    return Projection(torch.stack((e * row + column + cu, c * row + d * column + cv), dim=-1), valid)
+    return Projection(from_components(e * row + column + cu, c * row + d * column + cv), valid)
 
 
 def unproject_ocam(
@@ -162,7 +163,7 @@ def unproject_ocam(
     squared = torch.addcmul(column * column, row, row)
     radius = (squared + torch.finfo(squared.dtype).tiny).sqrt()
     value, slope = polynomial(direct_polynomial, radius)
-    directions = normalize(torch.stack((column, row, -value), dim=-1))
+    directions = normalize(from_components(column, row, -value))
     return Unprojection(directions, radius * slope - value > 0)
 
 

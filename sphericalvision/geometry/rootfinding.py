@@ -32,14 +32,15 @@ class Root(NamedTuple):
 def _horner(coefficients: Tensor, x: Tensor, order: int) -> list[Tensor]:
     """The polynomial's first Taylor coefficients at ``x``: value, derivative, half the second one, ..., each (*)."""
     descending = coefficients.unbind(-1)[::-1]
-    taylor = [descending[0]]
+    taylor = [descending[0]]  # grows by one with each coefficient, up to what is asked for
     for coefficient in descending[1:]:
         known = taylor
         taylor = [torch.addcmul(coefficient, known[0], x)]
         taylor += [torch.addcmul(known[k - 1], known[k], x) for k in range(1, len(known))]
         if len(known) <= order:
             taylor.append(known[-1])
-    taylor += [torch.zeros_like(x)] * (order + 1 - len(taylor))
+    while len(taylor) <= order:
+        taylor.append(torch.zeros_like(x))
     shape = torch.broadcast_shapes(x.shape, taylor[0].shape)
     return [value.expand(shape) for value in taylor]
 
@@ -139,7 +140,7 @@ def _halley_step(
     value, slope, curvature = function(x)
     slope = slope.clamp_min(torch.finfo(slope.dtype).eps)
     newton = (value - target) / slope
-    return newton / (1 - 0.5 * newton * curvature / slope).clamp_min(0.25)
+    return newton / (1 - newton * (curvature / slope) / 2).clamp_min(0.25)
 
 
 def solve_increasing(

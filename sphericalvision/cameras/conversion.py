@@ -11,25 +11,19 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.conversion_models import MODELS, FittedModel, Samples
+from sphericalvision.cameras.conversion_fit import ROUNDS, FittedModel, cap, fit_model
+from sphericalvision.cameras.conversion_models import MODELS
 from sphericalvision.cameras.equirectangular import EquirectangularCamera
-from sphericalvision.cameras.field_of_view import (
-    check_single,
-    directions_around_axis,
-    focal_length_on_axis,
-    visible_angle,
-)
+from sphericalvision.cameras.field_of_view import check_single, directions_around_axis, visible_angle
 from sphericalvision.cameras.ocam import OCamCamera
 from sphericalvision.cameras.ocam_polynomials import InverseFit, fit_direct, fit_inverse_polynomial
 from sphericalvision.cameras.pinhole import PinholeCamera
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.geometry import angle_from_axis, polynomial, solve_least_squares
+from sphericalvision.geometry import angle_from_axis, polynomial
 
 __all__ = ["Conversion", "InverseFit", "convert", "fit_inverse_polynomial"]
 
-_FITTED, _HELD_OUT = 600, 12_000  # directions in the cap of the field of view; fewer are on the image
-_ROUNDS = 6  # of fits over a field of view that is narrowed to what the model reaches
-_GOOD_ENOUGH = 1e-9  # pixels
+_HELD_OUT = 12_000  # directions in the cap of the field of view; fewer are on the image
 
 
 class Conversion(NamedTuple):
@@ -66,8 +60,8 @@ def convert(
     unless the original ends before or ``max_angle`` says otherwise; any model is fitted only as far as it
     stays one-to-one. ``covered_angle`` says how far that is.
 
-    An OCam camera holds two polynomials: its inverse polynomial is fitted to the projection, and its direct polynomial to
-    that; both count in the errors.
+    An OCam camera holds two polynomials: the inverse one is fitted to the projection, and the direct one to that; both
+    count in the errors.
 
     Args:
         camera: a single camera.
@@ -106,13 +100,13 @@ def convert(
             raise ArgumentError(f"max_angle: expected radians above 0, got {max_angle}")
         limit = min(limit, max_angle)
     held_out = torch.cat(
-        (_cap(limit, _HELD_OUT, exact), directions_around_axis(edge.clamp_max(limit) * (1 - 1e-9), azimuth))
+        (cap(limit, _HELD_OUT, exact), directions_around_axis(edge.clamp_max(limit) * (1 - 1e-9), azimuth))
     )
     if to is OCamCamera and isinstance(camera, OCamCamera):
-        covered, result = limit, _complete(camera, num_coefficients).with_max_angle(limit)
-        return Conversion(result, *_errors(exact, result, held_out, covered), covered)
-    fits = [_fit(exact, model, held_out, _reach(model, exact, limit, max_angle)) for model in candidates]
-    vector, model, covered = min(fits, key=lambda fit: (-round(fit[2], 3), fit[3]))[:3]
+        ocam = _complete(camera, num_coefficients).with_max_angle(limit)
+        return Conversion(ocam, *_errors(exact, ocam, held_out, limit), limit)
+    fits = [fit_model(exact, model, held_out, _reach(model, exact, limit, max_angle)) for model in candidates]
+    model, vector, covered, _ = min(fits, key=lambda fit: (-round(fit.covered_angle, 3), fit.rms))
     result = model.build(vector, camera.image_size, covered, camera)
     if isinstance(result, OCamCamera):
         result, covered = _with_direct_polynomial(result, held_out, covered)
@@ -120,7 +114,8 @@ def convert(
 
 
 def _model(to: type[Camera] | str) -> type[Camera]:
-    known = {model.model: model for model in (*MODELS, EquirectangularCamera)}
+    models: list[type[Camera]] = [*MODELS, EquirectangularCamera]
+    known = {model.model: model for model in models}
     if isinstance(to, str):
         check_choice("to", to, tuple(known))
         return known[to]
@@ -187,76 +182,11 @@ def _reach(model: FittedModel, camera: Camera, limit: float, max_angle: float | 
     return min(limit, model.reach)
 
 
-def _fit(
-    camera: Camera, model: FittedModel, held_out: Tensor, limit: float
-) -> tuple[Tensor, FittedModel, float, float]:
-    """Vector, model, covered angle and RMS of the best fit; the field of view shrinks to what the model reaches."""
-    best: Tensor | None = None
-    for _ in range(_ROUNDS):
-        samples = _samples(camera, limit, model)
-        starts = [*model.own_start(camera), *model.starts(model, samples)] if best is None else [best]
-        low, high = model.limits(samples.pixels)
-
-        def residuals(vector: Tensor, samples: Samples = samples) -> Tensor:
-            return (model.pixels(vector, samples.directions).pixels - samples.pixels).flatten()
-
-        def jacobian(vector: Tensor, samples: Samples = samples) -> Tensor:
-            return model.jacobian(vector, samples.directions).flatten(0, 1)
-
-        least = math.inf
-        for start in starts:
-            solution, rms = solve_least_squares(residuals, start, jacobian, low, high)
-            if rms < least:
-                best, least = solution, rms
-            if least < _GOOD_ENOUGH:
-                break
-        if best is None or not math.isfinite(least):
-            break
-        angle = angle_from_axis(held_out)
-        lost = angle[~model.pixels(best, held_out).valid & (angle <= limit)]
-        if not len(lost):
-            return best, model, limit, least
-        limit = float(lost.min()) * (1 - 1e-3)
-    raise ArgumentError(
-        f"camera: a {model.camera_class.__name__} cannot show what this {camera!r} sees; choose another model or, for "
-        "the part around the axis, a smaller max_angle"
-    )
-
-
-def _samples(camera: Camera, limit: float, model: FittedModel) -> Samples:
-    """Directions that the camera sees within ``limit``, evenly over the sphere, and their pixels."""
-    for count in (_FITTED, 16 * _FITTED):
-        directions = _cap(limit, count, camera)
-        pixels, valid = camera.project(directions)
-        if valid.sum() >= _FITTED // 4:
-            break
-    if valid.sum() < 64:
-        raise ArgumentError(
-            f"camera: nothing is left to fit: this {camera!r} sees {int(valid.sum())} of {count} directions within "
-            f"{math.degrees(limit):.1f}° of its axis, where a {model.camera_class.__name__} could show them"
-        )
-    focal_length = focal_length_on_axis(camera)
-    center = camera._project(directions.new_tensor([0.0, 0.0, 1.0])).pixels
-    if not bool((focal_length > 0).all() & center.isfinite().all()):
-        height, width = camera.image_size
-        center = directions.new_tensor([(width - 1) / 2, (height - 1) / 2])
-        radius = (pixels - center).norm(dim=-1)[valid] / angle_from_axis(directions[valid])
-        focal_length = radius.median().expand(2)
-    return Samples(directions[valid], pixels[valid], center, focal_length)
-
-
-def _cap(limit: float, count: int, like: Camera) -> Tensor:
-    """Directions (count, 3) within ``limit`` of the axis, on a spiral of equal areas."""
-    step = torch.arange(count, dtype=torch.float64, device=like.device)
-    angle = 2 * torch.asin(math.sin(limit / 2) * ((step + 0.5) / count).sqrt())
-    return directions_around_axis(angle, step * (math.pi * (3 - math.sqrt(5))))
-
-
 def _with_direct_polynomial(ocam: OCamCamera, held_out: Tensor, covered: float) -> tuple[OCamCamera, float]:
     """The camera with a direct polynomial that inverts its inverse one, and out to which angle both are one-to-one."""
     assert ocam.inverse_polynomial is not None
     result = ocam
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         angle = torch.linspace(0, covered, 2049, dtype=torch.float64, device=ocam.device)
         radius = polynomial(ocam.inverse_polynomial.double(), angle - math.pi / 2)[0]
         result = OCamCamera(

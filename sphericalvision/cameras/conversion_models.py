@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How each camera model is fitted: its intrinsics as one vector, their bounds, and where to start.
+"""The models that cameras are converted to: their intrinsics, bounds, options, and where a fit starts.
 
 A new model that ``convert`` shall know is one more entry in ``MODELS``.
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection
 from sphericalvision.cameras.brown_conrady import BrownConradyCamera, project_brown_conrady
+from sphericalvision.cameras.conversion_fit import FittedModel, Samples
 from sphericalvision.cameras.double_sphere import DoubleSphereCamera, project_double_sphere
 from sphericalvision.cameras.extended_unified import ExtendedUnifiedCamera, project_extended_unified
 from sphericalvision.cameras.fisheye import FISHEYE_PROJECTIONS, FisheyeCamera, project_fisheye
@@ -26,112 +26,12 @@ from sphericalvision.cameras.ocam import OCamCamera, project_ocam
 from sphericalvision.cameras.pinhole import PinholeCamera, project_pinhole
 from sphericalvision.cameras.radial_polynomial import RadialPolynomialCamera, project_radial_polynomial
 from sphericalvision.cameras.unified import UnifiedCamera, project_unified
-from sphericalvision.geometry import angle_from_axis
 
-__all__ = ["MODELS", "FittedModel", "Samples"]
+__all__ = ["MODELS", "Choices"]
 
 _PLANE_REACH = math.radians(
     80
 )  # a model of the image plane is fitted up to here, unless the original ends before
-
-
-class Samples(NamedTuple):
-    """Where a camera images directions, and how it does so around its axis."""
-
-    directions: Tensor
-    """(n, 3)."""
-    pixels: Tensor
-    """(n, 2)."""
-    center: Tensor
-    """Pixel of the axis (2,)."""
-    focal_length: Tensor
-    """Pixels per radian at the axis (2,)."""
-
-    @property
-    def angle(self) -> Tensor:
-        """Angles from the axis (n,)."""
-        return angle_from_axis(self.directions)
-
-    @property
-    def radius(self) -> Tensor:
-        """Image radii (n,) in focal lengths."""
-        return ((self.pixels - self.center) / self.focal_length).norm(dim=-1)
-
-
-@dataclass(frozen=True)
-class FittedModel:
-    """A camera model as a function of one vector: the intrinsics, one after the other, in float64.
-
-    Attributes:
-        camera_class: that the vector becomes.
-        project: the model's function.
-        sizes: name -> how many numbers, ``None`` for one without a dimension of its own; in the function's order.
-        starts: vectors to start from, made from samples.
-        bounds: name -> (smallest, largest).
-        reach: the widest angle from the axis that is tried, in radians.
-        constants: constructor arguments that are not fitted.
-    """
-
-    camera_class: type[Camera]
-    project: Callable[..., Projection]
-    sizes: dict[str, int | None]
-    starts: Callable[[FittedModel, Samples], Iterable[Tensor]]
-    bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
-    reach: float = math.pi
-    constants: dict[str, Any] = field(default_factory=dict)
-
-    def intrinsics(self, vector: Tensor) -> dict[str, Tensor]:
-        """The parts by name of one vector or of many, (*, p)."""
-        parts = vector.split([size or 1 for size in self.sizes.values()], dim=-1)
-        return {
-            name: part[..., 0] if size is None else part
-            for (name, size), part in zip(self.sizes.items(), parts, strict=True)
-        }
-
-    def vector(self, intrinsics: dict[str, Tensor]) -> Tensor:
-        """The intrinsics, one after the other."""
-        return torch.cat([intrinsics[name].reshape(-1) for name in self.sizes])
-
-    def pixels(self, vector: Tensor, directions: Tensor) -> Projection:
-        """Pixels (n, 2) of directions (n, 3)."""
-        return self.project(directions, *self.intrinsics(vector).values())
-
-    @torch.enable_grad()
-    def jacobian(self, vector: Tensor, directions: Tensor) -> Tensor:
-        """Derivatives (n, 2, p) of the pixels; a copy of the vector for each direction makes it two backward passes."""
-        copies = vector.expand(len(directions), -1).clone().requires_grad_()
-        u, v = self.pixels(copies, directions).pixels.unbind(-1)
-        (of_u,) = torch.autograd.grad(u.sum(), copies, retain_graph=True)
-        (of_v,) = torch.autograd.grad(v.sum(), copies)
-        return torch.stack((of_u, of_v), dim=1)
-
-    def limits(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Smallest and largest values of the vector."""
-        open_ended = (-math.inf, math.inf)
-        ends = [[self.bounds.get(name, open_ended)] * (size or 1) for name, size in self.sizes.items()]
-        table = like.new_tensor(list(itertools.chain.from_iterable(ends)))
-        return table[:, 0], table[:, 1]
-
-    def own_start(self, camera: Camera) -> list[Tensor]:
-        """The camera's own intrinsics, if it is of this model with as many numbers."""
-        if type(camera) is not self.camera_class:
-            return []
-        if any(getattr(camera, key) != value for key, value in self.constants.items()):
-            return []
-        values = {name: getattr(camera, name) for name in self.sizes}
-        if "focal_length" in values:
-            values["focal_length"] = values["focal_length"].expand(2)
-        if any(v is None or v.numel() != (self.sizes[n] or 1) for n, v in values.items()):
-            return []
-        return [self.vector(values).double()]
-
-    def build(self, vector: Tensor, image_size: tuple[int, int], max_angle: float, like: Tensor) -> Camera:
-        """The camera of a vector, in the dtype and on the device of ``like``."""
-        vector = vector.to(like.device, like.dtype)
-        intrinsics: dict[str, Any] = self.intrinsics(vector) | self.constants
-        if self.camera_class is OCamCamera:
-            intrinsics["polynomial"] = -intrinsics["inverse_polynomial"].new_ones(1)  # until it is fitted
-        return self.camera_class(**intrinsics, image_size=image_size, max_angle=max_angle)
 
 
 def _with_shapes(model: FittedModel, samples: Samples, shapes: Iterable[Sequence[float]]) -> list[Tensor]:
@@ -295,7 +195,12 @@ def _ocam(num_coefficients: int, projection: str) -> FittedModel:
         "principal_point": 2,
         "affine": 3,
     }
-    return FittedModel(OCamCamera, _project_inverse, sizes, _ocam_start)
+    return FittedModel(OCamCamera, _project_inverse, sizes, _ocam_start, complete=_before_direct_fit)
+
+
+def _before_direct_fit(intrinsics: dict[str, Any]) -> dict[str, Any]:
+    """A direct polynomial that stands there until it is fitted to the inverse one."""
+    return intrinsics | {"polynomial": -intrinsics["inverse_polynomial"].new_ones(1)}
 
 
 class Choices(NamedTuple):

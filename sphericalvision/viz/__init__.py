@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures, point clouds and meshes of what the rest of the package computes."""
 
-from sphericalvision.viz.cameras import angle_map, coverage_panorama, rig_picture
+from sphericalvision.viz.cameras import angle_map
 from sphericalvision.viz.color import depth_to_color, error_to_color
 from sphericalvision.viz.crown import crown_picture
 from sphericalvision.viz.figure import add_scale_bar, sheet
-from sphericalvision.viz.mesh import icosphere_mesh
+from sphericalvision.viz.mesh import icosphere_mesh, sphere_mesh
 from sphericalvision.viz.panorama import (
     depth_panorama,
     error_panorama,
@@ -15,6 +15,7 @@ from sphericalvision.viz.panorama import (
     save_error_panorama,
 )
 from sphericalvision.viz.pointcloud import PointCloud, panorama_point_cloud, save_point_cloud
+from sphericalvision.viz.rigs import coverage_panorama, rig_picture
 
 __all__ = [
     "PointCloud",
@@ -35,4 +36,5 @@ __all__ = [
     "save_error_panorama",
     "save_point_cloud",
     "sheet",
+    "sphere_mesh",
 ]

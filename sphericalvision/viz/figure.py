@@ -14,11 +14,12 @@ from matplotlib.figure import Figure
 
 from sphericalvision.core import ArgumentError, ShapeError
 
-__all__ = ["add_scale_bar", "sheet"]
+__all__ = ["add_scale_bar", "figure_pixels", "sheet"]
 
 Picture = npt.NDArray[np.uint8]
 
 _DPI = 100
+_BORDER = 10  # pixels left around a trimmed figure
 _LEAST_WIDTH = 640  # titles and ticks fit; narrower pictures are enlarged by a whole factor
 
 
@@ -99,6 +100,16 @@ def sheet(pictures: Mapping[str, Picture] | Sequence[Picture], columns: int = 1,
             left += width + gap
         top += height + gap
     return page
+
+
+def figure_pixels(figure: Figure) -> Picture:
+    """The figure as uint8 (h, w, 3), without most of its empty border."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    picture = np.asarray(canvas.buffer_rgba())[..., :3]
+    rows, columns = ((picture != 255).any(axis=(axis, 2)).nonzero()[0] for axis in (1, 0))
+    top, left = max(rows[0] - _BORDER, 0), max(columns[0] - _BORDER, 0)
+    return np.ascontiguousarray(picture[top : rows[-1] + _BORDER, left : columns[-1] + _BORDER])
 
 
 def _text_row(text: str, width: int) -> Picture:

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig drawn in 3D and from above, and how many of its cameras look where."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Line3D
+from torch import Tensor
+
+from sphericalvision.cameras import Camera, CameraRig, coverage, overlap, visible_angle
+from sphericalvision.core import ArgumentError
+from sphericalvision.geometry import longitude_latitude_from_directions
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.viz.figure import figure_pixels
+
+__all__ = ["coverage_panorama", "rig_picture"]
+
+Picture = npt.NDArray[np.uint8]
+
+_DPI = 100
+_ROUND = torch.linspace(0, 2 * math.pi, 181, dtype=torch.float64)
+
+
+@torch.no_grad()
+def rig_picture(rig: CameraRig, title: str | None = None) -> Picture:
+    """Draw a rig in 3D and from above: positions, optical axes and fields of view.
+
+    In 3D a field of view is the curve that its edge draws on a sphere around the camera; wider than 180° it lies behind
+    the camera. From above it is the part of the horizontal plane that the camera sees.
+
+    Args:
+        rig: single.
+        title: text above the picture.
+
+    Returns:
+        uint8 ``(h, w, 3)``, RGB.
+
+    Raises:
+        ArgumentError: the rig is a batch.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig_picture(ring_rig(4)).shape[-1]
+        3
+    """
+    _check_single(rig)
+    rig = rig.to("cpu", torch.float64)
+    positions = rig.positions - rig.center
+    baseline = float(rig.baselines.max())
+    length = 0.5 * baseline if baseline > 0 else 0.1
+    figure = Figure(figsize=(11, 5.6), dpi=_DPI, layout="constrained")
+    space: Axes3D = figure.add_subplot(1, 2, 1, projection="3d")
+    plan = figure.add_subplot(1, 2, 2)
+    colors = matplotlib.color_sequences["tab10"]
+    for index, (name, camera) in enumerate(rig.cameras.items()):
+        color = colors[index % len(colors)]
+        position, rotation = positions[index], rig.world_from_camera[index, :3, :3]
+        edge = _around_axis(visible_angle(camera, _ROUND), _ROUND) @ rotation.mT * length + position
+        tip = position + 1.3 * length * rotation[:, 2]
+        _draw_3d(space, edge, color=color, linewidth=1.4)
+        for corner in edge[:-1:15]:
+            _draw_3d(space, torch.stack((position, corner)), color=color, linewidth=0.5, alpha=0.5)
+        _draw_3d(space, torch.stack((position, tip)), color=color, linewidth=2.4)
+        _draw_3d(space, position[None], color=color, marker="o", markersize=5)
+        x, y, z = tip.tolist()
+        space.text(x, z, -y, name, color=color, fontsize=9)
+        _draw_plan(plan, camera, rotation, position, 1.6 * length, color)
+        plan.plot(*torch.stack((position, tip))[:, [0, 2]].T.tolist(), color=color, linewidth=2.2)
+        plan.plot(position[0], position[2], "o", color=color, markersize=5)
+        plan.annotate(name, (x, z), color=color, fontsize=9)
+    _frame(space, plan, float(positions.norm(dim=-1).max()) + 1.6 * length)
+    figure.suptitle(title or f"{len(rig)} cameras, largest baseline {baseline:.3f} m", fontsize=11)
+    return figure_pixels(figure)
+
+
+@torch.no_grad()
+def coverage_panorama(
+    rig: CameraRig, depth: float = math.inf, height: int = 180, title: str | None = None
+) -> Picture:
+    """Draw how many cameras see each direction at one depth, as an equirectangular map with the cameras' axes.
+
+    Args:
+        rig: single.
+        depth: metres from the rig's centre.
+        height: rows of the map; it has twice as many columns.
+        title: text above the picture.
+
+    Returns:
+        uint8 ``(h, w, 3)``, RGB.
+
+    Raises:
+        ArgumentError: the rig is a batch.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> coverage_panorama(ring_rig(4), depth=2.0, height=40).dtype
+        dtype('uint8')
+    """
+    _check_single(rig)
+    rig = rig.to("cpu", torch.float64)
+    grid = Equirectangular(height, 2 * height, dtype=torch.float64)
+    solid_angles = grid.solid_angles.flatten()
+    counts = coverage(rig, grid.directions.reshape(-1, 3), [depth])[0]
+    seen, shared, mean = overlap(counts, solid_angles)
+    colors = matplotlib.colormaps["viridis"](np.linspace(0.1, 1, max(len(rig), 1)))
+    palette = np.concatenate(([[0.75, 0.75, 0.75, 1.0]], colors))
+    figure = Figure(figsize=(9, 5.8), dpi=_DPI)
+    axes = figure.add_axes((0.08, 0.18, 0.9, 0.7))
+    picture = palette[counts.reshape(grid.shape).numpy()]
+    axes.imshow(picture, extent=(-180, 180, -90, 90), interpolation="nearest", aspect="equal")
+    longitude, latitude = longitude_latitude_from_directions(rig.axes)
+    for name, x, y in zip(rig.names, longitude.rad2deg().tolist(), latitude.rad2deg().tolist(), strict=True):
+        axes.plot(x, y, "o", markerfacecolor="white", markeredgecolor="black", markersize=6)
+        right = x > 120
+        axes.annotate(
+            name,
+            (x, y),
+            xytext=(-8 if right else 8, -5 if y > 0 else 5),
+            textcoords="offset points",
+            ha="right" if right else "left",
+            va="top" if y > 0 else "bottom",
+            fontsize=9,
+            bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 1},
+        )
+    share = torch.zeros(len(rig) + 1, dtype=torch.float64).index_add(0, counts, solid_angles) / (4 * math.pi)
+    patches = [
+        Patch(color=palette[number], label=f"{number}: {100 * part:.1f} %")
+        for number, part in enumerate(share.tolist())
+    ]
+    axes.legend(
+        handles=patches,
+        title="cameras that look there: share of the sphere",
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.12),
+        ncols=min(len(patches), 6),
+        frameon=False,
+        fontsize=9,
+        title_fontsize=9,
+    )
+    axes.set(xlabel="longitude (degrees; right is +)", ylabel="latitude (degrees)")
+    axes.set_xticks(range(-180, 181, 45))
+    axes.set_yticks(range(-90, 91, 30))
+    where = "far away" if math.isinf(depth) else f"at {depth:g} m"
+    numbers = f"{where}: {100 * seen:.1f} % seen, {100 * shared:.1f} % by two or more, {mean:.2f} cameras on average"
+    axes.set_title(f"{title}\n{numbers}" if title else numbers, fontsize=10)
+    return figure_pixels(figure)
+
+
+def _check_single(rig: CameraRig) -> None:
+    if rig.world_from_camera.ndim != 3:
+        raise ArgumentError("rig: expected a single rig, got a batch; use rig.select(index)")
+
+
+def _around_axis(angle: Tensor, azimuth: Tensor) -> Tensor:
+    flat = torch.sin(angle)
+    return torch.stack((flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.cos(angle)), dim=-1)
+
+
+def _draw_3d(axes: Axes3D, points: Tensor, **style: Any) -> None:
+    """A line through points (n, 3) of the world; matplotlib's third axis points up, ours (y) down."""
+    x, y, z = points.T.tolist()
+    axes.add_line(Line3D(x, z, [-value for value in y], **style))
+
+
+def _draw_plan(
+    axes: Axes, camera: Camera, rotation: Tensor, position: Tensor, length: float, color: Any
+) -> None:
+    """The directions of the horizontal plane that a camera sees, as sectors of a circle."""
+    longitude = torch.linspace(-math.pi, math.pi, 721, dtype=torch.float64)
+    level = torch.stack((longitude.sin(), 0 * longitude, longitude.cos()), dim=-1)
+    seen = camera.project(level @ rotation).valid.numpy()
+    rim = (position + length * level)[:, [0, 2]].numpy()
+    center = position[[0, 2]].numpy()
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], seen, [False])).astype(int)))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        sector = np.concatenate((center[None], rim[first:last]))
+        axes.fill(*sector.T, color=color, alpha=0.15, linewidth=0)
+        axes.plot(*rim[first:last].T, color=color, linewidth=1.2)
+
+
+def _frame(space: Axes3D, plan: Axes, reach: float) -> None:
+    """The same cube for both pictures."""
+    limits = (-reach, reach)
+    space.set(xlim=limits, ylim=limits, zlim=limits, xlabel="x right (m)", ylabel="z forward (m)")
+    space.set_zlabel("up (m)")
+    space.set_box_aspect((1, 1, 1))
+    space.view_init(elev=28, azim=-62)
+    space.tick_params(labelsize=7)
+    plan.set(xlim=limits, ylim=limits, xlabel="x right (m)", ylabel="z forward (m)", title="from above")
+    plan.set_aspect("equal")
+    plan.grid(alpha=0.3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth on the icosphere as a triangle mesh."""
+"""Depth on the icosphere, and values on the sphere itself, as triangle meshes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.viz.color import colorize
 
-__all__ = ["icosphere_mesh"]
+__all__ = ["icosphere_mesh", "sphere_mesh"]
 
 
 def icosphere_mesh(depth: Tensor, colors: Tensor | None = None, max_jump: float = 1.2) -> trimesh.Trimesh:
@@ -56,3 +57,42 @@ def icosphere_mesh(depth: Tensor, colors: Tensor | None = None, max_jump: float 
     )
     mesh.remove_unreferenced_vertices()
     return mesh
+
+
+def sphere_mesh(values: Tensor, radius: float = 1.0, color_map: str = "viridis") -> trimesh.Trimesh:
+    """The icosphere itself, coloured by values, as a mesh seen from outside.
+
+    Args:
+        values: ``(V,)``, coloured by a map from the smallest to the largest finite one, or colours ``(3, V)`` in
+            [0, 1].
+        radius: of the sphere.
+        color_map: name of a map of matplotlib.
+
+    Returns:
+        A mesh whose vertices are in the order of the icosphere; ``.export("sphere.ply")`` writes it.
+
+    Raises:
+        ShapeError: no icosphere has V vertices, or the values have another shape.
+
+    Examples:
+        >>> mesh = sphere_mesh(torch.arange(162.0))
+        >>> len(mesh.faces), mesh.is_watertight
+        (320, True)
+    """
+    if values.ndim not in (1, 2) or (values.ndim == 2 and len(values) != 3):
+        raise ShapeError(f"values: expected (V,), or colours (3, V), got {tuple(values.shape)}")
+    grid = Icosphere(level_from_num_vertices(values.shape[-1]))
+    values = values.detach().cpu().double()
+    if values.ndim == 2:
+        colors = (values.T.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+    else:
+        finite = values[values.isfinite()]
+        low, high = (finite.min(), finite.max()) if len(finite) else (values.new_zeros(()),) * 2
+        scaled = (values - low) / (high - low).clamp(min=torch.finfo(values.dtype).tiny)
+        colors = colorize(scaled.numpy(), color_map)
+    return trimesh.Trimesh(
+        vertices=(radius * grid.vertices).numpy(),
+        faces=grid.faces.numpy(),
+        vertex_colors=colors,
+        process=False,
+    )

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
@@ -153,6 +155,17 @@ def test_subdivision_order_keeps_old_vertices_first() -> None:
     torch.testing.assert_close(plain[:, :162], coarse, rtol=0, atol=1e-14)  # old vertices come first
     ico = Icosphere(3)
     assert torch.equal(to_subdivision_order(torch.arange(642))[ico.subdivision_order], torch.arange(642))
+
+
+@pytest.mark.parametrize(
+    "make", [IcospherePool, lambda level: IcospherePool(level, "max"), IcosphereUpsample]
+)
+def test_modules_compile_and_export_whole(make: Callable[[int], torch.nn.Module]) -> None:
+    module, values = make(2), torch.rand(2, 3, 162)
+    compiled = torch.compile(module, fullgraph=True, backend="eager")
+    assert torch.equal(compiled(values), module(values))
+    exported = torch.export.export(module, (values,)).module()
+    assert torch.equal(exported(values), module(values))
 
 
 def test_bad_arguments_are_named() -> None:

@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.viz import icosphere_mesh
+from sphericalvision.viz import icosphere_mesh, sphere_mesh
 
 
 def test_constant_depth_is_a_sphere_seen_from_inside() -> None:
@@ -30,6 +32,28 @@ def test_it_is_torn_at_jumps_and_unknown_depth() -> None:
     assert mesh.body_count == 2
     depth[vertices[:, 2] > 0] = math.nan
     assert np.linalg.norm(icosphere_mesh(depth).vertices, axis=-1).min() == pytest.approx(5.0)
+
+
+def test_the_sphere_is_seen_from_outside_and_keeps_the_order_of_vertices(tmp_path: Path) -> None:
+    vertices = Icosphere(3).vertices
+    mesh = sphere_mesh(vertices[:, 1], radius=2.0)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(4 / 3 * math.pi * 8, rel=0.02)
+    np.testing.assert_allclose(mesh.vertices, 2 * vertices.numpy(), atol=1e-6)
+    colors = mesh.visual.vertex_colors[:, :3].astype(int)
+    np.testing.assert_allclose(colors[0], (68, 1, 84), atol=1)  # the smallest value is viridis' first colour
+    np.testing.assert_allclose(colors[-1], (253, 231, 37), atol=1)
+    mesh.export(tmp_path / "sphere.ply")
+    assert len(trimesh.load(tmp_path / "sphere.ply", process=False).vertices) == 642
+
+
+def test_colors_of_the_sphere_are_taken_as_they_are() -> None:
+    colors = torch.rand(3, 42)
+    written = sphere_mesh(colors).visual.vertex_colors[:, :3] / 255
+    np.testing.assert_allclose(written, colors.T.numpy(), atol=0.5 / 255 + 1e-6)
+    assert sphere_mesh(torch.full((42,), math.nan)).is_watertight
+    with pytest.raises(ShapeError, match=r"colours \(3, V\)"):
+        sphere_mesh(torch.ones(2, 42))
 
 
 def test_bad_arguments_are_refused() -> None:

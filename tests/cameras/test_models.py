@@ -163,6 +163,15 @@ def test_equirectangular_band_shows_part_of_the_latitudes() -> None:
     assert camera.project(points).valid.tolist() == [True, False]
 
 
+def test_the_outermost_rows_of_a_band_do_not_mix_with_the_opposite_side() -> None:
+    camera = EquirectangularCamera((4, 8), vertical_field_of_view=math.pi / 2)
+    image = torch.arange(8.0).expand(1, 4, 8)
+    pixels = torch.tensor([[2.0, -0.4], [2.0, 0.0], [5.0, 3.4]])
+    values, valid = camera.sample(image, camera.unproject(pixels).directions)
+    assert valid.all()
+    torch.testing.assert_close(values, torch.tensor([[2.0, 2.0, 5.0]]), atol=1e-4, rtol=0)
+
+
 def test_axis_of_the_image_size_is_height_first() -> None:
     with pytest.raises(ValueError, match=r"image_size: expected \(height, width\)"):
         PinholeCamera([1.0, 1.0], [0.0, 0.0], (10.5, 20))

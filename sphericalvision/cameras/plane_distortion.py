@@ -169,7 +169,7 @@ def fold_radius(coefficients: Tensor, azimuths: int = 32) -> Tensor:
         return torch.tan(increasing_limit(determinant, end, _SAMPLES)).amax(-1)
 
 
-def undistort(u: Tensor, v: Tensor, coefficients: Tensor, iterations: int = 4) -> Undistorted:
+def undistort(u: Tensor, v: Tensor, coefficients: Tensor, iterations: int = 10) -> Undistorted:
     """The plane's points (x, y) whose distorted places are (u, v), each (*): the inverse of ``distort``.
 
     Newton's method in two dimensions from a table of the radial part. A step that would leave the region where the
@@ -185,7 +185,7 @@ def undistort(u: Tensor, v: Tensor, coefficients: Tensor, iterations: int = 4) -
     with torch.no_grad():
         limit = radius_limit(coefficients).square()
         x, y = torch.zeros_like(u), torch.zeros_like(v)
-        step_x, step_y = _radial_start(u, v, coefficients)
+        step_x, step_y = _radial_start(u.detach(), v.detach(), coefficients.detach())  # also forward
         for _ in range(iterations):
             new_x, new_y = x + step_x, y + step_y
             distorted = distort(new_x, new_y, coefficients)
@@ -212,7 +212,7 @@ def undistort(u: Tensor, v: Tensor, coefficients: Tensor, iterations: int = 4) -
 
 def _two_steps_suffice(to_u: Tensor, to_v: Tensor, u: Tensor, v: Tensor) -> Tensor:
     """Whether two more Newton steps make (u, v) exact, which is (to_u, to_v) away."""
-    return to_u.abs() + to_v.abs() <= torch.finfo(u.dtype).eps ** 0.5 * (1 + u.abs() + v.abs())
+    return to_u.abs() + to_v.abs() <= torch.finfo(u.dtype).eps ** 0.75 * (1 + u.abs() + v.abs())
 
 
 def _newton_step(u: Tensor, v: Tensor, slopes: Jacobian, determinant: Tensor) -> tuple[Tensor, Tensor]:

@@ -102,6 +102,22 @@ def test_ends_where_the_determinant_vanishes(tangential: float) -> None:
         np.testing.assert_array_equal(valid, first)
 
 
+@pytest.mark.parametrize("distortion", [[-1 / 3, 0.0, 1e-3, 0.0], [-0.28, 0.03, 0.01, -0.005]])
+def test_what_is_seen_is_looked_at_up_to_the_fold(distortion: list[float]) -> None:
+    """Of 20000 directions, also where strong tangential distortion makes the radial start a bad one."""
+    camera = lens(distortion, (4001, 4001))
+    generator = torch.Generator().manual_seed(0)
+    angle = torch.rand(20000, generator=generator, dtype=torch.float64) * camera.max_angle
+    azimuth = torch.arange(20000, dtype=torch.float64)
+    points = torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1)
+    pixels, seen = project_brown_conrady(points, *camera._aligned(points))
+    directions, found = unproject_brown_conrady(pixels, *camera._aligned(pixels))
+    assert (seen & ~found).sum() <= 0.003 * len(points)  # these are next to the fold itself
+    error = (directions - points).norm(dim=-1)[seen & found]
+    assert error.max() < 1e-10  # at the fold the inverse has an infinite slope
+    assert error.quantile(0.99) < 1e-13
+
+
 def test_field_of_view_by_default_ends_at_the_fold() -> None:
     """r − r³/3 grows up to r = 1, that is 45°; −1/3 + r²/20 never folds."""
     assert lens([-1 / 3, 0.0, 0.0, 0.0]).max_angle.item() == pytest.approx(math.pi / 4, abs=1e-3)

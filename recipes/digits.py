@@ -98,9 +98,17 @@ class SphericalDigits(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int) -> dict[str, Any]:
         images, labels = load_digits()
         number = self.indices[index]
-        rotation = self._rotation(number) if self.orientation == "rotated" else None
-        values = draw_on_sphere(images[number], self.grid, self.field_of_view, rotation)
+        if self.orientation == "upright":
+            values = self._upright[index, None]
+        else:
+            values = draw_on_sphere(images[number], self.grid, self.field_of_view, self._rotation(number))
         return {"values": values, "label": labels[number]}
+
+    @functools.cached_property
+    def _upright(self) -> Tensor:
+        """All digits ``(n, *grid.shape)``, drawn once."""
+        images, _ = load_digits()
+        return draw_on_sphere(images[list(self.indices), 0], self.grid, self.field_of_view)
 
     def _rotation(self, number: int) -> Tensor:
         generator = None

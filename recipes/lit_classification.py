@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torchmetrics.classification import MulticlassAccuracy
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models.classifier import SphereClassifier
 from sphericalvision.recipes.digits import ORIENTATIONS
 from sphericalvision.recipes.optimization import adam_with_schedule, check_schedule
@@ -90,8 +91,20 @@ class ClassificationModule(pl.LightningModule):
 
     @staticmethod
     def stored_network(checkpoint: Path) -> SphereClassifier:
-        """The network of a checkpoint of this module."""
-        module = ClassificationModule.load_from_checkpoint(checkpoint, map_location="cpu", weights_only=True)
+        """The network of a checkpoint of this module.
+
+        Raises:
+            MissingFileError: no such file.
+            FileFormatError: the file is no checkpoint of a classifier.
+        """
+        path = check_file(checkpoint, "a checkpoint (.ckpt) of a classifier")
+        try:
+            module = ClassificationModule.load_from_checkpoint(path, map_location="cpu", weights_only=True)
+        except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError, ValueError) as error:
+            raise FileFormatError(
+                f"{path}: is not a checkpoint of a classifier, or is damaged ({str(error).splitlines()[0]:.200}); "
+                "give a .ckpt file from the checkpoints folder of experiment=spherical_digits"
+            ) from error
         return module.net
 
     def forward(self, values: Tensor) -> Tensor:

@@ -166,6 +166,23 @@ def test_resumed_training_equals_uninterrupted_training(run: Run, tmp_path: Path
         torch.testing.assert_close(resumed[name], value, rtol=0, atol=0, msg=name)
 
 
+def test_training_starts_from_weights_and_refuses_those_of_another_network(
+    run: Run, failing: Callable[..., str], tmp_path: Path
+) -> None:
+    run("train", *TINY, "output=first")
+    best = tmp_path / "first/checkpoints/best.ckpt"
+    still = ("trainer.max_steps=1", "optimizer.learning_rate=0.0")
+    run("train", *TINY, *still, "output=second", f"init_weights={best}")
+    first, second = (
+        ClassificationModule.stored_network(tmp_path / name / "checkpoints/best.ckpt")
+        for name in ("first", "second")
+    )
+    for name, value in first.named_parameters():
+        assert torch.equal(second.get_parameter(name), value), name
+    message = failing("train", *TINY, "model.network=crown", f"init_weights={best}")
+    assert "network = hex, the network to train has crown" in message
+
+
 def test_runs_that_only_differ_in_their_seed_are_averaged() -> None:
     runs = [
         DigitsRun("hex", 9, "upright", {"upright": accuracy, "rotated": 10.0}) for accuracy in (90.0, 94.0)
@@ -174,6 +191,9 @@ def test_runs_that_only_differ_in_their_seed_are_averaged() -> None:
 
 
 def test_mistakes_are_told(failing: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "damaged.ckpt").write_bytes(b"no checkpoint")
+    message = failing("train", *TINY, f"resume={tmp_path / 'damaged.ckpt'}")
+    assert "damaged.ckpt: is not a checkpoint of a classifier" in message
     assert "expected one of 'upright', 'rotated'" in failing("train", *TINY, "data.orientation=tilted")
     assert "level: expected 3 or more" in failing("train", *TINY, "model.level=2")
     assert "--multirun" in failing("digits_table", f"runs={tmp_path}")

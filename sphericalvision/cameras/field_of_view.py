@@ -98,10 +98,15 @@ def focal_length_on_axis(camera: Camera) -> Tensor:
         tensor([200., 200.], dtype=torch.float64)
     """
     check_single(camera)
-    step = 1e-4  # the error of central differences is of its square
-    sides = torch.tensor([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]], dtype=torch.float64)
-    pixels, valid = camera.to(torch.float64)._project(sides.to(camera.device))
-    slope = torch.stack((pixels[0, 0] - pixels[1, 0], pixels[2, 1] - pixels[3, 1])) / (2 * step)
+    # Between one and two steps on either side: inverse polynomials of OCam files often miss the very centre.
+    step = torch.tensor([-2e-4, -1e-4, 1e-4, 2e-4], dtype=torch.float64, device=camera.device)
+    along_u, along_v = step.new_zeros(4, 3), step.new_zeros(4, 3)
+    along_u[:, 0], along_v[:, 1] = step.sin(), step.sin()
+    points = torch.stack((along_u, along_v))
+    points[..., 2] = step.cos()
+    pixels, valid = camera.to(torch.float64)._project(points)
+    u, v = pixels[0, :, 0], pixels[1, :, 1]
+    slope = torch.stack([(x[1] - x[0] + x[3] - x[2]) / 2e-4 for x in (u, v)])
     return torch.where(valid.all(), slope, torch.nan)
 
 

@@ -111,9 +111,8 @@ def fit_direct(angle: Tensor, radius: Tensor, tolerance: float = 1e-3) -> Tensor
 
     Of the smallest degree whose error in the image is within ``tolerance`` pixels, or the best up to 17.
     """
-    away = (
-        radius > 1e-6 * radius.max()
-    )  # on the axis the tangent vanishes, and with it all that could be learned
+    # On the axis the tangent vanishes, and with it all that could be learned; a fitted radius may miss 0 there.
+    away = (radius > 1e-6 * radius.max()) & (angle > 1e-4)
     angle, radius = angle[away], radius[away]
     largest = radius.max()
     # A change of f by 1 turns the ray by sin²(angle) / radius, and moves its image by so many pixels:

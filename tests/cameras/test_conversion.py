@@ -23,6 +23,7 @@ from sphericalvision.cameras import (
     UnifiedCamera,
     convert,
     fit_inverse_polynomial,
+    focal_length_on_axis,
 )
 from sphericalvision.core import ArgumentError
 from tests.cameras.test_camera_laws import MODELS
@@ -192,6 +193,34 @@ def test_both_polynomials_of_an_ocam_camera_are_the_lens() -> None:
     assert gap(lens, ocam.exact(), points).max() <= 1.05 * largest
     assert ocam.polynomial[1] == 0
     assert ocam.polynomial[0] < 0
+
+
+def test_a_turned_ocam_image_is_off_by_its_turn() -> None:
+    """The frame stays, so models that cannot turn the image miss by the turn, and the error says so."""
+    ocam = real_ocam()
+    turned = OCamCamera(
+        ocam.polynomial, None, ocam.principal_point, [1.0, -0.02, 0.02], ocam.image_size, ocam.max_angle
+    )
+    radius = float(
+        (
+            turned.project(torch.tensor([math.sin(1.9), 0.0, math.cos(1.9)])).pixels - ocam.principal_point
+        ).norm()
+    )
+    assert turned.convert(to=KannalaBrandtCamera).max_error == pytest.approx(0.02 * radius, rel=0.05)
+
+
+def test_a_polynomial_that_misses_the_centre_is_converted() -> None:
+    """Inverse polynomials of real files are some tenths of a pixel at the axis instead of 0."""
+    lens = wide_lens()
+    ocam = lens.convert(to=OCamCamera).camera
+    assert isinstance(ocam, OCamCamera)
+    inverse = ocam.inverse_polynomial.clone()
+    inverse[0] += 0.4
+    missing = OCamCamera(
+        ocam.polynomial, inverse, ocam.principal_point, ocam.affine, ocam.image_size, ocam.max_angle
+    )
+    torch.testing.assert_close(focal_length_on_axis(missing), focal_length_on_axis(ocam), rtol=0.01, atol=0)
+    assert missing.convert(to=KannalaBrandtCamera).max_error < 0.45
 
 
 def test_inverse_polynomial_in_the_convention_of_files() -> None:

@@ -14,8 +14,12 @@ __all__ = ["SphereGrid"]
 class SphereGrid(Protocol):
     """A grid of directions that covers the sphere, with values interpolated between them.
 
-    ``Icosphere`` and ``Equirectangular`` are such grids; a class with these members is one too, without
-    inheriting.
+    ``Equirectangular``, ``Cubemap``, ``Healpix``, ``Icosphere`` and ``TangentImages`` are such grids; a class with
+    these members is one too, without inheriting.
+
+    ``resample`` uses more of a grid that has it: ``image`` and ``image_pixels`` (values as an image in which to
+    interpolate) or ``locate`` (ids and weights) to make tables once, ``cell_samples`` to average over cells, and
+    ``cell_widths`` where solid angles do not tell how dense the values are.
 
     Examples:
         >>> from sphericalvision.icosphere import Icosphere

@@ -78,12 +78,17 @@ class ImageLookup(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         image = self.image(values)
-        batch = torch.broadcast_shapes(image.shape[:-3], self.grid.shape[:-3])
         grid = self.grid.to(image.dtype)
-        grid = grid.expand(*batch, *grid.shape[-3:]).reshape(-1, *grid.shape[-3:])
-        image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
-        found = F.grid_sample(image, grid, padding_mode="border", align_corners=False)
-        found = found.reshape(*batch, *found.shape[1:])
+        if grid.ndim == 3:  # one for all of the batch: as more channels of one image it is read only once
+            batch, flat = image.shape[:-2], image.reshape(1, -1, *image.shape[-2:])
+            found = F.grid_sample(flat, grid.unsqueeze(0), padding_mode="border", align_corners=False)
+            found = found.reshape(*batch, *found.shape[-2:])
+        else:
+            batch = torch.broadcast_shapes(image.shape[:-3], grid.shape[:-3])
+            grid = grid.expand(*batch, *grid.shape[-3:]).reshape(-1, *grid.shape[-3:])
+            flat = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
+            found = F.grid_sample(flat, grid, padding_mode="border", align_corners=False)
+            found = found.reshape(*batch, *found.shape[1:])
         if self.shares is None:
             return found.squeeze(-1)
         return (found * self.shares.to(found.dtype).unsqueeze(-3)).sum(-1)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -48,11 +49,15 @@ def sum_of_taps(values: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
         tensor([[4.]])
     """
     weights = weights.to(values.dtype)
-    if ids.ndim == 2:
-        total = values.index_select(-1, ids[:, 0]) * weights[:, 0]
-        for k in range(1, ids.shape[-1]):
-            total = total + values.index_select(-1, ids[:, k]) * weights[:, k]
-        return total
+    if ids.ndim == 2:  # whole rows of channels are read at once
+        rows = values.reshape(values.shape[:-1].numel(), values.shape[-1]).t().contiguous()
+        if torch.is_grad_enabled() and (values.requires_grad or weights.requires_grad):
+            found = rows.index_select(0, ids[:, 0]) * weights[:, :1]
+            for k in range(1, ids.shape[-1]):
+                found = found + rows.index_select(0, ids[:, k]) * weights[:, k, None]
+        else:  # faster, but has no second derivatives
+            found = F.embedding_bag(ids, rows, per_sample_weights=weights, mode="sum")
+        return found.t().reshape(*values.shape[:-1], len(ids)).contiguous()
     batch = torch.broadcast_shapes(values.shape[:-2], ids.shape[:-2])
     values = values.expand(*batch, *values.shape[-2:])
     shape = (*batch, values.shape[-2], ids.shape[-2])

@@ -83,6 +83,59 @@ def law_project_undoes_unproject(camera: Camera, tolerance: float) -> None:
     torch.testing.assert_close(back, pixels, atol=tolerance, rtol=0)
 
 
+def inner_angle(camera: Camera, fraction: float) -> float:
+    """``max_angle`` where the model goes on beyond it; else ``fraction`` of it.
+
+    Where a model ends its image radius may stop growing, and then its inverse has no derivative.
+    """
+    edge = float(camera.max_angle)
+    beyond = torch.tensor([[math.sin(1.01 * edge), 0.0, math.cos(1.01 * edge)]], dtype=torch.float64)
+    goes_on = 1.01 * edge < math.pi and bool(camera.to(torch.float64)._project(beyond).valid)
+    return edge if goes_on else fraction * edge
+
+
+def law_round_trip_is_exact(camera: Camera) -> None:
+    """From 1e-6 rad off the axis to ``max_angle`` (0.99 of it where the model ends): 1e-10 px and 1e-12 rad in float64.
+
+    In float32 the bounds are 16 units in the last place of the largest pixel coordinate, and of the angle that these
+    are or one radian, whichever is more.
+    """
+    eps = torch.finfo(camera.dtype).eps
+    edge = inner_angle(camera, 0.99)
+    angle = torch.cat((torch.logspace(-6, -1, 26), torch.linspace(0.1, 1, 200) * edge)).double()
+    azimuth = 2.4 * torch.arange(len(angle), dtype=torch.float64)
+    points = torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1)
+    points = points[angle <= edge].to(camera.dtype)
+    pixels, seen = camera.project(points)
+    points, pixels = points[seen], pixels[seen]
+    assert len(points) > 60
+    directions, valid = camera.unproject(pixels)
+    again, again_valid = camera.project(directions)
+    assert valid.all()
+    assert again_valid.all()
+    pixel_error = (again - pixels).norm(dim=-1).max()
+    angle_error = angle_between(directions, points)
+    side = max(camera.image_size)
+    if camera.dtype == torch.float64:
+        assert pixel_error <= 1e-10
+        assert angle_error.max() <= 1e-12
+    else:
+        radian_per_pixel = angle_between(directions, camera.unproject(pixels + 0.25).directions) / 0.25
+        assert pixel_error <= 16 * eps * side
+        assert (angle_error <= 16 * eps * (1 + side * radian_per_pixel)).all()
+
+
+def law_nan_is_invalid(camera: Camera) -> None:
+    """Values that are no numbers stop nothing, and are reported."""
+    nan, inf = math.nan, math.inf
+    points = torch.tensor(
+        [[nan, 0.0, 1.0], [0.0, nan, 1.0], [0.1, 0.0, nan], [nan, nan, nan]], dtype=camera.dtype
+    )
+    assert not camera.project(points).valid.any()
+    pixels = torch.tensor([[nan, 40.0], [40.0, nan], [nan, nan], [inf, 40.0]], dtype=camera.dtype)
+    assert not camera.unproject(pixels).valid.any()
+
+
 def law_directions_are_unit(camera: Camera) -> None:
     """Also of pixels outside of the image."""
     pixels = torch.cat((camera.pixel_grid()[::7, ::7].reshape(-1, 2), pixels_outside(camera)))

@@ -17,7 +17,7 @@ def harmonics(directions: Tensor) -> Tensor:
     x, y, z = directions.unbind(-1)
     a, b, c = (math.sqrt(k / math.pi) for k in (1 / 4, 3 / 4, 15 / 4))
     d, e = math.sqrt(5 / (16 * math.pi)), math.sqrt(15 / (16 * math.pi))
-    f, g, h = (math.sqrt(k / (32 * math.pi)) for k in (35, 42 / 2, 105))
+    f, g, h = (math.sqrt(k / (32 * math.pi)) for k in (35, 21, 210))
     i, j = math.sqrt(105 / (4 * math.pi)), math.sqrt(7 / (16 * math.pi))
     return torch.stack(
         (

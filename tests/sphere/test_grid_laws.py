@@ -29,7 +29,9 @@ def owned(grid: SphereGrid) -> Tensor:
     if not isinstance(grid, TangentImages):
         return torch.ones(grid.shape, dtype=torch.bool)
     patch, _ = grid.face_coordinates(grid.directions)
-    return patch == torch.arange(grid.num_patches)[:, None, None]
+    _, weights = Icosphere(grid.base_level, dtype=DOUBLE).locate(grid.directions)
+    on_a_border = weights.amin(-1) < 1e-9  # where rounding decides
+    return (patch == torch.arange(grid.num_patches)[:, None, None]) & ~on_a_border
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -153,7 +155,7 @@ def test_there_and_back_converges_quadratically(source: str, target: str) -> Non
 
 @pytest.mark.parametrize(("source", "target"), [pair for pair in PAIRS if "nested" not in pair])
 def test_area_averages_over_the_cells(source: str, target: str) -> None:
-    """Shrinking noise keeps its mean, and leaves of its variance what an average over a cell leaves."""
+    """Shrinking noise keeps its mean, better than noise itself tells its mean, and takes away its variance."""
     a, b = MAKERS[source](4), MAKERS[target](1)
     noise = torch.randn(4, *a.shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(0)) + 1
     small = resample(noise, a, b, some_rotation(2), mode="area")
@@ -161,11 +163,10 @@ def test_area_averages_over_the_cells(source: str, target: str) -> None:
     def mean(values: Tensor, grid: SphereGrid) -> Tensor:
         return (values * grid.solid_angles).flatten(1).sum(-1) / (4 * math.pi)
 
-    assert (mean(small, b) - mean(noise, a)).abs().max() < 6e-3
+    standard_error = (a.solid_angles / (4 * math.pi)).square().sum().sqrt()
+    assert (mean(small, b) - mean(noise, a)).abs().max() < 0.7 * standard_error
     aliased = resample(noise, a, b, some_rotation(2))
-    assert (mean(aliased, b) - mean(noise, a)).abs().max() > 6e-3 or aliased.var() > 1.5 * small.var()
-    finest = math.prod(a.shape) / math.prod(b.shape)
-    assert small.var() < 3 / max(finest, 1)
+    assert small.var() < 0.5 * aliased.var()
 
 
 @pytest.mark.parametrize("name", NAMES)

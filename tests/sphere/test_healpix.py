@@ -83,7 +83,7 @@ def test_ring_and_nested_name_the_same_pixels(nside: int) -> None:
     assert torch.equal(nested_from_ring(ids, nside).sort().values, ids)
 
 
-def test_literals_of_healpy() -> None:
+def test_convention_healpix_numbers_are_healpys() -> None:
     """Made by healpy 1.20.1, e.g. ``healpy.get_interp_weights(4, 1.0, 2.0)`` and ``healpy.ang2pix(4, 1.0, 2.0)``."""
     theta = torch.tensor([1.0, 0.1, 3.0], dtype=DOUBLE)
     phi = torch.tensor([2.0, 3.0, 0.5], dtype=DOUBLE)

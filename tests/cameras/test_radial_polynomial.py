@@ -122,18 +122,6 @@ def test_second_derivatives_are_right() -> None:
         assert torch.autograd.gradgradcheck(call, (values, *changes), atol=1e-3)
 
 
-def test_functional_transforms_and_tracing() -> None:
-    camera, points = lens(), circle(torch.linspace(0.1, 2.0, 5, dtype=torch.float64))
-
-    def there_and_back(points: Tensor) -> Tensor:
-        return camera.unproject(camera.project(points).pixels).directions
-
-    torch.testing.assert_close(torch.compile(there_and_back, fullgraph=True, backend="eager")(points), points)
-    jacobians = torch.func.vmap(torch.func.jacrev(there_and_back))(points)
-    expected = torch.eye(3, dtype=torch.float64) - points.unsqueeze(-1) * points.unsqueeze(-2)
-    torch.testing.assert_close(jacobians, expected, rtol=0, atol=1e-9)
-
-
 def test_resized_and_cropped_keep_rays() -> None:
     camera, pixel = lens(), torch.tensor([900.0, 200.0], dtype=torch.float64)
     resized = camera.resized((483, 320))

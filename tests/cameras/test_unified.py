@@ -186,22 +186,6 @@ def test_second_derivatives_are_right() -> None:
             assert torch.autograd.gradgradcheck(call, (values, change), rtol=1e-3, atol=1e-3)
 
 
-def test_tracing_and_functional_transforms() -> None:
-    camera = kitti()
-    points = circle(torch.linspace(0.1, 1.9, 6, dtype=torch.float64))
-
-    def there_and_back(points: Tensor) -> Tensor:
-        return camera.unproject(camera.project(points).pixels).directions
-
-    compiled = torch.compile(there_and_back, fullgraph=True, backend="eager")
-    torch.testing.assert_close(compiled(points), points, rtol=0, atol=1e-12)
-    jacobians = torch.func.vmap(torch.func.jacrev(there_and_back))(points)
-    expected = torch.eye(3, dtype=torch.float64) - points.unsqueeze(-1) * points.unsqueeze(-2)
-    torch.testing.assert_close(
-        jacobians, expected, rtol=0, atol=1e-10
-    )  # only the part across the ray comes back
-
-
 def test_batches_with_and_without_distortion() -> None:
     camera = UnifiedCamera(FOCAL, CENTER, torch.tensor([0.5, 1.5]), DISTORTION, (640, 640))
     assert camera.batch_shape == (2,)

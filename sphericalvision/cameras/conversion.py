@@ -60,8 +60,8 @@ def convert(
     unless the original ends before or ``max_angle`` says otherwise; any model is fitted only as far as it
     stays one-to-one. ``covered_angle`` says how far that is.
 
-    The new camera stands in the same frame. Only ``OCamCamera`` can turn its image about the axis (d ≈ −e, in calibrations
-    often by a degree or two): no other model can follow, and the errors say by how many pixels.
+    The new camera stands in the same frame. Only ``OCamCamera`` can turn its image about the axis (d ≈ −e, often by a
+    degree or two in calibrations): no other model can follow, and the errors say by how many pixels.
 
     An OCam camera holds two polynomials: the inverse one is fitted to the projection, and the direct one to that; both
     count in the errors.

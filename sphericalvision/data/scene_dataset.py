@@ -144,22 +144,25 @@ class SceneDataset(Dataset[dict[str, Any]]):
         return _encode(values * 2 - 1, seen), ray_depth(scene, center, self._depth_directions).reciprocal()
 
     def _key(self) -> str:
-        """Folder name that stands for everything a sample depends on, the rig by what its cameras see."""
+        """Folder name that stands for everything a sample depends on, the rig by its parameters and masks."""
         numbers = (GENERATION, self.level, self.samples_per_pixel, self.min_depth, self.antialias)
         digest = sha256(repr(numbers).encode())
-        facts = [self.rig.world_from_camera]
+        digest.update(_rounded(self.rig.world_from_camera))
         for name, camera in self.rig.cameras.items():
-            height, width = camera.image_size
-            down, across = torch.linspace(0, height - 1, 24), torch.linspace(0, width - 1, 24)
-            pixels = torch.stack(torch.meshgrid(across, down, indexing="xy"), -1)
-            seen = camera.unproject(pixels)
-            facts += [torch.tensor([height, width]), torch.where(seen.valid[..., None], seen.directions, 0.0)]
+            options = [getattr(camera, option) for option in camera.option_names]
+            digest.update(repr((camera.model, camera.image_size, options)).encode())
+            for parameter in (*camera.intrinsic_names, "max_angle"):
+                value = getattr(camera, parameter)
+                digest.update(b"" if value is None else _rounded(value))
             if name in self.rig.masks:
-                facts.append(self.rig.masks[name])
-        for fact in facts:
-            rounded = (fact.detach().cpu().double() * 1e5).round().long()
-            digest.update(rounded.numpy().tobytes())
+                digest.update(self.rig.masks[name].cpu().numpy().tobytes())
         return f"level{self.level}-{digest.hexdigest()[:16]}"
+
+
+def _rounded(values: Tensor) -> bytes:
+    """Numbers as text of five digits: float32 and float64, and other ways to compute them, give the same."""
+    flat = values.detach().cpu().double().flatten()
+    return " ".join(f"{value:.5g}" for value in torch.where(flat.abs() < 1e-6, 0.0, flat).tolist()).encode()
 
 
 def _encode(images: Tensor, seen: Tensor) -> Tensor:

@@ -83,9 +83,9 @@ def _print(config: DictConfig, cameras: dict[str, Camera], converted: dict[str, 
     for name, camera in cameras.items():
         new, largest, rms, _ = converted[name]
         before, after = (math.degrees(field_of_view(one).widest) for one in (camera, new))
-        models = (type(camera).__name__, type(new).__name__)
+        models = (camera.model, new.model)
         rows.append([name, *models, f"{before:.1f}°", f"{after:.1f}°", f"{largest:.4f}", f"{rms:.4f}"])
-    columns = ["camera", "from", "to", "field of view", "kept", "max error (px)", "RMS error (px)"]
+    columns = ["camera", "from", "to", "sees", "kept", "max (px)", "RMS (px)"]
     print_table(str(config.calibration), columns, rows)
 
 

@@ -94,7 +94,9 @@ def test_every_key_is_explained(path: Path) -> None:
         assert " # " in line, f"{path.name}: no comment on {line!r}"
 
 
-@pytest.mark.parametrize("name", ["train", "evaluate", "predict", "render", "demo", "digits_table"])
+@pytest.mark.parametrize(
+    "name", ["train", "evaluate", "predict", "render", "convert", "inspect", "demo", "digits_table"]
+)
 def test_every_command_composes(name: str) -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         config = compose(name)

@@ -40,7 +40,7 @@ def test_a_rig_is_converted_with_its_poses(
 ) -> None:
     run("convert", f"calibration={calibration}", "to=kannala_brandt", "output=new/kb.yaml")
     printed = capsys.readouterr().out
-    assert "max error" in printed
+    assert "max (px)" in printed
     assert "front" in printed
     old, new = read_rig(calibration), read_rig(calibration.parent / "new/kb.yaml")
     assert new.names == old.names

@@ -73,7 +73,15 @@ def failing(run: Run, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 
 @pytest.fixture
 def weights(tmp_path: Path) -> Path:
-    """Weights of an untrained network of level 3 for four cameras."""
+    """Weights of an untrained network of level 3, in the form of ``tiny_training``'s."""
     torch.manual_seed(0)
-    net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2, norm="instance")
+    net = IcoSweepNet(
+        level=3,
+        num_hypotheses=4,
+        feature_channels=2,
+        norm="instance",
+        aggregation="variance",
+        feature_coarsening=1,
+        volume_channels=8,
+    )
     return save_weights(net, tmp_path / "weights.safetensors")

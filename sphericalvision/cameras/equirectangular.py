@@ -123,7 +123,9 @@ class EquirectangularCamera(Camera):
         return unproject_equirectangular(pixels, self.image_size, self.vertical_field_of_view)
 
     def _interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
-        if self.vertical_field_of_view < math.pi - 1e-9:  # what lies beyond the outermost rows is not in the image
+        if (
+            self.vertical_field_of_view < math.pi - 1e-9
+        ):  # what lies beyond the outermost rows is not in the image
             u, v = pixels.unbind(-1)
             pixels = torch.stack((u, v.clamp(0, self.image_size[0] - 1)), -1)
         return bilinear_sample(image, pixels, wrap_longitude=True)

@@ -23,6 +23,7 @@ from sphericalvision.geometry import (
     polynomial_value,
     polynomial_with_curvature,
     refine_root,
+    samples_towards,
     tabulate_inverse,
 )
 
@@ -64,9 +65,9 @@ def _bounded(squared_radius: Tensor) -> Tensor:
 def _inverse_table(coefficients: Tensor, widest: Tensor) -> InverseTable:
     """Squared angles for bounded squared radii."""
     with torch.no_grad():
-        share = torch.linspace(0, 1, 256, dtype=widest.dtype, device=widest.device)
-        squared = (widest.unsqueeze(-1) * share).square()
-        radius = squared.sqrt() * polynomial_value(coefficients.unsqueeze(-2), squared)
+        angle = samples_towards(widest)
+        squared = angle * angle
+        radius = angle * polynomial_value(coefficients.unsqueeze(-2), squared)
         return tabulate_inverse(squared, _bounded(radius * radius))
 
 

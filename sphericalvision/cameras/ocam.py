@@ -27,6 +27,7 @@ from sphericalvision.geometry import (
     polynomial,
     polynomial_with_curvature,
     refine_root,
+    samples_towards,
     tabulate_inverse,
 )
 
@@ -71,8 +72,7 @@ def _inverse_table(direct: Tensor, max_radius: Tensor) -> InverseTable:
     with torch.no_grad():
         direct = direct.unsqueeze(-2)
         widest = increasing_limit(lambda rho: _angle_of_radius(direct, rho)[1], max_radius, samples=256)
-        share = torch.linspace(0, 1, 257, dtype=widest.dtype, device=widest.device)[1:]
-        radius = widest.unsqueeze(-1) * share
+        radius = samples_towards(widest)[..., 1:]
         angle, _ = _angle_of_radius(direct, radius)
         slope = radius / torch.sin(angle)
         on_axis = -direct[..., 0].expand(slope[..., :1].shape)

@@ -16,7 +16,7 @@ from sphericalvision.geometry.directions import (
     safe_sqrt,
 )
 from sphericalvision.geometry.interpolation import bilinear_sample
-from sphericalvision.geometry.inverse_table import InverseTable, tabulate_inverse
+from sphericalvision.geometry.inverse_table import InverseTable, samples_towards, tabulate_inverse
 from sphericalvision.geometry.least_squares import LeastSquares, solve_least_squares
 from sphericalvision.geometry.rootfinding import (
     Root,
@@ -59,6 +59,7 @@ __all__ = [
     "refine_root",
     "safe_hypot",
     "safe_sqrt",
+    "samples_towards",
     "solve_increasing",
     "solve_least_squares",
     "tabulate_inverse",

@@ -131,7 +131,7 @@ def refine_root(
         first = start - _halley_step(function, target, start)
         first = torch.minimum(first.clamp_min(0), upper)
     step = _halley_step(function, target, first)
-    return Root(first - step, step.abs() <= torch.finfo(step.dtype).eps ** 0.5 * upper)
+    return Root(first - step, step.abs() <= torch.finfo(step.dtype).eps ** 0.4 * upper)
 
 
 def _halley_step(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -57,18 +57,28 @@ def _widest_angle(coefficients: Tensor) -> Tensor:
     )
 
 
-def _bounded(squared_radius: Tensor) -> Tensor:
-    """Increasing; keeps the table of the inverse fine near the centre when the radius grows beyond measure at π."""
-    return squared_radius / (1 + squared_radius)
+class _Inverse(NamedTuple):
+    """Squared angles of squared image radii q, to some digits, and the largest q (*)."""
+
+    table: InverseTable
+    most: Tensor
+    middle: Tensor
+    """The table is over q / (middle + q): fine near the centre even where the radius grows beyond measure at π."""
+
+    def lookup(self, squared_radius: Tensor) -> Tensor:
+        """The squared angle (*)."""
+        return self.table.lookup(squared_radius / (self.middle + squared_radius))
 
 
-def _inverse_table(coefficients: Tensor, widest: Tensor) -> InverseTable:
-    """Squared angles for bounded squared radii."""
+def _tabulated(coefficients: Tensor, widest: Tensor) -> _Inverse:
     with torch.no_grad():
         angle = samples_towards(widest)
         squared = angle * angle
-        radius = angle * polynomial_value(coefficients.unsqueeze(-2), squared)
-        return tabulate_inverse(squared, _bounded(radius * radius))
+        squared_radius = squared * polynomial_value(coefficients.unsqueeze(-2), squared).square()
+        most = squared_radius[..., -1:]
+        middle = (1 + most).sqrt().sqrt()
+        table = tabulate_inverse(squared, squared_radius / (middle + squared_radius))
+        return _Inverse(table, most.squeeze(-1), middle.squeeze(-1))
 
 
 def project_kannala_brandt(
@@ -121,14 +131,13 @@ def unproject_kannala_brandt(
     x, y = plane_from_pixels(pixels, focal_length, principal_point)
     target = torch.addcmul(x * x, y, y)
     widest = _widest_angle(coefficients)
-    table = _inverse_table(coefficients, widest)
-    most = table.limit / (1 - table.limit)
-    inside = target <= most * (1 + 16 * torch.finfo(target.dtype).eps)
-    target = torch.minimum(target, most)
+    inverse = _tabulated(coefficients, widest)
+    inside = target <= inverse.most * (1 + 16 * torch.finfo(target.dtype).eps)
+    target = torch.minimum(target, inverse.most)
     squared, converged = refine_root(
         lambda squared: _squared_radius(coefficients, squared),
         target,
-        table.lookup(_bounded(target.detach())),
+        inverse.lookup(target.detach()),
         widest * widest,
     )
     cosine, sinc = cosine_and_lifted_sinc(squared.clamp_min(0))

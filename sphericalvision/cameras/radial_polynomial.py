@@ -22,6 +22,7 @@ from sphericalvision.geometry import (
     polynomial_value,
     polynomial_with_curvature,
     refine_root,
+    samples_towards,
     tabulate_inverse,
 )
 
@@ -50,8 +51,7 @@ def _widest_angle(coefficients: Tensor) -> Tensor:
 def _start(coefficients: Tensor, widest: Tensor, target: Tensor) -> Tensor:
     """The angle (*) of the radius ``target`` (*), to some digits, from a table."""
     with torch.no_grad():
-        steps = torch.linspace(0, 1, _SAMPLES, dtype=widest.dtype, device=widest.device)
-        angles = widest.unsqueeze(-1) * steps
+        angles = samples_towards(widest)
         radii = angles * polynomial_value(coefficients.unsqueeze(-2), angles)
         first = coefficients[..., 0]  # r / (k1 + r) keeps the table fine near the centre
         return tabulate_inverse(angles, radii / (first.unsqueeze(-1) + radii)).lookup(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["InverseTable", "tabulate_inverse"]
+__all__ = ["InverseTable", "samples_towards", "tabulate_inverse"]
 
 
 def _place(share: Tensor) -> Tensor:
@@ -36,7 +36,7 @@ class InverseTable(NamedTuple):
         """
         with torch.no_grad():
             size = self.knots.shape[-1]
-            place = (size - 1) * _place(value / self.limit).nan_to_num(0.0)
+            place = (size - 1) * _place(value.detach() / self.limit).nan_to_num(0.0)
             below = place.floor()
             index = below.int()
             if self.limit.numel() > 1:
@@ -47,17 +47,28 @@ class InverseTable(NamedTuple):
             return torch.addcmul(knot.reshape(index.shape), place - below, step.reshape(index.shape))
 
 
-def tabulate_inverse(arguments: Tensor, values: Tensor, size: int = 256) -> InverseTable:
+def samples_towards(upper: Tensor, samples: int = 512) -> Tensor:
+    """Arguments (*, samples) from 0 to ``upper`` (*), closer and closer, for ``tabulate_inverse``.
+
+    Examples:
+        >>> samples_towards(torch.tensor(16.0), 5).tolist()
+        [0.0, 7.0, 12.0, 15.0, 16.0]
+    """
+    share = torch.linspace(1, 0, samples, dtype=upper.dtype, device=upper.device)
+    return upper.unsqueeze(-1) * (1 - share * share)
+
+
+def tabulate_inverse(arguments: Tensor, values: Tensor, size: int = 512) -> InverseTable:
     """Make the table of an increasing function from samples of it.
 
     Args:
-        arguments: (*b, n) increasing.
+        arguments: (*b, n) increasing, best ``samples_towards`` the last one.
         values: (*b, n) at the arguments, from 0 up. If the last one is a turning point of the function, the table is as
             good there as elsewhere.
         size: number of arguments in the table.
 
     Examples:
-        >>> angle = torch.linspace(0, torch.pi / 2, 200)
+        >>> angle = samples_towards(torch.tensor(torch.pi / 2))
         >>> arcsine = tabulate_inverse(angle, angle.sin())  # which has an infinite slope at 1
         >>> sine = torch.tensor([0.0, 0.3, 0.99, 1.0])
         >>> (arcsine.lookup(sine) - sine.asin()).abs() < 1e-4

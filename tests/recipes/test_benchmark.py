@@ -14,6 +14,7 @@ from hydra import compose, initialize_config_module
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.models import IcoSweepNet
+from sphericalvision.recipes import bench_cameras
 from sphericalvision.recipes.bench_network import comparisons
 from sphericalvision.recipes.benchmark import benchmark
 from sphericalvision.recipes.benchmarking import Comparison, measure
@@ -90,3 +91,15 @@ def test_an_unknown_group_is_refused_before_anything_runs(tmp_path: Path) -> Non
     with pytest.raises(ArgumentError, match=r"groups.*network"):
         benchmark(config("groups=[network,speed]"), tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_bare_formulas_are_those_of_the_camera_models() -> None:
+    seen = 0
+    for comparison in bench_cameras.comparisons(config("num_points=50"), torch.device("cpu")):
+        if comparison.title.startswith("project") and "bare formula" in comparison.runs:
+            pixels, valid = comparison.runs["sphericalvision"]()
+            torch.testing.assert_close(
+                comparison.runs["bare formula"]()[valid], pixels[valid], atol=1e-2, rtol=0
+            )
+            seen += 1
+    assert seen == 8  # four models, two precisions

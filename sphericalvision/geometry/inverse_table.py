@@ -71,7 +71,7 @@ def tabulate_inverse(arguments: Tensor, values: Tensor, size: int = 512) -> Inve
         >>> angle = samples_towards(torch.tensor(torch.pi / 2))
         >>> arcsine = tabulate_inverse(angle, angle.sin())  # which has an infinite slope at 1
         >>> sine = torch.tensor([0.0, 0.3, 0.99, 1.0])
-        >>> (arcsine.lookup(sine) - sine.asin()).abs() < 1e-4
+        >>> (arcsine.lookup(sine) - sine.asin()).abs() < 1e-3
         tensor([True, True, True, True])
     """
     with torch.no_grad():

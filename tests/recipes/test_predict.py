@@ -13,6 +13,7 @@ import torch
 import trimesh
 
 from sphericalvision.data.image_io import read_image, write_image
+from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.rigs import make_ring
 from tests.recipes.tiny import Run
 
@@ -98,9 +99,22 @@ def test_masked_pixels_have_no_influence(run: Run, capture: Path, weights: Path,
     np.testing.assert_allclose(after, before, atol=1e-5)
 
 
-def test_mistakes_are_named(failing: Callable[..., str], capture: Path, weights: Path) -> None:
+def test_a_network_on_the_variance_takes_some_of_the_cameras(
+    run: Run, capture: Path, weights: Path, tmp_path: Path
+) -> None:
+    run("predict", *words(capture, weights, "out"), "cameras=[cam1,cam2,cam3]")
+    with np.load(next((tmp_path / "out").glob("*_depth.npz"))) as stored:
+        assert np.isfinite(stored["inverse_depth"]).all()
+
+
+def test_mistakes_are_named(
+    failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
+) -> None:
     good = words(capture, weights, "out")
-    three = failing("predict", *good, "cameras=[cam1,cam2,cam3]")
+    four = save_weights(
+        IcoSweepNet(3, 4, feature_channels=2), tmp_path / "four.safetensors"
+    )  # a concatenation
+    three = failing("predict", *words(capture, four, "out"), "cameras=[cam1,cam2,cam3]")
     assert "has 3 cameras" in three
     assert "checkpoint is for 4" in three
     assert "min_depth" in failing("predict", *good, "min_depth=near")

@@ -45,8 +45,9 @@ def _squared_radius(coefficients: Tensor, squared: Tensor) -> tuple[Tensor, Tens
     """The squared image radius s g(s)² of a squared angle s, and its first two derivatives with respect to s."""
     g, slope, curvature = polynomial_with_curvature(coefficients, squared)
     radius_slope = torch.addcmul(g, squared, slope, value=2)  # of θ g(θ²) with respect to θ
-    further = torch.addcmul(3 * slope, squared, curvature, value=2)
-    return squared * g * g, g * radius_slope, torch.addcmul(slope * radius_slope, g, further)
+    scaled = squared * g
+    further = slope * torch.add(radius_slope, g, alpha=3)
+    return scaled * g, g * radius_slope, torch.addcmul(further, scaled, curvature, value=2)
 
 
 def _widest_angle(coefficients: Tensor) -> Tensor:
@@ -62,12 +63,16 @@ class _Inverse(NamedTuple):
 
     table: InverseTable
     most: Tensor
-    middle: Tensor
-    """The table is over q / (middle + q): fine near the centre even where the radius grows beyond measure at π."""
 
     def lookup(self, squared_radius: Tensor) -> Tensor:
         """The squared angle (*)."""
-        return self.table.lookup(squared_radius / (self.middle + squared_radius))
+        return self.table.lookup(_spread(squared_radius, self.most))
+
+
+def _spread(squared_radius: Tensor, most: Tensor) -> Tensor:
+    """Grows with q, half for q around 1 and half for larger ones: at π the radius may be hundreds of focal lengths."""
+    middle = (1 + most).sqrt()
+    return squared_radius / (1 + squared_radius) + squared_radius / (middle + squared_radius)
 
 
 def _tabulated(coefficients: Tensor, widest: Tensor) -> _Inverse:
@@ -76,9 +81,7 @@ def _tabulated(coefficients: Tensor, widest: Tensor) -> _Inverse:
         squared = angle * angle
         squared_radius = squared * polynomial_value(coefficients.unsqueeze(-2), squared).square()
         most = squared_radius[..., -1:]
-        middle = (1 + most).sqrt().sqrt()
-        table = tabulate_inverse(squared, squared_radius / (middle + squared_radius))
-        return _Inverse(table, most.squeeze(-1), middle.squeeze(-1))
+        return _Inverse(tabulate_inverse(squared, _spread(squared_radius, most)), most.squeeze(-1))
 
 
 def project_kannala_brandt(

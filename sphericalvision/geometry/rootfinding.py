@@ -105,7 +105,7 @@ def refine_root(
 ) -> Root:
     """Solve ``function(x) = target`` for ``x`` (*) in [0, upper] from a start close by: two steps of Halley's method.
 
-    Each step cubes the error, as measured by the curvature of the function; a start good to three digits gives all of
+    Each step cubes the error, as measured by the curvature of the function: from a start good to two digits to all of
     float64's. The first step is not recorded by autograd. The second is, and alone carries exact first and second
     derivatives with respect to the target and to everything that ``function`` depends on. Converged means that the
     second step was too small for a third one to matter.
@@ -128,10 +128,9 @@ def refine_root(
         (1.259921049895, 0.209986841649)
     """
     with torch.no_grad():
-        first = start - _halley_step(function, target, start)
-        first = torch.minimum(first.clamp_min(0), upper)
-    step = _halley_step(function, target, first)
-    return Root(first - step, step.abs() <= torch.finfo(step.dtype).eps ** 0.4 * upper)
+        x = torch.minimum((start - _halley_step(function, target, start)).clamp_min(0), upper)
+    step = _halley_step(function, target, x)
+    return Root(x - step, step.abs() <= torch.finfo(step.dtype).eps ** 0.4 * upper)
 
 
 def _halley_step(
@@ -140,7 +139,8 @@ def _halley_step(
     value, slope, curvature = function(x)
     slope = slope.clamp_min(torch.finfo(slope.dtype).eps)
     newton = (value - target) / slope
-    return newton / (1 - newton * (curvature / slope) / 2).clamp_min(0.25)
+    one = torch.ones((), dtype=slope.dtype, device=slope.device)
+    return newton / torch.addcmul(one, newton, curvature / slope, value=-0.5).clamp_min(0.25)
 
 
 def solve_increasing(

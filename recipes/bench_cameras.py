@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera models beside the bare evaluation of their formulas, kornia and OpenCV, in turns."""
+"""Camera models beside the bare evaluation of their formulas and beside other libraries, in turns."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
-import cv2
-import numpy as np
 import torch
 import torch.nn.functional as F
-from kornia.geometry.camera import distortion_kannala_brandt as kornia_kannala_brandt
 from omegaconf import DictConfig
 from torch import Tensor
 
@@ -25,81 +23,127 @@ from sphericalvision.cameras import (
     KannalaBrandtCamera,
     OCamCamera,
     PinholeCamera,
+    RadialPolynomialCamera,
     Remap,
     UnifiedCamera,
 )
+from sphericalvision.recipes import camera_formulas as bare
 from sphericalvision.recipes.benchmarking import Comparison
+from sphericalvision.recipes.camera_peers import Peers, perspective_peers
 
-__all__ = ["comparisons"]
+__all__ = ["Model", "comparisons", "models"]
 
 SIZE, FOCAL, CENTER = (800, 800), [240.0, 241.0], [399.2, 400.7]
 DISTORTION = [-0.0069, 0.0448, -0.0435, 0.0084]
 """Of a fisheye with Kannala and Brandt's model."""
+WIDE = math.radians(95)
+PLUMB_BOB = [-0.2, 0.05, 1e-3, -1e-3, 0.0]
+DOUBLE_SPHERE = [-0.2, 0.58]
+RADIAL = [240.0, -2.0, 12.0, -4.0]
+OCAM, OCAM_INVERSE, AFFINE = [-240.0, 0.0, 1.1e-3, 2e-7, 1e-10], [376.0, 235.0, -2.0, 9.0], [1.0, 1e-3, 2e-3]
+
+Formula = Callable[[Tensor], Tensor]
+
+
+class Model(NamedTuple):
+    """A camera with its bare formulas: no checks, no validity, no care at the axis; None for an iterative inverse."""
+
+    camera: Camera
+    project: Formula | None
+    unproject: Formula | None
 
 
 def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Every model both ways in single and double precision; then images from one camera to another."""
+    peers = Peers(FOCAL, CENTER, DISTORTION, PLUMB_BOB, DOUBLE_SPHERE)
     for dtype in (torch.float32, torch.float64):
-        for name, (camera, bare) in _models().items():
-            yield from _both_ways(name, camera.to(device, dtype), bare, config.num_points)
+        for name, model in models(device, dtype).items():
+            yield from _both_ways(name, model, config.num_points, peers)
     yield from _images(device)
 
 
-def _models() -> dict[str, tuple[Camera, Callable[[Tensor], Tensor] | None]]:
-    """Cameras, and their projections as bare formulas: no checks, no validity, no care at the axis."""
-    wide = math.radians(95)
-    return {
-        "pinhole": (PinholeCamera(FOCAL, CENTER, SIZE), _bare_pinhole),
-        "Brown-Conrady, 5": (
-            BrownConradyCamera(FOCAL, CENTER, [-0.2, 0.05, 1e-3, -1e-3, 0.0], SIZE),
-            _bare_brown_conrady,
+def models(device: torch.device, dtype: torch.dtype) -> dict[str, Model]:
+    """One camera of every kind."""
+    f, c = (torch.tensor(pair, dtype=dtype, device=device) for pair in (FOCAL, CENTER))
+
+    def model(
+        camera: Camera, project: Callable[..., Tensor], unproject: Callable[..., Tensor] | None, *rest: Any
+    ) -> Model:
+        inverse = None if unproject is None else partial(unproject, f=f, c=c, rest=rest)
+        return Model(camera.to(device, dtype), partial(project, f=f, c=c, rest=rest), inverse)
+
+    found = {
+        "pinhole": model(PinholeCamera(FOCAL, CENTER, SIZE), bare.project_pinhole, bare.unproject_pinhole),
+        "Brown-Conrady, 5": model(
+            BrownConradyCamera(FOCAL, CENTER, PLUMB_BOB, SIZE), bare.project_brown_conrady, None, *PLUMB_BOB
         ),
-        "Kannala-Brandt": (KannalaBrandtCamera(FOCAL, CENTER, DISTORTION, SIZE, wide), _bare_kannala_brandt),
-        "unified": (UnifiedCamera(FOCAL, CENTER, 0.9, None, SIZE), _bare_unified),
-        "extended unified": (ExtendedUnifiedCamera(FOCAL, CENTER, 0.6, 1.1, SIZE), None),
-        "double sphere": (DoubleSphereCamera(FOCAL, CENTER, -0.2, 0.58, SIZE, wide), None),
-        "equidistant": (FisheyeCamera("equidistant", torch.tensor(FOCAL), CENTER, SIZE, wide), None),
-        "OCam, exact inverse": (
-            OCamCamera([-240.0, 0.0, 1.1e-3, 2e-7, 1e-10], None, CENTER, [1.0, 0.0, 0.0], SIZE, wide),
+        "Kannala-Brandt": model(
+            KannalaBrandtCamera(FOCAL, CENTER, DISTORTION, SIZE, WIDE),
+            bare.project_kannala_brandt,
             None,
+            *DISTORTION,
+        ),
+        "unified": model(
+            UnifiedCamera(FOCAL, CENTER, 0.9, None, SIZE), bare.project_unified, bare.unproject_unified, 0.9
+        ),
+        "extended unified": model(
+            ExtendedUnifiedCamera(FOCAL, CENTER, 0.6, 1.1, SIZE),
+            bare.project_extended_unified,
+            bare.unproject_extended_unified,
+            0.6,
+            1.1,
+        ),
+        "double sphere": model(
+            DoubleSphereCamera(FOCAL, CENTER, DOUBLE_SPHERE[0], DOUBLE_SPHERE[1], SIZE, WIDE),
+            bare.project_double_sphere,
+            bare.unproject_double_sphere,
+            *DOUBLE_SPHERE,
+        ),
+        "radial polynomial": model(
+            RadialPolynomialCamera(RADIAL, CENTER, 1.0, SIZE, WIDE),
+            bare.project_radial_polynomial,
+            None,
+            *RADIAL,
+        ),
+        "OCam, inverse polynomial": model(
+            OCamCamera(OCAM, OCAM_INVERSE, CENTER, AFFINE, SIZE, WIDE),
+            bare.project_ocam,
+            bare.unproject_ocam,
+            OCAM,
+            OCAM_INVERSE,
+            AFFINE,
+        ),
+        "OCam, exact inverse": Model(
+            OCamCamera(OCAM, None, CENTER, AFFINE, SIZE, WIDE).to(device, dtype), None, None
         ),
     }
+    for projection in ("equidistant", "equisolid", "stereographic", "orthographic"):
+        widest = min(WIDE, math.radians(89)) if projection == "orthographic" else WIDE
+        camera = FisheyeCamera(projection, torch.tensor(FOCAL), CENTER, SIZE, widest)
+        found[projection] = model(camera, bare.project_fisheye, bare.unproject_fisheye, projection)
+    panorama = EquirectangularCamera(SIZE)
+    found["equirectangular"] = model(
+        panorama, bare.project_equirectangular, bare.unproject_equirectangular, *SIZE
+    )
+    return found
 
 
-def _both_ways(
-    name: str, camera: Camera, bare: Callable[[Tensor], Tensor] | None, number: int
-) -> Iterator[Comparison]:
+def _both_ways(name: str, model: Model, number: int, peers: Peers) -> Iterator[Comparison]:
+    camera = model.camera
     generator = torch.Generator().manual_seed(0)
     size = torch.tensor([SIZE[1] - 1, SIZE[0] - 1])
-    pixels = (torch.rand(number, 2, generator=generator) * size).to(camera.device, camera.dtype)
+    pixels = (torch.rand(number, 2, generator=generator) * size).to(camera.max_angle)
     points = camera.unproject(pixels).directions
     label = f"{name}, {number} points, {str(camera.dtype).removeprefix('torch.')}"
-    runs: dict[str, Callable[[], Any]] = {}
-    if bare is not None:
-        runs["bare formula"] = lambda: bare(points)
-    runs["sphericalvision"] = lambda: camera.project(points)
-    yield Comparison(f"project: {label}", runs, next(iter(runs)))
-    yield _unproject(label, camera, pixels)
-
-
-def _unproject(label: str, camera: Camera, pixels: Tensor) -> Comparison:
-    runs: dict[str, Callable[[], Any]] = {"sphericalvision": lambda: camera.unproject(pixels)}
-    note = ""
-    matrix = np.array([[FOCAL[0], 0, CENTER[0]], [0, FOCAL[1], CENTER[1]], [0, 0, 1]])
-    array = pixels.cpu().numpy()[:, None]
-    if isinstance(camera, KannalaBrandtCamera):
-        parameters = torch.tensor([[*FOCAL, *CENTER, *DISTORTION]]).to(pixels)
-        runs = {
-            "kornia": lambda: kornia_kannala_brandt.undistort_points_kannala_brandt(pixels, parameters[0]),
-            **runs,
-            "OpenCV": lambda: cv2.fisheye.undistortPoints(array, matrix, np.array(DISTORTION)),
-        }
-        note = "kornia and OpenCV answer on the plane z = 1, so not beyond 90°."
-    if isinstance(camera, BrownConradyCamera):
-        distortion = camera.distortion.cpu().numpy()
-        runs["OpenCV"] = lambda: cv2.undistortPoints(array, matrix, distortion)
-        note = "OpenCV takes five rounds of fixed-point iteration, whatever is left."
-    return Comparison(f"unproject: {label}", runs, next(iter(runs)), note=note)
+    for verb, formula, values in (("project", model.project, points), ("unproject", model.unproject, pixels)):
+        runs: dict[str, Callable[[], Any]] = (
+            {} if formula is None else {"bare formula": partial(formula, values)}
+        )
+        runs["sphericalvision"] = partial(getattr(camera, verb), values)
+        others, note = peers.runs(name, verb, values)
+        runs |= others
+        reference = next((run for run in ("bare formula", "kornia") if run in runs), "sphericalvision")
+        yield Comparison(f"{verb}: {label}", runs, reference, note=note)
 
 
 def _images(device: torch.device) -> Iterator[Comparison]:
@@ -120,34 +164,18 @@ def _images(device: torch.device) -> Iterator[Comparison]:
         },
         "bare grid_sample",
     )
-
-
-def _bare_pinhole(points: Tensor) -> Tensor:
-    focal, center = points.new_tensor(FOCAL), points.new_tensor(CENTER)
-    return points[..., :2] / points[..., 2:] * focal + center
-
-
-def _bare_brown_conrady(points: Tensor) -> Tensor:
-    k1, k2, p1, p2 = -0.2, 0.05, 1e-3, -1e-3
-    x, y = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
-    r2 = x * x + y * y
-    scale = 1 + r2 * (k1 + r2 * k2)
-    u = x * scale + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    v = y * scale + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return torch.stack((FOCAL[0] * u + CENTER[0], FOCAL[1] * v + CENTER[1]), -1)
-
-
-def _bare_kannala_brandt(points: Tensor) -> Tensor:
-    x, y, z = points.unbind(-1)
-    radius = torch.hypot(x, y)
-    angle = torch.atan2(radius, z)
-    a2 = angle * angle
-    k1, k2, k3, k4 = DISTORTION
-    scale = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))) / radius
-    return torch.stack((FOCAL[0] * scale * x + CENTER[0], FOCAL[1] * scale * y + CENTER[1]), -1)
-
-
-def _bare_unified(points: Tensor) -> Tensor:
-    x, y, z = points.unbind(-1)
-    depth = z + 0.9 * points.norm(dim=-1)
-    return torch.stack((FOCAL[0] * x / depth + CENTER[0], FOCAL[1] * y / depth + CENTER[1]), -1)
+    view = PinholeCamera([256.0, 256.0], [255.5, 255.5], (512, 512))  # 90°
+    panorama = torch.rand(3, 512, 1024, device=device)
+    look = Remap(target, view.to(device)).to(device)
+    grid = 2 * torch.rand(1, 512, 512, 2, device=device) - 1
+    others, note = perspective_peers(panorama, 90, view.image_size)
+    yield Comparison(
+        "panorama of 512 x 1024 to 512 x 512, kept table",
+        {
+            "bare grid_sample": lambda: F.grid_sample(panorama[None], grid, align_corners=True),
+            "Remap": lambda: look(panorama[None]),
+            **others,
+        },
+        "bare grid_sample",
+        note=note,
+    )

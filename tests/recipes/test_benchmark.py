@@ -94,12 +94,32 @@ def test_an_unknown_group_is_refused_before_anything_runs(tmp_path: Path) -> Non
 
 
 def test_bare_formulas_are_those_of_the_camera_models() -> None:
-    seen = 0
+    """Both ways."""
+    seen = set()
     for comparison in bench_cameras.comparisons(config("num_points=50"), torch.device("cpu")):
-        if comparison.title.startswith("project") and "bare formula" in comparison.runs:
-            pixels, valid = comparison.runs["sphericalvision"]()
-            torch.testing.assert_close(
-                comparison.runs["bare formula"]()[valid], pixels[valid], atol=1e-2, rtol=0
-            )
-            seen += 1
-    assert seen == 8  # four models, two precisions
+        verb, _, rest = comparison.title.partition(": ")
+        if "bare formula" not in comparison.runs or verb not in ("project", "unproject"):
+            continue
+        answer, valid = comparison.runs["sphericalvision"]()
+        tolerance = 1e-2 if verb == "project" else 1e-4
+        found = comparison.runs["bare formula"]()
+        torch.testing.assert_close(found[valid], answer[valid], atol=tolerance, rtol=0)
+        seen.add((verb, rest.split(", 50")[0]))
+    assert len([name for verb, name in seen if verb == "project"]) == 13
+    assert len([name for verb, name in seen if verb == "unproject"]) == 10
+
+
+def test_other_libraries_measure_the_same_lens() -> None:
+    """Where they answer in pixels, and away from 90°."""
+    compared = 0
+    for comparison in bench_cameras.comparisons(config("num_points=50"), torch.device("cpu")):
+        if not comparison.title.startswith("project") or "float64" not in comparison.title:
+            continue
+        pixels, valid = comparison.runs["sphericalvision"]()
+        for name in {"OpenCV", "kornia", "ds-msp"} & set(comparison.runs):
+            answer = comparison.runs[name]()
+            found = torch.as_tensor(answer if isinstance(answer, torch.Tensor) else answer[0]).squeeze()
+            near = valid & ((pixels - 400).norm(dim=-1) < 300)
+            torch.testing.assert_close(found[near], pixels[near], atol=1e-4, rtol=0)
+            compared += 1
+    assert compared >= 3

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -14,12 +13,13 @@ from torch.utils.data import DataLoader, Dataset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import RotateFivefold, SceneDataset
+from sphericalvision.data import FisheyeSceneDataset, RotateFivefold, SceneDataset
 from sphericalvision.data.photometric import PhotometricAugmentation
+from sphericalvision.data.seeded_scenes import SeededScenes
 from sphericalvision.data.transforms import Compose
 from sphericalvision.recipes.datamodules import Sample, SampleDataModule
 
-__all__ = ["Augmented", "SceneDataModule"]
+__all__ = ["Augmented", "FisheyeSceneDataModule", "SceneDataModule"]
 
 
 class Augmented(Dataset[Sample]):
@@ -110,15 +110,14 @@ class SceneDataModule(SampleDataModule):
             return scenes
         return Augmented(scenes, Compose(RotateFivefold(), PhotometricAugmentation()))
 
-    def plain_train_dataset(self) -> SceneDataset:
+    def plain_train_dataset(self) -> SeededScenes:
         """Training scenes without augmentation."""
         return self.scene_dataset("train")
 
-    def scene_dataset(self, split: str) -> SceneDataset:
+    def scene_dataset(self, split: str) -> SeededScenes:
         """Scenes of one split, as rendered."""
         number, first_seed = self.scenes[split]
-        cache = None if self.cache_dir is None else Path(self.cache_dir)
-        return SceneDataset(number, self.rig, first_seed=first_seed, cache_dir=cache, **self.options)
+        return SceneDataset(number, self.rig, first_seed=first_seed, cache_dir=self.cache_dir, **self.options)
 
     def prepare_data(self) -> None:
         """Render, where a cache keeps it, what training and validation will read, so that its progress shows."""
@@ -137,3 +136,40 @@ class SceneDataModule(SampleDataModule):
         loader = DataLoader(subset, batch_size=None, num_workers=self.num_workers)
         for _ in track(loader, f"rendering {split} scenes", total=len(missing)):
             pass
+
+
+class FisheyeSceneDataModule(SceneDataModule):
+    """Rendered scenes as ``FisheyeSceneDataset`` gives them: for networks on the icosphere, on panoramas, or both.
+
+    Args:
+        rig: what the scenes are seen through.
+        level: icosphere level of the images on the sphere; depth at its vertices is two levels below.
+        min_depth: nearest hypothesis in metres; nearer points are not valid.
+        panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
+        entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama".
+        **options: as of ``SceneDataModule``.
+    """
+
+    def __init__(
+        self,
+        rig: CameraRig,
+        level: int,
+        min_depth: float,
+        panorama_size: Sequence[int] = (80, 160),
+        entries: Sequence[str] = ("sphere", "fisheye", "panorama"),
+        **options: Any,
+    ) -> None:
+        super().__init__(rig, level, min_depth, **options)
+        if self.augment and "panorama" in entries and panorama_size[1] % 5:
+            raise ArgumentError(
+                "data.panorama_size: turning by multiples of 72 degrees wants a width that is a multiple of 5, got "
+                f"{panorama_size[1]}; or set data.augment=false"
+            )
+        self.options |= {"panorama": tuple(panorama_size), "entries": tuple(entries)}
+
+    def scene_dataset(self, split: str) -> SeededScenes:
+        """Scenes of one split, as rendered."""
+        number, first_seed = self.scenes[split]
+        return FisheyeSceneDataset(
+            number, self.rig, first_seed=first_seed, cache_dir=self.cache_dir, **self.options
+        )

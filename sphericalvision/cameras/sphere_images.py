@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -18,7 +18,51 @@ from sphericalvision.geometry import bilinear_sample
 if TYPE_CHECKING:
     from sphericalvision.cameras.rig import CameraRig
 
-__all__ = ["sample_sphere"]
+__all__ = ["SphereLookup", "sample_sphere", "sphere_lookups"]
+
+
+class SphereLookup(NamedTuple):
+    """Where directions fall in the image of one camera: made once, it serves all images of the camera."""
+
+    camera: Camera
+    pixels: Tensor
+    """``(*b, V, 2)``, (0, 0) where nothing is seen."""
+    seen: Tensor
+    """``(*b, V)``: within the field of view, the image and the mask."""
+    shrink: int
+    """Side of the squares of pixels that are averaged first."""
+
+    def __call__(self, image: Tensor, fill: float = 0.5) -> Tensor:
+        """Values ``(*b, c, V)`` of an image ``(*b, c, h, w)``, ``fill`` where nothing is seen."""
+        pixels = self.pixels
+        if self.shrink > 1:
+            flat = image.reshape(-1, *image.shape[-3:])
+            small = F.avg_pool2d(flat, self.shrink, ceil_mode=True)
+            image = small.reshape(*image.shape[:-2], *small.shape[-2:])
+            pixels = (pixels + 0.5) / self.shrink - 0.5
+        return torch.where(self.seen.unsqueeze(-2), self.camera._interpolate(image, pixels), fill)
+
+
+def sphere_lookups(rig: CameraRig, directions: Tensor, antialias: bool = False) -> list[SphereLookup]:
+    """Where directions ``(V, 3)`` of the world fall in the images of a rig's cameras, in order.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> front, *_ = sphere_lookups(ring_rig(4, image_size=(64, 64)), torch.tensor([[0.0, 0.0, 1.0]]))
+        >>> front.pixels, front(torch.ones(3, 64, 64)).shape
+        (tensor([[31.5000, 31.5000]]), torch.Size([3, 1]))
+    """
+    check_last_dim("directions", directions, 3)
+    lookups = []
+    for index, (name, camera) in enumerate(rig.cameras.items()):
+        world_from_camera = rig.world_from_camera[..., index, :3, :3].to(directions)
+        pixels, seen = camera.project(directions @ world_from_camera)
+        pixels = torch.where(seen.unsqueeze(-1), pixels, 0.0)
+        if name in rig.masks:
+            usable = rig.masks[name].to(pixels).unsqueeze(-3)
+            seen = seen & (bilinear_sample(usable, pixels).squeeze(-2) > 0.999)
+        lookups.append(SphereLookup(camera, pixels, seen, _shrinking(camera, directions) if antialias else 1))
+    return lookups
 
 
 def sample_sphere(
@@ -37,25 +81,16 @@ def sample_sphere(
         >>> values.shape, valid[:, 0].tolist()  # only the back camera does not see what is in front
         (torch.Size([4, 3, 1]), [True, True, False, True])
     """
-    check_last_dim("directions", directions, 3)
-    values, valid = [], []
-    for index, (name, image) in enumerate(_in_order(rig, images).items()):
-        camera = rig.cameras[name]
-        if image.ndim < 3 or tuple(image.shape[-2:]) != camera.image_size:
+    values, lookups = [], sphere_lookups(rig, directions, antialias)
+    for (name, image), lookup in zip(_in_order(rig, images).items(), lookups, strict=True):
+        size = lookup.camera.image_size
+        if image.ndim < 3 or tuple(image.shape[-2:]) != size:
             raise ShapeError(
-                f"images[{name!r}]: expected shape (*b, c, {camera.image_size[0]}, {camera.image_size[1]}) as "
-                f"calibrated, got {tuple(image.shape)}"
+                f"images[{name!r}]: expected shape (*b, c, {size[0]}, {size[1]}) as calibrated, got "
+                f"{tuple(image.shape)}"
             )
-        world_from_camera = rig.world_from_camera[..., index, :3, :3].to(directions)
-        pixels, seen = camera.project(directions @ world_from_camera)
-        pixels = torch.where(seen.unsqueeze(-1), pixels, 0.0)
-        if name in rig.masks:
-            usable = rig.masks[name].to(pixels).unsqueeze(-3)
-            seen = seen & (bilinear_sample(usable, pixels).squeeze(-2) > 0.999)
-        value = _look_up(camera, image, pixels, _shrinking(camera, directions) if antialias else 1)
-        values.append(torch.where(seen.unsqueeze(-2), value, fill))
-        valid.append(seen)
-    return torch.stack(values, -3), torch.stack(valid, -2)
+        values.append(lookup(image, fill))
+    return torch.stack(values, -3), torch.stack([lookup.seen for lookup in lookups], -2)
 
 
 def _in_order(rig: CameraRig, images: Mapping[str, Tensor] | Sequence[Tensor]) -> dict[str, Tensor]:
@@ -75,12 +110,3 @@ def _shrinking(camera: Camera, directions: Tensor) -> int:
     spacing = math.sqrt(4 * math.pi / directions.shape[-2])
     pixel = 2 * float(camera.max_angle.max()) / min(camera.image_size)
     return max(1, int(spacing / pixel))
-
-
-def _look_up(camera: Camera, image: Tensor, pixels: Tensor, shrink: int) -> Tensor:
-    """Interpolated values, of the image averaged over squares of ``shrink`` pixels if that is more than 1."""
-    if shrink > 1:
-        flat = image.reshape(-1, *image.shape[-3:])
-        small = F.avg_pool2d(flat, shrink, ceil_mode=True)
-        image, pixels = small.reshape(*image.shape[:-2], *small.shape[-2:]), (pixels + 0.5) / shrink - 0.5
-    return camera._interpolate(image, pixels)

@@ -2,6 +2,7 @@
 """Scenes that are rendered, data sets on disk, and transforms of their samples."""
 
 from sphericalvision.data.collate import collate_samples
+from sphericalvision.data.fisheye_scenes import FisheyeSceneDataset
 from sphericalvision.data.fivefold import RotateFivefold, rotate_fivefold
 from sphericalvision.data.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from sphericalvision.data.image_io import read_image, write_image
@@ -31,6 +32,7 @@ from sphericalvision.data.transforms import Compose, RandomShift, ShuffleCameras
 
 __all__ = [
     "Compose",
+    "FisheyeSceneDataset",
     "GroundTruth",
     "OmniStereoDataset",
     "PhotometricAugmentation",

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -22,8 +23,8 @@ class PhotometricAugmentation(nn.Module):
 
     The defaults follow the published training for real images: brightness by up to 0.1 (25 of 255),
     contrast by up to a fifth, noise of up to a hundredth, for each camera on its own. Works before
-    ``ToSphere`` (images by camera name) and after it (one tensor); there, points outside the field of view
-    stay 0.
+    ``ToSphere`` (images by camera name), after it (one tensor) and on ``fisheye`` images ``(n, 3, h, w)`` in
+    [-1, 1]; in tensors, points outside the field of view stay 0.
 
     Args:
         brightness: largest amount added or taken away, of the range [0, 1].
@@ -75,20 +76,22 @@ class PhotometricAugmentation(nn.Module):
             return self.noise(self.color(images)).clamp(0, 1)
 
     def forward(self, sample: Sample) -> Sample:
-        """The sample with augmented images."""
+        """The sample with augmented ``images`` and ``fisheye``, whichever it has: both in the same way."""
         seed = int(torch.randint(2**62, (), generator=self.generator))
-        images = sample["images"]
+        entries = (key for key in ("images", "fisheye") if key in sample)
+        return sample | {key: self._changed(sample[key], seed) for key in entries}
+
+    def _changed(self, images: Tensor | Mapping[str, Tensor], seed: int) -> Tensor | dict[str, Tensor]:
         if isinstance(images, Tensor):
-            colored = self.apply_to((images[:, :, None] + 1) / 2, seed)[:, :, 0] * 2 - 1
-            looked_at = (images != 0).any(1, keepdim=True)
-            return {**sample, "images": torch.where(looked_at, colored, 0.0)}
+            flat = images if images.ndim == 4 else images[:, :, None]
+            colored = self.apply_to((flat + 1) / 2, seed) * 2 - 1
+            return torch.where((images != 0).any(1, keepdim=True), colored.view(images.shape), 0.0)
         height, width = (max(image.shape[axis] for image in images.values()) for axis in (-2, -1))
         padded = [
             pad(image, (0, width - image.shape[-1], 0, height - image.shape[-2])) for image in images.values()
         ]
         colored = self.apply_to(torch.stack(padded), seed)  # pixel by pixel, so the padding changes nothing
-        cut = {
+        return {
             name: changed[:, : image.shape[-2], : image.shape[-1]]
             for (name, image), changed in zip(images.items(), colored, strict=True)
         }
-        return {**sample, "images": cut}

@@ -4,16 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from kornia.geometry.transform import translate
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data.panorama_grid import nearest_pixels
-from sphericalvision.geometry import bilinear_sample
 from sphericalvision.icosphere import Icosphere
 
 __all__ = ["Compose", "RandomShift", "ShuffleCameras", "ToSphere"]
@@ -40,13 +40,6 @@ class Compose:
 
     def __repr__(self) -> str:
         return f"Compose({', '.join(map(repr, self.transforms))})"
-
-
-class _SphereTable(NamedTuple):
-    """Where the vertices fall in each camera's image: pixels (n, V, 2), and whether it sees them (n, V)."""
-
-    pixels: Tensor
-    seen: Tensor
 
 
 class ToSphere:
@@ -86,7 +79,7 @@ class ToSphere:
         self._directions = Icosphere(level).vertices
         self._depth_directions = Icosphere(self.depth_level, torch.float64).vertices
         self._rig: CameraRig | None = None
-        self._table: _SphereTable | None = None
+        self._lookups: list[SphereLookup] = []
 
     def __call__(self, sample: Sample) -> Sample:
         inverse_depth, valid = self.ground_truth(sample["inverse_depth"], sample["valid"])
@@ -111,15 +104,10 @@ class ToSphere:
                     f"images[{name!r}]: expected (h, w) = {tuple(rig.cameras[name].image_size)} from the "
                     f"calibration, got {tuple(images[name].shape[-2:])}"
                 )
-        if self.antialias:
-            directions = self._directions.to(rig.world_from_camera)
-            values, _ = rig.sample_sphere(images, directions, fill=0.5, antialias=True)
-            return values * 2 - 1
-        table = self._table_of(rig)
-        per_camera = []
-        for name, pixels, seen in zip(rig.names, table.pixels, table.seen, strict=True):
-            per_camera.append(torch.where(seen, bilinear_sample(images[name], pixels) * 2 - 1, 0.0))
-        return torch.stack(per_camera)
+        lookups = self._lookups_of(rig)
+        return torch.stack(
+            [lookup(images[name], 0.5) * 2 - 1 for name, lookup in zip(rig.names, lookups, strict=True)]
+        )
 
     def ground_truth(self, inverse_depth: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
         """Inverse depth and validity ``(V_depth,)`` at the vertices, of those of a panorama ``(H, W)``.
@@ -136,19 +124,11 @@ class ToSphere:
         known = inside & valid.flatten()[ids]
         return torch.where(known, inverse_depth.flatten()[ids], 0.0), known
 
-    def _table_of(self, rig: CameraRig) -> _SphereTable:
-        if self._table is None or self._rig is not rig:
+    def _lookups_of(self, rig: CameraRig) -> list[SphereLookup]:
+        if self._rig is not rig:
             directions = self._directions.to(rig.world_from_camera)
-            blank = {
-                name: directions.new_zeros(1, *camera.image_size) for name, camera in rig.cameras.items()
-            }
-            _, seen = rig.sample_sphere(blank, directions)
-            pixels = [
-                camera.project(directions @ world_from_camera[:3, :3]).pixels
-                for camera, world_from_camera in zip(rig.cameras.values(), rig.world_from_camera, strict=True)
-            ]
-            self._rig, self._table = rig, _SphereTable(torch.stack(pixels), seen)
-        return self._table
+            self._rig, self._lookups = rig, sphere_lookups(rig, directions, self.antialias)
+        return self._lookups
 
     def __repr__(self) -> str:
         return f"ToSphere(level={self.level}, depth_level={self.depth_level}, antialias={self.antialias})"

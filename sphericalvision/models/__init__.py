@@ -5,6 +5,8 @@ from sphericalvision.models.aggregation import concatenate_cameras, mean_and_var
 from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
 from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.icosweepnet import IcoSweepNet
+from sphericalvision.models.omnimvs import OmniMVS
+from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
 from sphericalvision.models.regularization import CostRegularizer
 from sphericalvision.models.weights import (
     available_weights,
@@ -17,9 +19,12 @@ from sphericalvision.models.weights import (
 
 __all__ = [
     "CLASSIFIER_NETWORKS",
+    "CostHourglass",
     "CostRegularizer",
     "FeatureExtractor",
+    "FisheyeFeatures",
     "IcoSweepNet",
+    "OmniMVS",
     "SphereClassifier",
     "available_weights",
     "classifier_grid",

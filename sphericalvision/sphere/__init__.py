@@ -2,6 +2,7 @@
 """Grids of directions and resampling between them and cameras."""
 
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere.band import EquirectangularBand
 from sphericalvision.sphere.base import SphereGrid
 from sphericalvision.sphere.cube_layouts import CUBE_FACES, CUBE_LAYOUTS, cube_from_layout, cube_to_layout
 from sphericalvision.sphere.cubemap import Cubemap, world_from_cube_face
@@ -21,6 +22,7 @@ __all__ = [
     "CubePad2d",
     "Cubemap",
     "Equirectangular",
+    "EquirectangularBand",
     "EquirectangularPad2d",
     "Healpix",
     "Icosphere",

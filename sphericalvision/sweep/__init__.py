@@ -9,6 +9,7 @@ from sphericalvision.sweep.hypotheses import (
     inverse_depth_from_index,
     inverse_depth_hypotheses,
 )
+from sphericalvision.sweep.panorama_sweep import PanoramaSweep, PanoramaTables
 from sphericalvision.sweep.regression import DepthIndex, soft_argmax, soft_argmax_confidence
 from sphericalvision.sweep.sphere_sweep import (
     SphereSweep,
@@ -20,6 +21,8 @@ from sphericalvision.sweep.sphere_sweep import (
 
 __all__ = [
     "DepthIndex",
+    "PanoramaSweep",
+    "PanoramaTables",
     "SphereSweep",
     "SweepTables",
     "SweepVolume",

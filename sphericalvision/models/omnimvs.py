@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OmniMVS: features of fisheye images, a sphere sweep onto a panorama, and an encoder and decoder of its costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.models.aggregation import aggregated_channels, mean_and_variance
+from sphericalvision.models.omnimvs_layers import SphereConv
+from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
+from sphericalvision.models.recompute import recomputed
+from sphericalvision.sweep import (
+    DepthIndex,
+    PanoramaSweep,
+    PanoramaTables,
+    SweepVolume,
+    depth_from_index,
+    soft_argmax,
+    soft_argmax_confidence,
+)
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import CameraRig
+    from sphericalvision.sphere import EquirectangularBand
+
+__all__ = ["OmniMVS"]
+
+LUMINANCE = (0.299, 0.587, 0.114)
+"""Shares of red, green and blue in grey (Rec. 601)."""
+
+
+class OmniMVS(nn.Module):
+    """Depth on a panorama from the images of any rig of fisheye cameras.
+
+    The rig is given at each call. The weights depend neither on it nor on the size of the images, the panorama or the
+    number of hypotheses, though a network is best at what it was trained for.
+
+    Convention:
+        Images are in [-1, 1] and 0 outside the field of view and under masks, as the cameras took them, in the order of
+        ``rig.names``. The result is a hypothesis index at each pixel of ``net.grid``, a panorama aligned with the world
+        and seen from ``rig.center``: 0 is infinity, N - 1 is ``min_depth``; ``depth`` turns it into metres along the
+        ray. Pixel (2 i, 2 j) of an image, a sphere or the result is the centre of pixel (i, j) of a map of half the
+        size, everywhere in the network.
+
+    Args:
+        num_hypotheses: N, an even number; every second sphere is swept, and the decoder scores all.
+        min_depth: radius of the smallest sphere in metres.
+        feature_channels: channels of a camera's features; all other widths are proportional.
+        num_cameras: number of cameras of the rigs.
+        output_size: (height, width) of the panorama.
+        max_latitude: of the panorama's upper edge in radians; pi / 2 is the whole sphere.
+        in_channels: 1 for grey images, as in the paper (colours are turned to grey), or 3.
+        norm: ``"batch"``, as in the paper, or ``"instance"``, the statistics of each sample alone: for training with
+            batches of one or two.
+        aggregation: ``"concatenation"`` of the cameras' features, as in the paper, or ``"variance"``: mean and
+            variance over the cameras that see a point, for any number of cameras in any order.
+        circular: whether convolutions on the panorama continue at the other edge; the paper pads with zeros.
+        num_scales: how often the encoder halves the volume; 4 in the paper. Height and width are multiples of
+            ``2 ** (num_scales + 1)``.
+
+    Raises:
+        ArgumentError: if sizes or channels are not positive or the encoder cannot halve them.
+
+    References:
+        Won, Ryu and Lim (2019), "OmniMVS: end-to-end learning for omnidirectional stereo matching"; Won, Ryu and Lim
+        (2020), "End-to-end learning for omnidirectional stereo matching with uncertainty prior"; for the variance Yao
+        et al. (2018), "MVSNet".
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig = ring_rig(2, image_size=(32, 40))
+        >>> net = OmniMVS(8, feature_channels=2, num_cameras=2, output_size=(8, 16), num_scales=2).eval()
+        >>> net(torch.zeros(1, 2, 3, 32, 40), rig).shape
+        torch.Size([1, 8, 16])
+    """
+
+    def __init__(
+        self,
+        num_hypotheses: int = 192,
+        min_depth: float = 0.55,
+        feature_channels: int = 32,
+        num_cameras: int = 4,
+        output_size: Sequence[int] = (160, 640),
+        max_latitude: float = math.pi / 4,
+        in_channels: int = 1,
+        norm: str = "batch",
+        aggregation: str = "concatenation",
+        circular: bool = False,
+        num_scales: int = 4,
+    ) -> None:
+        super().__init__()
+        if min(num_cameras, feature_channels, num_scales) < 1:
+            raise ArgumentError(
+                "num_cameras, feature_channels, num_scales: expected positive numbers, "
+                f"got {num_cameras!r}, {feature_channels!r} and {num_scales!r}"
+            )
+        if in_channels not in (1, 3):
+            raise ArgumentError(f"in_channels: expected 1 (grey) or 3 (colour), got {in_channels!r}")
+        size = _checked_size(output_size, num_scales)
+        if num_hypotheses % 2:
+            raise ArgumentError(
+                f"num_hypotheses: expected an even number, as every second sphere is swept, got {num_hypotheses}"
+            )
+        self.feature_channels, self.in_channels, self.num_cameras = feature_channels, in_channels, num_cameras
+        self.norm, self.aggregation = norm, aggregation
+        self.circular, self.num_scales = circular, num_scales
+        self.recompute = False
+        self.features = FisheyeFeatures(feature_channels, in_channels, norm)
+        self.sweep = PanoramaSweep(size, num_hypotheses, min_depth, max_latitude)
+        self.transference = SphereConv(feature_channels, feature_channels, circular)
+        self.hourglass = CostHourglass(
+            aggregated_channels(aggregation, feature_channels, num_cameras),
+            2 * feature_channels,
+            num_scales,
+            norm,
+            circular,
+        )
+
+    @property
+    def grid(self) -> EquirectangularBand:
+        """The panorama on which depth is estimated."""
+        return self.sweep.grid
+
+    @property
+    def any_cameras(self) -> bool:
+        """Whether rigs of any number of cameras are taken, in any order, with the same weights."""
+        return self.aggregation == "variance"
+
+    @property
+    def num_hypotheses(self) -> int:
+        """N, the number of hypotheses."""
+        return self.sweep.num_hypotheses
+
+    @property
+    def min_depth(self) -> float:
+        """The smallest depth in metres."""
+        return self.sweep.min_depth
+
+    @property
+    def hyperparameters(self) -> dict[str, Any]:
+        """Plain values that rebuild this network: ``OmniMVS(**net.hyperparameters)``."""
+        return {
+            "num_hypotheses": self.num_hypotheses,
+            "min_depth": self.min_depth,
+            "feature_channels": self.feature_channels,
+            "num_cameras": self.num_cameras,
+            "output_size": list(self.grid.shape),
+            "max_latitude": self.grid.max_latitude,
+            "in_channels": self.in_channels,
+            "norm": self.norm,
+            "aggregation": self.aggregation,
+            "circular": self.circular,
+            "num_scales": self.num_scales,
+        }
+
+    def forward(self, images: Tensor, rig: CameraRig | PanoramaTables) -> Tensor:
+        """Return the hypothesis index ``(B, h, w)``, 0 to N - 1, on ``grid``.
+
+        Args:
+            images: ``(B, n, 1 or 3, H, W)`` of the size that the cameras are calibrated for.
+            rig: of all samples or, with batched poses, a rig a sample; or the ``sweep.tables`` of either.
+
+        Raises:
+            ShapeError: if the images have another shape than the network or the rig asks for.
+        """
+        return self._expected(self.logits(images, rig))
+
+    def predict(self, images: Tensor, rig: CameraRig | PanoramaTables) -> DepthIndex:
+        """Return the hypothesis index and the confidence in it, each ``(B, h, w)``; arguments as for ``forward``."""
+        logits = self.logits(images, rig)
+        confidence = soft_argmax_confidence(logits.flatten(2)).unflatten(1, self.grid.shape)
+        return DepthIndex(self._expected(logits), confidence)
+
+    def depth(self, index: Tensor) -> Tensor:
+        """Return depths in metres of hypothesis indices ``(*)``."""
+        return depth_from_index(index, self.num_hypotheses, self.min_depth)
+
+    def index_at(self, index: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the index ``(B, V)`` in directions ``(V, 3)``, and whether the panorama reaches there ``(V,)``.
+
+        Args:
+            index: ``(B, h, w)`` as ``forward`` returns it; linear between the pixel centres.
+            directions: in the world; those of an icosphere, for instance.
+
+        Examples:
+            >>> net = OmniMVS(8, feature_channels=1, output_size=(32, 128))  # latitudes within 45°
+            >>> up_and_forward = torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+            >>> net.index_at(torch.full((1, 32, 128), 3.0), up_and_forward)
+            (tensor([[3., 3.]]), tensor([False,  True]))
+        """
+        return self.grid.sample(index, directions), self.grid.contains(directions)
+
+    def logits(self, images: Tensor, rig: CameraRig | PanoramaTables) -> Tensor:
+        """Return the score of every hypothesis ``(B, N, h, w)``; arguments as for ``forward``."""
+        self._check_images(images)
+        tables = rig if isinstance(rig, PanoramaTables) else self.sweep.tables(rig)
+        if tuple(images.shape[-2:]) != tables.image_size:
+            height, width = tables.image_size
+            raise ShapeError(
+                f"images: the rig is calibrated for {height} x {width} (height x width), "
+                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
+            )
+        features = self.extract_features(images)
+        self.sweep.check_maps(features, tables)
+        run = (
+            partial(checkpoint, self.camera_volume, use_reentrant=False)
+            if self._recomputes
+            else self.camera_volume
+        )
+        volumes = [run(maps, tables, camera) for camera, maps in enumerate(features.unbind(1))]
+        if self.aggregation == "concatenation":
+            volume = torch.cat(volumes, 1)
+        else:
+            volume = mean_and_variance(SweepVolume(torch.stack(volumes, 1), self._seen(images, tables)))
+        self.hourglass.recompute = self.recompute
+        return self.hourglass(volume.contiguous(memory_format=torch.channels_last_3d))  # type: ignore[no-any-return]
+
+    def extract_features(self, images: Tensor) -> Tensor:
+        """Return the features ``(B, n, C, ceil(H / 2), ceil(W / 2))`` of images ``(B, n, 1 or 3, H, W)``.
+
+        In training mode batch statistics are those of all cameras together.
+        """
+        flat = images.flatten(0, 1)
+        if self.in_channels == 1 and images.shape[2] == 3:
+            flat = torch.einsum("bchw,c->bhw", flat, flat.new_tensor(LUMINANCE)).unsqueeze(1)
+        flat = flat.contiguous(memory_format=torch.channels_last)
+        features = recomputed(self.features, flat) if self._recomputes else self.features(flat)
+        return features.unflatten(0, images.shape[:2])  # type: ignore[no-any-return]
+
+    def camera_volume(self, features: Tensor, tables: PanoramaTables, camera: int) -> Tensor:
+        """Return what features ``(B, C, h_f, w_f)`` of a camera add to the volume: ``(B, C, N/2, h/2, w/2)``."""
+        return self.transference(self.sweep.camera_values(features, tables, camera))  # type: ignore[no-any-return]
+
+    @property
+    def _recomputes(self) -> bool:
+        return self.recompute and self.training and torch.is_grad_enabled()
+
+    def _seen(self, images: Tensor, tables: PanoramaTables) -> Tensor:
+        """Whether a camera sees the points of the volume, and its image is not 0 there ``(B, n, N/2, h/2, w/2)``."""
+        tables = tables._replace(grid=tables.grid[..., ::2, ::2, :], mask=tables.mask[..., ::2, ::2])
+        usable = (images != 0).any(2, keepdim=True)[..., ::2, ::2].to(images)
+        return tables.mask & (self.sweep(usable, tables).squeeze(2) > 0.5)
+
+    def _expected(self, logits: Tensor) -> Tensor:
+        return soft_argmax(logits.flatten(2)).unflatten(1, self.grid.shape)
+
+    def _check_images(self, images: Tensor) -> None:
+        cameras = "n" if self.any_cameras else self.num_cameras
+        channels = (1, 3) if self.in_channels == 1 else (3,)
+        fits = images.ndim == 5 and images.shape[2] in channels
+        if not fits or (images.shape[1] != self.num_cameras and not self.any_cameras):
+            names = " or ".join(map(str, channels))
+            raise ShapeError(
+                f"images: expected shape (B, {cameras}, {names}, H, W) for {cameras} cameras, "
+                f"got {tuple(images.shape)}"
+            )
+
+    def extra_repr(self) -> str:
+        return ", ".join(f"{name}={value}" for name, value in self.hyperparameters.items())
+
+
+def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int]:
+    """Height and width, if the encoder can halve them as often as it does."""
+    multiple = 2 ** (num_scales + 1)
+    sizes = tuple(output_size)
+    if len(sizes) != 2 or any(not isinstance(s, int) or s < multiple or s % multiple for s in sizes):
+        raise ArgumentError(
+            f"output_size: expected height and width in multiples of {multiple} = 2 ** (num_scales + 1), "
+            f"got {list(sizes)}; choose other sizes or another num_scales"
+        )
+    return sizes[0], sizes[1]

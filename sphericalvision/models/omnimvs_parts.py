@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two halves of OmniMVS: features of fisheye images, and the encoder and decoder of the cost volume."""
+
+from __future__ import annotations
+
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from sphericalvision.models.omnimvs_layers import ImageConv, VolumeConv, VolumeUpConv
+from sphericalvision.models.recompute import recomputed
+
+__all__ = ["CostHourglass", "FisheyeFeatures"]
+
+
+class DilatedBlock(nn.Module):
+    """Two normalised 3 x 3 convolutions with a ReLU between them, added to the input, and a ReLU.
+
+    References:
+        He et al. (2016), "Deep residual learning for image recognition".
+    """
+
+    def __init__(self, channels: int, dilation: int, norm: str) -> None:
+        super().__init__()
+        self.first = ImageConv(channels, channels, dilation=dilation, norm=norm)
+        self.second = ImageConv(channels, channels, dilation=dilation, norm=norm)
+
+    def forward(self, features: Tensor) -> Tensor:
+        return F.relu(self.second(F.relu(self.first(features))) + features)
+
+
+class FisheyeFeatures(nn.Module):
+    """Map images ``(B, in_channels, H, W)`` to features ``(B, channels, ceil(H / 2), ceil(W / 2))``.
+
+    Feature pixel (i, j) is centred at image pixel (2 i, 2 j). Five residual blocks and three more with dilations 2, 3
+    and 4 follow a 5 x 5 convolution with stride 2; the last convolution has neither normalisation nor ReLU.
+
+    Args:
+        channels: of the features.
+        in_channels: of the images.
+        norm: "batch" or "instance".
+
+    References:
+        Won, Ryu and Lim (2019), "OmniMVS: end-to-end learning for omnidirectional stereo matching", table 1.
+
+    Examples:
+        >>> import torch
+        >>> FisheyeFeatures(channels=4)(torch.zeros(1, 1, 20, 31)).shape
+        torch.Size([1, 4, 10, 16])
+    """
+
+    DILATIONS = (1, 1, 1, 1, 1, 2, 3, 4)
+
+    def __init__(self, channels: int = 32, in_channels: int = 1, norm: str = "batch") -> None:
+        super().__init__()
+        self.entry = ImageConv(in_channels, channels, 5, 2, norm=norm)
+        self.blocks = nn.Sequential(*(DilatedBlock(channels, dilation, norm) for dilation in self.DILATIONS))
+        self.last = ImageConv(channels, channels, norm=None)
+
+    def forward(self, images: Tensor) -> Tensor:
+        return self.last(self.blocks(F.relu(self.entry(images))))  # type: ignore[no-any-return]
+
+
+class CostHourglass(nn.Module):
+    """Map a volume ``(B, in_channels, D, h, w)`` to a score of each hypothesis and pixel ``(B, 2 D, 2 h, 2 w)``.
+
+    Each scale of the encoder has half the size of the one before it. Its first convolution leads on to the next
+    scale, and two more lead across to the decoder, whose transposed convolutions double the size.
+
+    Args:
+        in_channels: of the volume.
+        channels: of the first scale; the next ones have twice as many, and the last one four times.
+        num_scales: how often the size is halved.
+        norm: "batch" or "instance".
+        circular: whether columns continue at the other edge, or are padded with zeros as in the paper.
+
+    Attributes:
+        recompute: whether to save memory in training by computing the inside of each scale twice.
+
+    References:
+        Won, Ryu and Lim (2019), "OmniMVS: end-to-end learning for omnidirectional stereo matching", table 1; its
+        form is that of Kendall et al. (2017), "End-to-end learning of geometry and context for deep stereo
+        regression".
+
+    Examples:
+        >>> import torch
+        >>> CostHourglass(in_channels=8, channels=4, num_scales=2)(torch.zeros(1, 8, 4, 4, 8)).shape
+        torch.Size([1, 8, 8, 16])
+    """
+
+    def __init__(
+        self,
+        in_channels: int = 128,
+        channels: int = 64,
+        num_scales: int = 4,
+        norm: str = "batch",
+        circular: bool = False,
+    ) -> None:
+        super().__init__()
+        self.recompute = False
+        widths = [channels, *[2 * channels] * (num_scales - 1), 4 * channels]
+        self.fusion = VolumeConv(in_channels, channels, norm=norm, circular=circular)
+        entries, across, ups = [], [], []
+        for scale, width in enumerate(widths):
+            before = widths[max(scale - 1, 0)]
+            entries.append(VolumeConv(before, width, 1 if scale == 0 else 2, norm, circular))
+            across.append(
+                nn.Sequential(*(VolumeConv(width, width, norm=norm, circular=circular) for _ in range(2)))
+            )
+            ups.append(VolumeUpConv(width, before, norm, circular) if scale else nn.Identity())
+        self.entries, self.across = nn.ModuleList(entries), nn.ModuleList(across)
+        self.ups = nn.ModuleList(ups[1:])
+        self.score = VolumeUpConv(channels, 1, None, circular)
+
+    def forward(self, volume: Tensor) -> Tensor:
+        volume = self._run(self.fusion, volume)
+        skips = []
+        for entry, across in zip(self.entries, self.across, strict=True):
+            volume = self._run(entry, volume)
+            skips.append(self._run(across, volume))
+        volume = skips.pop()
+        for up in reversed(self.ups):
+            skip = skips.pop()
+            volume = up(volume, skip.shape[2:]) + skip
+        spheres, rows, columns = volume.shape[2:]
+        return self.score(volume, (2 * spheres, 2 * rows, 2 * columns)).squeeze(1)  # type: ignore[no-any-return]
+
+    def _run(self, part: nn.Module, volume: Tensor) -> Tensor:
+        return recomputed(part, volume) if self.recompute and self.training else part(volume)

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sphere sweep onto a panorama: where the pixels of concentric spheres appear in the cameras' own images."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry import bilinear_sample
+from sphericalvision.sphere import EquirectangularBand
+from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import CameraRig
+
+__all__ = ["PanoramaSweep", "PanoramaTables"]
+
+OUTSIDE = -3.0
+"""Where the grids point out of view: so far off the image that nothing but zeros is there."""
+
+
+class PanoramaTables(NamedTuple):
+    """Where every pixel of every sphere appears in the images of each camera: a rig, made ready.
+
+    Tables of a rig that is shared by the batch have no batch dimension.
+
+    Attributes:
+        grid: ``([B,] n, D, h, w, 2)`` places as ``grid_sample(align_corners=False)`` wants them.
+        mask: ``([B,] n, D, h, w)`` True where a camera sees the point; occlusion is not known.
+        image_size: (height, width) of the images that the cameras are calibrated for.
+    """
+
+    grid: Tensor
+    mask: Tensor
+    image_size: tuple[int, int]
+
+    @property
+    def num_cameras(self) -> int:
+        """n, the number of cameras."""
+        return self.mask.shape[-4]
+
+    def to(self, device: torch.device | str) -> PanoramaTables:
+        """Return the tables on another device."""
+        return PanoramaTables(self.grid.to(device), self.mask.to(device), self.image_size)
+
+
+class PanoramaSweep(nn.Module):
+    """Sweep concentric spheres, whose pixels are those of a panorama, through maps of the cameras' images.
+
+    A pixel of direction d at inverse depth w is the point ``rig.center + d / w``. A camera at c sees it in the
+    direction ``d + w * (rig.center - c)``, which stays exact up to infinity, and its model says at which pixel.
+
+    Convention:
+        Pixel i of a map stands for pixel ``stride * i`` of the image: so it is for any odd kernel of size k whose
+        convolutions have padding (k - 1) / 2 and strides that multiply to ``stride``. Such maps have
+        ceil(size / stride) pixels. Between centres values are linear, half a pixel beyond the outermost ones
+        constant, and out of view zero.
+
+    Args:
+        output_size: (height, width) of the panorama.
+        num_hypotheses: N.
+        min_depth: radius of the smallest sphere in metres.
+        max_latitude: of the panorama's upper edge in radians.
+        stride: pixels of the images between those of the maps.
+        every: sweep every second (2) or third (3), ... sphere only, beginning with the farthest.
+
+    Raises:
+        ArgumentError: sizes that are not positive, fewer than two hypotheses, a smallest depth that is not
+            positive.
+
+    References:
+        Won, Ryu and Lim (2019), "OmniMVS: end-to-end learning for omnidirectional stereo matching", section 3.2.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> sweep = PanoramaSweep((8, 16), num_hypotheses=4, min_depth=0.5)
+        >>> values = sweep(torch.ones(1, 2, 5, 20, 20), ring_rig(2, image_size=(40, 40)))
+        >>> values.shape  # cameras, channels, every second of four spheres, rows, columns
+        torch.Size([1, 2, 5, 2, 8, 16])
+    """
+
+    directions: Tensor
+    inverse_depths: Tensor
+
+    def __init__(
+        self,
+        output_size: tuple[int, int],
+        num_hypotheses: int,
+        min_depth: float,
+        max_latitude: float = math.pi / 2,
+        stride: int = 2,
+        every: int = 2,
+    ) -> None:
+        super().__init__()
+        check_hypotheses(num_hypotheses, min_depth)
+        self.grid = EquirectangularBand(*output_size, max_latitude)
+        self.num_hypotheses, self.min_depth = num_hypotheses, min_depth
+        self.stride, self.every = stride, every
+        # Exact in float64, cast to the dtype of the rig in use.
+        directions = EquirectangularBand(*output_size, max_latitude, torch.float64).directions
+        self.register_buffer("directions", directions.reshape(-1, 3), persistent=False)
+        hypotheses = inverse_depth_hypotheses(num_hypotheses, min_depth, torch.float64)[::every]
+        self.register_buffer("inverse_depths", hypotheses, persistent=False)
+
+    def tables(self, rig: CameraRig) -> PanoramaTables:
+        """Return the tables of a rig, to be passed to ``forward`` in its place as often as wanted.
+
+        Raises:
+            ArgumentError: if the cameras' images differ in size.
+        """
+        sizes = {camera.image_size for camera in rig.cameras.values()}
+        if len(sizes) > 1:
+            raise ArgumentError(
+                f"rig: expected cameras with images of one size, got {', '.join(map(str, sorted(sizes)))}; "
+                "bring images and rig to one size with rig.resized"
+            )
+        (size,) = sizes
+        poses = rig.world_from_camera.to(self.directions.device)
+        offsets = rig.center.to(poses)[..., None, :] - poses[..., :3, 3]
+        shape = (len(self.inverse_depths), *self.grid.shape)
+        grids, masks = [], []
+        for index, (name, camera) in enumerate(rig.cameras.items()):
+            near = self.inverse_depths.to(poses)[:, None] * offsets[..., index, None, :]
+            rays = self.directions.to(poses) + near[..., None, :]  # (*b, D, h * w, 3)
+            local = (rays @ poses[..., None, index, :3, :3]).flatten(-3, -2)
+            pixels, seen = camera.project(local)
+            if name in rig.masks:
+                usable = rig.masks[name].to(pixels).unsqueeze(-3)
+                inside = torch.where(seen.unsqueeze(-1), pixels, 0.0)
+                seen = seen & (bilinear_sample(usable, inside).squeeze(-2) > 0.999)
+            grids.append(self._normalized(pixels, seen, size).unflatten(-2, shape))
+            masks.append(seen.unflatten(-1, shape))
+        return PanoramaTables(torch.stack(grids, -5), torch.stack(masks, -4), size)
+
+    def _normalized(self, pixels: Tensor, seen: Tensor, image_size: tuple[int, int]) -> Tensor:
+        """Places (*, 2) on the maps, as grid_sample counts them."""
+        height, width = map_size(image_size, self.stride)
+        size = pixels.new_tensor([width, height])
+        places = torch.minimum((pixels / self.stride).clamp(min=0), size - 1)
+        return torch.where(seen.unsqueeze(-1), (2 * places + 1) / size - 1, OUTSIDE)
+
+    def camera_values(self, features: Tensor, tables: PanoramaTables, camera: int) -> Tensor:
+        """Values ``(B, C, D, h, w)`` of the maps ``(B, C, h_f, w_f)`` of one camera; zero out of view."""
+        grid = tables.grid[..., camera, :, :, :, :]
+        spheres, rows, columns = grid.shape[-4:-1]
+        places = grid.to(features.dtype).reshape(-1, spheres * rows, columns, 2)
+        places = places.expand(len(features), *places.shape[1:])
+        values = F.grid_sample(features, places, padding_mode="zeros", align_corners=False)
+        return values.unflatten(2, (spheres, rows))
+
+    def forward(self, features: Tensor, rig: CameraRig | PanoramaTables) -> Tensor:
+        """Sweep maps ``(B, n, C, h_f, w_f)`` of a rig's n cameras: values ``(B, n, C, D, h, w)``, zero out of view.
+
+        Raises:
+            ShapeError: if maps and rig do not fit.
+        """
+        tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
+        self.check_maps(features, tables)
+        cameras = range(tables.num_cameras)
+        return torch.stack([self.camera_values(features[:, k], tables, k) for k in cameras], 1)
+
+    def check_maps(self, features: Tensor, tables: PanoramaTables) -> None:
+        """Raise ``ShapeError`` unless maps and tables fit."""
+        expected = map_size(tables.image_size, self.stride)
+        if features.ndim != 5 or tuple(features.shape[-2:]) != expected:
+            raise ShapeError(
+                f"features: expected shape (B, n, C, {expected[0]}, {expected[1]}) for images of "
+                f"{tables.image_size[0]} x {tables.image_size[1]} pixels, got {tuple(features.shape)}"
+            )
+        if features.shape[1] != tables.num_cameras:
+            raise ShapeError(
+                f"features: got {features.shape[1]} cameras, but the rig has {tables.num_cameras}; "
+                "pass images in the order of rig.names"
+            )
+        if tables.mask.ndim == 5 and len(tables.mask) != len(features):
+            raise ShapeError(
+                f"rig: expected one rig for each of {len(features)} samples or a shared one, "
+                f"got {len(tables.mask)} rigs"
+            )
+
+    def extra_repr(self) -> str:
+        return (
+            f"num_hypotheses={self.num_hypotheses}, min_depth={self.min_depth}, stride={self.stride}, "
+            f"every={self.every}"
+        )
+
+
+def map_size(image_size: tuple[int, int], stride: int) -> tuple[int, int]:
+    """Height and width of a map of an image."""
+    return -(-image_size[0] // stride), -(-image_size[1] // stride)

@@ -22,7 +22,7 @@ from sphericalvision.cameras.calibration import (
     write_opencv,
 )
 from sphericalvision.cameras.conversion import Conversion, InverseFit, convert, fit_inverse_polynomial
-from sphericalvision.cameras.coverage import Overlap, coverage, overlap
+from sphericalvision.cameras.coverage import Overlap, coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, z_from_depth
 from sphericalvision.cameras.double_sphere import (
     DoubleSphereCamera,
@@ -110,6 +110,7 @@ __all__ = [
     "ring_rig",
     "save_camera",
     "save_rig",
+    "seen_by",
     "undistort",
     "undistorted_camera",
     "unproject_brown_conrady",

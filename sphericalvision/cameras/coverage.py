@@ -13,7 +13,7 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import bilinear_sample
 
-__all__ = ["Overlap", "coverage", "overlap"]
+__all__ = ["Overlap", "coverage", "overlap", "seen_by"]
 
 
 class Overlap(NamedTuple):
@@ -48,28 +48,66 @@ def coverage(rig: CameraRig, directions: Tensor, depths: Sequence[float] | Tenso
         >>> coverage(rig, torch.tensor([forward, between]), depths=[1.0, float("inf")]).tolist()
         [[3, 2], [3, 2]]
     """
+    far = torch.as_tensor(depths, dtype=directions.dtype, device=directions.device).reshape(-1)
+    if not bool((far > 0).all()):
+        raise ArgumentError(f"depths: expected metres above 0, got {far.tolist()}")
+    return _count(rig, directions, far.reciprocal()[:, None])
+
+
+def seen_by(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor:
+    """Number of cameras (*b, V) that see the surface points of a depth map.
+
+    Fields of view, image borders and masks count; what stands in the way does not. Where fewer than two cameras see a
+    point no parallax tells its depth.
+
+    Args:
+        rig: single, or a batch of rigs.
+        directions: unit directions (V, 3) from the rig's centre in the world, of any grid.
+        inverse_depth: (*b, V) in 1/m along them; 0 is infinity.
+
+    Raises:
+        ShapeError: ``directions`` is not (V, 3), or ``inverse_depth`` not (*b, V).
+        ArgumentError: an inverse depth is negative.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> forward, up = [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]
+        >>> tilted = ring_rig(4).rotated(tilt=0.6)  # fisheyes of 220° that look down by 34°
+        >>> seen_by(tilted, torch.tensor([forward, up]), torch.tensor([1.0, 0.0])).tolist()
+        [3, 0]
+    """
+    if inverse_depth.shape[-1:] != directions.shape[:-1]:
+        raise ShapeError(
+            f"inverse_depth: expected (*b, {len(directions)}), one for each direction, got "
+            f"{tuple(inverse_depth.shape)}"
+        )
+    if not bool((inverse_depth >= 0).all()):
+        raise ArgumentError(
+            f"inverse_depth: expected 1/m, 0 or more, got {inverse_depth.min().item():g}; leave unknown points at 0"
+        )
+    return _count(rig, directions, inverse_depth.to(directions).unsqueeze(-2)).squeeze(-2)
+
+
+def _count(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor:
+    """Number of cameras (*b, d, V) that see the points at inverse depths (*b, d, V or 1)."""
     check_last_dim("directions", directions, 3)
     if directions.ndim != 2:
         raise ShapeError(
             f"directions: expected (V, 3), got {tuple(directions.shape)}; flatten the grid first"
         )
-    far = torch.as_tensor(depths, dtype=directions.dtype, device=directions.device).reshape(-1)
-    if not bool((far > 0).all()):
-        raise ArgumentError(f"depths: expected metres above 0, got {far.tolist()}")
     poses = rig.world_from_camera.to(directions)
-    # The point is seen along d + (center − position) / depth, which has no infinities at infinite depth.
+    # The point is seen along d + (center - position) / depth, which has no infinities at infinite depth.
     offset = rig.center.to(directions).unsqueeze(-2) - poses[..., :3, 3]
     counts = torch.zeros((), dtype=torch.long, device=directions.device)
     for index, (name, camera) in enumerate(rig.cameras.items()):
-        shift = offset[..., index, None, None, :] / far[:, None, None]
-        points = directions + shift
+        points = directions + offset[..., index, None, None, :] * inverse_depth.unsqueeze(-1)
         turned = points.flatten(-3, -2) @ poses[..., index, :3, :3]
         pixels, seen = camera.project(turned)
         if name in rig.masks:
             usable = rig.masks[name].to(pixels).unsqueeze(-3)
             inside = torch.where(seen.unsqueeze(-1), pixels, 0.0)
             seen = seen & (bilinear_sample(usable, inside).squeeze(-2) > 0.999)
-        counts = counts + seen.unflatten(-1, (len(far), len(directions))).long()
+        counts = counts + seen.unflatten(-1, points.shape[-3:-1]).long()
     return counts
 
 

@@ -11,6 +11,7 @@ from sphericalvision.data.omnistereo import OmniStereoDataset
 from sphericalvision.data.omnistereo_files import split_frames
 from sphericalvision.data.omnistereo_writer import write_omnistereo
 from sphericalvision.data.photometric import PhotometricAugmentation
+from sphericalvision.data.rotate_fisheye import RotateFisheye
 from sphericalvision.data.scene_dataset import SceneDataset
 from sphericalvision.data.scenes import (
     Scene,
@@ -39,6 +40,7 @@ __all__ = [
     "RandomShift",
     "RandomSphereRotation",
     "RandomYaw",
+    "RotateFisheye",
     "RotateFivefold",
     "Scene",
     "SceneDataset",

@@ -185,7 +185,5 @@ def _light(image: Tensor) -> Tensor:
 
 def _looked_at(camera: Camera, picture: Tensor, mask: Tensor | None) -> Tensor:
     """Pixels ``(h, w)`` that the camera sees at their centres or in part, and that the mask leaves."""
-    height, width = camera.image_size
-    down, across = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    seen = camera.unproject(torch.stack((across, down), -1).to(camera.dtype)).valid | (picture > 0).any(0)
+    seen = camera.unproject(camera.pixel_grid()).valid | (picture > 0).any(0)
     return seen if mask is None else seen & mask.bool()

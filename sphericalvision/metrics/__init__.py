@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of hypothesis indices and depths, means over the sphere, latitude profiles, and segmentation by area."""
+"""Errors of hypothesis indices and depths, where they count, means over the sphere, and segmentation by area."""
 
 from sphericalvision.metrics.depth import DepthError, DepthIndexError, depth_error, depth_index_error
+from sphericalvision.metrics.masks import EvaluationMask, evaluation_mask, seam_mask
+from sphericalvision.metrics.omnimvs import OmniMVSError, omnimvs_error
+from sphericalvision.metrics.regions import ByRegion
 from sphericalvision.metrics.sphere import (
     LatitudeBands,
     LatitudeProfile,
@@ -11,13 +14,19 @@ from sphericalvision.metrics.sphere import (
 )
 
 __all__ = [
+    "ByRegion",
     "DepthError",
     "DepthIndexError",
+    "EvaluationMask",
     "LatitudeBands",
     "LatitudeProfile",
+    "OmniMVSError",
     "SolidAngleIoU",
     "SolidAngleMean",
     "angular_error",
     "depth_error",
     "depth_index_error",
+    "evaluation_mask",
+    "omnimvs_error",
+    "seam_mask",
 ]

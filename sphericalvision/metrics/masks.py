@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where errors count: points that enough cameras see, and the surroundings of the grids' seams."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, seen_by
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_last_dim
+from sphericalvision.icosphere import icosphere_vertices, vertex_at
+
+__all__ = ["EvaluationMask", "evaluation_mask", "seam_mask"]
+
+SEAMS = ("all", "charts", "panorama")
+
+
+class EvaluationMask(NamedTuple):
+    """Points ``(B, V)`` where errors count, and the share ``(B,)`` of valid points that were left out, 0 to 1."""
+
+    mask: Tensor
+    left_out: Tensor
+
+
+def evaluation_mask(
+    rig: CameraRig,
+    directions: Tensor,
+    inverse_depth: Tensor,
+    valid: Tensor | None = None,
+    least_cameras: int = 2,
+) -> EvaluationMask:
+    """Leave out points that fewer than two cameras see: no parallax tells their depth.
+
+    Args:
+        rig: of all images, or a batch of rigs.
+        directions: ``(V, 3)`` unit directions from the rig's centre, of any grid.
+        inverse_depth: true ones ``(B, V)`` in 1/m; 0 is infinity.
+        valid: ``(B, V)``, True where there is a truth; everywhere when not given.
+        least_cameras: number of cameras that must see a point, 1 or more.
+
+    Returns:
+        The mask, and the share of valid points left out: each counts the same, whatever its solid angle (NaN for an
+        image without any).
+
+    Raises:
+        ShapeError: if shapes do not agree.
+        ArgumentError: if ``least_cameras`` is below 1.
+
+    References:
+        Komatsu et al. (2020), section IV-C: tilted cameras leave the sky to fewer than two.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> ring = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]
+        >>> infinity = torch.zeros(1, 4)
+        >>> mask, left_out = evaluation_mask(ring_rig(4).rotated(tilt=0.6), torch.tensor(ring), infinity)
+        >>> mask, left_out  # nobody sees what is above
+        (tensor([[ True,  True,  True, False]]), tensor([0.2500]))
+    """
+    if least_cameras < 1:
+        raise ArgumentError(f"least_cameras: expected 1 or more, got {least_cameras!r}")
+    if inverse_depth.ndim != 2:
+        raise ShapeError(f"inverse_depth: expected (B, V), got {tuple(inverse_depth.shape)}")
+    valid = torch.ones_like(inverse_depth, dtype=torch.bool) if valid is None else valid.bool()
+    if valid.shape != inverse_depth.shape:
+        raise ShapeError(f"valid: expected {tuple(inverse_depth.shape)}, got {tuple(valid.shape)}")
+    known = torch.where(valid, inverse_depth, 0.0)
+    mask = valid & (seen_by(rig, directions, known) >= least_cameras)
+    return EvaluationMask(mask, 1 - mask.sum(1) / valid.sum(1))
+
+
+def seam_mask(directions: Tensor, angle: float = math.radians(5), seams: str = "all") -> Tensor:
+    """Return which directions lie near a seam of the grids that networks work on.
+
+    A network that copes with its grid's seams errs no more there than elsewhere.
+
+    Args:
+        directions: ``(*, 3)`` of any length but zero.
+        angle: distance from the seam in radians, above 0 up to π/2.
+        seams: ``"charts"``: the borders of the icosphere's five charts, 15 edges of the icosahedron.
+            ``"panorama"``: the meridian straight behind (-z), where an equirectangular panorama is cut, with both
+            poles. ``"all"``: either.
+
+    Returns:
+        ``(*)`` bool.
+
+    Raises:
+        ShapeError: if the last dimension is not 3.
+        ArgumentError: if the angle is out of range or the seams are unknown.
+
+    Examples:
+        >>> up, behind, ahead = [0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [0.3, 0.0, 1.0]
+        >>> seam_mask(torch.tensor([up, behind, ahead]), seams="panorama")
+        tensor([ True,  True, False])
+    """
+    check_last_dim("directions", directions, 3)
+    check_choice("seams", seams, SEAMS)
+    if not 0 < angle <= math.pi / 2:
+        raise ArgumentError(f"angle: expected more than 0, up to π / 2 radians, got {angle!r}")
+    arcs = {"charts": [_chart_borders()], "panorama": [_meridian_behind()]}
+    chosen = torch.cat(arcs["charts"] + arcs["panorama"] if seams == "all" else arcs[seams])
+    return _near_arcs(F.normalize(directions.double(), dim=-1), chosen.to(directions.device), angle)
+
+
+def _chart_borders() -> Tensor:
+    """Ends ``(15, 2, 3)`` of the edges of the icosahedron between charts: three on the north-east side of each."""
+    chart = torch.arange(5)[:, None]
+    row, column = torch.tensor([[0, 0, 1, 2], [0, 1, 1, 1]])
+    corners = icosphere_vertices(0, torch.float64)[vertex_at(chart, row, column, level=0)]
+    return torch.stack((corners[:, :-1], corners[:, 1:]), 2).flatten(0, 1)
+
+
+def _meridian_behind() -> Tensor:
+    """Ends ``(2, 2, 3)`` of the quarters from straight behind to the poles."""
+    behind, up = torch.tensor([0.0, 0.0, -1.0]), torch.tensor([0.0, -1.0, 0.0])
+    return torch.stack((torch.stack((behind, up)), torch.stack((behind, -up)))).double()
+
+
+def _near_arcs(unit: Tensor, arcs: Tensor, angle: float) -> Tensor:
+    """Whether unit vectors ``(*, 3)`` lie within an angle of great-circle arcs ``(A, 2, 3)`` shorter than π."""
+    first, last = arcs.unbind(1)
+    normal = F.normalize(torch.linalg.cross(first, last), dim=-1)
+    height = unit @ normal.T  # sine of the angle from the arc's plane
+    # Between the two ends: left of the plane through the first end, right of the one through the last.
+    inside = (unit @ torch.linalg.cross(normal, first).T >= 0) & (
+        unit @ torch.linalg.cross(last, normal).T >= 0
+    )
+    beside = inside & (height.abs() <= math.sin(angle) + 1e-9)
+    ends = unit @ arcs.flatten(0, 1).T >= math.cos(angle) - 1e-9
+    return beside.any(-1) | ends.any(-1)

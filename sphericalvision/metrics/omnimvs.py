@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The protocol of OmniMVS' own evaluation: inverse depth on a panorama, within 45 degrees of the horizon, N = 192."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.metrics.depth import depth_index_error
+from sphericalvision.metrics.images import MeanOverImages
+
+__all__ = ["OmniMVSError", "omnimvs_error"]
+
+NUM_HYPOTHESES = 192
+
+
+def omnimvs_error(
+    pred_inverse_depth: Tensor,
+    target_inverse_depth: Tensor,
+    min_depth: float = 0.55,
+    mask: Tensor | None = None,
+    num_hypotheses: int = NUM_HYPOTHESES,
+) -> dict[str, Tensor]:
+    """Return ``>1 >3 >5 MAE RMS`` of each image by the official protocol, in percent of N.
+
+    Inverse depths become indices ``(N - 1) * min_depth / depth``, neither rounded. Of a full panorama only the rows
+    within 45 degrees of the horizon count, each pixel the same; points whose true index is above N are left out.
+
+    Args:
+        pred_inverse_depth: ``(B, h, w)`` in 1/m on a panorama: w = 2h is the full sphere, w = 4h the latitudes
+            within 45 degrees.
+        target_inverse_depth: ``(B, h, w)``; 0 is infinity.
+        min_depth: nearest hypothesis in metres.
+        mask: ``(B, h, w)``, True where the truth counts; everywhere when not given.
+        num_hypotheses: N; published numbers are for 192.
+
+    Returns:
+        The five errors ``(B,)``; NaN for an image without a valid point.
+
+    Raises:
+        ShapeError: if shapes do not agree or are no panoramas.
+        ArgumentError: if ``min_depth`` is not positive.
+
+    References:
+        Won, Ryu and Lim (2019), "OmniMVS: end-to-end learning for omnidirectional stereo matching", section 4, and
+        its published evaluation on 160 x 640 panoramas.
+
+    Examples:
+        >>> import torch
+        >>> truth = torch.full((1, 4, 8), 1.0)
+        >>> errors = omnimvs_error(truth + 0.05, truth, min_depth=0.5)
+        >>> round(errors["MAE"].item(), 3)  # 0.05 1/m are 4.775 of 192 indices
+        2.487
+    """
+    if not min_depth > 0:
+        raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
+    index_from_inverse = (num_hypotheses - 1) * min_depth
+    pred = _near_horizon("prediction", pred_inverse_depth) * index_from_inverse
+    target = _near_horizon("target", target_inverse_depth) * index_from_inverse
+    counts = (target >= 0) & (target <= num_hypotheses)
+    if mask is not None:
+        counts = counts & _near_horizon("mask", mask).bool()
+    return depth_index_error(pred, target, num_hypotheses, counts)
+
+
+class OmniMVSError(MeanOverImages):
+    """``omnimvs_error`` as a metric: per image and then averaged over images.
+
+    ``update`` takes inverse depths ``(B, h, w)``, predicted and true, and an optional mask.
+
+    Args:
+        min_depth: nearest hypothesis in metres.
+        num_hypotheses: N; published numbers are for 192.
+
+    Raises:
+        ArgumentError: if either is not positive.
+
+    Examples:
+        >>> import torch
+        >>> metric = OmniMVSError(min_depth=0.5)
+        >>> metric.update(torch.full((2, 4, 8), 1.05), torch.ones(2, 4, 8))
+        >>> {name: round(value.item(), 2) for name, value in metric.compute().items()}
+        {'>1': 100.0, '>3': 0.0, '>5': 0.0, 'MAE': 2.49, 'RMS': 2.49}
+    """
+
+    error_names = (">1", ">3", ">5", "MAE", "RMS")
+
+    def __init__(
+        self, min_depth: float = 0.55, num_hypotheses: int = NUM_HYPOTHESES, **kwargs: object
+    ) -> None:
+        super().__init__(**kwargs)
+        if not min_depth > 0 or num_hypotheses < 1:
+            raise ArgumentError(
+                f"min_depth, num_hypotheses: expected positive numbers, got {min_depth!r} and {num_hypotheses!r}"
+            )
+        self.min_depth, self.num_hypotheses = min_depth, num_hypotheses
+
+    def _errors(
+        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
+    ) -> dict[str, Tensor]:
+        if weights is not None:
+            raise ArgumentError(
+                "weights: the official protocol has none; every pixel of the band counts the same"
+            )
+        return omnimvs_error(pred, target, self.min_depth, mask, self.num_hypotheses)
+
+
+def _near_horizon(name: str, panorama: Tensor) -> Tensor:
+    """The rows ``(B, pixels)`` within 45 degrees of the horizon."""
+    height, width = panorama.shape[-2:] if panorama.ndim == 3 else (0, 0)
+    if width == 4 * height > 0:
+        return panorama.flatten(1)
+    if width == 2 * height > 0 and height % 4 == 0:
+        return panorama[:, height // 4 : 3 * height // 4].flatten(1)
+    raise ShapeError(
+        f"{name}: expected (B, h, w) with w = 4h, or w = 2h and h a multiple of 4, got {tuple(panorama.shape)}"
+    )

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same errors in several regions of the sphere: near seams and away from them, where cameras overlap or not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from torch import Tensor
+from torchmetrics import Metric, MetricCollection
+
+from sphericalvision.core import ArgumentError, ShapeError
+
+__all__ = ["ByRegion"]
+
+
+class ByRegion(Metric):
+    """A metric of this package in each of several regions, and everywhere.
+
+    Args:
+        metric: ``DepthIndexError``, ``DepthError`` or another whose ``update`` takes prediction, truth and mask;
+            it is copied for each region.
+        regions: name -> ``(V,)`` bool, the places that belong to a region; they may overlap.
+
+    ``update`` takes what the metric's does. ``compute`` returns every error by ``"name"`` for all places and
+    ``"region/name"`` for those of a region, each averaged over the images that have valid points there.
+
+    Raises:
+        ArgumentError: if there are no regions.
+        ShapeError: if a region does not fit the values.
+
+    Examples:
+        >>> import torch
+        >>> from sphericalvision.metrics import DepthIndexError
+        >>> metric = ByRegion(DepthIndexError(100), {"seam": torch.tensor([True, False])})
+        >>> metric.update(torch.tensor([[3.0, 1.0]]), torch.zeros(1, 2))
+        >>> metric.compute()["MAE"].item(), metric.compute()["seam/MAE"].item()
+        (2.0, 3.0)
+    """
+
+    full_state_update = False
+
+    def __init__(self, metric: Metric, regions: Mapping[str, Tensor], **kwargs: object) -> None:
+        super().__init__(**kwargs)
+        if not regions:
+            raise ArgumentError("regions: expected at least one, got none")
+        self.everywhere = metric.clone()
+        self.by_region = MetricCollection({name: metric.clone() for name in regions}, compute_groups=False)
+        for name, region in regions.items():
+            self.register_buffer(f"region_{name}", region.bool(), persistent=False)
+
+    def update(self, pred: Tensor, target: Tensor, mask: Tensor | None = None, **options: Tensor) -> None:
+        """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and what else the metric takes."""
+        self.everywhere.update(pred, target, mask, **options)
+        for name, metric in self.by_region.items():
+            region = getattr(self, f"region_{name}")
+            if region.shape != pred.shape[1:]:
+                raise ShapeError(
+                    f"prediction: expected (B, {', '.join(map(str, region.shape))}) as the region {name!r}, got "
+                    f"{tuple(pred.shape)}"
+                )
+            inside = region.expand(pred.shape)
+            metric.update(pred, target, inside if mask is None else inside & mask.bool(), **options)
+
+    def compute(self) -> dict[str, Tensor]:
+        """Return the errors everywhere and in each region."""
+        values: dict[str, Tensor] = dict(self.everywhere.compute())
+        for name, metric in self.by_region.items():
+            values |= {f"{name}/{error}": value for error, value in metric.compute().items()}
+        return values
+
+    def reset(self) -> None:
+        """Forget all images."""
+        super().reset()
+        self.everywhere.reset()
+        self.by_region.reset()

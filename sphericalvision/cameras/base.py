@@ -310,9 +310,8 @@ class Camera(ABC):
 
     def _looks_within_max_angle(self, directions: Tensor) -> Tensor:
         """The same for unit directions."""
-        lowest = torch.cos(self._widest(directions)) - 4 * torch.finfo(directions.dtype).eps
-        lowest = torch.where(self._align(self.max_angle, directions) < math.pi, lowest, -2.0)
-        return directions[..., 2] >= lowest
+        lowest = torch.cos(self._widest(directions).clamp_max(math.pi))
+        return directions[..., 2] >= lowest - 4 * torch.finfo(directions.dtype).eps
 
     def _set_batch(self, *shape: int) -> None:
         """Give ``max_angle`` the batch dimensions of the intrinsics."""

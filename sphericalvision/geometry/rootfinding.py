@@ -39,10 +39,10 @@ def _horner(coefficients: Tensor, x: Tensor, order: int) -> list[Tensor]:
         taylor += [torch.addcmul(known[k - 1], known[k], x) for k in range(1, len(known))]
         if len(known) <= order:
             taylor.append(known[-1])
-    while len(taylor) <= order:
-        taylor.append(torch.zeros_like(x))
-    shape = torch.broadcast_shapes(x.shape, taylor[0].shape)
-    return [value.expand(shape) for value in taylor]
+    if len(descending) <= order + 1:  # too few for all to have got the shape of x
+        zero = torch.zeros_like(taylor[0] + x)
+        taylor = [value + zero for value in taylor] + [zero] * (order + 1 - len(taylor))
+    return taylor
 
 
 def polynomial_value(coefficients: Tensor, x: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ __all__ = [
     "choose_device",
     "command",
     "console",
+    "name_rigs",
     "output_folder",
     "print_config",
     "print_table",
@@ -62,6 +64,25 @@ def quote_paths(arguments: list[str]) -> list[str]:
         ["images='/data/cam{camera}/{frame:05d}.png'", 'frames=[1,2]']
     """
     return [_quote_path(argument) for argument in arguments]
+
+
+def name_rigs(config_name: str, arguments: list[str]) -> list[str]:
+    """Let ``rig=equirect4`` mean ``scene_rig=equirect4`` in commands that see scenes through a rig of that group.
+
+    Commands that want the file of a rig (``rig=capture/config.yaml``) keep their words.
+
+    Examples:
+        >>> name_rigs("evaluate", ["rig=equirect4"]), name_rigs("predict", ["rig=equirect4"])
+        (['scene_rig=equirect4'], ['rig=equirect4'])
+    """
+    conf = files("sphericalvision.conf")
+    if "\n  - scene_rig:" not in (conf / f"{config_name}.yaml").read_text():
+        return arguments
+    names = {file.name.removesuffix(".yaml") for file in (conf / "scene_rig").iterdir()}
+    return [
+        f"scene_{word}" if word.startswith("rig=") and names.issuperset(word[4:].split(",")) else word
+        for word in arguments
+    ]
 
 
 def unquote_paths(arguments: list[str]) -> list[str]:
@@ -103,7 +124,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
 
         @functools.wraps(task)
         def main() -> None:
-            sys.argv[1:] = quote_paths(sys.argv[1:])
+            sys.argv[1:] = quote_paths(name_rigs(config_name, sys.argv[1:]))
             check_overrides(config_name, sys.argv[1:])
             hydra_main()
 

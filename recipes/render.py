@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from rich.progress import track
 from torch.utils.data import DataLoader
 
-from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.data.omnistereo_files import RELEASES
@@ -39,13 +39,15 @@ def render(config: DictConfig, folder: Path) -> int:
     Raises:
         ArgumentError: an unknown release, no frames asked for, or ``folder`` holds frames of other settings.
     """
-    if config.release not in RELEASES:
+    if config.release not in (None, *RELEASES):
         raise ArgumentError(f"release: expected {' or '.join(RELEASES)}, got {config.release!r}")
     if config.num_frames < 1:
         raise ArgumentError(f"num_frames: expected 1 or more, got {config.num_frames}")
     rig: CameraRig = build(config.scene_rig)
+    panoramas = any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values())
+    release = config.release or ("tiff" if panoramas else "png")
     frames = range(config.first_frame, config.first_frame + config.num_frames)
-    missing = missing_frames(folder, frames, config.release, len(rig))
+    missing = missing_frames(folder, frames, release, len(rig))
     print_config(config)
     if len(missing) < len(frames):
         console.print(
@@ -61,9 +63,7 @@ def render(config: DictConfig, folder: Path) -> int:
         scale=config.scale,
     )
     if missing:
-        write_omnistereo(
-            folder, _progress(rendered, config.num_workers), rig, config.release, config.min_depth
-        )
+        write_omnistereo(folder, _progress(rendered, config.num_workers), rig, release, config.min_depth)
     print(f"{len(missing)} frames written, {len(frames)} in {folder}")
     print(f"Read back with: data=omnistereo data.root={folder} data.train_split=all data.val_split=all")
     return len(missing)

@@ -10,10 +10,17 @@ from typing import Literal
 import torch
 
 from sphericalvision import cameras
-from sphericalvision.cameras import Camera, CameraRig, read_cameras, read_rig, ring_rig
+from sphericalvision.cameras import (
+    Camera,
+    CameraRig,
+    EquirectangularCamera,
+    read_cameras,
+    read_rig,
+    ring_rig,
+)
 from sphericalvision.core import FileFormatError
 
-__all__ = ["make_ring", "radians", "read_calibration", "rig_from_file"]
+__all__ = ["make_panorama_ring", "make_ring", "radians", "read_calibration", "rig_from_file"]
 
 
 def make_ring(
@@ -31,6 +38,19 @@ def make_ring(
     """
     size = (int(image_size[0]), int(image_size[1]))
     return ring_rig(num_cameras, radius, size, math.radians(field_of_view_deg), projection)
+
+
+def make_panorama_ring(
+    num_cameras: int = 4, radius: float = 0.2, image_size: Sequence[int] = (256, 512)
+) -> CameraRig:
+    """Cameras that see all around, posed as those of ``make_ring``: their images are equirectangular panoramas.
+
+    Examples:
+        >>> make_panorama_ring(2, radius=0.1)
+        CameraRig(cam1, cam2: 2 x EquirectangularCamera, radius 0.100 m)
+    """
+    camera = EquirectangularCamera((int(image_size[0]), int(image_size[1])))
+    return CameraRig([camera] * num_cameras, ring_rig(num_cameras, radius).world_from_camera)
 
 
 def rig_from_file(

@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.equirectangular import EquirectangularCamera
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import bilinear_sample
 
@@ -108,5 +109,6 @@ def _in_order(rig: CameraRig, images: Mapping[str, Tensor] | Sequence[Tensor]) -
 def _shrinking(camera: Camera, directions: Tensor) -> int:
     """How many pixels in a row lie between neighbouring directions, on average, at least 1."""
     spacing = math.sqrt(4 * math.pi / directions.shape[-2])
-    pixel = 2 * float(camera.max_angle.max()) / min(camera.image_size)
+    around = isinstance(camera, EquirectangularCamera)  # else the image circle fills the shorter side
+    pixel = 2 * float(camera.max_angle.max()) / (camera.image_size[1] if around else min(camera.image_size))
     return max(1, int(spacing / pixel))

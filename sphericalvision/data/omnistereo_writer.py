@@ -1,27 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write a data set in the layout of the omnidirectional stereo sets, for this package's reader and other "
-"people's."""
+"""Write a data set in the layout of the omnidirectional stereo sets, for this package's reader and other people's."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-import cv2
-import numpy as np
 import torch
 import yaml
 
-from sphericalvision.cameras import CameraRig, OCamCamera
+from sphericalvision.cameras import (
+    CameraRig,
+    EquirectangularCamera,
+    OCamCamera,
+    read_rig,
+    save_camera,
+    save_rig,
+)
+from sphericalvision.cameras.calibration.files import write_yaml
+from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.ground_truth import write_ground_truth
 from sphericalvision.data.image_io import whole_file, write_image
 from sphericalvision.data.ocam_fit import ocam_from_camera
-from sphericalvision.data.omnistereo_files import RELEASES, Release, check_scale, index_frames
+from sphericalvision.data.omnistereo_files import RELEASES, Release, check_scale, index_frames, read_min_depth
+from sphericalvision.icosphere import Icosphere
 
 __all__ = ["write_omnistereo"]
+
+_SAME_PIXEL = 0.1  # pixels; fits of one lens made by different machines differ by less
 
 
 def write_omnistereo(
@@ -35,8 +44,9 @@ def write_omnistereo(
 
     Lengths are written as they are: a scene of one's own has one scale, and both releases of it the same.
     Images lose half a grey level, the PNG release's inverse depth half of 1 / (65500 * min_depth) 1/m, the
-    TIFF release's nothing. Cameras that are no ``OCamCamera`` are written as OCam fits (within 0.1 px).
-    Masks are part of the TIFF release only. Files of the same name are replaced.
+    TIFF release's nothing. Cameras that are no ``OCamCamera`` are written as OCam fits (within 0.1 px); rigs with
+    panoramas, which have none, as this package's own YAML, in the TIFF release. Masks are part of the TIFF release
+    only. Files of the same name are replaced.
 
     Args:
         root: folder, made if need be; it must not hold the other release.
@@ -52,8 +62,8 @@ def write_omnistereo(
         Names of the frames written, five digits each.
 
     Raises:
-        ArgumentError: ``root`` holds the other release or frames of another rig, or a frame has other cameras than the
-            rig, or is no number.
+        ArgumentError: ``root`` holds the other release or frames of another rig, a frame has other cameras than the
+            rig or is no number, or the PNG release cannot hold the cameras.
         FileFormatError: ``min_depth`` and the rig are a mixture of the published scales, which no reader
             may accept.
     """
@@ -67,12 +77,11 @@ def write_omnistereo(
                 f"root: {root} holds a {other.name.upper()} release; write into another folder"
             )
     check_scale(root, layout, min_depth, float(rig.radius))
-    ocams = [ocam_from_camera(camera) for camera in rig.cameras.values()]
-    _refuse_other_calibration(root, layout, _calibration(root, layout, rig, ocams, min_depth))
-    _write_masks(root, layout, rig)
-    _write_calibration(root, _calibration(root, layout, rig, ocams, min_depth))
+    stored = _stored_rig(rig, layout)
+    _refuse_other_calibration(root, layout, stored, min_depth)
+    _write_calibration(root, _calibration(root, layout, stored, min_depth))
     written = [_write_frame(root, layout, rig, sample, min_depth) for sample in frames]
-    _write_calibration(root, _calibration(root, layout, rig, ocams, min_depth))  # now it knows the last frame
+    _write_calibration(root, _calibration(root, layout, stored, min_depth))  # now it knows the last frame
     return [f"{frame:05d}" for frame in written]
 
 
@@ -99,111 +108,102 @@ def _write_frame(
     return frame
 
 
-def _calibration(
-    root: Path, layout: Release, rig: CameraRig, ocams: list[OCamCamera], min_depth: float
-) -> dict[str, str]:
-    """Names and contents of the calibration files; config.yaml names the range of the frames in ``root``."""
-    poses = [_pose_numbers(pose) for pose in rig.world_from_camera.detach().to("cpu", torch.float64).numpy()]
-    if layout.name == "png":
-        in_cm = [[*pose[:3], *(100 * value for value in pose[3:])] for pose in poses]
-        files = {f"ocam{number}.txt": _ocam_text(ocam) for number, ocam in enumerate(ocams, start=1)}
-        return {**files, layout.calibration: "".join(_line(pose) for pose in in_cm)}
+def _stored_rig(rig: CameraRig, layout: Release) -> CameraRig:
+    """The rig as its files can hold it: cameras cam1, cam2, ..., all of them OCam or any.
+
+    Raises:
+        ArgumentError: cameras that no OCam model describes, which only config.yaml can hold.
+    """
+    masks = {f"cam{k}": rig.masks[name] for k, name in enumerate(rig.names, start=1) if name in rig.masks}
+    poses = rig.world_from_camera.detach().cpu().double()
+    if any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values()):
+        if layout.name == "png":
+            raise ArgumentError(
+                "release: panoramas have no OCam model, which ocam*.txt would hold; write release='tiff', whose "
+                "config.yaml holds any camera"
+            )
+        return CameraRig(list(rig.cameras.values()), poses, masks)
+    fitted = {id(camera): ocam_from_camera(camera) for camera in rig.cameras.values()}
+    return CameraRig([fitted[id(camera)] for camera in rig.cameras.values()], poses, masks)
+
+
+def _calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) -> dict[str, bytes]:
+    """Names and contents of the calibration files and masks; config.yaml names the range of the frames in ``root``."""
+    with TemporaryDirectory() as folder:
+        if layout.name == "png":
+            _write_ocam_files(Path(folder), layout, rig)
+        else:
+            config = Path(folder) / layout.calibration
+            ocam = all(isinstance(camera, OCamCamera) for camera in rig.cameras.values())
+            save_rig(rig, config, format="omnimvs" if ocam else "native")
+            write_yaml(
+                config, {**_description(root, layout, min_depth), **yaml.safe_load(config.read_text())}
+            )
+        return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+
+
+def _write_ocam_files(folder: Path, layout: Release, rig: CameraRig) -> None:
+    """``ocam1.txt``, ... and the poses in cm: axis-angle in radians and translation, camera to rig."""
+    lines = []
+    for number, (camera, pose) in enumerate(zip(rig.cameras.values(), rig.world_from_camera, strict=True), 1):
+        save_camera(camera, folder / f"ocam{number}.txt", format="ocamcalib")
+        numbers = [*axis_angle_from_rotation(pose[:3, :3]), *(100 * pose[:3, 3]).tolist()]
+        lines.append(" ".join(f"{value:.17g}" for value in numbers) + "\n")
+    (folder / layout.calibration).write_text("".join(lines))
+
+
+def _description(root: Path, layout: Release, min_depth: float) -> dict[str, Any]:
+    """What config.yaml says beside the cameras."""
     dataset: dict[str, Any] = {"img_fmt": "cam%d/%05d.png"}
     frames = _frames_in(root, layout)
     if frames:
         dataset.update(start=min(frames), step=1, end=max(frames))
-    config = {
-        "config": {"omnimvs_sweep_min_depth": float(min_depth)},
-        "dataset": dataset,
-        "cameras": [
-            _ocam_entry(number, *pair) for number, pair in enumerate(zip(ocams, poses, strict=True), start=1)
-        ],
-    }
-    return {layout.calibration: yaml.safe_dump(config, sort_keys=False, default_flow_style=None)}
+    return {"config": {"omnimvs_sweep_min_depth": float(min_depth)}, "dataset": dataset}
 
 
-def _write_calibration(root: Path, files: dict[str, str]) -> None:
-    for name, text in files.items():
+def _write_calibration(root: Path, files: Mapping[str, bytes]) -> None:
+    for name, content in files.items():
         with whole_file(root / name) as temporary:
-            temporary.write_text(text)
+            temporary.write_bytes(content)
 
 
-def _write_masks(root: Path, layout: Release, rig: CameraRig) -> None:
-    """In these sets a mask marks what must not be used; only config.yaml can refer to one."""
-    for number, name in enumerate(rig.names, start=1):
-        if layout.name == "tiff" and name in rig.masks:
-            write_image(root / f"mask{number}.png", (~rig.masks[name]).to(torch.float32)[None])
-
-
-def _refuse_other_calibration(root: Path, layout: Release, files: dict[str, str]) -> None:
+def _refuse_other_calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) -> None:
     """More frames may be added to a set, but not frames of another rig."""
-    if not _frames_in(root, layout):
+    path = root / layout.calibration
+    if not path.is_file() or not _frames_in(root, layout):
         return
-    for name, text in files.items():
-        path = root / name
-        if path.is_file() and _without_range(path.read_text()) != _without_range(text):
-            raise ArgumentError(
-                f"root: {root} holds frames whose {name} differs from the rig or min_depth given; to add frames use "
-                f"the same, else write into another folder"
-            )
+    in_cm = "cm" if layout.name == "png" else None
+    there = read_rig(path, translation_unit=in_cm, dtype=torch.float64)
+    its_depth = read_min_depth(path) if layout.name == "tiff" else None
+    if not _alike(there, rig, layout) or its_depth not in (None, float(min_depth)):
+        raise ArgumentError(
+            f"root: {root} holds frames whose {layout.calibration} differs from the rig or min_depth given; to add "
+            "frames use the same, else write into another folder"
+        )
+
+
+def _alike(first: CameraRig, second: CameraRig, layout: Release) -> bool:
+    """Whether two rigs have the same names and poses, see the same in the same pixels, and have equal masks."""
+    sizes = [[camera.image_size for camera in rig.cameras.values()] for rig in (first, second)]
+    if first.names != second.names or sizes[0] != sizes[1]:
+        return False
+    if not torch.allclose(first.world_from_camera, second.world_from_camera, rtol=0, atol=1e-6):
+        return False
+    rays = Icosphere(3, torch.float64).vertices
+    for name in first.names:
+        (pixels, seen), (others, also) = (rig.cameras[name].project(rays) for rig in (first, second))
+        if layout.name == "tiff" and bool((seen != also).any()):  # ocam*.txt does not tell the field of view
+            return False
+        if bool(((pixels - others)[seen & also].abs() > _SAME_PIXEL).any()):
+            return False
+    masks = [{name: rig.masks.get(name) for name in rig.names} for rig in (first, second)]
+    same = (
+        a is b or (a is not None and b is not None and torch.equal(a, b))
+        for a, b in zip(*(m.values() for m in masks), strict=True)
+    )
+    return layout.name == "png" or all(same)
 
 
 def _frames_in(root: Path, layout: Release) -> list[int]:
     folder = root / layout.ground_truth_folder
     return list(index_frames(folder, "ground truth", (layout.suffix,))) if folder.is_dir() else []
-
-
-def _without_range(text: str) -> str:
-    return "\n".join(line for line in text.splitlines() if not line.startswith("dataset: "))
-
-
-def _pose_numbers(world_from_camera: np.ndarray) -> list[float]:
-    """Axis-angle in radians and translation in metres, camera to rig."""
-    rotation_vector, _ = cv2.Rodrigues(world_from_camera[:3, :3])
-    return [*map(float, rotation_vector.ravel()), *map(float, world_from_camera[:3, 3])]
-
-
-def _ocam_numbers(ocam: OCamCamera) -> dict[str, list[float]]:
-    """Coefficients as the files have them; the centre turns from (u, v) to (row, column)."""
-    assert ocam.inverse_polynomial is not None
-    u, v = ocam.principal_point.tolist()
-    return {
-        "poly": ocam.polynomial.tolist(),
-        "inv_poly": ocam.inverse_polynomial.tolist(),
-        "center": [v, u],
-        "affine": ocam.affine.tolist(),
-    }
-
-
-def _ocam_text(ocam: OCamCamera) -> str:
-    numbers = _ocam_numbers(ocam)
-    return (
-        "#polynomial coefficients for the DIRECT mapping function (ocam_model.ss in MATLAB)\n\n"
-        f"{len(numbers['poly'])} {_line(numbers['poly'])}\n"
-        "#polynomial coefficients for the inverse mapping function, ascending in the angle from the image "
-        f"plane\n\n{len(numbers['inv_poly'])} {_line(numbers['inv_poly'])}\n"
-        f'#center: "row" and "column", starting from 0 (C convention)\n\n{_line(numbers["center"])}\n'
-        f'#affine parameters "c", "d", "e"\n\n{_line(numbers["affine"])}\n'
-        f'#image size: "height" and "width"\n\n{_line(list(ocam.image_size))}\n'
-    )
-
-
-def _ocam_entry(number: int, ocam: OCamCamera, pose: list[float]) -> dict[str, Any]:
-    numbers = _ocam_numbers(ocam)
-    return {
-        "cam_id": number,
-        "img_dir": f"cam{number}",
-        "model": "ocam",
-        "poly": [len(numbers["poly"]), *numbers["poly"]],
-        "inv_poly": [len(numbers["inv_poly"]), *numbers["inv_poly"]],
-        "center": numbers["center"],
-        "affine": numbers["affine"],
-        "image_size": list(ocam.image_size),
-        "invalid_mask": f"mask{number}.png",
-        "pose": pose,
-        "max_fov": math.degrees(2 * float(ocam.max_angle)),
-    }
-
-
-def _line(values: list[float] | list[int]) -> str:
-    return " ".join(f"{value:.17g}" for value in values) + "\n"

@@ -12,8 +12,9 @@ from sphericalvision.sphere.healpix_pixels import nested_from_ring, ring_from_ne
 from sphericalvision.sphere.padding import CubePad2d, EquirectangularPad2d, cube_pad, equirectangular_pad
 from sphericalvision.sphere.resample import RESAMPLE_MODES, Resample, resample, resample_mask
 from sphericalvision.sphere.seamless import PaddedConv2d, make_circular
-from sphericalvision.sphere.sphere_conv import SphereConv2d, sphere_conv2d, sphere_taps
+from sphericalvision.sphere.sphere_conv import SphereConv2d, sphere_conv2d
 from sphericalvision.sphere.tangent import TangentImages
+from sphericalvision.sphere.tangent_taps import sphere_taps
 
 __all__ = [
     "CUBE_FACES",

@@ -15,6 +15,8 @@ from sphericalvision.sphere import (
     Equirectangular,
     SphereConv2d,
     equirectangular_pad,
+    row_sums,
+    sphere_conv,
     sphere_conv2d,
     sphere_taps,
 )
@@ -133,9 +135,76 @@ def test_weights_are_those_of_a_planar_convolution() -> None:
     assert isinstance(sphere, nn.Conv2d)
 
 
-def test_gradients() -> None:
-    images, weight = random_values(1, 1, 5, 8).requires_grad_(), random_values(2, 1, 3, 3).requires_grad_()
-    assert torch.autograd.gradcheck(sphere_conv2d, (images, weight))
+@pytest.mark.parametrize(("stride", "groups"), [(1, 1), ((2, 4), 1), (2, 2)])
+def test_gradients(stride: int | tuple[int, int], groups: int) -> None:
+    images, bias = random_values(2, 2, 5, 8).requires_grad_(), random_values(4).requires_grad_()
+    weight = random_values(4, 2 // groups, 3, 3).requires_grad_()
+
+    def convolve(*inputs: Tensor) -> Tensor:
+        return sphere_conv2d(*inputs, stride, 1, groups)
+
+    assert torch.autograd.gradcheck(convolve, (images, weight, bias))
+    assert torch.autograd.gradgradcheck(convolve, (images, weight, bias))
+
+
+@pytest.mark.parametrize("stride", [1, 2, (2, 3)])
+@pytest.mark.parametrize("size", [(6, 18), (40, 90), (7, 13)])
+def test_sums_of_rows_are_the_sampled_image(
+    size: tuple[int, int], stride: int | tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The quick way on a CPU, a few rows at a time, gives the numbers and gradients of sampling every tap."""
+    monkeypatch.setattr(row_sums, "CACHE_BYTES", 10_000)
+    images, weight = random_values(2, 4, *size).requires_grad_(), random_values(6, 2, 3, 3).requires_grad_()
+    results = []
+    for quick in (True, False):
+        if not quick:
+            monkeypatch.setattr(sphere_conv, "_in_rows", lambda *_: False)
+        result = sphere_conv2d(images, weight, None, stride, groups=2)
+        gradient = torch.ones_like(result).cumsum(-1).sin()
+        results.append((result, *torch.autograd.grad(result, (images, weight), gradient)))
+    for ours, theirs in zip(*results, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-11)
+
+
+def test_gradients_of_one_input_only() -> None:
+    images, weight = random_values(1, 2, 6, 12), random_values(3, 2, 3, 3)
+    both = torch.autograd.grad(
+        sphere_conv2d(images.requires_grad_(), weight.requires_grad_()).square().sum(), (images, weight)
+    )
+    (alone,) = torch.autograd.grad(sphere_conv2d(images.detach(), weight).square().sum(), weight)
+    torch.testing.assert_close(alone, both[1])
+    (alone,) = torch.autograd.grad(sphere_conv2d(images, weight.detach()).square().sum(), images)
+    torch.testing.assert_close(alone, both[0])
+
+
+def test_function_transforms() -> None:
+    """A gradient for every sample, and an ensemble of weights, by ``torch.func``."""
+    images, weights = random_values(3, 2, 6, 12), random_values(2, 4, 2, 3, 3)
+
+    def loss(image: Tensor, weight: Tensor) -> Tensor:
+        return sphere_conv2d(image[None], weight).square().sum()
+
+    found = torch.func.vmap(torch.func.grad(loss), (0, None))(images, weights[0])
+    for image, gradient in zip(images, found, strict=True):
+        torch.testing.assert_close(gradient, torch.func.grad(loss)(image, weights[0]))
+    ensemble = torch.func.vmap(lambda weight: sphere_conv2d(images, weight))(weights)
+    torch.testing.assert_close(ensemble[1], sphere_conv2d(images, weights[1]))
+
+
+def test_tables_made_in_inference_mode_serve_training() -> None:
+    images, weight = random_values(1, 1, 6, 14), random_values(1, 1, 3, 3).requires_grad_()
+    with torch.inference_mode():
+        sphere_conv2d(images, weight)
+    (gradient,) = torch.autograd.grad(sphere_conv2d(images, weight).sum(), weight, create_graph=True)
+    assert gradient.isfinite().all()
+
+
+def test_mixed_precision() -> None:
+    layer, images = SphereConv2d(2, 3), random_values(1, 2, 6, 12).float()
+    with torch.autocast("cpu", torch.bfloat16):
+        result = layer(images)
+    assert result.dtype == torch.bfloat16
+    torch.testing.assert_close(result.float(), layer(images), rtol=0.02, atol=0.02)
 
 
 def test_errors_name_the_argument() -> None:

@@ -17,7 +17,7 @@ from pytorch_lightning.utilities.exceptions import SIGTERMException
 
 from sphericalvision.data.image_io import write_image
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
-from sphericalvision.viz.panorama import depth_to_color, error_to_color, icosphere_to_panorama
+from sphericalvision.viz.panorama import depth_to_color, error_to_color
 
 __all__ = ["DepthPanels", "PlainProgress", "SaveOnInterrupt", "training_callbacks"]
 
@@ -53,7 +53,7 @@ class DepthPanels(Callback):
         if batch_idx or dataloader_idx or trainer.sanity_checking or not trainer.is_global_zero:
             return
         n = self.num_frames
-        panel = self.panel(pl_module, outputs[:n], pl_module.target(batch)[:n], batch["valid"][:n])
+        panel = self.panel(pl_module, outputs[:n], pl_module.target(batch)[:n], pl_module.valid(batch)[:n])
         write_image(self.folder / f"{trainer.global_step:06d}.png", panel)
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):
@@ -67,12 +67,12 @@ class DepthPanels(Callback):
             truth = truth.where(known, float("nan"))
             error = (index - truth).abs() * (100 / number)
             depths = [
-                1 / icosphere_to_panorama(inverse_depth_from_index(x, number, nearest), self.height)
+                1 / module.panorama(inverse_depth_from_index(x, number, nearest), self.height)
                 for x in (index, truth)
             ]
             farthest = float(depth_from_index(truth.new_zeros(()), number, nearest))
             rows = [depth_to_color(depth.cpu(), nearest, farthest) for depth in depths]
-            rows.append(error_to_color(icosphere_to_panorama(error, self.height).cpu(), self.max_error))
+            rows.append(error_to_color(module.panorama(error, self.height).cpu(), self.max_error))
             columns.append(np.concatenate(rows, axis=0))
         return np.concatenate(columns, axis=1)
 

@@ -13,7 +13,7 @@ from pytorch_lightning.plugins.io import TorchCheckpointIO
 from torch import nn
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
-from sphericalvision.models import IcoSweepNet
+from sphericalvision.models import IcoSweepNet, OmniMVS
 from sphericalvision.models.weights import load_reference_checkpoint, load_weights, pretrained, save_weights
 
 __all__ = ["WeightsBesideCheckpoint", "initialize", "load_network"]
@@ -27,9 +27,14 @@ SHAPED_BY = (
     "feature_channels",
     "volume_channels",
     "feature_coarsening",
+    "in_channels",
+    "num_scales",
     "norm",
 )
 """Hyper-parameters that give parameters their shapes; the others may change after training."""
+
+ARCHITECTURES = {"IcoSweepNet": IcoSweepNet, "OmniMVS": OmniMVS}
+"""Networks by the name that checkpoints hold."""
 
 
 class WeightsBesideCheckpoint(TorchCheckpointIO):
@@ -50,7 +55,7 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
         temporary = path.with_name(f".{path.name}.tmp")
         super().save_checkpoint(checkpoint, temporary, storage_options)
         temporary.replace(path)
-        if not isinstance(self.net, IcoSweepNet):
+        if not isinstance(self.net, IcoSweepNet | OmniMVS):
             return
         weights = path.with_suffix(".safetensors")
         temporary = weights.with_name(f".{weights.stem}.tmp.safetensors")
@@ -65,40 +70,49 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
 
 def load_network(
     checkpoint: str | Path | None = None, level: int | None = None, min_depth: float | None = None
-) -> IcoSweepNet:
-    """Load a network in evaluation mode.
+) -> IcoSweepNet | OmniMVS:
+    """Load a network of either kind in evaluation mode.
 
     Its parameters depend neither on ``level`` nor on ``min_depth``, so both may be replaced.
 
     Args:
         checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or ``.pth`` in the authors' format; the
             network that ships with the package when not given.
-        level: of the images on the icosphere, instead of the level trained at.
+        level: of the images on the icosphere, instead of the level trained at; only ``IcoSweepNet`` has one.
         min_depth: nearest hypothesis in metres, instead of the one trained with.
 
     Raises:
+        ArgumentError: a level for a network on panoramas.
         MissingFileError: no such file.
         FileFormatError: the file holds no network of this package.
     """
     net = _read(checkpoint)
     changes = {"level": level, "min_depth": min_depth}
+    if level is not None and "level" not in net.hyperparameters:
+        raise ArgumentError(
+            f"level: {checkpoint} is {type(net).__name__}, whose images are not on an icosphere; leave it out"
+        )
     wanted = {**net.hyperparameters, **{key: value for key, value in changes.items() if value is not None}}
     if wanted != net.hyperparameters:
         state = net.state_dict()
-        net = IcoSweepNet(**wanted)
+        net = type(net)(**wanted)
         net.load_state_dict(state)
     return net.eval()
 
 
-def initialize(net: IcoSweepNet, weights: str | Path) -> None:
+def initialize(net: IcoSweepNet | OmniMVS, weights: str | Path) -> None:
     """Start ``net`` from the parameters of another checkpoint, trained at any level.
 
     Raises:
-        ArgumentError: the other network has another number of cameras or channels; the message names both.
+        ArgumentError: the other network is of another kind, number of cameras or channels; the message names both.
     """
     other = load_network(weights)
+    if type(other) is not type(net):
+        raise ArgumentError(
+            f"init_weights: {weights} is {type(other).__name__}, the network to train {type(net).__name__}"
+        )
     mine, theirs = net.hyperparameters, other.hyperparameters
-    for key in SHAPED_BY:
+    for key in (key for key in SHAPED_BY if key in mine):
         if mine[key] != theirs[key]:
             raise ArgumentError(
                 f"init_weights: {weights} has {key} = {theirs[key]}, the network to train has {mine[key]}; "
@@ -107,7 +121,7 @@ def initialize(net: IcoSweepNet, weights: str | Path) -> None:
     net.load_state_dict(other.state_dict())
 
 
-def _read(checkpoint: str | Path | None) -> IcoSweepNet:
+def _read(checkpoint: str | Path | None) -> IcoSweepNet | OmniMVS:
     if checkpoint is None:
         return pretrained()
     path = check_file(checkpoint, "a checkpoint (.safetensors, .ckpt, or the authors' format)")
@@ -121,8 +135,9 @@ def _read(checkpoint: str | Path | None) -> IcoSweepNet:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         hyperparameters, state = content["hyper_parameters"], content["state_dict"]
-        names = signature(IcoSweepNet).parameters.keys() & hyperparameters.keys()
-        net = IcoSweepNet(**{name: hyperparameters[name] for name in names})
+        architecture = ARCHITECTURES[content.get("architecture", "IcoSweepNet")]
+        names = signature(architecture).parameters.keys() & hyperparameters.keys()
+        net = architecture(**{name: hyperparameters[name] for name in names})
         net.load_state_dict({key[4:]: value for key, value in state.items() if key.startswith("net.")})
     except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
         raise FileFormatError(

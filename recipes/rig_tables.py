@@ -9,9 +9,12 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.sweep import SphereSweep, SweepTables
+from sphericalvision.sweep import PanoramaSweep, PanoramaTables, SphereSweep, SweepTables
 
 __all__ = ["RigTables"]
+
+BYTES = 1 << 30
+"""How much the tables kept may weigh together; at least one is kept."""
 
 
 class RigTables:
@@ -28,23 +31,37 @@ class RigTables:
         True
     """
 
-    def __init__(self, sweep: SphereSweep, capacity: int = 16) -> None:
+    def __init__(self, sweep: SphereSweep | PanoramaSweep, capacity: int = 16) -> None:
         self.sweep, self.capacity = sweep, capacity
-        self._tables: OrderedDict[tuple[bytes | str, ...], SweepTables] = OrderedDict()
+        self._tables: OrderedDict[tuple[object, ...], SweepTables | PanoramaTables] = OrderedDict()
 
-    def of(self, rig: CameraRig) -> SweepTables:
-        """Return what ``sweep.tables(rig)`` returns, made only once for equal poses and fields of view."""
-        device = str(self.sweep.directions.device)
-        key = (device, _bytes(rig.world_from_camera), _bytes(torch.as_tensor(rig.max_angles)))
+    def of(self, rig: CameraRig) -> SweepTables | PanoramaTables:
+        """Return what ``sweep.tables(rig)`` returns, made only once for equal cameras and poses."""
+        key = (str(self.sweep.directions.device), *_parameters(rig))
         if key not in self._tables:
             with torch.no_grad():
                 self._tables[key] = self.sweep.tables(rig)
         self._tables.move_to_end(key)
-        while len(self._tables) > self.capacity:
+        while len(self._tables) > self.capacity or (len(self._tables) > 1 and self._weight() > BYTES):
             self._tables.popitem(last=False)
         return self._tables[key]
 
+    def _weight(self) -> int:
+        return sum(
+            part.nbytes for tables in self._tables.values() for part in tables if isinstance(part, Tensor)
+        )
 
-def _bytes(values: Tensor) -> bytes:
-    """Poses that differ by rounding alone are one pose."""
-    return (values.detach().cpu().double() * 1e6).round().long().numpy().tobytes()
+
+def _parameters(rig: CameraRig) -> list[object]:
+    """All that tables may depend on. Poses that differ by rounding alone are one pose."""
+    poses = (rig.world_from_camera.detach().cpu().double() * 1e6).round().long()
+    key: list[object] = [poses.numpy().tobytes()]
+    for name, camera in rig.cameras.items():
+        options = [getattr(camera, option) for option in camera.option_names]
+        key.append(repr((name, camera.model, camera.image_size, options)))
+        for parameter in (*camera.intrinsic_names, "max_angle"):
+            value = getattr(camera, parameter)
+            key.append(None if value is None else value.detach().cpu().numpy().tobytes())
+        if name in rig.masks:
+            key.append(rig.masks[name].cpu().numpy().tobytes())
+    return key

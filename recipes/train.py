@@ -23,8 +23,8 @@ from sphericalvision.recipes.checkpoints import WeightsBesideCheckpoint
 from sphericalvision.recipes.cli import build, command, output_folder, print_config
 from sphericalvision.recipes.datamodules import SampleDataModule
 from sphericalvision.recipes.evaluation import Row, print_rows, save_rows
+from sphericalvision.recipes.lit_base import IndexModule
 from sphericalvision.recipes.lit_classification import ClassificationModule
-from sphericalvision.recipes.lit_depth import DepthModule
 from sphericalvision.recipes.next_steps import evaluate_command, resume_command
 
 __all__ = ["Run", "instantiate_run", "main", "train"]
@@ -33,7 +33,7 @@ __all__ = ["Run", "instantiate_run", "main", "train"]
 class Run(NamedTuple):
     """The objects of a training run."""
 
-    module: DepthModule | ClassificationModule
+    module: IndexModule | ClassificationModule
     data: SampleDataModule
     trainer: pl.Trainer
 
@@ -43,7 +43,7 @@ def instantiate_run(config: DictConfig, folder: Path) -> Run:
     pl.seed_everything(config.seed, workers=True, verbose=False)
     module = build(config.model, **config.optimizer, seed=config.seed)
     data = build(config.data)
-    panel_frames = config.panel_frames if isinstance(module, DepthModule) else 0
+    panel_frames = config.panel_frames if isinstance(module, IndexModule) else 0
     trainer = build(
         config.trainer,
         default_root_dir=str(folder),
@@ -68,7 +68,7 @@ def resume_path(resume: str | None, folder: Path) -> Path | None:
     return check_file(resume, "a Lightning checkpoint to resume from, such as checkpoints/last.ckpt")
 
 
-def check_resume(path: Path | None, module: DepthModule | ClassificationModule) -> None:
+def check_resume(path: Path | None, module: IndexModule | ClassificationModule) -> None:
     """Refuse to resume a network of another shape or scale; its step count would mean nothing here.
 
     Raises:
@@ -76,7 +76,12 @@ def check_resume(path: Path | None, module: DepthModule | ClassificationModule) 
     """
     if path is None:
         return
-    stored = module.stored_network(path).hyperparameters
+    network = module.stored_network(path)
+    if type(network) is not type(module.net):
+        raise ArgumentError(
+            f"resume: {path} is a training of {type(network).__name__}, this run trains {type(module.net).__name__}"
+        )
+    stored = network.hyperparameters
     for key, value in module.net.hyperparameters.items():
         if stored[key] != value:
             raise ArgumentError(
@@ -120,13 +125,13 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
     if trainer.is_global_zero:
         print(f"\nResults are in {folder}")
         print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")
-        if isinstance(module, DepthModule):
+        if isinstance(module, IndexModule):
             print(f"Evaluate: {evaluate_command(best, config)}")
     return values
 
 
 def logged_values(
-    trainer: pl.Trainer, module: DepthModule | ClassificationModule, split: str
+    trainer: pl.Trainer, module: IndexModule | ClassificationModule, split: str
 ) -> dict[str, float]:
     """The metrics of the last validation ("val") or test ("test"), by name."""
     keys = {name: f"{split}/{name.replace('>', 'over_')}" for name in module.metric_names}

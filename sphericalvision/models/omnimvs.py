@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -55,16 +54,16 @@ class OmniMVS(nn.Module):
         min_depth: radius of the smallest sphere in metres.
         feature_channels: channels of a camera's features; all other widths are proportional.
         num_cameras: number of cameras of the rigs.
-        output_size: (height, width) of the panorama.
-        max_latitude: of the panorama's upper edge in radians; pi / 2 is the whole sphere.
+        output_size: (height, width) of the panorama: the whole sphere if the width is twice the height, else the
+            latitudes near the horizon; within 45° for a width four times the height, as in the paper.
         in_channels: 1 for grey images, as in the paper (colours are turned to grey), or 3.
         norm: ``"batch"``, as in the paper, or ``"instance"``, the statistics of each sample alone: for training with
             batches of one or two.
         aggregation: ``"concatenation"`` of the cameras' features, as in the paper, or ``"variance"``: mean and
             variance over the cameras that see a point, for any number of cameras in any order.
         circular: whether convolutions on the panorama continue at the other edge; the paper pads with zeros.
-        num_scales: how often the encoder halves the volume; 4 in the paper. Height and width are multiples of
-            ``2 ** (num_scales + 1)``.
+        num_scales: how often the encoder halves the volume; 4 in the paper. The panorama's width is a multiple of
+            ``2 ** (num_scales + 1)``, its height is even.
 
     Raises:
         ArgumentError: if sizes or channels are not positive or the encoder cannot halve them.
@@ -89,7 +88,6 @@ class OmniMVS(nn.Module):
         feature_channels: int = 32,
         num_cameras: int = 4,
         output_size: Sequence[int] = (160, 640),
-        max_latitude: float = math.pi / 4,
         in_channels: int = 1,
         norm: str = "batch",
         aggregation: str = "concatenation",
@@ -114,7 +112,7 @@ class OmniMVS(nn.Module):
         self.circular, self.num_scales = circular, num_scales
         self.recompute = False
         self.features = FisheyeFeatures(feature_channels, in_channels, norm)
-        self.sweep = PanoramaSweep(size, num_hypotheses, min_depth, max_latitude)
+        self.sweep = PanoramaSweep(size, num_hypotheses, min_depth)
         self.transference = SphereConv(feature_channels, feature_channels, circular)
         self.hourglass = CostHourglass(
             aggregated_channels(aggregation, feature_channels, num_cameras),
@@ -153,7 +151,6 @@ class OmniMVS(nn.Module):
             "feature_channels": self.feature_channels,
             "num_cameras": self.num_cameras,
             "output_size": list(self.grid.shape),
-            "max_latitude": self.grid.max_latitude,
             "in_channels": self.in_channels,
             "norm": self.norm,
             "aggregation": self.aggregation,
@@ -268,12 +265,17 @@ class OmniMVS(nn.Module):
 
 
 def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int]:
-    """Height and width, if the encoder can halve them as often as it does."""
+    """Height and width, if the encoder can halve them as often as it does.
+
+    All columns of a scale have to be equally wide, or the last one and the first would not be neighbours. A last row
+    may be cut.
+    """
     multiple = 2 ** (num_scales + 1)
     sizes = tuple(output_size)
-    if len(sizes) != 2 or any(not isinstance(s, int) or s < multiple or s % multiple for s in sizes):
+    whole = len(sizes) == 2 and all(isinstance(size, int) and size > 0 for size in sizes)
+    if not whole or sizes[0] % 2 or sizes[1] % multiple:
         raise ArgumentError(
-            f"output_size: expected height and width in multiples of {multiple} = 2 ** (num_scales + 1), "
+            f"output_size: expected an even height and a width in multiples of {multiple} = 2 ** (num_scales + 1), "
             f"got {list(sizes)}; choose other sizes or another num_scales"
         )
     return sizes[0], sizes[1]

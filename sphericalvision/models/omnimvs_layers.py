@@ -19,8 +19,8 @@ def norm_layer(norm: str, channels: int, dims: int) -> nn.Module:
     """Return the normalisation of ``channels`` channels over ``dims`` dimensions, with scale and offset.
 
     Examples:
-        >>> norm_layer("instance", 8, 3)(torch.ones(1, 8, 1, 1, 1)).shape  # also of a single value
-        torch.Size([1, 8, 1, 1, 1])
+        >>> norm_layer("instance", 8, 3)(torch.ones(1, 8, 2, 4, 4)).shape
+        torch.Size([1, 8, 2, 4, 4])
     """
     check_choice("norm", norm, NORMS)
     if norm == "instance":

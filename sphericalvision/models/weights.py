@@ -7,7 +7,7 @@ import json
 import pickle
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
 from sphericalvision.models.icosweepnet import IcoSweepNet
+from sphericalvision.models.omnimvs import OmniMVS
 
 __all__ = [
     "available_weights",
@@ -26,7 +27,13 @@ __all__ = [
     "state_dict_from_reference",
 ]
 
-_FORMAT = "sphericalvision-icosweepnet"
+_ARCHITECTURES: dict[str, type[IcoSweepNet] | type[OmniMVS]] = {
+    "sphericalvision-icosweepnet": IcoSweepNet,
+    "sphericalvision-omnimvs": OmniMVS,
+}
+"""By what a file says of itself."""
+AnyNetwork = TypeVar("AnyNetwork", bound=IcoSweepNet | OmniMVS)
+
 _CHECKPOINTS = Path(__file__).parent / "checkpoints"
 
 # Module names of the authors' release and ours; index tables (w1_index, w2_index) are not weights.
@@ -53,8 +60,8 @@ _REFERENCE_PREFIXES = {
 }
 
 
-def save_weights(net: IcoSweepNet, path: str | Path) -> Path:
-    """Write the weights and hyper-parameters of a network to a ``.safetensors`` file, folders included.
+def save_weights(net: IcoSweepNet | OmniMVS, path: str | Path) -> Path:
+    """Write the weights, hyper-parameters and kind of a network to a ``.safetensors`` file, folders included.
 
     Raises:
         ArgumentError: if the name does not end in ``.safetensors``.
@@ -64,15 +71,16 @@ def save_weights(net: IcoSweepNet, path: str | Path) -> Path:
         raise ArgumentError(f"path: expected a name ending in .safetensors, got {path.name!r}")
     path.parent.mkdir(parents=True, exist_ok=True)
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
-    metadata = {"format": _FORMAT, "hyperparameters": json.dumps(net.hyperparameters)}
+    (kind,) = (name for name, architecture in _ARCHITECTURES.items() if isinstance(net, architecture))
+    metadata = {"format": kind, "hyperparameters": json.dumps(net.hyperparameters)}
     partial = path.with_name(path.name + ".partial")
     save_file(state, partial, metadata)
     partial.replace(path)
     return path
 
 
-def load_weights(path: str | Path) -> IcoSweepNet:
-    """Return the network that ``save_weights`` wrote, on the CPU and in eval mode.
+def load_weights(path: str | Path) -> IcoSweepNet | OmniMVS:
+    """Return the network, of either kind, that ``save_weights`` wrote, on the CPU and in eval mode.
 
     Raises:
         MissingFileError: if there is no such file.
@@ -88,13 +96,14 @@ def load_weights(path: str | Path) -> IcoSweepNet:
             f"{path}: not a readable safetensors file ({error}); for a checkpoint of the authors' release "
             "use load_reference_checkpoint"
         ) from error
-    if metadata.get("format") != _FORMAT or "hyperparameters" not in metadata:
+    architecture = _ARCHITECTURES.get(metadata.get("format", ""))
+    if architecture is None or "hyperparameters" not in metadata:
         raise FileFormatError(
-            f"{path}: no hyper-parameters of an IcoSweepNet inside (metadata 'format' is "
-            f"{metadata.get('format')!r}, expected {_FORMAT!r}); write weights with save_weights"
+            f"{path}: no hyper-parameters of a network inside (metadata 'format' is {metadata.get('format')!r}, "
+            f"expected {' or '.join(map(repr, _ARCHITECTURES))}); write weights with save_weights"
         )
     try:
-        net = IcoSweepNet(**json.loads(metadata["hyperparameters"]))
+        net = architecture(**json.loads(metadata["hyperparameters"]))
     except (TypeError, ValueError) as error:
         raise FileFormatError(
             f"{path}: cannot build the network from metadata 'hyperparameters' = "
@@ -204,7 +213,7 @@ def available_weights() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _CHECKPOINTS.glob("*.safetensors")))
 
 
-def pretrained(name: str = "icosweepnet-small") -> IcoSweepNet:
+def pretrained(name: str = "icosweepnet-small") -> IcoSweepNet | OmniMVS:
     """Return a trained network that ships with the package, on the CPU and in eval mode.
 
     Its model card, ``checkpoints/<name>.md`` beside this file, tells how it was trained and how well it does.
@@ -216,7 +225,7 @@ def pretrained(name: str = "icosweepnet-small") -> IcoSweepNet:
     return load_weights(_CHECKPOINTS / f"{name}.safetensors")
 
 
-def _filled(net: IcoSweepNet, state: Mapping[str, Tensor], source: Path) -> IcoSweepNet:
+def _filled(net: AnyNetwork, state: Mapping[str, Tensor], source: Path) -> AnyNetwork:
     """Return ``net`` with the weights ``state``, or raise an error that names the first misfits."""
     expected = net.state_dict()
     problems = [f"'{name}' is missing" for name in expected if name not in state]
@@ -229,7 +238,7 @@ def _filled(net: IcoSweepNet, state: Mapping[str, Tensor], source: Path) -> IcoS
     if problems:
         more = f" and {len(problems) - 3} more" if len(problems) > 3 else ""
         raise FileFormatError(
-            f"{source}: the weights do not fit an IcoSweepNet with {net.extra_repr()}: "
+            f"{source}: the weights do not fit {type(net).__name__} with {net.extra_repr()}: "
             f"{'; '.join(problems[:3])}{more}"
         )
     net.load_state_dict(dict(state))

@@ -21,23 +21,23 @@ __all__ = ["EquirectangularBand"]
 
 
 class EquirectangularBand(nn.Module):
-    """The rows of an equirectangular panorama within ``max_latitude`` of the horizon, or all of them.
+    """The rows of a panorama of square pixels that are nearest to the horizon, or all of them.
 
     Convention:
-        That of ``Equirectangular``, which it is for ``max_latitude = pi / 2``: forward (+z) is the middle, longitude
-        grows to the right. Pixel centre j of height H has latitude max_latitude · (1 - (2j + 1) / H).
+        That of ``Equirectangular``, which it is for width = 2 · height: forward (+z) is the middle, longitude grows to
+        the right. The upper edge has latitude ``max_latitude`` = π · H / W, and pixel centre j the latitude
+        max_latitude · (1 - (2j + 1) / H).
 
     Args:
-        height: number of rows, over twice ``max_latitude``.
+        height: number of rows, at most half of the width.
         width: number of columns, over 360° of longitude.
-        max_latitude: of the upper edge in radians.
         dtype: of the directions; the default dtype of torch when not given.
 
     Raises:
-        ArgumentError: if a size is not a positive integer, or the latitude not in (0, pi / 2].
+        ArgumentError: if a size is not a positive integer, or there are rows beyond the poles.
 
     Examples:
-        >>> band = EquirectangularBand(160, 640, math.pi / 4)  # square pixels
+        >>> band = EquirectangularBand(160, 640)
         >>> band
         EquirectangularBand(height=160, width=640, latitudes within 45.0°)
         >>> round(band.solid_angles.sum().item() / (4 * math.pi), 3)  # of the sphere
@@ -47,18 +47,23 @@ class EquirectangularBand(nn.Module):
     directions: Tensor
 
     def __init__(
-        self, height: int, width: int, max_latitude: float = math.pi / 2, dtype: torch.dtype | None = None
+        self,
+        height: int,
+        width: int,
+        dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
         check_positive(height=height, width=width)
-        if not 0 < max_latitude <= math.pi / 2 + 1e-6:
-            raise ArgumentError(f"max_latitude: expected radians in (0, pi / 2], got {max_latitude!r}")
+        if 2 * height > width:
+            raise ArgumentError(
+                f"height, width: expected a height of at most half the width (pixels are square, and columns go "
+                f"once around), got {height} and {width}"
+            )
         self.height, self.width = height, width
-        self.max_latitude = min(float(max_latitude), math.pi / 2)
         column = torch.arange(width, dtype=torch.float64)
         row = torch.arange(height, dtype=torch.float64)
         longitude = (2 * column + 1 - width) * (math.pi / width)
-        latitude = (height - 1 - 2 * row) * (self.max_latitude / height)
+        latitude = (height - 1 - 2 * row) * (math.pi / width)
         directions = directions_from_longitude_latitude(longitude, latitude[:, None])
         self.register_buffer(
             "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
@@ -70,9 +75,14 @@ class EquirectangularBand(nn.Module):
         return (self.height, self.width)
 
     @property
+    def max_latitude(self) -> float:
+        """Latitude of the upper edge in radians."""
+        return math.pi * self.height / self.width
+
+    @property
     def whole_sphere(self) -> bool:
         """Whether the panorama reaches up to the poles."""
-        return self.max_latitude >= math.pi / 2 - 1e-6
+        return 2 * self.height == self.width
 
     @property
     def solid_angles(self) -> Tensor:
@@ -86,7 +96,7 @@ class EquirectangularBand(nn.Module):
         """Return the pixel coordinates (u, v) ``(*, 2)`` of directions ``(*, 3)``; integers are pixel centres."""
         longitude, latitude = longitude_latitude_from_directions(directions)
         u = longitude * (self.width / (2 * math.pi)) + (self.width - 1) / 2
-        v = (self.height - 1) / 2 - latitude * (self.height / (2 * self.max_latitude))
+        v = (self.height - 1) / 2 - latitude * (self.width / (2 * math.pi))
         return torch.stack((u, v), -1)
 
     def contains(self, directions: Tensor) -> Tensor:
@@ -122,16 +132,15 @@ class EquirectangularBand(nn.Module):
             ShapeError: if the panorama's pixels are not those of the band.
 
         Examples:
-            >>> EquirectangularBand(2, 8, math.pi / 4).rows_of(torch.arange(4)[:, None].expand(4, 8))[:, 0]
+            >>> EquirectangularBand(2, 8).rows_of(torch.arange(4)[:, None].expand(4, 8))[:, 0]
             tensor([1, 2])
         """
         height, width = panorama.shape[-2:]
-        if (height, width) == self.shape:
-            return panorama
-        whole = self.height * (math.pi / 2) / self.max_latitude
-        first = (height - self.height) // 2
-        if width != self.width or abs(whole - height) > 1e-6 * height or 2 * first != height - self.height:
-            larger = "" if self.whole_sphere else f" or ({whole:g}, {self.width}) for the whole sphere"
+        first, odd = divmod(height - self.height, 2)
+        if width != self.width or (height != self.height and 2 * height != width) or odd:
+            larger = (
+                "" if self.whole_sphere else f" or ({self.width // 2}, {self.width}) for the whole sphere"
+            )
             raise ShapeError(
                 f"panorama: expected height and width {self.shape}{larger}, got {(height, width)}"
             )

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -62,10 +61,9 @@ class PanoramaSweep(nn.Module):
         constant, and out of view zero.
 
     Args:
-        output_size: (height, width) of the panorama.
+        output_size: (height, width) of the panorama, see ``EquirectangularBand``.
         num_hypotheses: N.
         min_depth: radius of the smallest sphere in metres.
-        max_latitude: of the panorama's upper edge in radians.
         stride: pixels of the images between those of the maps.
         every: sweep every second (2) or third (3), ... sphere only, beginning with the farthest.
 
@@ -92,17 +90,16 @@ class PanoramaSweep(nn.Module):
         output_size: tuple[int, int],
         num_hypotheses: int,
         min_depth: float,
-        max_latitude: float = math.pi / 2,
         stride: int = 2,
         every: int = 2,
     ) -> None:
         super().__init__()
         check_hypotheses(num_hypotheses, min_depth)
-        self.grid = EquirectangularBand(*output_size, max_latitude)
+        self.grid = EquirectangularBand(*output_size)
         self.num_hypotheses, self.min_depth = num_hypotheses, min_depth
         self.stride, self.every = stride, every
         # Exact in float64, cast to the dtype of the rig in use.
-        directions = EquirectangularBand(*output_size, max_latitude, torch.float64).directions
+        directions = EquirectangularBand(*output_size, torch.float64).directions
         self.register_buffer("directions", directions.reshape(-1, 3), persistent=False)
         hypotheses = inverse_depth_hypotheses(num_hypotheses, min_depth, torch.float64)[::every]
         self.register_buffer("inverse_depths", hypotheses, persistent=False)

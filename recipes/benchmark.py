@@ -14,19 +14,13 @@ import torch
 from omegaconf import DictConfig
 
 from sphericalvision.core import check_choice
-from sphericalvision.recipes.benchmarking import (
-    Comparison,
-    Measured,
-    machine,
-    measure,
-    print_measured,
-    save_measured,
-)
+from sphericalvision.recipes.bench_tables import machine, print_measured, save_measured
+from sphericalvision.recipes.benchmarking import Comparison, Measured, Peaks, measure
 from sphericalvision.recipes.cli import choose_device, command, console, output_folder
 
 __all__ = ["GROUPS", "benchmark", "main"]
 
-GROUPS = ("machine", "cameras", "convolutions", "network")
+GROUPS = ("machine", "cameras", "convolutions", "network", "data", "variants")
 """Each is a module ``bench_<group>`` with a function ``comparisons(config, device)``."""
 
 
@@ -54,7 +48,7 @@ def benchmark(config: DictConfig, folder: Path) -> list[Measured]:
     for group in config.groups:
         for comparison in comparisons(group, config, device):
             with console.status(comparison.title):
-                measured = measure(comparison, config.seconds, device)
+                measured = measure(comparison, config.seconds, device, peaks=Peaks.of(rows))
             print_measured(measured)
             rows += measured
             written = save_measured(folder, rows, facts)  # after each, so that an interruption loses little

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where errors count, against plain loops and a dense walk along the seams; the official protocol written out."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, ring_rig, seen_by
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import Icosphere, chart_vertex_ids, icosphere_vertices
+from sphericalvision.metrics import (
+    ByRegion,
+    DepthError,
+    DepthIndexError,
+    OmniMVSError,
+    depth_index_error,
+    evaluation_mask,
+    omnimvs_error,
+    seam_mask,
+)
+
+
+def count_by_loops(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor:
+    """Each point and camera by itself; far points at 1e6 m."""
+    counts = torch.zeros(len(directions), dtype=torch.long)
+    for v, (direction, inverse) in enumerate(zip(directions.double(), inverse_depth.tolist(), strict=True)):
+        point = rig.center.double() + direction / max(inverse, 1e-6)
+        for pose, limit in zip(rig.world_from_camera.double(), rig.max_angles.double(), strict=True):
+            ray = point - pose[:3, 3]
+            angle = math.acos(max(-1.0, min(1.0, float(ray @ pose[:3, 2] / ray.norm()))))
+            counts[v] += angle <= limit
+    return counts
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.5])
+def test_cameras_that_see_a_point_are_counted(tilt: float, generator: torch.Generator) -> None:
+    rig = ring_rig(4, image_size=(64, 64)).rotated(tilt=tilt)
+    directions = Icosphere(2).vertices
+    inverse_depth = torch.rand(2, len(directions), generator=generator) / 0.55
+    inverse_depth[0, :40] = 0.0
+    expected = torch.stack([count_by_loops(rig, directions, row) for row in inverse_depth])
+    assert torch.equal(seen_by(rig, directions, inverse_depth), expected)
+    batch = CameraRig.stack([rig, rig.rotated(tilt=0.3)])
+    both = seen_by(batch, directions, inverse_depth)
+    assert torch.equal(both[0], expected[0])
+    assert torch.equal(both[1], count_by_loops(rig.rotated(tilt=0.3), directions, inverse_depth[1]))
+
+
+def test_what_fewer_than_two_see_is_left_out_and_the_share_is_told(generator: torch.Generator) -> None:
+    rig, grid = ring_rig(4).rotated(tilt=math.radians(45)), Icosphere(3)
+    inverse_depth = torch.rand(2, grid.num_vertices, generator=generator)
+    valid = torch.rand(2, grid.num_vertices, generator=generator) > 0.2
+    unknown = torch.where(valid, inverse_depth, torch.nan)
+    mask, left_out = evaluation_mask(rig, grid.vertices, unknown, valid)
+    seen = seen_by(rig, grid.vertices, inverse_depth) >= 2
+    assert torch.equal(mask, seen & valid)
+    for row in range(2):
+        share = sum(v and not s for v, s in zip(valid[row].tolist(), seen[row].tolist(), strict=True))
+        assert left_out[row].item() == pytest.approx(share / valid[row].sum().item())
+    assert not mask[:, 0].any()  # nobody looks up
+    everything = evaluation_mask(ring_rig(4), grid.vertices, inverse_depth)
+    assert everything.mask.all()
+    assert (everything.left_out == 0).all()
+    three = evaluation_mask(rig, grid.vertices, inverse_depth, least_cameras=3)
+    assert not (three.mask & ~seen).any()
+
+
+def test_masks_of_the_rig_count() -> None:
+    rig = ring_rig(2, image_size=(32, 32))
+    blind = CameraRig(rig.cameras, rig.world_from_camera, {"cam2": torch.zeros(32, 32, dtype=torch.bool)})
+    side = torch.tensor([[1.0, 0.0, 0.0]])
+    assert seen_by(rig, side, torch.zeros(1)).tolist() == [2]
+    assert seen_by(blind, side, torch.zeros(1)).tolist() == [1]
+
+
+def seam_points(seams: str) -> Tensor:
+    """Points along the seams, a hundredth of a degree apart on the meridian, vertices of level 9 along the charts."""
+    latitude = torch.linspace(-math.pi / 2, math.pi / 2, 18001, dtype=torch.float64)
+    meridian = torch.stack((torch.zeros_like(latitude), latitude.sin(), -latitude.cos()), -1)
+    ids = chart_vertex_ids(9)
+    border = torch.cat(
+        [ids[:, 0].flatten(), ids[:, -1].flatten(), ids[..., 0].flatten(), ids[..., -1].flatten()]
+    )
+    charts = icosphere_vertices(9, torch.float64)[border]
+    return {"panorama": meridian, "charts": charts, "all": torch.cat((meridian, charts))}[seams]
+
+
+@pytest.mark.parametrize("seams", ["charts", "panorama", "all"])
+@pytest.mark.parametrize("degrees", [2.0, 5.0, 20.0])
+def test_seams_are_where_the_borders_are(seams: str, degrees: float, generator: torch.Generator) -> None:
+    directions = torch.randn(1500, 3, generator=generator, dtype=torch.float64)
+    unit = directions / directions.norm(dim=-1, keepdim=True)
+    nearest = torch.cdist(unit, seam_points(seams), compute_mode="donot_use_mm_for_euclid_dist").amin(1)
+    angle = 2 * (nearest / 2).asin()
+    certain = (angle - math.radians(degrees)).abs() > 1e-3
+    mask = seam_mask(directions, math.radians(degrees), seams)
+    assert torch.equal(mask[certain], (angle < math.radians(degrees))[certain])
+
+
+def test_seams_by_the_share_of_the_sphere() -> None:
+    """A strip of half width a along arcs of length L covers about 2 a L of 4 pi."""
+    grid = Icosphere(6)
+    edge = math.atan(2)  # of the icosahedron, as an angle
+    for seams, length in (("charts", 15 * edge), ("panorama", math.pi)):
+        covered = (seam_mask(grid.vertices, 0.05, seams) * grid.solid_angles).sum()
+        assert covered.item() == pytest.approx(2 * 0.05 * length, rel=0.06)
+
+
+def official_by_loops(pred: Tensor, target: Tensor, min_depth: float, mask: Tensor) -> dict[str, float]:
+    """Rows within 45 degrees, N = 192, index not rounded, 0 <= index <= N; then per image, then over images."""
+    rows = []
+    height = pred.shape[1]
+    for image in range(len(pred)):
+        errors = []
+        for row in range(height):
+            latitude = 90 - (row + 0.5) * 180 / height
+            if abs(latitude) >= 45:
+                continue
+            for p, t, m in torch.stack((pred[image, row], target[image, row], mask[image, row]), -1).tolist():
+                truth = t * 191 * min_depth
+                if m and 0 <= truth <= 192:
+                    errors.append(100 * abs(p * 191 * min_depth - truth) / 192)
+        number = len(errors)
+        above = [100 * sum(e > limit for e in errors) / number for limit in (1, 3, 5)]
+        rows.append([*above, sum(errors) / number, math.sqrt(sum(e * e for e in errors) / number)])
+    means = [sum(column) / len(column) for column in zip(*rows, strict=True)]
+    return dict(zip((">1", ">3", ">5", "MAE", "RMS"), means, strict=True))
+
+
+def test_the_official_protocol_equals_loops(generator: torch.Generator) -> None:
+    target = (
+        torch.rand(3, 16, 32, generator=generator) * 2.0
+    )  # up to 0.5 m: some are nearer than the 0.55 m of N
+    pred = target + 0.05 * torch.randn(3, 16, 32, generator=generator)
+    mask = torch.rand(3, 16, 32, generator=generator) > 0.3
+    metric = OmniMVSError(min_depth=0.55)
+    metric.update(pred[:1], target[:1], mask[:1])
+    metric.update(pred[1:], target[1:], mask[1:])
+    values = {name: value.item() for name, value in metric.compute().items()}
+    assert values == pytest.approx(official_by_loops(pred, target, 0.55, mask), rel=1e-4)
+    band = omnimvs_error(pred[:, 4:12], target[:, 4:12], 0.55, mask[:, 4:12])  # 4:1, as the urban sets
+    torch.testing.assert_close(band, omnimvs_error(pred, target, 0.55, mask))
+
+
+def test_regions_are_masks(generator: torch.Generator) -> None:
+    grid = Icosphere(3)
+    seam = seam_mask(grid.vertices)
+    pred, target = torch.rand(2, 3, grid.num_vertices, generator=generator).unbind()
+    mask = torch.rand(3, grid.num_vertices, generator=generator) > 0.4
+    metric = ByRegion(DepthIndexError(16), {"seam": seam, "elsewhere": ~seam})
+    metric.update(pred[:2], target[:2], mask[:2])
+    metric.update(pred[2:], target[2:], mask[2:], weights=torch.ones(grid.num_vertices))
+    values = metric.compute()
+    for prefix, region in (("", seam | True), ("seam/", seam), ("elsewhere/", ~seam)):
+        alone = depth_index_error(pred, target, 16, mask & region)
+        for name, errors in alone.items():
+            assert values[f"{prefix}{name}"].item() == pytest.approx(errors.mean().item(), rel=1e-5)
+    metric.reset()
+    metric.update(pred, pred)
+    assert all(value == 0 for value in metric.compute().values())
+    depths = ByRegion(DepthError(), {"seam": seam})
+    depths.update(pred + 1, target + 1)
+    assert {"AbsRel", "RMSE", "d<1.25", "seam/AbsRel", "seam/RMSE", "seam/d<1.25"} == set(depths.compute())
+
+
+def test_bad_arguments_are_named() -> None:
+    rig, up = ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]])
+    with pytest.raises(ShapeError, match=r"inverse_depth: expected \(\*b, 1\)"):
+        seen_by(rig, up, torch.zeros(2))
+    with pytest.raises(ArgumentError, match="0 or more, got -1"):
+        seen_by(rig, up, -torch.ones(1))
+    with pytest.raises(ArgumentError, match="least_cameras"):
+        evaluation_mask(rig, up, torch.zeros(1, 1), least_cameras=0)
+    with pytest.raises(ShapeError, match="inverse_depth"):
+        evaluation_mask(rig, up, torch.zeros(1))
+    with pytest.raises(ShapeError, match="valid"):
+        evaluation_mask(rig, up, torch.zeros(1, 1), torch.ones(2, 1))
+    with pytest.raises(ArgumentError, match="angle"):
+        seam_mask(up, 0.0)
+    with pytest.raises(ArgumentError, match="'charts', 'panorama', got 'cube'"):
+        seam_mask(up, seams="cube")
+    with pytest.raises(ShapeError, match="w = 4h"):
+        omnimvs_error(torch.zeros(1, 8, 24), torch.zeros(1, 8, 24))
+    with pytest.raises(ShapeError, match="target"):
+        omnimvs_error(torch.zeros(1, 8, 16), torch.zeros(1, 8))
+    with pytest.raises(ArgumentError, match="min_depth"):
+        OmniMVSError(min_depth=0.0)
+    with pytest.raises(ArgumentError, match="every pixel of the band"):
+        OmniMVSError().update(torch.zeros(1, 8, 16), torch.zeros(1, 8, 16), weights=torch.ones(128))
+    with pytest.raises(ArgumentError, match="regions"):
+        ByRegion(DepthIndexError(8), {})
+    with pytest.raises(ShapeError, match="region 'seam'"):
+        ByRegion(DepthIndexError(8), {"seam": torch.ones(3)}).update(torch.zeros(1, 4), torch.zeros(1, 4))

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""360° cameras in every command by one word, and the data that serve networks on spheres and on panoramas."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+
+from sphericalvision.cameras import EquirectangularCamera
+from sphericalvision.data import OmniStereoDataset, collate_samples
+from sphericalvision.recipes.cli import build, name_rigs
+from sphericalvision.recipes.scene_datamodule import FisheyeSceneDataModule
+from tests.recipes.tiny import TINY_SCENES, Run
+
+TINY_PANORAMAS = ("rig=equirect4", "scene_rig.image_size=[16,32]")
+
+
+def test_networks_are_evaluated_on_panoramas(
+    run: Run, tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [word for word in TINY_SCENES if "image_size" not in word]
+    run("evaluate", *TINY_PANORAMAS, *words, f"checkpoint={weights}", "output=table", "device=cpu")
+    assert "make_panorama_ring" in capsys.readouterr().out
+    row = json.loads((tmp_path / "table/metrics.json").read_text())["weights"]
+    assert 0 <= row["MAE"] <= row["RMS"] <= 100
+
+
+def test_networks_are_trained_on_panoramas(run: Run, tmp_path: Path, tiny_training: tuple[str, ...]) -> None:
+    words = [word for word in tiny_training if "image_size" not in word]
+    run("train", *words, *TINY_PANORAMAS, "trainer.max_steps=1", "output=run", "panel_frames=1")
+    assert (tmp_path / "run/checkpoints/last.safetensors").is_file()
+
+
+def test_panoramas_are_rendered_read_and_predicted(run: Run, tmp_path: Path, weights: Path) -> None:
+    root = tmp_path / "set"
+    words = ("num_frames=1", "samples_per_pixel=1", "height=16", f"output={root}")
+    run("render", *TINY_PANORAMAS, *words)
+    sample = OmniStereoDataset(root, split="all")[0]
+    assert all(isinstance(camera, EquirectangularCamera) for camera in sample["rig"].cameras.values())
+    assert sample["images"]["cam4"].shape == (3, 16, 32)
+    images = f"{root}/cam{{camera}}/{{frame:05d}}.png"
+    run(
+        "predict",
+        f"rig={root}/config.yaml",
+        f"images={images}",
+        f"checkpoint={weights}",
+        "output=out",
+        "device=cpu",
+    )
+    assert (tmp_path / "out/00001_depth.npz").is_file()
+    run("render", *TINY_PANORAMAS, *words, "num_frames=2")  # the same rig: frames are added
+    assert OmniStereoDataset(root, split="all").frames == [1, 2]
+
+
+def test_text_files_cannot_hold_panoramas(failing: Callable[..., str]) -> None:
+    assert "release='tiff'" in failing("render", *TINY_PANORAMAS, "release=png", "num_frames=1", "height=16")
+
+
+def test_rigs_are_named_where_scenes_are_rendered_only() -> None:
+    assert name_rigs("train", ["rig=ring", "seed=1"]) == ["scene_rig=ring", "seed=1"]
+    assert name_rigs("render", ["rig=ring,equirect4"]) == ["scene_rig=ring,equirect4"]
+    for command, word in (
+        ("predict", "rig=ring"),
+        ("evaluate", "rig=a/config.yaml"),
+        ("train", "scene_rig=ring"),
+    ):
+        assert name_rigs(command, [word]) == [word]
+
+
+def fisheye_scenes(*words: str) -> FisheyeSceneDataModule:
+    tiny = [word for word in TINY_SCENES if "batch_size" not in word]
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose("train", ["data=fisheye_scenes", "data.cache_dir=null", *tiny, *words])
+    data: FisheyeSceneDataModule = build(config.data)
+    return data
+
+
+def test_one_data_module_serves_both_networks() -> None:
+    sphere = ("model=icosweepnet_small", "model.level=3", "data.entries=[sphere]")
+    panorama = ("model=omnimvs_small", "model.output_size=[10,20]", "data.entries=[fisheye,panorama]")
+    first, second = (fisheye_scenes(*words).dataset("val")[1] for words in (sphere, panorama))
+    assert first["frame"] == second["frame"] == "floating-01000001"
+    assert first["images"].shape == (4, 3, 642)
+    assert set(second) == {"fisheye", "panorama_inverse_depth", "panorama_valid", "rig", "frame"}
+    assert second["fisheye"].shape == (4, 3, 32, 32)
+    assert second["panorama_inverse_depth"].shape == (10, 20)
+
+
+def test_both_kinds_of_samples_are_augmented_alike() -> None:
+    """The same seed turns the world by the same angle, whatever a sample holds."""
+    words = ("model=icosweepnet_small", "model.level=3", "data.panorama_size=[10,20]")
+    poses = []
+    for entries in ("[sphere]", "[fisheye,panorama]", "[sphere,fisheye,panorama]"):
+        data = fisheye_scenes(*words, f"data.entries={entries}").dataset("train")
+        torch.manual_seed(3)
+        batch = collate_samples([data[0], data[1]])
+        poses.append(batch["rig"].world_from_camera)
+    assert torch.equal(poses[0], poses[1])
+    assert torch.equal(poses[0], poses[2])
+    plain = fisheye_scenes(*words).plain_train_dataset()[0]["rig"]
+    assert not torch.equal(poses[0], torch.stack([plain.world_from_camera] * 2))
+
+
+def test_a_panorama_that_cannot_be_turned_is_refused(failing: Callable[..., str]) -> None:
+    words = ("data=fisheye_scenes", "data.panorama_size=[8,16]", "data.cache_dir=null", *TINY_SCENES)
+    message = failing("train", "experiment=quickstart", *words, "trainer.max_steps=1")
+    assert "data.panorama_size" in message
+    assert "data.augment=false" in message

@@ -3,24 +3,20 @@
 
 from __future__ import annotations
 
-import json
-import os
-import platform
 import statistics
-import subprocess
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 
-from sphericalvision.recipes.cli import print_table
-
-__all__ = ["Comparison", "Measured", "machine", "measure", "print_measured", "save_measured"]
+__all__ = ["BF16", "Comparison", "Measured", "Peaks", "measure"]
 
 Run = Callable[[], Any]
+
+BF16 = ", bf16"
+"""Ends the name of a function that computes in bfloat16: its share is that of the bfloat16 peak."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +25,14 @@ class Comparison:
 
     Attributes:
         title: what the work is.
-        runs: name -> function without arguments.
+        runs: name -> function without arguments. It is timed, unless ``unit`` says that it returns a measurement.
         reference: the name that ratios refer to.
         gflop: floating-point operations that the work needs when done directly, in 1e9; None where it moves data.
+        gbyte: bytes that the work must read and write at least once, in 1e9.
         note: a line below the table.
+        unit: "s"; or "reported s", "MB", "%" for functions that return what was measured, which run ``rounds`` times.
+        rounds: how often functions run that return what was measured.
+        peak: "FLOP" or "byte" for functions that find out what the machine can do.
     """
 
     title: str
@@ -40,160 +40,173 @@ class Comparison:
     reference: str
     gflop: float | None = None
     note: str = ""
+    gbyte: float | None = None
+    unit: str = "s"
+    rounds: int = 1
+    peak: str | None = None
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What came out for one function: seconds a call, and how often the reference fits into them."""
+    """What came out for one function.
+
+    Attributes:
+        title: of the comparison.
+        name: of the function.
+        median: over all rounds, in ``unit``.
+        unit: "s", "MB" or "%".
+        spread: half the distance between the quartiles, as a share of the median.
+        ratio: how often this fits into the reference: above 1 is faster, or smaller.
+        first: seconds of the first call, which compiles and fills caches; None for reported measurements.
+        gflop: what the work needs, in 1e9 operations.
+        gbyte: what the work must move, in 1e9 bytes.
+        share: of the speed that the machine's peaks allow for this work; None where they were not measured.
+        rounds: number of measurements.
+        peak: whether this is a peak of the machine, and of what.
+        note: a line below the table.
+    """
 
     title: str
     name: str
-    seconds: float
+    median: float
+    unit: str
     spread: float
     ratio: float
-    gflops: float | None
-    rounds: int
+    first: float | None = None
+    gflop: float | None = None
+    gbyte: float | None = None
+    share: float | None = None
+    rounds: int = 1
+    peak: str | None = None
     note: str = field(default="", repr=False)
 
 
+@dataclass(frozen=True)
+class Peaks:
+    """What the machine can do, as measured in the same run; None where it was not.
+
+    Attributes:
+        flops: operations a second in float32.
+        flops_bf16: operations a second in bfloat16.
+        bytes: bytes a second, read and written together.
+    """
+
+    flops: float | None = None
+    flops_bf16: float | None = None
+    bytes: float | None = None
+
+    @staticmethod
+    def of(rows: Iterable[Measured]) -> Peaks:
+        """The best of what the rows of the group ``machine`` reached."""
+        best: dict[str, float] = {}
+        for row in rows:
+            amount = row.gflop if row.peak == "FLOP" else row.gbyte
+            if row.peak is not None and amount is not None:
+                key = "bytes" if row.peak == "byte" else "flops_bf16" if row.name.endswith(BF16) else "flops"
+                best[key] = max(best.get(key, 0.0), amount * 1e9 / row.median)
+        return Peaks(**best)
+
+    def share(
+        self, name: str, seconds: float, gflop: float | None = None, gbyte: float | None = None
+    ) -> float | None:
+        """The least time that operations and traffic allow, as a share of the seconds that were taken.
+
+        Examples:
+            >>> Peaks(flops=100e9, bytes=10e9).share("stage", seconds=2.0, gflop=50.0, gbyte=8.0)  # traffic takes 0.8 s
+            0.4
+        """
+        flops = self.flops_bf16 if name.endswith(BF16) else self.flops
+        floors = [
+            amount * 1e9 / peak
+            for amount, peak in ((gflop, flops), (gbyte, self.bytes))
+            if amount is not None and peak is not None
+        ]
+        return max(floors) / seconds if floors else None
+
+
 def measure(
-    comparison: Comparison, seconds: float = 2.0, device: torch.device | str = "cpu", most_rounds: int = 50
+    comparison: Comparison,
+    seconds: float = 2.0,
+    device: torch.device | str = "cpu",
+    most_rounds: int = 50,
+    peaks: Peaks | None = None,
 ) -> list[Measured]:
     """Run all functions in turns until each has had ``seconds`` (three rounds at least), after one to warm up.
 
-    Times are medians over rounds; ``spread`` is half the distance between the quartiles, as a share of the median;
-    ``ratio`` is the median over rounds of the reference's time divided by this one's, so above 1 is faster.
+    Ratios are medians over rounds, so that both sides of a ratio have met the same state of the machine. Functions
+    that report their own measurement run ``comparison.rounds`` times.
     """
-    names = list(comparison.runs)
-    for name in names:
-        _timed(comparison.runs[name], device)
-    times: dict[str, list[float]] = {name: [] for name in names}
-    while len(times[names[0]]) < 3 or (
-        max(sum(column) for column in times.values()) < seconds and len(times[names[0]]) < most_rounds
-    ):
-        for name in names:
-            times[name].append(_timed(comparison.runs[name], device))
-    result = []
-    for name in names:
-        median = statistics.median(times[name])
-        low, _, high = statistics.quantiles(times[name], n=4)
-        pairs = zip(times[comparison.reference], times[name], strict=True)
-        result.append(
+    runs = comparison.runs
+    first: dict[str, float] = {}
+    columns: dict[str, list[float]] = {name: [] for name in runs}
+    if comparison.unit == "s":
+        first = {name: _timed(run, device) for name, run in runs.items()}
+        while not _enough(columns, seconds, most_rounds):
+            for name, run in runs.items():
+                columns[name].append(_timed(run, device))
+    else:
+        for _ in range(comparison.rounds):
+            for name, run in runs.items():
+                columns[name].append(float(run()))
+    peaks = Peaks() if peaks is None else peaks
+    unit = comparison.unit.removeprefix("reported ")
+    rows = []
+    for name, column in columns.items():
+        median = statistics.median(column)
+        share = None
+        if unit == "s" and comparison.peak is None:
+            share = peaks.share(name, median, comparison.gflop, comparison.gbyte)
+        rows.append(
             Measured(
-                comparison.title,
-                name,
-                median,
-                (high - low) / 2 / median,
-                statistics.median(theirs / own for theirs, own in pairs),
-                None if comparison.gflop is None else comparison.gflop / median,
-                len(times[name]),
-                comparison.note,
+                title=comparison.title,
+                name=name,
+                median=median,
+                unit=unit,
+                spread=_spread(column),
+                ratio=_ratio(columns[comparison.reference], column),
+                first=first.get(name),
+                gflop=comparison.gflop,
+                gbyte=comparison.gbyte,
+                share=share,
+                rounds=len(column),
+                peak=comparison.peak,
+                note=comparison.note,
             )
         )
-    return result
+    return rows
+
+
+def _enough(columns: Mapping[str, list[float]], seconds: float, most_rounds: int) -> bool:
+    rounds = min(len(column) for column in columns.values())
+    slowest = max(sum(column) for column in columns.values())
+    return rounds >= 3 and (slowest >= seconds or rounds >= most_rounds)
+
+
+def _spread(column: list[float]) -> float:
+    median = statistics.median(column)
+    if len(column) < 2 or median == 0:
+        return 0.0
+    low, _, high = statistics.quantiles(column, n=4)
+    return (high - low) / 2 / abs(median)
+
+
+def _ratio(reference: list[float], own: list[float]) -> float:
+    """Nothing at all is as good as nothing at all."""
+    return statistics.median(
+        a / b if b else 1.0 if a == b else float("inf") for a, b in zip(reference, own, strict=True)
+    )
 
 
 def _timed(run: Run, device: torch.device | str) -> float:
-    """Seconds of one call, the work that it left on the device included."""
-    _synchronize(device)
-    start = time.perf_counter()
+    """Seconds of one call, the work that it left on the device included; by the device's clock where it has one."""
+    if torch.device(device).type != "cuda":
+        start = time.perf_counter()
+        run()
+        return time.perf_counter() - start
+    begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+    torch.cuda.synchronize(device)
+    begin.record()
     run()
-    _synchronize(device)
-    return time.perf_counter() - start
-
-
-def _synchronize(device: torch.device | str) -> None:
-    if torch.device(device).type == "cuda":
-        torch.cuda.synchronize(device)
-
-
-def machine(device: torch.device | str = "cpu") -> dict[str, str]:
-    """The machine and the software in words.
-
-    Examples:
-        >>> sorted(machine())
-        ['commit', 'cores', 'device', 'processor', 'python', 'threads', 'torch']
-    """
-    name = torch.cuda.get_device_name(device) if torch.device(device).type == "cuda" else "CPU"
-    return {
-        "device": name,
-        "processor": _processor(),
-        "cores": str(os.cpu_count()),
-        "threads": str(torch.get_num_threads()),
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-        "commit": _commit(),
-    }
-
-
-def _processor() -> str:
-    """Model and widest vector instructions, as far as the system tells."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    fields = dict(line.split(":", 1) for line in reversed(lines) if ":" in line)
-    named = {key.strip(): value.strip() for key, value in fields.items()}
-    return f"{named.get('model name', platform.machine())}, {torch.backends.cpu.get_cpu_capability()}"
-
-
-def _commit() -> str:
-    """Of the source tree that runs; empty when installed from a wheel."""
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    answer = subprocess.run(command, capture_output=True, text=True, check=False)
-    return answer.stdout.strip()
-
-
-def print_measured(rows: list[Measured]) -> None:
-    """Print one comparison."""
-    columns = ["", "time", "± ", "times the speed", "GFLOP/s"]
-    print_table(rows[0].title, columns, [_cells(row) for row in rows])
-
-
-def save_measured(folder: Path, rows: list[Measured], facts: Mapping[str, str]) -> list[Path]:
-    """Write all comparisons as ``benchmark.md`` and ``benchmark.json``."""
-    folder.mkdir(parents=True, exist_ok=True)
-    lines = [", ".join(f"{key} {value}" for key, value in facts.items() if value), ""]
-    for title in dict.fromkeys(row.title for row in rows):
-        own = [row for row in rows if row.title == title]
-        lines += [
-            f"### {title}",
-            "",
-            "| | time | ± | times the speed | GFLOP/s |",
-            "|---|---:|---:|---:|---:|",
-        ]
-        lines += ["| " + " | ".join(_cells(row)) + " |" for row in own]
-        lines += ["", own[0].note, ""] if own[0].note else [""]
-    texts = {
-        "benchmark.md": "\n".join(lines),
-        "benchmark.json": json.dumps(
-            {"machine": dict(facts), "rows": [asdict(row) for row in rows]}, indent=2
-        )
-        + "\n",
-    }
-    for name, text in texts.items():
-        unfinished = folder / f".{name}.unfinished"
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(folder / name)
-    return [folder / name for name in texts]
-
-
-def _cells(row: Measured) -> list[str]:
-    rate = "" if row.gflops is None else f"{row.gflops:.0f}"
-    return [row.name, _duration(row.seconds), f"{row.spread:.0%}", f"{row.ratio:.2f}", rate]
-
-
-def _duration(seconds: float) -> str:
-    """Three digits and a unit.
-
-    Examples:
-        >>> _duration(0.0123), _duration(2.5)
-        ('12.3 ms', '2.50 s')
-    """
-    return (
-        f"{seconds * 1e3:.3g} ms"
-        if seconds < 1
-        else f"{seconds:.3g} s"
-        if seconds >= 10
-        else f"{seconds:.2f} s"
-    )
+    end.record()
+    torch.cuda.synchronize(device)
+    return begin.elapsed_time(end) / 1e3

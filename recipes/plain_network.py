@@ -141,7 +141,7 @@ class PlainNetwork(nn.Module):
         values = torch.cat([x.unflatten(0, (-1, 5)).movedim(1, -3).flatten(-3) for x in pair], -1)
         vertices = num_icosphere_vertices(level)
         total = values.new_zeros(*values.shape[:-1], vertices).index_add(-1, places, values)
-        return total / torch.bincount(places, minlength=vertices)
+        return total / values.new_zeros(vertices).index_add(0, places, values.new_ones(len(places)))
 
     def _exchange(self, pair: Pair, level: int) -> Pair:
         return self._unfold(self._fold(pair, level), level)

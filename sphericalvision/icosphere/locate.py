@@ -13,8 +13,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.icosphere.mesh import icosahedron_rectangles
-from sphericalvision.icosphere.topology import check_level, icosphere_faces, vertex_at
+from sphericalvision.icosphere.descent import barycentric_weights, descend
+from sphericalvision.icosphere.locate_many import locate_many
+from sphericalvision.icosphere.topology import check_level, num_icosphere_vertices
 
 __all__ = ["locate"]
 
@@ -54,59 +55,13 @@ def locate(directions: Tensor, level: int) -> tuple[Tensor, Tensor]:
             f"directions: expected a floating point tensor, got {directions.dtype}; use .float()"
         )
     check_level(level)
-    unit = F.normalize(directions.reshape(-1, 3), dim=-1)
-    with torch.no_grad():
-        ids, corners = _descend(unit.detach(), level)
-    weights = _barycentric_weights(unit, corners)
+    flat = directions.reshape(-1, 3)
+    if len(flat) >= 2 * num_icosphere_vertices(level):
+        ids, weights = locate_many(flat, level)
+    else:
+        unit = F.normalize(flat, dim=-1)
+        with torch.no_grad():
+            triangles = descend(unit.detach(), level)
+            ids = triangles.vertex_ids(level)
+        weights = barycentric_weights(unit, triangles.corners)
     return ids.view(directions.shape), weights.view(directions.shape)
-
-
-def _barycentric_weights(unit: Tensor, corners: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-    """Return ``(M, 3)`` weights from determinants of small differences, which are accurate in float32."""
-    a, b, c = (corner - unit for corner in corners)
-    volumes = torch.stack((_triple(unit, b, c), _triple(unit, c, a), _triple(unit, a, b)), -1)
-    return volumes / volumes.sum(-1, keepdim=True)
-
-
-def _triple(a: Tensor, b: Tensor, c: Tensor) -> Tensor:
-    """Return the determinant of the rows a, b, c, each ``(M, 3)``."""
-    return (a * torch.linalg.cross(b, c)).sum(-1)
-
-
-def _descend(unit: Tensor, level: int) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
-    """Return the vertex ids ``(M, 3)`` and the corner positions of the containing triangles.
-
-    A triangle is its corner 0 at a place (row, column) of a chart and a sign: the corners 1 and 2 are
-    ``sign`` columns and ``sign`` rows away. Corners are recomputed on the way down, in the precision of the
-    directions.
-    """
-    rectangles = icosahedron_rectangles(dtype=torch.float64)
-    charts = rectangles[:, 1:, :-1].reshape(10, 3)
-    base_vertices = torch.cat((rectangles[0, 0, :1], charts, rectangles[0, -1, -1:])).to(unit.device)
-    base_corners = base_vertices[icosphere_faces(0, unit.device)].to(unit.dtype)
-
-    # The faces of a regular icosahedron are the Voronoi cells of their centres.
-    face = (unit @ F.normalize(base_corners.sum(1), dim=-1).T).argmax(-1)
-    chart, half = face // 4, face % 2
-    sign = 1 - 2 * half
-    row, column = (face // 2) % 2 + half, half
-    a, b, c = base_corners[face].unbind(1)
-    for _ in range(level):
-        ab, bc, ca = (F.normalize(p + q, dim=-1) for p, q in ((a, b), (b, c), (c, a)))
-        to_ab, to_bc, to_ca = ab - unit, bc - unit, ca - unit
-        at_a = _triple(unit, to_ab, to_ca) > 0
-        at_b = (_triple(unit, to_bc, to_ab) > 0) & ~at_a  # exclusive also where rounding says otherwise
-        at_c = (_triple(unit, to_ca, to_bc) > 0) & ~(at_a | at_b)
-        inner = ~(at_a | at_b | at_c)
-        row = 2 * row + sign * (at_c | inner)
-        column = 2 * column + sign * (at_b | inner)
-        sign = torch.where(inner, -sign, sign)
-        at_a, at_b, at_c = at_a[:, None], at_b[:, None], at_c[:, None]
-        a, b, c = (
-            torch.where(at_a, a, torch.where(at_b, ab, torch.where(at_c, ca, bc))),
-            torch.where(at_a, ab, torch.where(at_b, b, torch.where(at_c, bc, ca))),
-            torch.where(at_a, ca, torch.where(at_b, bc, torch.where(at_c, c, ab))),
-        )
-    rows = torch.stack((row, row, row + sign), -1)
-    columns = torch.stack((column, column + sign, column), -1)
-    return vertex_at(chart[:, None], rows, columns, level), (a, b, c)

@@ -92,14 +92,30 @@ def sweep_tables(
         torch.as_tensor(values).to(poses) for values in (rig.center, rig.axes, rig.max_angles)
     )
     offsets = center[..., None, :] - poses[..., :3, 3]
-    inverse_depths = inverse_depths.to(poses)[:, None, None, None]
-    rays = directions.to(poses)[:, None] + inverse_depths * offsets[..., None, None, :, :]
-    axes = axes[..., None, None, :, :].expand_as(rays)
-    angles = torch.atan2(torch.linalg.cross(axes, rays).norm(dim=-1), (axes * rays).sum(-1)).detach()
-    mask = (angles <= max_angles[..., None, None, :]) & (rays != 0).any(-1)
-    # One direction for all points out of view: their weights are zero, and no NaN may reach a gradient.
-    ids, weights = locate(torch.where(mask[..., None], rays, axes), feature_level)
-    return SweepTables(ids, torch.where(mask[..., None], weights, 0.0), mask)
+    # A hypothesis at a time stays in the cache; coordinates come first, so that memory is contiguous.
+    points = directions.to(poses).T[:, :, None]
+    axes, offsets = (vectors.movedim(-1, 0).unsqueeze(-2) for vectors in (axes, offsets))
+    columns = []
+    for inverse_depth in inverse_depths.to(poses):
+        rays = points.view(3, *[1] * (offsets.ndim - 3), *points.shape[1:]) + inverse_depth * offsets
+        columns.append(_locate_seen(rays, axes, max_angles[..., None, :], feature_level))
+    return SweepTables(*(torch.stack(tables, poses.ndim - 3) for tables in zip(*columns, strict=True)))
+
+
+def _locate_seen(rays: Tensor, axes: Tensor, max_angles: Tensor, level: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Ids, weights ``(*b, V, n, 3)`` and mask ``(*b, V, n)`` of rays ``(3, *b, V, n)`` of any length."""
+    with torch.no_grad():
+        x, y, z = rays
+        p, q, r = axes
+        across = (q * z - r * y).square() + (r * x - p * z).square() + (p * y - q * x).square()
+        along = p * x + q * y + r * z
+        mask = (torch.atan2(across.sqrt(), along) <= max_angles) & (rays != 0).any(0)
+    seen = mask.flatten().nonzero()[:, 0]
+    # Only points in view are located: the weights of others are zero, and no NaN may reach a gradient.
+    found, shares = locate(rays.flatten(1).index_select(1, seen).T, level)
+    ids = found.new_zeros(mask.numel(), 3).index_copy_(0, seen, found)
+    weights = shares.new_zeros(mask.numel(), 3).index_copy(0, seen, shares)
+    return ids.view(*mask.shape, 3), weights.view(*mask.shape, 3), mask
 
 
 def sphere_sweep(features: Tensor, tables: SweepTables) -> SweepVolume:

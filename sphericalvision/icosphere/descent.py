@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The way down from a face of the icosahedron to the triangle of a finer icosphere, and weights inside it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.icosphere.mesh import icosahedron_rectangles
+from sphericalvision.icosphere.topology import icosphere_faces, vertex_at
+
+__all__ = ["Triangles", "barycentric_weights", "base_corners", "base_places", "descend", "triple"]
+
+
+class Triangles(NamedTuple):
+    """Triangles of an icosphere, each by its corner 0 and a sign: corners 1 and 2 are ``sign`` columns, rows away.
+
+    Attributes:
+        chart: ``(M,)``, 0 to 4.
+        row: ``(M,)`` of corner 0.
+        column: ``(M,)`` of corner 0.
+        sign: ``(M,)``, 1 or -1.
+        corners: positions of the three corners, each ``(M, 3)``.
+    """
+
+    chart: Tensor
+    row: Tensor
+    column: Tensor
+    sign: Tensor
+    corners: tuple[Tensor, Tensor, Tensor]
+
+    def vertex_ids(self, level: int) -> Tensor:
+        """Ids ``(M, 3)`` of the corners on the icosphere of this level."""
+        chart, row, column, sign, _ = self
+        rows = torch.stack((row, row, row + sign), -1)
+        columns = torch.stack((column, column + sign, column), -1)
+        return vertex_at(chart[:, None], rows, columns, level)
+
+
+def base_corners(like: Tensor) -> Tensor:
+    """Corners ``(20, 3, 3)`` of the icosahedron's faces, in the order of ``icosphere_faces(0)``."""
+    rectangles = icosahedron_rectangles(dtype=torch.float64)
+    charts = rectangles[:, 1:, :-1].reshape(10, 3)
+    vertices = torch.cat((rectangles[0, 0, :1], charts, rectangles[0, -1, -1:])).to(like.device)
+    return vertices[icosphere_faces(0, like.device)].to(like.dtype)
+
+
+def base_places(face: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Chart, row, column and sign of faces of the icosahedron."""
+    chart, half = face // 4, face % 2
+    return chart, (face // 2) % 2 + half, half, 1 - 2 * half
+
+
+def barycentric_weights(unit: Tensor, corners: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+    """Return ``(M, 3)`` weights from determinants of small differences, which are accurate in float32."""
+    a, b, c = (corner - unit for corner in corners)
+    volumes = torch.stack((triple(unit, b, c), triple(unit, c, a), triple(unit, a, b)), -1)
+    return volumes / volumes.sum(-1, keepdim=True)
+
+
+def triple(a: Tensor, b: Tensor, c: Tensor) -> Tensor:
+    """Return the determinant of the rows a, b, c, each ``(M, 3)``."""
+    return (a * torch.linalg.cross(b, c)).sum(-1)
+
+
+def descend(unit: Tensor, level: int) -> Triangles:
+    """Return the triangles that contain unit vectors ``(M, 3)``; corners are recomputed on the way, in their dtype."""
+    bases = base_corners(unit)
+    # The faces of a regular icosahedron are the Voronoi cells of their centres.
+    face = (unit @ F.normalize(bases.sum(1), dim=-1).T).argmax(-1)
+    chart, row, column, sign = base_places(face)
+    a, b, c = bases[face].unbind(1)
+    for _ in range(level):
+        ab, bc, ca = (F.normalize(p + q, dim=-1) for p, q in ((a, b), (b, c), (c, a)))
+        to_ab, to_bc, to_ca = ab - unit, bc - unit, ca - unit
+        at_a = triple(unit, to_ab, to_ca) > 0
+        at_b = (triple(unit, to_bc, to_ab) > 0) & ~at_a  # exclusive also where rounding says otherwise
+        at_c = (triple(unit, to_ca, to_bc) > 0) & ~(at_a | at_b)
+        inner = ~(at_a | at_b | at_c)
+        row = 2 * row + sign * (at_c | inner)
+        column = 2 * column + sign * (at_b | inner)
+        sign = torch.where(inner, -sign, sign)
+        at_a, at_b, at_c = at_a[:, None], at_b[:, None], at_c[:, None]
+        a, b, c = (
+            torch.where(at_a, a, torch.where(at_b, ab, torch.where(at_c, ca, bc))),
+            torch.where(at_a, ab, torch.where(at_b, b, torch.where(at_c, bc, ca))),
+            torch.where(at_a, ca, torch.where(at_b, bc, torch.where(at_c, c, ab))),
+        )
+    return Triangles(chart, row, column, sign, (a, b, c))

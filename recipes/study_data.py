@@ -13,16 +13,15 @@ from torch.utils.data import Dataset, Subset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data import OmniStereoDataset, RotateFisheye, ToSphere
+from sphericalvision.data import RotateFisheye
 from sphericalvision.data.seeded_scenes import NATURAL_MIN_DEPTH
-from sphericalvision.data.transforms import Compose
 from sphericalvision.recipes.cli import build
 from sphericalvision.recipes.datamodules import Sample, SampleDataModule
 from sphericalvision.recipes.frames import SceneDepths
-from sphericalvision.recipes.omnistereo_datamodule import OmniStereoDataModule
+from sphericalvision.recipes.omnistereo_datamodule import ChosenEntries, OmniStereoDataModule
 from sphericalvision.recipes.scene_datamodule import SceneDataModule
 
-__all__ = ["INPUTS", "View", "WithFisheye", "study_frames", "training_depths", "views"]
+__all__ = ["INPUTS", "View", "study_frames", "training_depths", "views"]
 
 INPUTS = ("fisheye", "equirect")
 
@@ -97,56 +96,15 @@ def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset
 def _on_disk(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
     data = build(config.data)
     if not isinstance(data, OmniStereoDataModule):
-        raise ArgumentError("data: expected rendered scenes or a set on disk, such as data=omnihouse")
-    data.dataset("test")  # tells a wrong scale
+        raise ArgumentError("data: expected data=fisheye_scenes, or a set on disk such as data=omnihouse")
     size = None if config.image_size is None else [int(side) for side in config.image_size]
     turned = RotateFisheye(tilt=math.radians(view.angle_deg), image_size=size)
-    stages = (turned, WithFisheye(), keep_panorama, ToSphere(data.level))
-    return data, OmniStereoDataset(split=data.splits["test"], transform=Compose(*stages), **data.options)
-
-
-class WithFisheye:
-    """Add ``fisheye`` ``(n, 3, H, W)`` in [-1, 1], 0 where a camera does not look or a mask covers, to a sample.
-
-    Raises:
-        ArgumentError: the cameras' images differ in size.
-    """
-
-    def __init__(self) -> None:
-        self._rig: CameraRig | None = None
-        self._seen = torch.empty(0)
-
-    def __call__(self, sample: Sample) -> Sample:
-        images, rig = sample["images"], sample["rig"]
-        sizes = {tuple(image.shape) for image in images.values()}
-        if len(sizes) > 1:
-            raise ArgumentError(
-                f"images: expected one size to stack them, got {sorted(sizes)}; set image_size=[h,w]"
-            )
-        if self._rig is not rig:
-            self._rig, self._seen = rig, torch.stack([_visible(rig, name) for name in rig.names])
-        stacked = torch.stack([images[name] for name in rig.names]) * 2 - 1
-        return {**sample, "fisheye": stacked * self._seen[:, None]}
-
-
-def keep_panorama(sample: Sample) -> Sample:
-    """Name the ground-truth panorama so that ``ToSphere`` leaves it in the sample."""
-    panorama = {"panorama_inverse_depth": sample["inverse_depth"], "panorama_valid": sample["valid"]}
-    return {**sample, **panorama}
-
-
-def _visible(rig: CameraRig, name: str) -> Tensor:
-    """Pixels ``(h, w)`` that look somewhere and are not masked."""
-    camera = rig.cameras[name]
-    height, width = camera.image_size
-    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    seen = camera.unproject(torch.stack((columns, rows), -1).to(rig.world_from_camera)).valid
-    return seen & rig.masks[name] if name in rig.masks else seen
+    return data, data.read("test", turned, ChosenEntries(("sphere", "fisheye", "panorama"), data.level))
 
 
 def training_depths(training: DictConfig, level: int, most: int) -> tuple[Tensor, Tensor]:
     """Inverse depth and validity ``(F, V_{level-2})`` of at most ``most`` frames that a training has, evenly chosen."""
-    data = build(training.data)
+    data = build(training.data, level=level)
     if isinstance(data, SceneDataModule):
         number, first = data.scenes["train"]
         scale = data.options["min_depth"] / NATURAL_MIN_DEPTH

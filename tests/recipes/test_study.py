@@ -1,0 +1,409 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The study: tables from known numbers, what counts, pictures, and nothing done twice."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+
+from sphericalvision.cameras import ring_rig
+from sphericalvision.core import ArgumentError
+from sphericalvision.data import write_omnistereo
+from sphericalvision.data.image_io import read_image
+from sphericalvision.data.panorama_grid import panorama_directions
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import save_weights
+from sphericalvision.recipes import study_jobs, study_training
+from sphericalvision.recipes.cli import build
+from sphericalvision.recipes.frames import RenderedFrames
+from sphericalvision.recipes.rigs import make_ring
+from sphericalvision.recipes.study_data import View, study_frames
+from sphericalvision.recipes.study_measures import Yardstick, measure
+from sphericalvision.recipes.study_models import Estimate, Scale, study_models
+from sphericalvision.recipes.study_pictures import PanelColumn, angle_plot, panel_sheet
+from sphericalvision.recipes.study_tables import change_table, detail_table, input_table, paper_table
+from sphericalvision.recipes.study_training import training_config, training_words
+from tests.recipes.tiny import Run
+
+ANGLES = (0.0, 45.0)
+
+
+def result(label: str, seed: int | None, angle: float, mae: float, inputs: str = "fisheye") -> dict[str, Any]:
+    """What the JSON of one evaluation holds, every number made from ``mae``."""
+    index = {">1": 10 * mae, ">3": 3 * mae, ">5": 2 * mae, "MAE": mae, "RMS": 4 * mae}
+    protocols = ("paper", "all", "solid_angle", "omnimvs", "seam", "off_seam")
+    return {
+        "label": label,
+        "seed": seed,
+        "inputs": inputs,
+        "angle_deg": angle,
+        "level": 5,
+        "num_hypotheses": 16,
+        "num_frames": 64,
+        "errors": {
+            **dict.fromkeys(protocols, index),
+            "depth": {"AbsRel": mae / 10, "RMSE": mae, "d<1.25": 0.9},
+            "points": {"left_out": angle / 3, "unknown": 0.0},
+        },
+    }
+
+
+RESULTS = [
+    *(result("IcoSweepNet", seed, angle, 1.0 + seed) for angle in ANGLES for seed in (0, 1)),
+    *(
+        result("OmniMVS", seed, angle, (1.0 + seed) * (3 if angle else 1))
+        for angle in ANGLES
+        for seed in (0, 1)
+    ),
+    *(result("sweep_1", None, angle, 5.0) for angle in ANGLES),
+]
+ABOUT = "64 frames, vertices of level 3 that two or more cameras see, mean ± standard deviation over 2 seeds"
+
+
+def test_the_papers_table_from_known_numbers() -> None:
+    table = paper_table(RESULTS)
+    assert table.markdown() == (
+        "| θ | model | >1 | >3 | >5 | MAE | RMS |\n"
+        "|---|---|---:|---:|---:|---:|---:|\n"
+        "| 0° | IcoSweepNet | 15.00 ± 7.07 | 4.50 ± 2.12 | 3.00 ± 1.41 | 1.50 ± 0.71 | 6.00 ± 2.83 |\n"
+        "| 0° | OmniMVS | 15.00 ± 7.07 | 4.50 ± 2.12 | 3.00 ± 1.41 | 1.50 ± 0.71 | 6.00 ± 2.83 |\n"
+        "| 0° | sweep_1 | 50.00 | 15.00 | 10.00 | 5.00 | 20.00 |\n"
+        "| 45° | IcoSweepNet | 15.00 ± 7.07 | 4.50 ± 2.12 | 3.00 ± 1.41 | 1.50 ± 0.71 | 6.00 ± 2.83 |\n"
+        "| 45° | OmniMVS | 45.00 ± 21.21 | 13.50 ± 6.36 | 9.00 ± 4.24 | 4.50 ± 2.12 | 18.00 ± 8.49 |\n"
+        "| 45° | sweep_1 | 50.00 | 15.00 | 10.00 | 5.00 | 20.00 |\n"
+        f"\nPercent of N = 16; {ABOUT}. Left out, as fewer cameras see it: 0.0 % at 0°, 15.0 % at 45°.\n"
+    )
+    lines = table.csv().splitlines()
+    assert lines[0] == "θ,model,>1,>1 sd,>3,>3 sd,>5,>5 sd,MAE,MAE sd,RMS,RMS sd"
+    assert lines[1] == "0°,IcoSweepNet,15,7.07107,4.5,2.12132,3,1.41421,1.5,0.707107,6,2.82843"
+    assert lines[3] == "0°,sweep_1,50,,15,,10,,5,,20,"
+    latex = table.latex().splitlines()
+    assert latex[2:5] == [
+        "\\begin{tabular}{llrrrrr}",
+        "\\toprule",
+        "$\\theta$ & model & $>$1 & $>$3 & $>$5 & MAE & RMS \\\\",
+    ]
+    assert "0$^\\circ$ & sweep\\_1 & $50.00$ & $15.00$ & $10.00$ & $5.00$ & $20.00$ \\\\" in latex
+    assert latex.count("\\midrule") == 2
+
+
+def test_the_other_tables_from_known_numbers() -> None:
+    """Ratios are taken within a seed: both seeds of OmniMVS grow threefold, so there is no spread."""
+    change = change_table(RESULTS)
+    assert change.columns == ("model", "0°", "45°")
+    assert change.markdown().splitlines()[2:5] == [
+        "| IcoSweepNet | 1.000 | 1.000 |",
+        "| OmniMVS | 1.000 | 3.000 |",
+        "| sweep_1 | 1.000 | 1.000 |",
+    ]
+    details = detail_table(RESULTS)
+    assert details.markdown().splitlines()[2] == (
+        "| 0° | IcoSweepNet | 0.150 ± 0.071 | 1.50 ± 0.71 | 0.900 | " + "1.50 ± 0.71 | " * 5 + "0.0 |"
+    )
+    both = [*RESULTS, result("IcoSweepNet", 0, 0.0, 7.0, "equirect")]
+    assert paper_table(both).rows == paper_table(RESULTS).rows
+    rows = input_table(both).markdown().splitlines()
+    assert rows[2].startswith("| IcoSweepNet | fisheye | 15.00 ± 7.07 |")
+    assert rows[3] == "| IcoSweepNet | equirect | 70.00 | 21.00 | 14.00 | 7.00 | 28.00 |"
+
+
+def test_what_is_not_measured_is_a_dash() -> None:
+    missing = result("IcoSweepNet", 0, 0.0, 1.0)
+    missing["errors"] = {**missing["errors"], "seam": {"MAE": None}}
+    table = detail_table([missing])
+    assert "| – |" in table.markdown()
+    assert ",,," in table.csv()
+
+
+SCALE = Scale(level=4, num_hypotheses=8, min_depth=0.55)
+
+
+def batch_at(tilt: float, offset: float, hidden: float) -> tuple[dict[str, Any], Callable[..., Any]]:
+    """A frame of even depth, and an estimate that is off by ``offset`` where two cameras see it, else ``hidden``."""
+    rig = ring_rig(4, image_size=(32, 32)).rotated(tilt=tilt)
+    vertices, panorama = Icosphere(2).vertices, (8, 32)
+    batch = {
+        "inverse_depth": torch.full((1, len(vertices)), 0.5),
+        "valid": torch.ones(1, len(vertices), dtype=torch.bool),
+        "panorama_inverse_depth": torch.full((1, *panorama), 0.5),
+        "panorama_valid": torch.ones(1, *panorama, dtype=torch.bool),
+        "rig": rig,
+        "frame": ["one"],
+    }
+
+    def estimate(_: Any) -> Any:
+        def look_up(directions: torch.Tensor) -> Estimate:
+            # Written out: how many of the cameras have the point within 110° of their axes.
+            points = 2.0 * directions[:, None] - rig.positions
+            angles = torch.acos((points * rig.axes).sum(-1) / points.norm(dim=-1))
+            shared = (angles < math.radians(110)).sum(-1) >= 2
+            right = 7 * 0.55 * 0.5
+            index = torch.where(shared, right + offset, right + hidden)
+            return Estimate(index[None], torch.ones_like(shared))
+
+        return look_up
+
+    return batch, estimate
+
+
+@pytest.mark.parametrize("tilt_deg", [0, 45])
+def test_what_fewer_than_two_cameras_see_does_not_count(tilt_deg: int) -> None:
+    batch, estimate = batch_at(math.radians(tilt_deg), offset=0.04, hidden=3.0)
+    errors = measure({"model": estimate}, [batch], Yardstick(SCALE), panel_frame=0)["model"].errors
+    assert errors["paper"]["MAE"] == pytest.approx(100 * 0.04 / 8, rel=1e-3)
+    assert errors["solid_angle"]["MAE"] == pytest.approx(0.5, rel=1e-3)
+    assert errors["omnimvs"]["MAE"] == pytest.approx(100 * (0.04 * 191 / 7) / 192, rel=1e-3)
+    share = errors["points"]["left_out"]
+    assert share is not None
+    if tilt_deg:
+        assert 10 < share < 30
+        expected = (1 - share / 100) * 0.5 + share / 100 * 100 * 3 / 8
+        assert errors["all"]["MAE"] == pytest.approx(expected, rel=1e-3)
+    else:
+        assert share == 0
+
+
+def test_nothing_is_counted_where_a_model_says_nothing() -> None:
+    batch, estimate = batch_at(0.0, offset=0.4, hidden=0.4)
+
+    def lower_half(b: Any) -> Any:
+        def look_up(directions: torch.Tensor) -> Estimate:
+            known = directions[:, 1] > 0
+            return Estimate(torch.where(known, estimate(b)(directions).indices, math.nan), known)
+
+        return look_up
+
+    measured = measure({"model": lower_half}, [batch], Yardstick(SCALE), panel_frame=0)["model"]
+    assert measured.errors["paper"]["MAE"] == pytest.approx(5.0, rel=1e-3)
+    unknown = (Icosphere(2).vertices[:, 1] <= 0).float().mean().item()
+    assert measured.errors["points"]["unknown"] == pytest.approx(100 * unknown)
+    assert measured.drawn.isnan().float().mean() == pytest.approx(unknown)
+
+
+def test_pictures_show_and_fade() -> None:
+    vertices = Icosphere(2).vertices
+    truth = 4 + 2 * vertices[:, 1]
+    up = panorama_directions(40, 80)[..., 1] < 0
+    column = PanelColumn(
+        "45°", np.full((40, 80, 3), 200, np.uint8), truth, vertices[:, 1] >= 0, ~up, {"a": truth + 1}
+    )
+    picture = panel_sheet([column], 8, 0.55)
+    assert picture.dtype == np.uint8
+    plain = panel_sheet([column._replace(shared_panorama=torch.ones_like(up))], 8, 0.55)
+    top, bottom = (slice(k * len(picture) // 8, (k + 1) * len(picture) // 8) for k in (3, 4))
+    colorfulness = lambda p: float((p.max(-1).astype(int) - p.min(-1)).mean())  # noqa: E731
+    assert colorfulness(picture[top]) < 0.8 * colorfulness(plain[top])
+    assert colorfulness(picture[bottom]) > 0.9 * colorfulness(plain[bottom])
+    assert angle_plot(RESULTS).shape[-1] == 3
+
+
+@pytest.fixture(scope="session")
+def words(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
+    """Words of the smallest study; its scenes are rendered once for all tests."""
+    cache = tmp_path_factory.mktemp("study_scenes")
+    return (
+        "preset=tiny",
+        "data.num_workers=0",
+        "data.samples_per_pixel=1",
+        f"data.cache_dir={cache}",
+        "output=out",
+    )
+
+
+class Trainer:
+    """Stands for the process that trains: writes untrained networks, and remembers for whom."""
+
+    def __init__(self) -> None:
+        self.trained: list[str] = []
+        self.status = 0
+
+    def __call__(self, command: list[str]) -> int:
+        assert command[1:3] == ["-m", "sphericalvision.recipes.train"]
+        assert command[-1] == "resume=auto"
+        *own, output, _ = command[3:]
+        folder = Path(output.removeprefix("output="))
+        self.trained.append(f"{folder.parent.name}/{folder.name}")
+        if self.status == 0:
+            config = training_config(tuple(own))
+            torch.manual_seed(config.seed)
+            net = build(config.model, **config.optimizer, seed=config.seed).net
+            save_weights(net, folder / "checkpoints" / "best.safetensors")
+        return self.status
+
+
+@pytest.fixture
+def trainer(monkeypatch: pytest.MonkeyPatch) -> Trainer:
+    stand_in = Trainer()
+    monkeypatch.setattr(study_training, "_run", stand_in)
+    return stand_in
+
+
+@pytest.fixture
+def measured(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """The passes over frames: their labels, and how many models each took."""
+    passes: list[tuple[str, int]] = []
+
+    def counting(estimators: Any, loader: Any, yardstick: Any, panel_frame: int, label: str) -> Any:
+        passes.append((label, len(estimators)))
+        return measure(estimators, loader, yardstick, panel_frame, label)
+
+    monkeypatch.setattr(study_jobs, "measure", counting)
+    return passes
+
+
+def test_a_study_writes_everything_and_does_nothing_twice(
+    run: Run, tmp_path: Path, words: tuple[str, ...], trainer: Trainer, measured: list[tuple[str, int]]
+) -> None:
+    out = tmp_path / "out"
+    run("study", *words, "seeds=[0,1]", "inputs=equirect")
+    assert trainer.trained == [f"{name}/seed{k}" for name in ("icosweepnet", "omnimvs") for k in (0, 1)]
+    assert measured == [("fisheye-0deg", 6), ("fisheye-45deg", 6), ("equirect-0deg", 6)]
+    for name in ("table", "details", "change", "inputs"):
+        for suffix in (".md", ".csv", ".tex"):
+            assert (out / f"{name}{suffix}").stat().st_size > 0
+    for name in ("panels.png", "errors_against_angle.png"):
+        assert read_image(out / name).std() > 0.05
+    everything = json.loads((out / "study.json").read_text())
+    assert len(everything["results"]) == 18
+    assert [t["finished"] for t in everything["trainings"]] == [True] * 4
+    assert "| OmniMVS |" in (out / "study.md").read_text()
+    table = (out / "table.md").read_text()
+
+    run("study", *words, "seeds=[0,1]", "inputs=equirect")
+    assert (len(trainer.trained), len(measured)) == (4, 3)
+    assert (out / "table.md").read_text() == table
+
+    (out / "evaluation/semi_global/fisheye-45deg.json").unlink()
+    run("study", *words, "seeds=[0,1]", "inputs=equirect")
+    assert measured[3:] == [("fisheye-45deg", 1)]
+    run("study", *words, "seeds=[0,1]", "num_hypotheses=8")
+    assert len(trainer.trained) == 4
+    assert measured[4:] == [("fisheye-0deg", 6), ("fisheye-45deg", 6)]
+
+
+ONLY = ("models.omnimvs=null", "models.semi_global=null", "models.constant=null", "angles_deg=[0]")
+
+
+def test_other_words_for_a_training_are_refused_or_redone(
+    run: Run, failing: Callable[..., str], tmp_path: Path, words: tuple[str, ...], trainer: Trainer
+) -> None:
+    run("study", *words, *ONLY)
+    changed = (*words, *ONLY, "extra_training=['optimizer.learning_rate=0.5']")
+    message = failing("study", *changed)
+    assert "icosweepnet, seed 0: trained in" in message
+    assert "optimizer.learning_rate was 0.001, is 0.5" in message
+    assert "on_change=redo" in message
+    assert len(trainer.trained) == 1
+    run("study", *words, *ONLY, "extra_training=['trainer.log_every_n_steps=5','data.num_workers=0']")
+    assert len(trainer.trained) == 1
+    run("study", *changed, "on_change=redo")
+    run("study", *changed)
+    assert len(trainer.trained) == 2
+
+
+def test_a_training_that_dies_is_told_and_taken_up_again(
+    run: Run, failing: Callable[..., str], tmp_path: Path, words: tuple[str, ...], trainer: Trainer
+) -> None:
+    trainer.status = 137
+    message = failing("study", *words, *ONLY)
+    assert "icosweepnet, seed 0: the training stopped with status 137" in message
+    assert "resume=auto" in message
+    assert "nothing is trained yet" in failing("study", *words, *ONLY, "train=false")
+    record = json.loads((tmp_path / "out/models/icosweepnet/seed0/training.json").read_text())
+    assert record["finished"] is False
+    trainer.status = 0
+    run("study", *words, *ONLY)
+    assert trainer.trained == ["icosweepnet/seed0"] * 2
+
+
+def test_weights_that_are_there_are_taken_by_seed(
+    run: Run, tmp_path: Path, words: tuple[str, ...], weights: Path
+) -> None:
+    weights.rename(tmp_path / "ico-7.safetensors")
+    run("study", *words, *ONLY, "models.icosweepnet.checkpoint=ico-{seed}.safetensors", "seeds=[7]")
+    (only,) = json.loads((tmp_path / "out/study.json").read_text())["results"]
+    assert (only["seed"], only["label"]) == (7, "IcoSweepNet")
+
+
+def test_images_on_disk_are_turned(
+    run: Run, tmp_path: Path, words: tuple[str, ...], trainer: Trainer
+) -> None:
+    rig = make_ring(image_size=(48, 48))
+    write_omnistereo(tmp_path / "house", RenderedFrames(rig, [1, 2], samples_per_pixel=1, height=32), rig)
+    disk = ("preset=tiny", "data=omnihouse", f"data.root={tmp_path / 'house'}", "data.test_split=all")
+    run("study", *disk, "data.num_workers=0", "output=out")
+    results = json.loads((tmp_path / "out/study.json").read_text())["results"]
+    left_out = {r["angle_deg"]: r["errors"]["points"]["left_out"] for r in results}
+    assert left_out[0.0] < 1
+    assert 10 < left_out[45.0] < 40
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose("study", [*disk[:2], f"data.root='{tmp_path / 'house'}'", disk[3]])
+    _, frames = study_frames(config, View("fisheye", 45.0))
+    sample = frames[0]
+    assert sample["fisheye"].shape == (4, 3, 32, 32)
+    assert (sample["fisheye"][:, :, 0, 0] == 0).all()
+    torch.testing.assert_close(sample["rig"].axes[0], torch.tensor([0.0, 0.5**0.5, 0.5**0.5]))
+
+
+def test_mistakes_are_told(failing: Callable[..., str], words: tuple[str, ...], trainer: Trainer) -> None:
+    assert "each angle once" in failing("study", *words, "angles_deg=[0,0]")
+    assert "expected one of 'depth_network'" in failing("study", *words, "models.constant.kind=magic")
+    assert "panel_frame: expected 0 to 1" in failing("study", *words, *ONLY, "panel_frame=2")
+    assert "optimizer.speed" in failing("study", *words, "extra_training=['optimizer.speed=1']")
+    assert "takes rendered scenes" in failing(
+        "study", "preset=tiny", "data=omnihouse", "data.root=x", "inputs=equirect"
+    )
+    assert trainer.trained == ["icosweepnet/seed0"]
+
+
+@pytest.mark.parametrize("preset", ["small", "paper", "tiny"])
+def test_trainings_of_a_preset_differ_in_the_model_alone(preset: str) -> None:
+    own = ("omnithings=/data/omnithings", "data.root=/data/omnihouse") if preset == "paper" else ()
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose("study", [f"preset={preset}", *own])
+        trainings = [training_config(training_words(m, config)) for m in study_models(config) if m.is_trained]
+        assert len(trainings) == 2
+        for key in ("trainer", "optimizer"):
+            assert trainings[0][key] == trainings[1][key]
+        alone = ("entries", "panorama_size", "level")
+        assert {k: v for k, v in trainings[0].data.items() if k not in alone} == {
+            k: v for k, v in trainings[1].data.items() if k not in alone
+        }
+        for training in trainings:
+            assert training.model.min_depth == config.model.min_depth
+            assert training.model.get("level", config.model.level) == config.model.level
+        models = [build(training.model, **training.optimizer) for training in trainings]
+    assert [type(module.net).__name__ for module in models] == ["IcoSweepNet", "OmniMVS"]
+
+
+def test_a_constant_needs_a_training_set() -> None:
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose("study", ["preset=tiny", "models.constant.train=null"])
+    with pytest.raises(ArgumentError, match=r"models\.constant\.train"):
+        study_models(config)
+
+
+@pytest.mark.slow
+def test_from_training_to_tables(run: Run, tmp_path: Path, words: tuple[str, ...]) -> None:
+    """With real trainings in processes of their own; the same command afterwards trains nothing."""
+    run("study", *words)
+    results = json.loads((tmp_path / "out/study.json").read_text())["results"]
+    assert {r["label"] for r in results} == {
+        "IcoSweepNet",
+        "OmniMVS",
+        "semi-global sweep",
+        "constant depth map",
+    }
+    assert all(math.isfinite(r["errors"]["paper"]["MAE"]) for r in results)
+    last = tmp_path / "out/models/omnimvs/seed0/checkpoints/last.ckpt"
+    changed = last.stat().st_mtime_ns
+    run("study", *words)
+    assert last.stat().st_mtime_ns == changed

@@ -9,6 +9,7 @@ that stays in the cache.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -98,7 +99,7 @@ def _outside(weights: Tensor, level: int) -> Tensor:
 
 
 def _walk(
-    astray: list[tuple[Tensor, ...]], ids: Tensor, weights: Tensor, level: int, tables: _Tables
+    astray: Sequence[Sequence[Tensor]], ids: Tensor, weights: Tensor, level: int, tables: _Tables
 ) -> None:
     """Find the triangles of directions that started outside theirs, and write them to their rows of ids and weights.
 

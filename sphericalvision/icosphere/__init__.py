@@ -19,6 +19,7 @@ from sphericalvision.icosphere.hierarchy import (
     icosphere_vertex_parents,
 )
 from sphericalvision.icosphere.icosphere import Icosphere
+from sphericalvision.icosphere.lines import IcosphereLines, icosphere_lines
 from sphericalvision.icosphere.locate import locate
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.patches import icosphere_rings, icosphere_within
@@ -44,6 +45,7 @@ from sphericalvision.icosphere.topology import (
 
 __all__ = [
     "Icosphere",
+    "IcosphereLines",
     "IcospherePool",
     "IcosphereUpsample",
     "chart_vertex_ids",
@@ -55,6 +57,7 @@ __all__ = [
     "icosphere_face_parents",
     "icosphere_face_solid_angles",
     "icosphere_faces",
+    "icosphere_lines",
     "icosphere_neighbors",
     "icosphere_normals",
     "icosphere_pool",

@@ -9,8 +9,11 @@ from sphericalvision.sweep.hypotheses import (
     inverse_depth_from_index,
     inverse_depth_hypotheses,
 )
+from sphericalvision.sweep.matching import best_pairs_cost
 from sphericalvision.sweep.panorama_sweep import PanoramaSweep, PanoramaTables
 from sphericalvision.sweep.regression import DepthIndex, soft_argmax, soft_argmax_confidence
+from sphericalvision.sweep.semi_global import semi_global_sweep
+from sphericalvision.sweep.smoothing import semi_global_smoothing
 from sphericalvision.sweep.sphere_sweep import (
     SphereSweep,
     SweepTables,
@@ -26,12 +29,15 @@ __all__ = [
     "SphereSweep",
     "SweepTables",
     "SweepVolume",
+    "best_pairs_cost",
     "depth_from_index",
     "index_from_depth",
     "index_from_inverse_depth",
     "inverse_depth_from_index",
     "inverse_depth_hypotheses",
     "photo_consistency",
+    "semi_global_smoothing",
+    "semi_global_sweep",
     "soft_argmax",
     "soft_argmax_confidence",
     "sphere_sweep",

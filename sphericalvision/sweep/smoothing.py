@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Semi-global smoothing on the icosphere: costs summed up along its straight lines, both ways."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import icosphere_lines, level_from_num_vertices
+
+__all__ = ["semi_global_smoothing", "smoothing_paths"]
+
+
+def semi_global_smoothing(
+    cost: Tensor,
+    small_penalty: float,
+    large_penalty: float,
+    guide: Tensor | None = None,
+    contrast: float = 0.1,
+    lead: float = 1.0,
+) -> Tensor:
+    """Add to the cost of each hypothesis what it takes to reach it along the straight lines through a vertex.
+
+    A path comes to vertex p from its predecessor q on the line with ``L(p, i) = C(p, i) + min(L(q, i),
+    L(q, i - 1) + P1, L(q, i + 1) + P1, min L(q) + P2) - min L(q)``: no penalty for the same hypothesis, P1 for the
+    next one, P2 for any other. Paths come from all six directions (five at the twelve vertices where lines end),
+    across the seams of the icosphere as anywhere else, and the result is their mean.
+
+    Args:
+        cost: ``(B, N, V)``, finite.
+        small_penalty: P1, for a change by one hypothesis.
+        large_penalty: P2, for any larger change, where the guide does not change.
+        guide: ``(B, C, V)`` colours: P2 is divided by ``1 + |change of colour| / contrast`` (but never below
+            P1), because surfaces end where colours do.
+        contrast: change of colour that halves P2, in the unit of the guide (mean over channels).
+        lead: vertices that a path passes before the first of its results, as multiples of an edge of the
+            icosahedron; lines run around the sphere in 5. Paths along such an edge start at its end.
+
+    Returns:
+        ``(B, N, V)``; the best hypothesis is the smallest.
+
+    Raises:
+        ShapeError: if the cost is not on an icosphere or the guide does not fit.
+        ArgumentError: unless 0 <= P1 <= P2, the contrast is positive, and the lead 0 to 4.
+
+    References:
+        Hirschmüller (2008), "Stereo processing by semiglobal matching and mutual information", section 2.3.
+
+    Examples:
+        >>> cost = torch.rand(1, 8, 642, generator=torch.Generator().manual_seed(0))
+        >>> cost[:, 3] -= 0.2
+        >>> alone, smooth = cost.argmin(1), semi_global_smoothing(cost, 0.5, 2.0).argmin(1)
+        >>> bool((alone == 3).float().mean() < 0.5), bool((smooth == 3).float().mean() > 0.99)
+        (True, True)
+    """
+    if cost.ndim != 3:
+        raise ShapeError(f"cost: expected shape (B, N, V), got {tuple(cost.shape)}")
+    level = level_from_num_vertices(cost.shape[-1])
+    if not 0 <= small_penalty <= large_penalty:
+        raise ArgumentError(
+            f"small_penalty, large_penalty: expected 0 <= P1 <= P2, got {small_penalty} and {large_penalty}"
+        )
+    if not contrast > 0:
+        raise ArgumentError(f"contrast: expected a positive number, got {contrast}")
+    if guide is not None and (guide.ndim != 3 or guide.shape[::2] != cost.shape[::2]):
+        expected = f"({cost.shape[0]}, C, {cost.shape[2]})"
+        raise ShapeError(f"guide: expected shape {expected}, got {tuple(guide.shape)}")
+    rows = cost.permute(2, 0, 1).contiguous()  # (V, B, N): what a step looks up lies side by side
+    colors = None if guide is None else guide.permute(2, 0, 1).contiguous()
+    total, count = torch.zeros_like(rows), rows.new_zeros(len(rows))
+    for paths, first in smoothing_paths(level, lead, cost.device):
+        reached = rows.index_select(0, paths[0])
+        for step, ids in enumerate(paths):
+            if step > 0:
+                best = reached.amin(-1, keepdim=True)
+                jump = best + large_penalty
+                if colors is not None:
+                    change = (colors[ids] - colors[paths[step - 1]]).abs().mean(-1, keepdim=True)
+                    jump = best + (large_penalty / (1 + change / contrast)).clamp(min=small_penalty)
+                least = torch.minimum(reached, jump)
+                beside = reached + small_penalty
+                least[..., 1:] = torch.minimum(least[..., 1:], beside[..., :-1])
+                least[..., :-1] = torch.minimum(least[..., :-1], beside[..., 1:])
+                reached = rows.index_select(0, ids) + (least - best)
+            if step >= first:
+                total.index_add_(0, ids, reached)
+                count.index_add_(0, ids, count.new_ones(len(ids)))
+    return (total / count[:, None, None]).permute(1, 2, 0)
+
+
+def smoothing_paths(
+    level: int, lead: float = 1.0, device: torch.device | str | None = None
+) -> list[tuple[Tensor, int]]:
+    """Return vertex ids along paths, step by step ``(steps, P)``, and the step from which their results count.
+
+    Closed lines are cut into fifths where they cross certain edges of the icosahedron, which its rotations (72
+    degrees about the vertical among them) take to one another; so they do with the paths.
+    """
+    if not 0 <= lead <= 4:
+        raise ArgumentError(f"lead: expected 0 to 4 edges of the icosahedron, got {lead}")
+    size = 2**level
+    ahead = round(lead * size)
+    loops, edges = icosphere_lines(level, device)
+    columns = torch.arange(-ahead, size, device=device)[:, None] + torch.arange(5, device=device) * size
+    # Backwards, a fifth starts at the same edge of the icosahedron.
+    both = torch.cat((loops[:, columns % (5 * size)], loops[:, -columns % (5 * size)]))
+    ends = torch.cat((edges, edges.flip(1)))
+    return [(both.transpose(0, 1).flatten(1), ahead), (ends.T.contiguous(), 1)]

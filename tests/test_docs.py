@@ -14,7 +14,7 @@ import yaml
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 
-from sphericalvision.recipes.cli import quote_paths
+from sphericalvision.recipes.cli import name_rigs, quote_paths
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -60,15 +60,15 @@ def test_python_of_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
 def test_command_line_is_understood(page: str, command: str) -> None:
     """Every `key=value` of a printed command is a key of that recipe's configuration."""
     program, *arguments = shlex.split(command, comments=True)
-    importlib.import_module(f"sphericalvision.recipes.{program.removeprefix('sphericalvision-')}")
-    overrides = [
-        argument for argument in quote_paths(arguments) if "=" in argument and not argument.startswith("-")
-    ]
+    name = program.removeprefix("sphericalvision-")
+    importlib.import_module(f"sphericalvision.recipes.{name}")
+    words = quote_paths(name_rigs(name, arguments))
+    overrides = [word for word in words if "=" in word and not word.startswith("-")]
     if "--multirun" in arguments:  # a sweep is checked at the first value of each key
         overrides = [override.split(",")[0] for override in overrides]
     GlobalHydra.instance().clear()
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        compose(program.removeprefix("sphericalvision-"), overrides=overrides)
+        compose(name, overrides=overrides)
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, read_rig
+from sphericalvision.cameras import CameraRig, EquirectangularCamera, read_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data.panorama_grid import panorama_directions
 from sphericalvision.data.photometric import PhotometricAugmentation
@@ -49,6 +49,24 @@ def test_images_agree_with_the_rigs_own_lookup(rig: CameraRig, with_truth: Make)
     assert result["inverse_depth"].shape == result["valid"].shape == (162,)
     assert result["frame"] == sample["frame"]
     assert result["rig"] is rig
+
+
+@pytest.mark.parametrize("antialias", [False, True])
+def test_panoramas_are_looked_up_across_their_seam(antialias: bool) -> None:
+    """Brightness (1 + backward) / 2 on panoramas of any size: exact where the left and right edges meet, too."""
+    camera = EquirectangularCamera((90, 180))
+    poses = torch.eye(4).repeat(2, 1, 1)
+    poses[1, :3, 3] = torch.tensor([0.2, 0.0, 0.0])
+    rig = CameraRig([camera, camera], poses)
+    rays = camera.unproject(camera.pixel_grid()).directions
+    images = dict.fromkeys(rig.names, ((1 - rays[..., 2]) / 2).expand(3, -1, -1))
+    to_sphere = ToSphere(3, antialias=antialias)
+    expected = -Icosphere(3).vertices[:, 2]
+    for _ in range(2):
+        result = to_sphere.images(images, rig)
+        torch.testing.assert_close(
+            result, expected.expand(2, 3, -1), rtol=0, atol=0.02 if antialias else 2e-3
+        )
 
 
 def test_convention_images_are_world_aligned(rig: CameraRig) -> None:

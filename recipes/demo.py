@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere, collate_samples
 from sphericalvision.data.image_io import write_image
 from sphericalvision.models import IcoSweepNet
@@ -39,6 +40,10 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
     """Render a scene, estimate its depth, write everything to ``folder`` and return the table."""
     folder.mkdir(parents=True, exist_ok=True)
     net = load_network(config.checkpoint).to(choose_device(config.device))
+    if not isinstance(net, IcoSweepNet):
+        raise ArgumentError(
+            f"checkpoint: the demonstration shows IcoSweepNet, {config.checkpoint} is {type(net).__name__}"
+        )
     h = net.hyperparameters
     scale = h["min_depth"] / NATURAL_MIN_DEPTH
     rig: CameraRig = build(config.scene_rig)

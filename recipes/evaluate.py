@@ -11,7 +11,8 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import check_choice
-from sphericalvision.models import IcoSweepNet
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import IcoSweepNet, OmniMVS
 from sphericalvision.recipes.checkpoints import load_network
 from sphericalvision.recipes.cli import build, choose_device, command, output_folder, print_config
 from sphericalvision.recipes.datamodules import SampleDataModule
@@ -24,6 +25,7 @@ from sphericalvision.recipes.evaluation import (
     save_rows,
     sweep_estimator,
 )
+from sphericalvision.recipes.inputs import VertexEstimator
 
 __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation", "main"]
 
@@ -31,15 +33,22 @@ __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation", "main"
 class Evaluation(NamedTuple):
     """A network and the data it is evaluated on."""
 
-    net: IcoSweepNet
+    net: IcoSweepNet | OmniMVS
     data: SampleDataModule
 
 
 def instantiate_evaluation(config: DictConfig) -> Evaluation:
-    """Load the network and make the data in its level and scale, unless ``config.model`` says otherwise."""
-    net = load_network(config.checkpoint, config.model.level, config.model.min_depth)
-    for key in ("level", "min_depth"):
-        OmegaConf.update(config, f"model.{key}", net.hyperparameters[key])
+    """Load the network and make the data in its level and scale, unless ``config.model`` says otherwise.
+
+    A network on panoramas has no level; it is evaluated at the vertices of level 3 unless ``model.level`` says
+    otherwise.
+    """
+    net = load_network(config.checkpoint, None, config.model.min_depth)
+    if isinstance(net, IcoSweepNet) and config.model.level not in (None, net.level):
+        net = load_network(config.checkpoint, config.model.level, config.model.min_depth)
+    level = net.level if isinstance(net, IcoSweepNet) else config.model.level or 5
+    OmegaConf.update(config, "model.level", level)
+    OmegaConf.update(config, "model.min_depth", net.min_depth)
     return Evaluation(net.to(choose_device(config.device)), build(config.data))
 
 
@@ -52,15 +61,17 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
     data.render(config.split)
     frames = data.plain_train_dataset() if config.split == "train" else data.dataset(config.split)
     name = "IcoSweepNet" if config.checkpoint is None else Path(config.checkpoint).stem
-    estimators: dict[str, Estimator] = {name: lambda batch: net(batch["images"], batch["rig"])}
+    estimator = VertexEstimator(net)
+    within = estimator.reaches(Icosphere(config.model.level - 2, device=net.sweep.directions.device).vertices)
+    estimators: dict[str, Estimator] = {name: estimator}
     if config.baselines:
         data.render("train")
         estimators |= constant_estimators(data.loader(data.plain_train_dataset()), net)
         estimators["photo-consistency sweep"] = sweep_estimator(net)
     with torch.inference_mode():
-        rows = evaluate(estimators, data.loader(frames), net)
+        rows = evaluate(estimators, data.loader(frames), net, within)
     h = net.hyperparameters
-    print_rows(f"{config.split}, level {h['level']}, percent of N = {h['num_hypotheses']}", rows)
+    print_rows(f"{config.split}, level {config.model.level}, percent of N = {h['num_hypotheses']}", rows)
     save_rows(folder / "metrics", rows)
     print(f"Saved in {folder}")
     return rows

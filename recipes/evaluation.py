@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.metrics import DepthIndexError
-from sphericalvision.models import IcoSweepNet
+from sphericalvision.models import IcoSweepNet, OmniMVS
 from sphericalvision.recipes.cli import print_table
 from sphericalvision.sweep import index_from_inverse_depth, photo_consistency
 
@@ -42,30 +42,39 @@ class Row(NamedTuple):
     values: Mapping[str, float]
 
 
-def index_target(batch: Batch, net: IcoSweepNet) -> Tensor:
+def index_target(batch: Batch, net: IcoSweepNet | OmniMVS) -> Tensor:
     """True hypothesis index ``(B, V)`` in the hypotheses of ``net``; not rounded."""
     h = net.hyperparameters
     return index_from_inverse_depth(batch["inverse_depth"], h["num_hypotheses"], h["min_depth"])
 
 
 @torch.inference_mode()
-def evaluate(estimators: Mapping[str, Estimator], loader: Iterable[Batch], net: IcoSweepNet) -> list[Row]:
-    """Errors of several estimators on the same batches, in the hypotheses of ``net``; shows its progress."""
+def evaluate(
+    estimators: Mapping[str, Estimator],
+    loader: Iterable[Batch],
+    net: IcoSweepNet | OmniMVS,
+    within: Tensor | None = None,
+) -> list[Row]:
+    """Errors of several estimators on the same batches, in the hypotheses of ``net``; shows its progress.
+
+    ``within`` ``(V,)`` leaves out all points where it is False.
+    """
     device = next(net.parameters()).device
     number = net.hyperparameters["num_hypotheses"]
     metrics = {name: DepthIndexError(number).to(device) for name in estimators}
     for batch in _progress(loader, "evaluating"):
         batch = {key: value.to(device) if hasattr(value, "to") else value for key, value in batch.items()}
         target = index_target(batch, net)
+        valid = batch["valid"] if within is None else batch["valid"] & within.to(device)
         for name, estimator in estimators.items():
-            metrics[name].update(estimator(batch), target, batch["valid"])
+            metrics[name].update(estimator(batch), target, valid)
     return [
         Row(name, {key: float(value) for key, value in metric.compute().items()})
         for name, metric in metrics.items()
     ]
 
 
-def constant_estimators(loader: Iterable[Batch], net: IcoSweepNet) -> dict[str, Estimator]:
+def constant_estimators(loader: Iterable[Batch], net: IcoSweepNet | OmniMVS) -> dict[str, Estimator]:
     """The best constants of the training set for the mean absolute error: a depth map, and a single depth.
 
     Both are medians of the true index: over the frames for each vertex, and over everything.
@@ -92,7 +101,7 @@ def constant_estimators(loader: Iterable[Batch], net: IcoSweepNet) -> dict[str, 
     }
 
 
-def sweep_estimator(net: IcoSweepNet) -> Estimator:
+def sweep_estimator(net: IcoSweepNet | OmniMVS) -> Estimator:
     """The training-free photo-consistency sweep with the hypotheses of ``net``."""
     number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
 

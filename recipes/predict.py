@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -13,10 +14,11 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.data.image_io import read_image
-from sphericalvision.models import IcoSweepNet
+from sphericalvision.models import IcoSweepNet, OmniMVS
 from sphericalvision.recipes.captures import find_capture, find_masks, read_frame
 from sphericalvision.recipes.checkpoints import load_network
 from sphericalvision.recipes.cli import choose_device, command, console, output_folder, print_config
+from sphericalvision.recipes.omnistereo_datamodule import ChosenEntries
 from sphericalvision.recipes.results import estimate_depth, save_result
 from sphericalvision.recipes.rigs import rig_from_file
 
@@ -36,7 +38,7 @@ def load_rig(config: DictConfig) -> CameraRig:
     return CameraRig(rig.cameras, rig.world_from_camera, masks=masks)
 
 
-def network_for(rig: CameraRig, config: DictConfig) -> IcoSweepNet:
+def network_for(rig: CameraRig, config: DictConfig) -> IcoSweepNet | OmniMVS:
     """Load the network at the scale of ``rig``.
 
     Scaling a rig and everything around it changes no image. A network that was trained with one ring of cameras
@@ -62,6 +64,16 @@ def network_for(rig: CameraRig, config: DictConfig) -> IcoSweepNet:
     return load_network(config.checkpoint, config.level, float(min_depth)).to(choose_device(config.device))
 
 
+def image_preparation(
+    net: IcoSweepNet | OmniMVS, antialias: bool
+) -> Callable[[Mapping[str, Tensor], CameraRig], Tensor]:
+    """What makes images by camera name into those that the network wants."""
+    if isinstance(net, IcoSweepNet):
+        return ToSphere(net.level, antialias=antialias).images
+    to_entry = ChosenEntries(("fisheye",), level=2)
+    return lambda images, rig: to_entry({"images": images, "rig": rig})["fisheye"]  # type: ignore[no-any-return]
+
+
 def predict(config: DictConfig, folder: Path) -> list[Path]:
     """Write picture, point cloud and arrays of each frame to ``folder``; returns the files."""
     rig = load_rig(config)
@@ -72,11 +84,11 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         f"{len(capture.files)} frame(s), {len(rig)} cameras, rig radius {float(rig.radius):.3f} m, "
         f"nearest hypothesis {net.hyperparameters['min_depth']:.3f} m"
     )
-    to_sphere = ToSphere(net.hyperparameters["level"], antialias=config.antialias)
+    prepare = image_preparation(net, config.antialias)
     written = []
     for frame, files in track(capture.files.items(), "estimating depth", console=console):
         images = read_frame(files, rig)
-        result = estimate_depth(net, to_sphere.images(images, rig), rig, config.height)
+        result = estimate_depth(net, prepare(images, rig), rig, config.height)
         written += save_result(folder, f"{frame}_" if frame else "", result, images, rig)
     for path in written:
         print(path)

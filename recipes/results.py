@@ -15,8 +15,9 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.data.image_io import whole_file, write_image
+from sphericalvision.data.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
-from sphericalvision.models import IcoSweepNet
+from sphericalvision.models import IcoSweepNet, OmniMVS
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama, save_depth_panorama
 from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_cloud
@@ -29,13 +30,16 @@ class DepthResult:
     """What a network says about one frame; ``H`` rows and ``2 * H`` columns of panorama.
 
     Attributes:
-        index: ``(V,)`` hypothesis index on the icosphere.
+        directions: ``(V, 3)`` of the network's own grid: the vertices of an icosphere, or the pixels of a panorama.
+        index: ``(V,)`` hypothesis index there.
         inverse_depth: ``(V,)`` 1/m.
-        panorama: ``(H, 2 * H)`` depth in metres along the rays from the rig's centre.
+        panorama: ``(H, 2 * H)`` depth in metres along the rays from the rig's centre; NaN where the network's grid does
+            not reach.
         min_depth: nearest hypothesis in metres.
         max_depth: metres; farther is not told from infinity: half a hypothesis away from it.
     """
 
+    directions: Tensor
     index: Tensor
     inverse_depth: Tensor
     panorama: Tensor
@@ -44,15 +48,29 @@ class DepthResult:
 
 
 @torch.inference_mode()
-def estimate_depth(net: IcoSweepNet, sphere_images: Tensor, rig: CameraRig, height: int = 320) -> DepthResult:
-    """Estimate the depth of one frame, sphere images ``(n, 3, V)`` of an unbatched rig, on the network's device."""
+def estimate_depth(
+    net: IcoSweepNet | OmniMVS, images: Tensor, rig: CameraRig, height: int = 320
+) -> DepthResult:
+    """Estimate the depth of one frame of an unbatched rig, on the network's device.
+
+    The images are those that the network wants: ``(n, 3, V)`` on icospheres, or ``(n, 3, H, W)`` of the cameras.
+    """
     device = next(net.parameters()).device
-    index = net(sphere_images[None].to(device), rig.to(device))[0].float().cpu()
-    number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
+    index = net(images[None].to(device), rig.to(device))[0].float().cpu()
+    number, min_depth = net.num_hypotheses, net.min_depth
     inverse_depth = inverse_depth_from_index(index, number, min_depth)
-    panorama = icosphere_to_panorama(inverse_depth, height).reciprocal()
+    if isinstance(net, OmniMVS):
+        view, grid = panorama_directions(height, 2 * height), net.grid.cpu()
+        panorama = grid.sample(inverse_depth, view.flatten(0, 1)).view(height, 2 * height)
+        panorama = panorama.where(grid.contains(view), math.nan)
+        directions = grid.directions.flatten(0, 1)
+    else:
+        panorama = icosphere_to_panorama(inverse_depth, height)
+        directions = Icosphere(level_from_num_vertices(len(index))).vertices
     max_depth = float(depth_from_index(torch.tensor(0.5), number, min_depth))
-    return DepthResult(index, inverse_depth, panorama, min_depth, max_depth)
+    return DepthResult(
+        directions, index.flatten(), inverse_depth.flatten(), panorama.reciprocal(), min_depth, max_depth
+    )
 
 
 def save_result(
@@ -68,12 +86,11 @@ def save_result(
     written = [picture, folder / f"{prefix}color.png"]
     if len(cloud.points):
         written.append(save_point_cloud(folder / f"{prefix}points.ply", cloud.points, cloud.colors))
-    directions = Icosphere(level_from_num_vertices(len(result.index))).vertices
     arrays = {
         "index": result.index,
         "inverse_depth": result.inverse_depth,
         "depth": result.inverse_depth.reciprocal(),
-        "directions": directions,
+        "directions": result.directions,
         "depth_panorama": result.panorama,
         "color_panorama": colors,
         "seen_panorama": seen,

@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import sphericalvision.conf
 from sphericalvision.data import write_omnistereo
+from sphericalvision.models import OmniMVS
 from sphericalvision.recipes.cli import build
 from sphericalvision.recipes.frames import RenderedFrames
 from sphericalvision.recipes.rigs import make_ring
@@ -46,9 +47,13 @@ def test_every_experiment_makes_its_network_and_its_first_sample(experiment: str
     module = build(config.model, **config.optimizer, seed=config.seed)
     data = build(config.data)
     sample = data.dataset("train")[0]
-    level = module.net.hyperparameters["level"]
-    assert sample["images"].shape == (4, 3, 2 + 10 * 4**level)
-    assert sample["inverse_depth"].shape == (2 + 10 * 4 ** (level - 2),)
+    if isinstance(module.net, OmniMVS):
+        assert sample["fisheye"].shape == (4, 3, 32, 32)
+        assert sample["panorama_inverse_depth"].shape == module.net.grid.shape
+    else:
+        level = module.net.hyperparameters["level"]
+        assert sample["images"].shape == (4, 3, 2 + 10 * 4**level)
+        assert sample["inverse_depth"].shape == (2 + 10 * 4 ** (level - 2),)
     assert len(data.dataset("val")) > 0
 
 

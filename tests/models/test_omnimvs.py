@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OmniMVS: its size, its pixel centres, and laws that need no reference."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
+from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.losses import depth_index_huber
+from sphericalvision.models import (
+    CostHourglass,
+    FisheyeFeatures,
+    IcoSweepNet,
+    OmniMVS,
+    load_weights,
+    save_weights,
+)
+from sphericalvision.models.omnimvs_layers import SphereConv, VolumeConv, VolumeUpConv
+from sphericalvision.sphere import Equirectangular
+
+SIZE = (24, 30)
+
+
+def small_net(**changes: Any) -> OmniMVS:
+    torch.manual_seed(0)
+    settings = {
+        "num_hypotheses": 8,
+        "feature_channels": 2,
+        "num_cameras": 3,
+        "output_size": (8, 16),
+        "in_channels": 3,
+        "num_scales": 2,
+    }
+    return OmniMVS(**(settings | changes))
+
+
+def small_rig(num_cameras: int = 3) -> CameraRig:
+    return ring_rig(num_cameras, image_size=SIZE)
+
+
+def images(generator: torch.Generator, batch: int = 2, num_cameras: int = 3) -> Tensor:
+    return 2 * torch.rand(batch, num_cameras, 3, *SIZE, generator=generator) - 1
+
+
+def test_the_published_size() -> None:
+    """10.9 million parameters at 32 channels, as the paper's table of layers has."""
+    net = OmniMVS()
+    assert sum(parameter.numel() for parameter in net.parameters()) == pytest.approx(10.9e6, abs=0.05e6)
+    assert net.grid.shape == (160, 640)
+    assert net.grid.max_latitude == math.pi / 4
+    convolutions = [m for m in net.features.modules() if isinstance(m, torch.nn.Conv2d)]
+    assert [c.dilation[0] for c in convolutions] == [1] * 11 + [2, 2, 3, 3, 4, 4, 1]
+    assert net.hourglass.across[-1][0].conv.in_channels == 256
+
+
+@pytest.mark.parametrize("aggregation", ["concatenation", "variance"])
+@pytest.mark.parametrize("circular", [False, True])
+@pytest.mark.parametrize("size", [(8, 16), (6, 24), (10, 24)])
+def test_index_is_in_range_on_the_grid(
+    generator: torch.Generator, aggregation: str, circular: bool, size: tuple[int, int]
+) -> None:
+    net = small_net(aggregation=aggregation, circular=circular, output_size=size, norm="instance").eval()
+    index, confidence = net.predict(images(generator), small_rig())
+    assert index.shape == confidence.shape == (2, *size) == (2, *net.grid.shape)
+    assert index.min() >= 0
+    assert index.max() <= 7
+    assert confidence.max() <= 1 + 1e-5
+    torch.testing.assert_close(net.depth(index)[index == 0], torch.full_like(index[index == 0], 2.0**23))
+    assert torch.equal(net(images(generator.manual_seed(0)), small_rig()), index)
+
+
+@pytest.mark.parametrize("num_hypotheses", [4, 6, 10, 16])
+def test_any_even_number_of_hypotheses(generator: torch.Generator, num_hypotheses: int) -> None:
+    net = small_net(num_hypotheses=num_hypotheses)
+    assert net.logits(images(generator), small_rig()).shape == (2, num_hypotheses, 8, 16)
+
+
+def centre_of_mass(values: Tensor) -> Tensor:
+    """Mean position of absolute values along each dimension."""
+    values = values.detach().abs()
+    return torch.stack(
+        [
+            (values.sum([d for d in range(values.ndim) if d != dim]) * torch.arange(size)).sum()
+            / values.sum()
+            for dim, size in enumerate(values.shape)
+        ]
+    )
+
+
+def with_equal_taps(module: torch.nn.Module) -> torch.nn.Module:
+    """Give all convolutions equal positive taps, so that responses are symmetric about their centres."""
+    with torch.no_grad():
+        for part in module.modules():
+            if isinstance(part, torch.nn.modules.conv._ConvNd):
+                part.weight.fill_(1 / part.weight[0].numel())
+    return module.eval()
+
+
+def test_a_feature_pixel_stands_for_the_image_pixel_of_twice_its_number() -> None:
+    """A ramp comes out of the features as the ramp at every second pixel: no half pixel is lost on the way."""
+    features = with_equal_taps(FisheyeFeatures(1))
+    image = torch.ones(1, 1, 161, 161, requires_grad=True)
+    (gradient,) = torch.autograd.grad(features(image)[0, 0, 40, 38], image)
+    torch.testing.assert_close(centre_of_mass(gradient[0, 0]), torch.tensor([80.0, 76.0]), rtol=0, atol=1e-3)
+    ramp = torch.arange(161.0).expand(1, 1, 161, 161) + 10
+    slope = features(ramp)[0, 0, 40, 37:44].diff()
+    torch.testing.assert_close(slope, slope[:1].expand(6), rtol=1e-4, atol=0)
+    entry = features.entry[0]  # type: ignore[index, union-attr]
+    entry.bias = None  # type: ignore[union-attr]
+    filtered = entry(ramp)[0, 0, 40, 2:-2]  # type: ignore[operator]
+    torch.testing.assert_close(filtered, ramp[0, 0, 80, 4:-4:2])
+
+
+@pytest.mark.parametrize("circular", [False, True])
+def test_volumes_keep_every_second_voxel_as_centre(circular: bool) -> None:
+    spheres = torch.zeros(1, 1, 1, 16, 32, requires_grad=True)
+    taps = with_equal_taps(SphereConv(1, 1, circular))
+    (gradient,) = torch.autograd.grad(taps(spheres)[0, 0, 0, 4, 6], spheres)
+    torch.testing.assert_close(centre_of_mass(gradient[0, 0]), torch.tensor([0.0, 8.0, 12.0]))
+    volume = torch.ones(1, 1, 8, 16, 32, requires_grad=True)
+    down = with_equal_taps(VolumeConv(1, 1, 2, circular=circular))
+    (gradient,) = torch.autograd.grad(down(volume)[0, 0, 2, 4, 6], volume)
+    torch.testing.assert_close(centre_of_mass(gradient[0, 0]), torch.tensor([4.0, 8.0, 12.0]))
+    up = with_equal_taps(VolumeUpConv(1, 1, None, circular))
+    point = torch.zeros(1, 1, 4, 8, 16)
+    point[0, 0, 2, 4, 6] = 1
+    spread = up(point, (8, 16, 32)) - up(torch.zeros_like(point), (8, 16, 32))
+    torch.testing.assert_close(centre_of_mass(spread[0, 0]), torch.tensor([4.0, 8.0, 12.0]))
+
+
+def turned(rig: CameraRig, columns: int, width: int) -> CameraRig:
+    angle = torch.tensor([0.0, 2 * math.pi * columns / width, 0.0])
+    return rig.rotated(rotation=transform_from_axis_angle(angle, torch.zeros(3))[:3, :3])
+
+
+@pytest.mark.parametrize("aggregation", ["concatenation", "variance"])
+@torch.no_grad()
+def test_with_circular_padding_a_turned_rig_turns_the_panorama(
+    generator: torch.Generator, aggregation: str
+) -> None:
+    """By every 8 columns, which the encoder's coarsest scale steps by; the zeros of the paper's padding show."""
+    photographs = images(generator, 1)
+    changes = []
+    for circular in (True, False):
+        net = small_net(circular=circular, output_size=(8, 32), norm="instance", aggregation=aggregation)
+        net = net.double().eval()
+        rig = small_rig().to(dtype=torch.float64)
+        logits = net.logits(photographs.double(), rig)
+        after = net.logits(photographs.double(), turned(rig, 8, 32))
+        changes.append((after - logits.roll(8, -1)).abs().max())
+    assert changes[0] < 1e-4 < changes[1]
+
+
+@torch.no_grad()
+def test_a_batch_equals_its_samples_and_tables_the_rig(generator: torch.Generator) -> None:
+    net = small_net().eval()
+    batch, rig = images(generator), small_rig()
+    rigs = CameraRig.stack([rig, turned(rig, 1, 16)])
+    together = net(batch, rigs)
+    for sample in range(2):
+        alone = net(batch[sample : sample + 1], net.sweep.tables(rigs.select(sample)))
+        torch.testing.assert_close(together[sample], alone[0], rtol=0, atol=1e-4)
+
+
+@torch.no_grad()
+def test_grey_is_the_luminance_of_colour(generator: torch.Generator) -> None:
+    net = small_net(in_channels=1).eval()
+    colour = images(generator)
+    grey = (0.299 * colour[:, :, :1] + 0.587 * colour[:, :, 1:2] + 0.114 * colour[:, :, 2:]).contiguous()
+    torch.testing.assert_close(net(colour, small_rig()), net(grey, small_rig()), rtol=0, atol=1e-4)
+
+
+@torch.no_grad()
+def test_variance_takes_any_cameras_in_any_order(generator: torch.Generator) -> None:
+    net = small_net(aggregation="variance", norm="instance").eval()
+    photographs, rig = images(generator), small_rig()
+    index = net(photographs, rig)
+    torch.testing.assert_close(
+        net(photographs[:, [2, 0, 1]], rig.permuted([2, 0, 1])), index, rtol=0, atol=1e-4
+    )
+    assert net(photographs[:, :2], rig.subset([0, 1])).shape == index.shape
+    blank = torch.cat((photographs, torch.zeros_like(photographs[:, :1])), 1)  # all covered by a mask
+    cameras = [*rig.cameras.values(), rig.cameras["cam1"]]
+    four = CameraRig(cameras, torch.cat((rig.world_from_camera, rig.world_from_camera[:1])))
+    volume = net._seen(blank, net.sweep.tables(four))
+    assert not volume[:, 3].any()
+    assert volume[:, :3].any()
+
+
+@pytest.mark.parametrize("norm", ["batch", "instance"])
+@pytest.mark.parametrize("aggregation", ["concatenation", "variance"])
+def test_gradients_reach_every_parameter_and_recomputing_changes_nothing(
+    generator: torch.Generator, norm: str, aggregation: str
+) -> None:
+    photographs, truth = images(generator), 7 * torch.rand(2, 8, 16, generator=generator)
+    gradients = []
+    for recompute in (False, True):
+        net = small_net(norm=norm, aggregation=aggregation, num_scales=1)
+        net.recompute = recompute
+        depth_index_huber(net(photographs, small_rig()), truth).backward()
+        gradients.append({name: parameter.grad for name, parameter in net.named_parameters()})
+    for name, gradient in gradients[0].items():
+        assert gradient is not None, name
+        assert gradient.isfinite().all(), name
+        torch.testing.assert_close(
+            gradients[1][name], gradient, msg=lambda text, name=name: f"{name}: {text}"
+        )
+    dead = [name for name, gradient in gradients[0].items() if gradient is not None and not gradient.any()]
+    assert not dead
+
+
+def test_the_sweep_alone_finds_a_sphere_around_the_rig() -> None:
+    """A textured sphere of a metre: at its hypothesis, and at no other, the cameras that see a point agree."""
+    net = small_net(num_hypotheses=16, output_size=(16, 32))
+    rig = ring_rig(3, image_size=(120, 120), radius=0.2)
+    index = 8
+    depth = float(net.depth(torch.tensor(float(index))))
+    photographs = []
+    for pose, camera in zip(rig.world_from_camera, rig.cameras.values(), strict=True):
+        rays, seen = camera.unproject(camera.pixel_grid())
+        rays = rays @ pose[:3, :3].T
+        start = pose[:3, 3] - rig.center
+        along = (rays * start).sum(-1)
+        points = start + rays * (((along**2 - start.square().sum() + depth**2).sqrt() - along)[..., None])
+        texture = torch.sin(7 * points[..., 0] / depth) + torch.sin(
+            6 * points[..., 1] / depth + points[..., 2]
+        )
+        photographs.append(texture * seen)
+    maps = torch.stack(photographs)[None, :, None, ::2, ::2]
+    values, mask = net.sweep(maps, rig)[0, :, 0], net.sweep.tables(rig).mask
+    count = mask.sum(0)
+    mean = (values * mask).sum(0) / count.clamp(min=1)
+    variance = ((values - mean).square() * mask).sum(0) / count.clamp(min=1)
+    twice = (count >= 2).all(0)
+    assert twice.float().mean() > 0.3
+    assert (variance.argmin(0)[twice] == index // 2).float().mean() > 0.95
+
+
+def test_index_at_other_directions(generator: torch.Generator) -> None:
+    net = small_net(output_size=(8, 32))
+    directions = Equirectangular(16, 32).directions
+    index = torch.rand(2, 8, 32, generator=generator)
+    values, inside = net.index_at(index, directions.flatten(0, 1))
+    assert torch.equal(inside.view(16, 32).all(1), (torch.arange(16) >= 4) & (torch.arange(16) < 12))
+    torch.testing.assert_close(values[:, inside].view(2, 8, 32), index, rtol=0, atol=1e-4)
+
+
+def test_save_and_load(tmp_path: Path, generator: torch.Generator) -> None:
+    net = small_net(aggregation="variance", circular=True)
+    net.train()(images(generator), small_rig())  # statistics other than those it starts with
+    again = load_weights(save_weights(net, tmp_path / "net.safetensors"))
+    assert isinstance(again, OmniMVS)
+    assert again.hyperparameters == net.hyperparameters
+    with torch.no_grad():
+        assert torch.equal(
+            again(images(generator.manual_seed(1)), small_rig()),
+            net.eval()(images(generator.manual_seed(1)), small_rig()),
+        )
+    other = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2)
+    assert isinstance(load_weights(save_weights(other, tmp_path / "other.safetensors")), IcoSweepNet)
+
+
+def test_a_file_of_another_network_is_told_by_its_format(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.safetensors"
+    save_file({"weight": torch.zeros(1)}, path, {"format": "pt"})
+    with pytest.raises(FileFormatError, match="'sphericalvision-icosweepnet' or 'sphericalvision-omnimvs'"):
+        load_weights(path)
+
+
+def test_mistakes_are_named(generator: torch.Generator) -> None:
+    with pytest.raises(ArgumentError, match=r"output_size.*multiples of 32.*got \[160, 600\]"):
+        OmniMVS(output_size=(160, 600))
+    with pytest.raises(ArgumentError, match="output_size"):
+        OmniMVS(output_size=(33, 64))
+    with pytest.raises(ArgumentError, match="at most half the width"):
+        OmniMVS(output_size=(64, 64))
+    with pytest.raises(ArgumentError, match=r"num_hypotheses: expected an even number.*got 15"):
+        small_net(num_hypotheses=15)
+    with pytest.raises(ArgumentError, match=r"in_channels: expected 1 \(grey\) or 3"):
+        small_net(in_channels=2)
+    with pytest.raises(ArgumentError, match="aggregation"):
+        small_net(aggregation="sum")
+    with pytest.raises(ArgumentError, match="norm"):
+        small_net(norm="layer")
+    with pytest.raises(ArgumentError, match="num_scales"):
+        small_net(num_scales=0)
+    net = small_net()
+    with pytest.raises(ShapeError, match=r"\(B, 3, 3, H, W\) for 3 cameras"):
+        net(images(generator, num_cameras=2), small_rig(2))
+    with pytest.raises(ShapeError, match="calibrated for 24 x 30"):
+        net(torch.zeros(1, 3, 3, 30, 24), small_rig())
+    with pytest.raises(ShapeError, match="rig has 2"):
+        net(images(generator), small_rig(2))
+
+
+def test_the_hourglass_doubles_the_volume() -> None:
+    hourglass = CostHourglass(4, 2, 3, "instance")
+    assert hourglass(torch.randn(2, 4, 5, 9, 16)).shape == (2, 10, 18, 32)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sweep onto panoramas against single points pushed through the cameras, and its laws."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.sweep import PanoramaSweep, inverse_depth_hypotheses
+
+DOUBLE = torch.float64
+SIZE = (40, 46)
+
+
+def random_rig(generator: torch.Generator, num_cameras: int = 3) -> CameraRig:
+    rig = ring_rig(num_cameras, image_size=SIZE, field_of_view=3.5).to(dtype=DOUBLE)
+    wobble = torch.randn(2, num_cameras, 3, dtype=DOUBLE, generator=generator)
+    shaken = rig.world_from_camera @ transform_from_axis_angle(0.3 * wobble[0], 0.05 * wobble[1])
+    return CameraRig(rig.cameras, shaken)
+
+
+def yaw(columns: int, width: int) -> Tensor:
+    """Turn the world about the vertical so that a panorama of it moves to the right by ``columns``."""
+    angle = torch.tensor([0.0, 2 * math.pi * columns / width, 0.0], dtype=DOUBLE)
+    return transform_from_axis_angle(angle, torch.zeros(3, dtype=DOUBLE))[:3, :3]
+
+
+@pytest.mark.parametrize("stride", [1, 2, 3])
+def test_maps_of_the_pixels_give_the_pixels_of_the_points(generator: torch.Generator, stride: int) -> None:
+    """Maps that hold their own pixels' coordinates in the image: the sweep must find each point's pixel exactly."""
+    rig = random_rig(generator)
+    sweep = PanoramaSweep((6, 12), num_hypotheses=5, min_depth=0.5, stride=stride)
+    grid = next(iter(rig.cameras.values())).pixel_grid(DOUBLE).permute(2, 0, 1)
+    ramps = grid[:, ::stride, ::stride].expand(1, 3, -1, -1, -1)
+    values, tables = sweep(ramps, rig)[0], sweep.tables(rig)
+    assert tables.mask.float().mean() > 0.3
+    hypotheses = inverse_depth_hypotheses(5, 0.5, DOUBLE)[::2]
+    for k, (pose, camera) in enumerate(zip(rig.world_from_camera, rig.cameras.values(), strict=True)):
+        points = rig.center + sweep.grid.directions.to(DOUBLE) / hypotheses[:, None, None, None]
+        pixels, seen = camera.project((points - pose[:3, 3]) @ pose[:3, :3])
+        assert torch.equal(tables.mask[k], seen)
+        last = torch.tensor([s - 1 - (s - 1) % stride for s in SIZE[::-1]], dtype=DOUBLE)
+        expected = torch.minimum(pixels.clamp(min=0), last) * seen[..., None]
+        torch.testing.assert_close(values[k].permute(1, 2, 3, 0), expected, rtol=0, atol=1e-4)
+
+
+def test_turning_rig_and_panorama_by_whole_pixels_rolls_the_sweep(generator: torch.Generator) -> None:
+    rig = random_rig(generator)
+    sweep = PanoramaSweep((8, 16), num_hypotheses=6, min_depth=0.5)
+    maps = torch.randn(1, 3, 2, SIZE[0] // 2, SIZE[1] // 2, dtype=DOUBLE, generator=generator)
+    for columns in (1, 5, 8):
+        turned = sweep(maps, rig.rotated(rotation=yaw(columns, 16)))
+        torch.testing.assert_close(turned, sweep(maps, rig).roll(columns, -1), rtol=0, atol=1e-6)
+
+
+def test_a_rig_a_sample_equals_one_after_the_other(generator: torch.Generator) -> None:
+    rigs = [random_rig(generator), random_rig(generator)]
+    sweep = PanoramaSweep((4, 8), num_hypotheses=4, min_depth=0.5)
+    maps = torch.randn(2, 3, 2, SIZE[0] // 2, SIZE[1] // 2, dtype=DOUBLE, generator=generator)
+    together = sweep(maps, CameraRig.stack(rigs))
+    for sample, rig in enumerate(rigs):
+        torch.testing.assert_close(together[sample], sweep(maps[sample : sample + 1], rig)[0])
+
+
+def test_masked_pixels_are_out_of_view(generator: torch.Generator) -> None:
+    rig = random_rig(generator)
+    upper = torch.zeros(SIZE, dtype=torch.bool)
+    upper[:20] = True
+    masked = CameraRig(rig.cameras, rig.world_from_camera, {"cam2": upper})
+    sweep = PanoramaSweep((6, 12), num_hypotheses=4, min_depth=0.5)
+    plain, tables = sweep.tables(rig), sweep.tables(masked)
+    assert torch.equal(tables.mask[0], plain.mask[0])
+    assert 0 < tables.mask[1].sum() < plain.mask[1].sum()
+    ones = torch.ones(1, 3, 1, SIZE[0] // 2, SIZE[1] // 2, dtype=DOUBLE)
+    torch.testing.assert_close(sweep(ones, tables)[0, :, 0], tables.mask.to(DOUBLE))
+
+
+def test_gradients_reach_maps_and_poses(generator: torch.Generator) -> None:
+    rig = random_rig(generator)
+    poses = rig.world_from_camera.clone().requires_grad_()
+    maps = torch.randn(1, 3, 1, SIZE[0] // 2, SIZE[1] // 2, dtype=DOUBLE, generator=generator)
+    maps.requires_grad_()
+    sweep = PanoramaSweep((4, 8), num_hypotheses=4, min_depth=0.5)
+    sweep(maps, CameraRig(rig.cameras, poses)).square().sum().backward()
+    for leaf in (maps, poses):
+        assert leaf.grad is not None
+        assert leaf.grad.isfinite().all()
+        assert leaf.grad.abs().sum() > 0
+
+
+def test_what_does_not_fit_is_named() -> None:
+    sweep = PanoramaSweep((4, 8), num_hypotheses=4, min_depth=0.5)
+    rig = ring_rig(2, image_size=(20, 20))
+    with pytest.raises(ShapeError, match=r"\(B, n, C, 10, 10\) for images of 20 x 20 pixels"):
+        sweep(torch.zeros(1, 2, 3, 20, 20), rig)
+    with pytest.raises(ShapeError, match="got 3 cameras, but the rig has 2"):
+        sweep(torch.zeros(1, 3, 3, 10, 10), rig)
+    with pytest.raises(ShapeError, match="got 2 rigs"):
+        sweep(torch.zeros(3, 2, 3, 10, 10), CameraRig.stack([rig, rig]))
+    with pytest.raises(ArgumentError, match=r"images of one size, got \(10, 10\), \(20, 20\)"):
+        sweep.tables(rig.resized({"cam1": (10, 10)}))

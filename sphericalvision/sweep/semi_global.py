@@ -33,8 +33,8 @@ def semi_global_sweep(
     cost_level: int | None = None,
     substeps: int = 2,
     window: int = 1,
-    small_penalty: float = 0.2,
-    large_penalty: float = 2.4,
+    small_penalty: float = 0.3,
+    large_penalty: float = 3.6,
     contrast: float = 0.4,
 ) -> DepthIndex:
     """Return depth without training: the best cameras' correlation, and semi-global smoothing on the icosphere.
@@ -102,14 +102,13 @@ def semi_global_sweep(
     number = (num_hypotheses - 1) * substeps + 1
     inverse_depths = inverse_depth_hypotheses(number, min_depth, device=sphere_images.device)
     cost, guide = _sweep(sphere_images, rig, inverse_depths, cost_level, window)
-    neutral = torch.where(cost.isfinite(), cost, 1.0)  # as where cameras see nothing to compare
-    smooth = semi_global_smoothing(neutral, small_penalty, large_penalty, guide, contrast)
+    smooth = semi_global_smoothing(_neutral(cost), small_penalty, large_penalty, guide, contrast)
     for finer_level in range(cost_level, level, -1):
         ids = Icosphere(finer_level, device=cost.device).coarse_ids
-        smooth, neutral = smooth[..., ids], neutral[..., ids]
+        smooth, cost = smooth[..., ids], cost[..., ids]
     index = winner_takes_all(smooth, subhypothesis=True).index
-    at_winner = neutral.gather(1, index.round().long()[:, None]).squeeze(1)
-    return DepthIndex(index / substeps, 1 - at_winner)
+    at_winner = cost.gather(1, index.round().long()[:, None]).squeeze(1)
+    return DepthIndex(index / substeps, 1 - at_winner.clamp(max=1))
 
 
 class _SweptCosts(NamedTuple):
@@ -123,7 +122,7 @@ def _sweep(images: Tensor, rig: CameraRig, inverse_depths: Tensor, level: int, w
     """Compare the cameras at one hypothesis after the other; no more than one is in memory in colours."""
     grid = Icosphere(level, images.dtype, images.device)
     image_level = level_from_num_vertices(images.shape[-1])
-    costs = []
+    costs: list[Tensor] = []
     least = images.new_full((len(images), grid.num_vertices), torch.inf)
     guide = images.new_zeros(len(images), 3, grid.num_vertices)
     for inverse_depth in inverse_depths:
@@ -137,3 +136,11 @@ def _sweep(images: Tensor, rig: CameraRig, inverse_depths: Tensor, level: int, w
         least = torch.minimum(least, cost)
         costs.append(cost)
     return _SweptCosts(torch.stack(costs, 1), guide)
+
+
+def _neutral(cost: Tensor) -> Tensor:
+    """Give unseen hypotheses the mean of the seen ones at their vertex, so that nothing speaks for or against them."""
+    seen = cost.isfinite()
+    count = seen.sum(1, keepdim=True)
+    mean = torch.where(seen, cost, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
+    return torch.where(seen, cost, mean.where(count > 0, 1.0))

@@ -49,8 +49,8 @@ def semi_global_smoothing(
 
     Examples:
         >>> cost = torch.rand(1, 8, 642, generator=torch.Generator().manual_seed(0))
-        >>> cost[:, 3] -= 0.2
-        >>> alone, smooth = cost.argmin(1), semi_global_smoothing(cost, 0.5, 2.0).argmin(1)
+        >>> cost[:, 3] -= 0.3
+        >>> alone, smooth = cost.argmin(1), semi_global_smoothing(cost, 1.0, 4.0).argmin(1)
         >>> bool((alone == 3).float().mean() < 0.5), bool((smooth == 3).float().mean() > 0.99)
         (True, True)
     """

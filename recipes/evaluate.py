@@ -23,6 +23,7 @@ from sphericalvision.recipes.evaluation import (
     evaluate,
     print_rows,
     save_rows,
+    semi_global_estimator,
     sweep_estimator,
 )
 from sphericalvision.recipes.inputs import VertexEstimator
@@ -68,6 +69,7 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
         data.render("train")
         estimators |= constant_estimators(data.loader(data.plain_train_dataset()), net)
         estimators["photo-consistency sweep"] = sweep_estimator(net)
+        estimators["semi-global sweep"] = semi_global_estimator(net)
     with torch.inference_mode():
         rows = evaluate(estimators, data.loader(frames), net, within)
     h = net.hyperparameters

@@ -17,7 +17,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import IcoSweepNet, OmniMVS
 from sphericalvision.recipes.cli import print_table
-from sphericalvision.sweep import index_from_inverse_depth, photo_consistency
+from sphericalvision.sweep import index_from_inverse_depth, photo_consistency, semi_global_sweep
 
 __all__ = [
     "Estimator",
@@ -27,6 +27,7 @@ __all__ = [
     "index_target",
     "print_rows",
     "save_rows",
+    "semi_global_estimator",
     "sweep_estimator",
 ]
 
@@ -107,6 +108,16 @@ def sweep_estimator(net: IcoSweepNet | OmniMVS) -> Estimator:
 
     def estimate(batch: Batch) -> Tensor:
         return photo_consistency(batch["images"], batch["rig"], number, min_depth).index
+
+    return estimate
+
+
+def semi_global_estimator(net: IcoSweepNet | OmniMVS) -> Estimator:
+    """The training-free sweep with semi-global smoothing, with the hypotheses of ``net``."""
+    number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
+
+    def estimate(batch: Batch) -> Tensor:
+        return semi_global_sweep(batch["images"], batch["rig"], number, min_depth).index
 
     return estimate
 

@@ -11,7 +11,7 @@ from rich.progress import track
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import ToSphere
 from sphericalvision.data.image_io import read_image
 from sphericalvision.models import IcoSweepNet, OmniMVS
@@ -21,6 +21,7 @@ from sphericalvision.recipes.cli import choose_device, command, console, output_
 from sphericalvision.recipes.omnistereo_datamodule import ChosenEntries
 from sphericalvision.recipes.results import estimate_depth, save_result
 from sphericalvision.recipes.rigs import rig_from_file
+from sphericalvision.recipes.training_free import SemiGlobalSweep
 
 __all__ = ["load_rig", "main", "network_for", "predict"]
 
@@ -65,10 +66,10 @@ def network_for(rig: CameraRig, config: DictConfig) -> IcoSweepNet | OmniMVS:
 
 
 def image_preparation(
-    net: IcoSweepNet | OmniMVS, antialias: bool
+    net: IcoSweepNet | OmniMVS | SemiGlobalSweep, antialias: bool
 ) -> Callable[[Mapping[str, Tensor], CameraRig], Tensor]:
     """What makes images by camera name into those that the network wants."""
-    if isinstance(net, IcoSweepNet):
+    if not isinstance(net, OmniMVS):
         return ToSphere(net.level, antialias=antialias).images
     to_entry = ChosenEntries(("fisheye",), level=2)
     return lambda images, rig: to_entry({"images": images, "rig": rig})["fisheye"]  # type: ignore[no-any-return]
@@ -76,13 +77,16 @@ def image_preparation(
 
 def predict(config: DictConfig, folder: Path) -> list[Path]:
     """Write picture, point cloud and arrays of each frame to ``folder``; returns the files."""
+    check_choice("method", config.method, ("network", "semi_global"))
     rig = load_rig(config)
     capture = find_capture(config.images, rig.names, config.frames)
-    net = network_for(rig, config)
+    net: IcoSweepNet | OmniMVS | SemiGlobalSweep = network_for(rig, config)
+    if config.method == "semi_global":
+        net = SemiGlobalSweep.like(net)
     print_config(config, folder)
     console.print(
         f"{len(capture.files)} frame(s), {len(rig)} cameras, rig radius {float(rig.radius):.3f} m, "
-        f"nearest hypothesis {net.hyperparameters['min_depth']:.3f} m"
+        f"nearest hypothesis {net.min_depth:.3f} m"
     )
     prepare = image_preparation(net, config.antialias)
     written = []

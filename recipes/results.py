@@ -18,6 +18,7 @@ from sphericalvision.data.image_io import whole_file, write_image
 from sphericalvision.data.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import IcoSweepNet, OmniMVS
+from sphericalvision.recipes.training_free import SemiGlobalSweep
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama, save_depth_panorama
 from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_cloud
@@ -49,13 +50,13 @@ class DepthResult:
 
 @torch.inference_mode()
 def estimate_depth(
-    net: IcoSweepNet | OmniMVS, images: Tensor, rig: CameraRig, height: int = 320
+    net: IcoSweepNet | OmniMVS | SemiGlobalSweep, images: Tensor, rig: CameraRig, height: int = 320
 ) -> DepthResult:
     """Estimate the depth of one frame of an unbatched rig, on the network's device.
 
     The images are those that the network wants: ``(n, 3, V)`` on icospheres, or ``(n, 3, H, W)`` of the cameras.
     """
-    device = next(net.parameters()).device
+    device = next(net.buffers()).device
     index = net(images[None].to(device), rig.to(device))[0].float().cpu()
     number, min_depth = net.num_hypotheses, net.min_depth
     inverse_depth = inverse_depth_from_index(index, number, min_depth)

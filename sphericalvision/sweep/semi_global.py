@@ -49,7 +49,7 @@ def semi_global_sweep(
 
     Args:
         sphere_images: ``(B, n, 3, V_image)`` in [-1, 1] on icospheres aligned with the world, in the order of
-            ``rig.names``.
+            ``rig.names``; 0 in all colours where there is nothing (masked).
         rig: of n cameras, two or more, for all samples or, with batched poses, a rig a sample.
         num_hypotheses: N, which index is returned in.
         min_depth: smallest depth in metres.
@@ -129,6 +129,7 @@ def _sweep(images: Tensor, rig: CameraRig, inverse_depths: Tensor, level: int, w
         tables = sweep_tables(grid.vertices, inverse_depth[None], rig, image_level)
         swept = sphere_sweep(images, tables)
         values, mask = swept.values.squeeze(3), swept.mask.squeeze(2)
+        mask = mask & (values != 0).any(2)
         cost = best_pairs_cost(values, mask, window)
         mean = values.sum(1) / mask.sum(1)[:, None].clamp(min=1)
         better = (cost < least) | (len(costs) == 0)  # of the first where nothing is seen by two

@@ -49,6 +49,16 @@ def words(capture: Path, weights: Path, output: str) -> list[str]:
     ]
 
 
+def test_depth_of_a_capture_without_a_network(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
+    run("predict", *words(capture, weights, "out"), "method=semi_global", "frames=[3]")
+    with np.load(tmp_path / "out/00003_depth.npz") as arrays:
+        finer = arrays["index"].shape[0]
+        assert arrays["depth_panorama"].shape == (32, 64)
+    run("predict", *words(capture, weights, "net"), "frames=[3]")
+    with np.load(tmp_path / "net/00003_depth.npz") as arrays:
+        assert finer == 4 * arrays["index"].shape[0] - 6  # one level more
+
+
 def test_every_frame_gets_picture_points_and_arrays(
     run: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:

@@ -45,7 +45,13 @@ def test_a_rendered_set_is_read_back_and_evaluated(
     )
     run("evaluate", *data, f"checkpoint={weights}", "baselines=true", "output=table", "device=cpu")
     table = json.loads((tmp_path / "table/metrics.json").read_text())
-    assert list(table) == ["weights", "constant depth map", "constant depth", "photo-consistency sweep"]
+    assert list(table) == [
+        "weights",
+        "constant depth map",
+        "constant depth",
+        "photo-consistency sweep",
+        "semi-global sweep",
+    ]
     assert all(0 <= row["MAE"] <= row["RMS"] <= 100 for row in table.values())
     assert table["constant depth map"]["MAE"] < table["weights"]["MAE"]
 

@@ -35,13 +35,19 @@ class SphereLookup(NamedTuple):
 
     def __call__(self, image: Tensor, fill: float = 0.5) -> Tensor:
         """Values ``(*b, c, V)`` of an image ``(*b, c, h, w)``, ``fill`` where nothing is seen."""
-        pixels = self.pixels
-        if self.shrink > 1:
-            flat = image.reshape(-1, *image.shape[-3:])
-            small = F.avg_pool2d(flat, self.shrink, ceil_mode=True)
-            image = small.reshape(*image.shape[:-2], *small.shape[-2:])
-            pixels = (pixels + 0.5) / self.shrink - 0.5
-        return torch.where(self.seen.unsqueeze(-2), self.camera._interpolate(image, pixels), fill)
+        values = self.camera._interpolate(self.shrunk(image), self.shrunk_pixels())
+        return torch.where(self.seen.unsqueeze(-2), values, fill)
+
+    def shrunk(self, image: Tensor) -> Tensor:
+        """The image averaged over squares of pixels, where that is asked for."""
+        if self.shrink == 1:
+            return image
+        small = F.avg_pool2d(image.reshape(-1, *image.shape[-3:]), self.shrink, ceil_mode=True)
+        return small.reshape(*image.shape[:-2], *small.shape[-2:])
+
+    def shrunk_pixels(self) -> Tensor:
+        """Positions in the averaged image."""
+        return self.pixels if self.shrink == 1 else (self.pixels + 0.5) / self.shrink - 0.5
 
 
 def sphere_lookups(rig: CameraRig, directions: Tensor, antialias: bool = False) -> list[SphereLookup]:

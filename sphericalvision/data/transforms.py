@@ -11,8 +11,9 @@ from kornia.geometry.transform import translate
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
+from sphericalvision.cameras.sphere_images import sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data.fast_lookup import FastLookup
 from sphericalvision.data.panorama_grid import nearest_pixels
 from sphericalvision.icosphere import Icosphere
 
@@ -79,7 +80,7 @@ class ToSphere:
         self._directions = Icosphere(level).vertices
         self._depth_directions = Icosphere(self.depth_level, torch.float64).vertices
         self._rig: CameraRig | None = None
-        self._lookups: list[SphereLookup] = []
+        self._lookups: list[FastLookup] = []
 
     def __call__(self, sample: Sample) -> Sample:
         inverse_depth, valid = self.ground_truth(sample["inverse_depth"], sample["valid"])
@@ -104,10 +105,11 @@ class ToSphere:
                     f"images[{name!r}]: expected (h, w) = {tuple(rig.cameras[name].image_size)} from the "
                     f"calibration, got {tuple(images[name].shape[-2:])}"
                 )
-        lookups = self._lookups_of(rig)
-        return torch.stack(
-            [lookup(images[name], 0.5) * 2 - 1 for name, lookup in zip(rig.names, lookups, strict=True)]
-        )
+        if self._rig is not rig:
+            directions = self._directions.to(rig.world_from_camera)
+            self._rig = rig
+            self._lookups = [FastLookup.of(x) for x in sphere_lookups(rig, directions, self.antialias)]
+        return torch.stack([look(images[name]) for name, look in zip(rig.names, self._lookups, strict=True)])
 
     def ground_truth(self, inverse_depth: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
         """Inverse depth and validity ``(V_depth,)`` at the vertices, of those of a panorama ``(H, W)``.
@@ -123,12 +125,6 @@ class ToSphere:
         ids, inside = nearest_pixels(self._depth_directions.to(inverse_depth.device), *inverse_depth.shape)
         known = inside & valid.flatten()[ids]
         return torch.where(known, inverse_depth.flatten()[ids], 0.0), known
-
-    def _lookups_of(self, rig: CameraRig) -> list[SphereLookup]:
-        if self._rig is not rig:
-            directions = self._directions.to(rig.world_from_camera)
-            self._rig, self._lookups = rig, sphere_lookups(rig, directions, self.antialias)
-        return self._lookups
 
     def __repr__(self) -> str:
         return f"ToSphere(level={self.level}, depth_level={self.depth_level}, antialias={self.antialias})"

@@ -124,7 +124,7 @@ def _key(config: DictConfig, job: Job) -> dict[str, Any]:
     data: dict[str, Any] = OmegaConf.to_container(config.data, resolve=True)  # type: ignore[assignment]
     flat = flat_config(OmegaConf.create({"data": data}))
     key = {k: v for k, v in flat.items() if not k.removeprefix("data.").startswith(NO_MATTER)}
-    key |= {"generation": GENERATION, "kind": job.model.kind, "options": job.model.options}
+    key |= {"generation": GENERATION, "kind": job.model.kind, "options": job.model.sweep_options}
     names = ("frames", "image_size", "panel_frame", "num_hypotheses", "model")
     key |= {name: _plain(config[name]) for name in names}
     if "rig" in config.data:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from inspect import Parameter, signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.checkpoints import load_network
 from sphericalvision.recipes.evaluation import Batch
 from sphericalvision.recipes.rig_tables import RigTables
-from sphericalvision.sweep import index_from_inverse_depth, inverse_depth_from_index, photo_consistency
+from sphericalvision.sweep import index_from_inverse_depth, inverse_depth_from_index, semi_global_sweep
 
 __all__ = [
     "KINDS",
@@ -65,7 +66,7 @@ class StudyModel(NamedTuple):
         train: words of sphericalvision-train; for "constant" they say whose median it is.
         checkpoint: weights that are there already; ``{seed}`` stands for each seed. With neither, a network is the
             one that ships.
-        options: of "semi_global".
+        options: of ``semi_global_sweep``, for "semi_global".
     """
 
     name: str
@@ -84,6 +85,17 @@ class StudyModel(NamedTuple):
         """The seeds it has: all, or ``[None]`` for a model that has only one version."""
         several = self.is_trained or (self.checkpoint is not None and "{seed}" in self.checkpoint)
         return [*seeds] if several else [None]
+
+    @property
+    def sweep_options(self) -> dict[str, Any]:
+        """All options of ``semi_global_sweep``, those not given as they are by default; none for other kinds."""
+        if self.kind != "semi_global":
+            return {}
+        usual = {name: p.default for name, p in signature(semi_global_sweep).parameters.items()}
+        usual = {name: default for name, default in usual.items() if default is not Parameter.empty}
+        for key in self.options:
+            check_choice(f"models.{self.name}.options", key, tuple(usual))
+        return {**usual, **self.options}
 
     def given_checkpoint(self, seed: int | None) -> Path | None:
         """The file of ``checkpoint``, if there is one."""
@@ -121,6 +133,8 @@ def study_models(config: DictConfig) -> list[StudyModel]:
                 entry.get("options") or {},
             )
         )
+    for model in models:
+        _ = model.sweep_options  # wrong ones are told before anything is trained
     if not models:
         raise ArgumentError("models: expected at least one model, got none; see preset=small for examples")
     return models
@@ -137,8 +151,8 @@ def make_estimator(
         assert constant is not None
         index = constant.to(device)
         return lambda batch: on_grid(index.expand(len(batch["valid"]), -1))
-    options = {"num_hypotheses": scale.num_hypotheses, "min_depth": scale.min_depth, **model.options}
-    return lambda batch: on_grid(photo_consistency(batch["images"], batch["rig"], **options).index)
+    options = {"num_hypotheses": scale.num_hypotheses, "min_depth": scale.min_depth, **model.sweep_options}
+    return lambda batch: on_grid(semi_global_sweep(batch["images"], batch["rig"], **options).index)
 
 
 def _network_estimator(weights: Path | None, scale: Scale, device: torch.device) -> StudyEstimator:

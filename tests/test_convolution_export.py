@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every convolution, padding and crown layer under torch.compile, torch.export and in ONNX."""
+"""Every convolution, padding, crown layer and kept table under torch.compile, torch.export and in ONNX."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from sphericalvision.cameras import FisheyeCamera
 from sphericalvision.crown import (
     CrownAvgPool2d,
     CrownBatchNorm2d,
@@ -18,6 +19,8 @@ from sphericalvision.crown import (
     CrownConv2d,
     CrownConv3d,
     CrownExchange,
+    CrownInstanceNorm2d,
+    CrownInstanceNorm3d,
     CrownMaxPool2d,
     CrownPointwise,
     CrownUpsample,
@@ -26,7 +29,19 @@ from sphericalvision.crown import (
     HexConv3d,
     ToCrown,
 )
-from sphericalvision.sphere import CubePad2d, EquirectangularPad2d, SphereConv2d, make_circular
+from sphericalvision.icosphere import IcospherePool, IcosphereUpsample
+from sphericalvision.sphere import (
+    Cubemap,
+    CubePad2d,
+    Equirectangular,
+    EquirectangularPad2d,
+    Healpix,
+    Icosphere,
+    Resample,
+    SphereConv2d,
+    TangentImages,
+    make_circular,
+)
 
 
 def crown_network() -> nn.Module:
@@ -50,6 +65,25 @@ def crown_network_3d() -> nn.Module:
     )
 
 
+def crown_instance_norms() -> nn.Module:
+    norms = CrownInstanceNorm2d(3), CrownInstanceNorm3d(2)
+    return nn.Sequential(ToCrown(), norms[0], FromCrown(), nn.Unflatten(1, (1, 3)), Volumes(norms[1]))
+
+
+class Volumes(nn.Module):
+    """Three channels as the hypotheses of two."""
+
+    def __init__(self, norm: nn.Module) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(ToCrown(), norm, FromCrown())
+
+    def forward(self, values: Tensor) -> Tensor:
+        return self.layers(torch.cat((values, values.square()), 1))
+
+
+FISHEYE = FisheyeCamera.from_field_of_view((8, 8), 3.3)
+TURN = torch.tensor([[0.0, 0.6, 0.8], [0.0, 0.8, -0.6], [-1.0, 0.0, 0.0]])
+
 NETWORKS: dict[str, tuple[Callable[[], nn.Module], tuple[int, ...]]] = {
     "crown": (crown_network, (2, 3, 162)),
     "crown_3d": (crown_network_3d, (1, 2, 4, 42)),
@@ -66,6 +100,22 @@ NETWORKS: dict[str, tuple[Callable[[], nn.Module], tuple[int, ...]]] = {
         lambda: make_circular(nn.Sequential(nn.Conv2d(2, 3, 3, padding=1), nn.ReLU())),
         (1, 2, 6, 12),
     ),
+    "instance_norms": (crown_instance_norms, (2, 3, 42)),
+    "pool_upsample": (
+        lambda: nn.Sequential(IcospherePool(2, "max"), IcosphereUpsample(1), IcospherePool(2)),
+        (2, 3, 162),
+    ),
+    "panorama_to_cube": (lambda: Resample(Equirectangular(6, 12), Cubemap(4), TURN), (2, 3, 6, 12)),
+    "cube_to_panorama": (lambda: Resample(Cubemap(4), Equirectangular(6, 12), TURN), (2, 3, 6, 4, 4)),
+    "icosphere_to_healpix": (lambda: Resample(Icosphere(2), Healpix(2), mode="area"), (2, 3, 162)),
+    "healpix_to_tangent": (lambda: Resample(Healpix(4), TangentImages(0, 3), TURN), (2, 3, 192)),
+    "tangent_to_icosphere": (lambda: Resample(TangentImages(0, 4), Icosphere(1), TURN), (2, 3, 20, 4, 4)),
+    "fisheye_to_panorama": (
+        lambda: Resample(FISHEYE, Equirectangular(6, 12), mode="area", fill=-1),
+        (2, 3, 8, 8),
+    ),
+    "panorama_to_fisheye": (lambda: Resample(Equirectangular(6, 12), FISHEYE, fill=-1), (2, 3, 6, 12)),
+    "nearest": (lambda: Resample(Cubemap(4), Icosphere(2), mode="nearest"), (2, 3, 6, 4, 4)),
 }
 
 
@@ -114,7 +164,7 @@ def test_exports(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NETWORKS)
 def test_runs_as_onnx(name: str, tmp_path: Path) -> None:
-    reason = "not installed: pip install onnx onnxscript onnxruntime"
+    reason = "needs onnx, onnxscript and onnxruntime: pip install sphericalvision[onnx]"
     for package in ("onnx", "onnxscript"):
         pytest.importorskip(package, reason=reason)
     onnxruntime = pytest.importorskip("onnxruntime", reason=reason)

@@ -18,7 +18,12 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
-from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.icosphere import (
+    chart_vertex_ids,
+    level_from_num_vertices,
+    num_icosphere_vertices,
+    vertex_at,
+)
 
 __all__ = ["Crown", "crown_map", "crown_relu", "exchange", "from_crown", "to_crown"]
 
@@ -182,7 +187,38 @@ def _empty_channels_last(like: Tensor, channel_dim: int, shape: tuple[int, ...])
     )
 
 
+def _place_ids(level: int, device: torch.device) -> Tensor:
+    """Vertices at the places of five col and then five row rectangles, ``(10, (2n + 1) * (n + 1))``."""
+    n = 2**level
+    chart = torch.arange(5, device=device)[:, None, None]
+    row, column = torch.arange(n + 1, device=device)[:, None], torch.arange(2 * n + 1, device=device)
+    west = vertex_at(chart, row, column.clamp(max=n), level)
+    east = vertex_at((chart + 1) % 5, row + n, (column - n).clamp(min=0), level)
+    across = torch.where(column <= n, west, east)
+    return torch.cat((chart_vertex_ids(level, device).flatten(1), across.flatten(1)))
+
+
+def _unfold_by_index(values: Tensor) -> tuple[Tensor, Tensor]:
+    """``_unfold`` as one look-up: what compilers and exporters make of many slices takes them minutes."""
+    level = level_from_num_vertices(values.shape[-1])
+    n = 2**level
+    places = values.index_select(-1, _place_ids(level, values.device).flatten()).unflatten(-1, (10, -1))
+    col, row = places.movedim(-2, 1).split(5, 1)
+    return col.unflatten(-1, (2 * n + 1, n + 1)), row.unflatten(-1, (n + 1, 2 * n + 1))
+
+
+def _fold_by_index(col: Tensor, row: Tensor) -> Tensor:
+    """``_fold`` as one sum by index."""
+    level = (col.shape[-1] - 1).bit_length() - 1
+    places = torch.cat((col.flatten(-2), row.flatten(-2)), 1).movedim(1, -2).flatten(-2)
+    ids = _place_ids(level, col.device).flatten().expand(places.shape)
+    values = places.new_zeros((*places.shape[:-1], num_icosphere_vertices(level)))
+    return values.scatter_add(-1, ids, places)
+
+
 def _unfold(values: Tensor) -> tuple[Tensor, Tensor]:
+    if torch.compiler.is_compiling():
+        return _unfold_by_index(values)
     batch, *channels, vertices = values.shape
     n = 2 ** level_from_num_vertices(vertices)
     charts = _charts(values, n)
@@ -204,6 +240,8 @@ def _unfold(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _fold(col: Tensor, row: Tensor) -> Tensor:
+    if torch.compiler.is_compiling():
+        return _fold_by_index(col, row)
     batch, _, *channels, _, columns = col.shape
     n = columns - 1
     total = _empty_channels_last(col, 2, tuple(col.shape)).copy_(col)

@@ -28,13 +28,13 @@ class RowSums(NamedTuple):
         row: ``(q, m)``, row of the source.
         shift: ``(q, m)``, column of the source that column 0 reads; others follow, around the image.
         weight: ``(q, m)``, float64.
-        count: ``(q,)``, how many of the m are needed.
+        needed: ``(q,)``, how many of the m are.
     """
 
     row: Tensor
     shift: Tensor
     weight: Tensor
-    count: Tensor
+    needed: Tensor
 
 
 def row_sums(made: Tensor, row: Tensor, shift: Tensor, weight: Tensor, num_made: int) -> RowSums:
@@ -42,7 +42,7 @@ def row_sums(made: Tensor, row: Tensor, shift: Tensor, weight: Tensor, num_made:
 
     Examples:
         >>> sums = row_sums(*torch.tensor([[1, 0, 1], [5, 6, 7], [0, 0, 2]]), torch.tensor([0.5, 1.0, 0.5]), 2)
-        >>> sums.row, sums.count
+        >>> sums.row, sums.needed
         (tensor([[6, 6],
                 [5, 7]]), tensor([1, 2]))
     """
@@ -51,21 +51,22 @@ def row_sums(made: Tensor, row: Tensor, shift: Tensor, weight: Tensor, num_made:
     count = torch.bincount(made, minlength=num_made)
     first = count.cumsum(0) - count
     place = torch.arange(len(made), device=made.device) - first[made]
-    tables = []
-    for entries in (row, shift, weight):
-        table = entries.new_zeros(num_made, int(count.max()))
+    unused = torch.arange(int(count.max()), device=made.device) >= count[:, None]
+
+    def arranged(entries: Tensor) -> Tensor:
+        table = entries.new_zeros(unused.shape)
         table[made, place] = entries[order]
-        unused = torch.arange(table.shape[1], device=made.device) >= count[:, None]
-        filling = table.new_zeros(()) if entries is weight else table[:, :1].expand_as(table)
-        tables.append(torch.where(unused, filling, table))
-    return RowSums(*tables, count)
+        return table
+
+    row, shift = (torch.where(unused, table[:, :1], table) for table in (arranged(row), arranged(shift)))
+    return RowSums(row, shift, arranged(weight), count)
 
 
 def adjoint(sums: RowSums, num_rows: int, num_taps: int, length: int) -> RowSums:
     """The sums that gradients of the source are made of, one row for each row of the source and tap."""
     device = sums.row.device
     made = torch.arange(len(sums.row), device=device)[:, None].expand_as(sums.row)
-    used = torch.arange(sums.row.shape[1], device=device) < sums.count[:, None]
+    used = torch.arange(sums.row.shape[1], device=device) < sums.needed[:, None]
     made, row, shift, weight = made[used], sums.row[used], sums.shift[used], sums.weight[used]
     place = row * num_taps + made % num_taps
     return row_sums(place, made // num_taps, -shift % length, weight, num_rows * num_taps)
@@ -177,7 +178,7 @@ def _read(rows: Tensor, sums: RowSums, num_taps: int) -> Any:
     for start in range(0, len(sums.row) // num_taps, together):
         place = slice(start, min(start + together, len(sums.row) // num_taps))
         taps = slice(place.start * num_taps, place.stop * num_taps)
-        most = int(sums.count[taps].max().clamp(min=1))
+        most = int(sums.needed[taps].max().clamp(min=1))
         first = (sums.row[taps, :most] * (2 * length) + sums.shift[taps, :most]).to(columns)
         ids = first[:, None] + columns[:, None]
         weights = sums.weight[taps, None, :most].to(pixels).expand(ids.shape)
@@ -191,7 +192,7 @@ def _gathered(rows: Tensor, weight: Tensor, sums: RowSums, groups: int) -> Tenso
     """The same by gathering pixel by pixel, which has derivatives of any order."""
     num_taps, length = weight.shape[-1], rows.shape[-1]
     columns = torch.arange(length, device=rows.device)
-    read: Tensor | float = 0.0
+    read = rows.new_zeros(())
     for row, shift, share in zip(sums.row.T, sums.shift.T, sums.weight.T, strict=True):
         ids = row[:, None] * length + (shift[:, None] + columns) % length
         found = rows.flatten(2).index_select(2, ids.flatten()).unflatten(2, tuple(ids.shape))

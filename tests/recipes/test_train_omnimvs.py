@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OmniMVS through the same commands as IcoSweepNet: training, resuming, evaluation, prediction."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.data.image_io import read_image, write_image
+from sphericalvision.models import OmniMVS, load_weights, save_weights
+from sphericalvision.recipes.checkpoints import load_network
+from sphericalvision.recipes.rigs import make_ring
+from tests.recipes.tiny import TINY_SCENES, Run
+
+WORDS = (
+    "experiment=omnimvs_small",
+    "model.num_hypotheses=4",
+    "model.feature_channels=2",
+    "model.output_size=[20,40]",
+    "model.num_scales=2",
+    *TINY_SCENES,
+    "trainer.val_check_interval=1",
+    "trainer.accelerator=cpu",
+    "optimizer.schedule=constant",
+)
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Where the scenes of these tests are kept."""
+    return f"data.cache_dir={tmp_path_factory.mktemp('fisheye')}"
+
+
+def state(path: Path) -> dict[str, torch.Tensor]:
+    return torch.load(path, weights_only=True)["state_dict"]
+
+
+def test_training_resumes_exactly_and_its_best_is_evaluated(
+    run: Run, tmp_path: Path, scenes: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("train", *WORDS, scenes, "trainer.max_steps=2", "output=straight", "panel_frames=0")
+    capsys.readouterr()
+    run("train", *WORDS, scenes, "trainer.max_steps=1", "output=run", "panel_frames=1")
+    printed = capsys.readouterr().out
+    last = tmp_path / "run/checkpoints/last.ckpt"
+    run("train", *WORDS, scenes, "trainer.max_steps=2", "output=resumed", f"resume={last}")
+    straight = state(tmp_path / "straight/checkpoints/last.ckpt")
+    resumed = state(tmp_path / "resumed/checkpoints/last.ckpt")
+    for name, value in straight.items():
+        torch.testing.assert_close(resumed[name], value, rtol=0, atol=0, msg=name)
+    beside, inside = load_weights(last.with_suffix(".safetensors")), load_network(last)
+    assert isinstance(beside, OmniMVS)
+    assert beside.hyperparameters == inside.hyperparameters
+    assert all(torch.equal(beside.state_dict()[name], value) for name, value in inside.state_dict().items())
+    panel = read_image(tmp_path / "run/panels/000001.png")
+    assert panel.shape == (3, 3 * 120, 240)  # estimate, truth and error of 20 x 40 pixels, six times as large
+
+    (line,) = (line for line in printed.splitlines() if line.startswith("Evaluate: "))
+    run("evaluate", *shlex.split(line.removeprefix("Evaluate: "))[1:], "output=table", "device=cpu")
+    (row,) = json.loads((tmp_path / "table/metrics.json").read_text()).values()
+    assert 0 < row["MAE"] < 100
+
+
+def test_networks_are_not_mixed_up(
+    run: Run, failing: Callable[..., str], tmp_path: Path, scenes: str, weights: Path
+) -> None:
+    message = failing("train", *WORDS, scenes, f"init_weights={weights}", "output=other")
+    assert "is IcoSweepNet, the network to train OmniMVS" in message
+    path = save_weights(
+        OmniMVS(4, feature_channels=1, output_size=(32, 64)), tmp_path / "omnimvs.safetensors"
+    )
+    with pytest.raises(ArgumentError, match="whose images are not on an icosphere; leave it out"):
+        load_network(path, level=5)
+    assert load_network(path, min_depth=1.0).min_depth == 1.0
+    sphere_only = [word for word in WORDS if not word.startswith("experiment")]
+    message = failing(
+        "train",
+        "model=omnimvs_small",
+        "data=scenes",
+        *sphere_only,
+        "data.cache_dir=null",
+        "output=wrong",
+    )
+    assert "data=fisheye_scenes" in message
+
+
+def test_a_capture_becomes_depth_within_the_band(run: Run, tmp_path: Path) -> None:
+    net = OmniMVS(4, feature_channels=1, output_size=(16, 64), num_scales=2, aggregation="variance")
+    path = save_weights(net, tmp_path / "band.safetensors")
+    make_ring(4, radius=0.2, image_size=(40, 48)).to_yaml(tmp_path / "rig.yaml")
+    for number in range(1, 5):
+        write_image(tmp_path / f"cam{number}.png", torch.rand(3, 40, 48))
+    images = f"images={tmp_path}/cam{{camera}}.png"
+    run(
+        "predict",
+        f"rig={tmp_path / 'rig.yaml'}",
+        images,
+        f"checkpoint={path}",
+        "output=out",
+        "height=32",
+        "device=cpu",
+    )
+    arrays = np.load(tmp_path / "out/depth.npz")
+    assert arrays["index"].shape == (16 * 64,)
+    assert arrays["directions"].shape == (16 * 64, 3)
+    known = np.isfinite(arrays["depth_panorama"])
+    assert known[8:24].all()
+    assert not known[:8].any()
+    assert not known[24:].any()

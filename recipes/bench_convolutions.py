@@ -103,7 +103,7 @@ class _PlainCrownConv(nn.Module):
     def forward(self, crown: Crown) -> Crown:
         results = []
         for rectangles, taps in ((crown.col, COL_TAPS), (crown.row, ROW_TAPS)):
-            kernel = F.pad(self.weight, (0, 1))[..., torch.tensor(taps)] * (torch.tensor(taps) < 7)
+            kernel = F.pad(self.weight, (0, 1))[..., torch.tensor(taps)]
             padded = F.pad(rectangles.flatten(0, 1).contiguous(), (1, 1, 1, 1), mode="replicate")
             results.append(F.conv2d(padded, kernel).unflatten(0, (-1, 5)))
         return Crown(*results)

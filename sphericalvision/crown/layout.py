@@ -199,7 +199,7 @@ def _place_ids(level: int, device: torch.device) -> Tensor:
 
 
 def _unfold_by_index(values: Tensor) -> tuple[Tensor, Tensor]:
-    """``_unfold`` as one look-up: what compilers and exporters make of many slices takes them minutes."""
+    """``_unfold`` as one look-up, for compilers and exporters, which are slow at many slices."""
     level = level_from_num_vertices(values.shape[-1])
     n = 2**level
     places = values.index_select(-1, _place_ids(level, values.device).flatten()).unflatten(-1, (10, -1))

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
-from sphericalvision.geometry import bilinear_sample, components
+from sphericalvision.geometry import bilinear_sample, components, is_at_least, is_greater
 
 if TYPE_CHECKING:
     from sphericalvision.cameras.conversion import Conversion
@@ -130,8 +130,9 @@ class Camera(ABC):
     def contains(self, pixels: Tensor) -> Tensor:
         """Whether ``pixels`` (*, 2) lie on the image, half a pixel around the outermost centres included, (*)."""
         height, width = self.image_size
-        u, v = pixels.unbind(-1)
-        return ((u - (width - 1) / 2).abs() <= width / 2) & ((v - (height - 1) / 2).abs() <= height / 2)
+        u, v = pixels.detach().unbind(-1)
+        from_middle_u, from_middle_v = (u - (width - 1) / 2).abs(), (v - (height - 1) / 2).abs()
+        return is_at_least(width / 2, from_middle_u) & is_at_least(height / 2, from_middle_v)
 
     def sample(self, image: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         """Values (*b, c, n) of ``image`` (*b, c, h, w) where ``points`` (*b, n, 3) appear, and validity (*b, n).
@@ -306,7 +307,7 @@ class Camera(ABC):
         cotangent = 1 / torch.tan(self._widest(points).clamp_max(math.pi - 1.5 * eps))
         x, y, z = components(points.detach())
         squared = torch.addcmul(x * x, y, y)
-        return torch.addcmul(z * z.abs(), squared, cotangent * cotangent.abs(), value=-1) > 0
+        return is_greater(torch.addcmul(z * z.abs(), squared, cotangent * cotangent.abs(), value=-1), 0.0)
 
     def _looks_within_max_angle(self, directions: Tensor) -> Tensor:
         """The same for unit directions."""

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
-from sphericalvision.cameras.plane_distortion import distort_inside, fold_radius, undistort
+from sphericalvision.cameras.plane_distortion import distort_inside, fold_radius, radius_limit, undistort
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import components
+from sphericalvision.geometry import components, is_greater
 
 __all__ = ["BrownConradyCamera", "project_brown_conrady", "unproject_brown_conrady"]
 
@@ -69,7 +69,11 @@ def _untilt(u: Tensor, v: Tensor, angles: Tensor) -> tuple[Tensor, Tensor, Tenso
 
 
 def project_brown_conrady(
-    points: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
+    points: Tensor,
+    focal_length: Tensor,
+    principal_point: Tensor,
+    distortion: Tensor,
+    max_tangent: Tensor | None = None,
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3) as ``cv2.projectPoints`` computes them.
 
@@ -82,6 +86,8 @@ def project_brown_conrady(
         principal_point: (*, 2) as (u, v).
         distortion: (*, k) with k in 4, 5, 8, 12, 14, in OpenCV's order (k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4,
             τx, τy).
+        max_tangent: (*), tangent of the angle from the axis up to which points are looked at; to it the radial
+            distortion folds once at most. By default the largest such angle.
 
     Raises:
         ArgumentError: another number of coefficients.
@@ -98,9 +104,9 @@ def project_brown_conrady(
     check_last_dim("points", points, 3)
     _check_distortion(distortion)
     x, y, z = components(points)
-    shrink = z.abs().clamp_min(torch.finfo(z.dtype).tiny ** 0.4).copysign(z).reciprocal()
-    u, v, valid = distort_inside(x * shrink, y * shrink, distortion)
-    valid = valid & (z > 0)
+    shrink = z.clamp_min(torch.finfo(z.dtype).tiny ** 0.4).reciprocal()
+    u, v, valid = distort_inside(x * shrink, y * shrink, distortion, max_tangent)
+    valid = valid & is_greater(z, 0.0)
     if distortion.shape[-1] == 14:
         u, v, meets = _tilt(u, v, distortion[..., 12:])
         valid = valid & meets
@@ -139,8 +145,8 @@ class BrownConradyCamera(Camera):
         distortion: (*b, k), k in 4, 5, 8, 12, 14, in OpenCV's order (k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4,
             τx, τy).
         image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default the angle up to which the distortion
-            is one-to-one.
+        max_angle: half the field of view in radians, a number or (*b,); by default, and at most, the angle up to which
+            the distortion is one-to-one.
 
     Raises:
         ArgumentError: another number of coefficients.
@@ -184,9 +190,28 @@ class BrownConradyCamera(Camera):
         if max_angle is None:
             self.max_angle = torch.atan(fold_radius(self.distortion))
         self._set_batch(*batch)
+        self._end_before_second_fold()
+
+    def with_max_angle(self, max_angle: float | Tensor) -> BrownConradyCamera:
+        """The same camera with another limit of its field of view, in radians from the optical axis.
+
+        At most between the first fold of the radial distortion and where it turns again.
+        """
+        changed = super().with_max_angle(max_angle)
+        changed._end_before_second_fold()
+        return changed
+
+    def _end_before_second_fold(self) -> None:
+        self.max_angle = torch.minimum(self.max_angle, torch.atan(radius_limit(self.distortion)))
 
     def _project(self, points: Tensor) -> Projection:
-        return project_brown_conrady(points, *self._aligned(points))
+        focal_length, principal_point, distortion = self._aligned(points)
+        max_tangent = torch.tan(self._widest(points))
+        return project_brown_conrady(points, focal_length, principal_point, distortion, max_tangent)
+
+    def _within_max_angle(self, points: Tensor) -> Tensor:
+        """Known from the radius in the plane: not asked for again."""
+        return torch.ones((), dtype=torch.bool, device=points.device)
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_brown_conrady(pixels, *self._aligned(pixels))

@@ -12,7 +12,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import components, safe_sqrt
+from sphericalvision.geometry import components, is_greater, safe_sqrt
 
 __all__ = ["DoubleSphereCamera", "project_double_sphere", "unproject_double_sphere"]
 
@@ -51,7 +51,7 @@ def project_double_sphere(
     shrink = torch.maximum(denominator, least).reciprocal()
     w1 = torch.where(alpha <= 0.5, alpha / (1 - alpha).clamp_min(1e-9), (1 - alpha) / alpha.clamp_min(1e-9))
     w2 = (w1 + xi) / safe_sqrt(2 * w1 * xi + xi * xi + 1)
-    valid = (denominator > least) & (z > -w2 * first)
+    valid = is_greater(denominator, least) & is_greater(z, -w2 * first)
     return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), valid)
 
 

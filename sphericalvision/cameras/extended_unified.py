@@ -13,7 +13,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import components, safe_sqrt
+from sphericalvision.geometry import components, is_greater, safe_sqrt
 
 __all__ = ["ExtendedUnifiedCamera", "project_extended_unified", "unproject_extended_unified"]
 
@@ -53,7 +53,7 @@ def project_extended_unified(
     x, y, z = components(points)
     squared = torch.addcmul(beta * torch.addcmul(x * x, y, y), z, z)
     length = torch.sqrt(squared.clamp_min(torch.finfo(z.dtype).tiny))
-    valid = z > _widest_cosine(alpha) * length
+    valid = is_greater(z, _widest_cosine(alpha) * length)
     # Beyond the model's end points land far outside of the image, in place of a division by 0.
     denominator = alpha * length + (1 - alpha) * z
     denominator = torch.maximum(denominator, torch.finfo(z.dtype).eps * length)

@@ -13,7 +13,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.core import check_last_dim
-from sphericalvision.geometry import components
+from sphericalvision.geometry import components, is_greater
 
 __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
 
@@ -21,7 +21,7 @@ __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
 def project_pinhole(points: Tensor, focal_length: Tensor, principal_point: Tensor) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3): (x, y)/z times ``focal_length`` (*, 2) plus ``principal_point`` (*, 2).
 
-    Valid in front of the camera only; the formula's value for a point behind it is its mirror image.
+    Valid in front of the camera only; points behind it are sent far out to their side.
 
     Examples:
         >>> project_pinhole(torch.tensor([1.0, 0.0, 2.0]), torch.tensor([100.0]), torch.tensor([320.0, 240.0])).pixels
@@ -29,8 +29,10 @@ def project_pinhole(points: Tensor, focal_length: Tensor, principal_point: Tenso
     """
     check_last_dim("points", points, 3)
     x, y, z = components(points)
-    shrink = z.abs().clamp_min(torch.finfo(z.dtype).tiny ** 0.4).copysign(z).reciprocal()
-    return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), z > 0)
+    shrink = z.clamp_min(torch.finfo(z.dtype).tiny ** 0.4).reciprocal()
+    return Projection(
+        pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), is_greater(z, 0.0)
+    )
 
 
 def unproject_pinhole(pixels: Tensor, focal_length: Tensor, principal_point: Tensor) -> Unprojection:

@@ -14,7 +14,7 @@ from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.cameras.plane_distortion import distort_inside, fold_radius, undistort
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import components, safe_sqrt
+from sphericalvision.geometry import components, is_greater, safe_sqrt
 
 __all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
 
@@ -66,7 +66,7 @@ def project_unified(
     x, y, z = components(points)
     squared = torch.addcmul(torch.addcmul(x * x, y, y), z, z)
     length = torch.sqrt(squared.clamp_min(torch.finfo(z.dtype).tiny))
-    valid = z > _widest_cosine(xi) * length
+    valid = is_greater(z, _widest_cosine(xi) * length)
     # Beyond the model's end points land far outside of the image, in place of a division by 0.
     denominator = torch.maximum(torch.addcmul(z, xi, length), torch.finfo(z.dtype).eps * length)
     x, y = x / denominator, y / denominator

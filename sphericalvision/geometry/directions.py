@@ -24,6 +24,8 @@ __all__ = [
     "cosine_and_sinc",
     "directions_from_longitude_latitude",
     "from_components",
+    "is_at_least",
+    "is_greater",
     "lifted_radius",
     "longitude_latitude_from_directions",
     "normalize",
@@ -47,8 +49,8 @@ def components(vectors: Tensor) -> tuple[Tensor, ...]:
 def from_components(*parts: Tensor) -> Tensor:
     """Vectors (*, n) of n components, each (*) or broadcastable to it: the undoing of ``components``.
 
-    ``torch.stack`` along the last dimension, which is slow on a CPU, where no derivative is asked for in less than half
-    of its time.
+    ``torch.stack`` along the last dimension, which is slow on a CPU, where no derivative is asked for in a fraction of
+    its time.
 
     Examples:
         >>> from_components(torch.tensor([1.0, 3.0]), torch.tensor([2.0, 4.0]))
@@ -57,11 +59,43 @@ def from_components(*parts: Tensor) -> Tensor:
     """
     if torch.compiler.is_compiling() or any(part.requires_grad for part in parts):
         return torch.stack(torch.broadcast_tensors(*parts), dim=-1)
+    if len(parts) == 2 and parts[0].dtype in (torch.float32, torch.float64):
+        return torch.view_as_real(torch.complex(*parts))  # written in one go
     like = functools.reduce(torch.add, parts)  # of their common shape, and batched by vmap if one of them is
     vectors = like.new_empty((*like.shape, len(parts)))
     for index, part in enumerate(parts):
         vectors[..., index] = part
     return vectors
+
+
+def is_at_least(a: Tensor | float, b: Tensor) -> Tensor:
+    """Where ``a`` is ``b`` (*) or more; else as ``is_greater``.
+
+    Examples:
+        >>> is_at_least(1.0, torch.tensor([1.0, 2.0, float("nan")]))
+        tensor([ True, False, False])
+    """
+    if _is_traced():
+        return b <= a
+    return (a - b).detach().ge_(0).bool()
+
+
+def is_greater(a: Tensor, b: Tensor | float) -> Tensor:
+    """Where ``a`` (*) is greater than ``b``; on a CPU in about half of the time of ``a > b``. Not where one is NaN.
+
+    Examples:
+        >>> is_greater(torch.tensor([1.0, 0.0, float("nan")]), 0.0)
+        tensor([ True, False, False])
+    """
+    if _is_traced():
+        return a > b
+    difference = a.detach() - b.detach() if isinstance(b, Tensor) else a.detach().clone()
+    return difference.gt_(0 if isinstance(b, Tensor) else b).bool()
+
+
+def _is_traced() -> bool:
+    """Whether a compiler or a transform such as ``vmap`` looks on: neither gains from comparisons in place."""
+    return torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active()
 
 
 def safe_sqrt(x: Tensor) -> Tensor:

@@ -78,7 +78,7 @@ def tabulate_inverse(arguments: Tensor, values: Tensor, size: int = 512) -> Inve
         arguments = arguments.expand(values.shape)
         places = _place(values / values[..., -1:]).contiguous()
         wanted = torch.linspace(0, 1, size, dtype=values.dtype, device=values.device)
-        wanted = wanted.expand(*values.shape[:-1], size).contiguous()
+        wanted = wanted + torch.zeros_like(places[..., :1])  # batched by vmap if the places are
         above = torch.searchsorted(places, wanted).clamp(1, values.shape[-1] - 1)
         low, high = places.gather(-1, above - 1), places.gather(-1, above)
         share = ((wanted - low) / (high - low)).nan_to_num(0.0).clamp(0, 1)

@@ -25,6 +25,8 @@ __all__ = ["ray_depth", "render_camera", "render_directions", "render_rig"]
 
 #: Rays shaded at once on the CPU, so that results stay in the cache; other devices take many more.
 CHUNK = 16384
+#: Side of the squares of pixels that are rendered one after the other: a chunk is one, so its rays are neighbours.
+TILE = 128
 #: Shadow rays end this far before the surface that they test (metres).
 SHADOW_GAP = 2e-3
 
@@ -98,17 +100,20 @@ def render_camera(
     height, width = camera.image_size
     down, across = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     centers = torch.stack([across, down], -1).float()
-    total = torch.zeros(3, height, width, device=scene.device)
-    count = torch.zeros(height, width, device=scene.device)
+    tiles = (down // TILE * width + across // TILE).flatten().argsort(stable=True).to(scene.device)
+    total = torch.zeros(3, height * width, device=scene.device)
+    count = torch.zeros(height * width, device=scene.device)
     for offset in _stratified(samples_per_pixel):
         seen = camera.unproject(centers + offset)
-        inside = seen.valid.to(scene.device)
+        pixels = tiles[seen.valid.flatten().to(scene.device)[tiles]]
         local = seen.directions.to(scene.device, torch.float32)
-        directions = local[inside] @ pose[:3, :3].T
-        spread = _spread(local)[inside] / samples_per_pixel**0.5
-        total[:, inside] += _radiance(scene, pose[:3, 3], directions, spread).clamp(max=4)
-        count += inside
-    return _develop(scene, total / count.clamp(min=1))
+        directions = local.reshape(-1, 3)[pixels] @ pose[:3, :3].T
+        spread = _spread(local).flatten()[pixels] / samples_per_pixel**0.5
+        light = _radiance(scene, pose[:3, 3], directions, spread).clamp(max=4)
+        total.index_add_(1, pixels, light)
+        count[pixels] += 1
+    picture = _develop(scene, total / count.clamp(min=1))
+    return picture.view(3, height, width)
 
 
 def render_rig(scene: Scene, rig: CameraRig, samples_per_pixel: int = 1) -> dict[str, Tensor]:

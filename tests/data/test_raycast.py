@@ -105,6 +105,21 @@ def test_agrees_with_marching_along_the_ray(generator: torch.Generator) -> None:
     assert ((error > -1e-3) & (error < 2e-3)).float().mean() > 0.95
 
 
+def test_neighbouring_rays_meet_what_they_meet_alone(generator: torch.Generator) -> None:
+    """A chunk of rays in a narrow cone looks at the primitives around the cone only; own origins turn that off."""
+    primitives, limit = random_primitives(40, generator), 4.0
+    for axis in unit_vectors(20, generator):
+        directions = torch.nn.functional.normalize(
+            axis + 0.1 * torch.randn(200, 3, generator=generator), dim=-1
+        )
+        origins, limits = torch.zeros(200, 3), torch.full((200,), limit)
+        narrow, alone = (trace(primitives, start, directions) for start in (torch.zeros(3), origins))
+        torch.testing.assert_close(narrow.distance, alone.distance, rtol=1e-5, atol=1e-5)
+        hidden = occluded(primitives, torch.zeros(3), directions, limits)
+        clear = (narrow.distance - limit).abs() > 1e-3
+        assert torch.equal(hidden[clear], (narrow.distance < limit)[clear])
+
+
 def test_nearest_of_many_is_the_least_of_each_alone(generator: torch.Generator) -> None:
     primitives = random_primitives(40, generator)
     directions = unit_vectors(3000, generator)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Basalt's calibration json: double sphere, (extended) unified, Kannala-Brandt and pinhole cameras, poses in metres.
+"""Basalt's calibration json: double sphere, (extended) unified, Kannala-Brandt and pinhole cameras; metres.
 
 Convention:
     ``T_imu_cam`` is a quaternion (qx, qy, qz, qw) and a position, camera to IMU; the IMU's frame is the rig's world.
     Cameras are ``cam0``, ``cam1``, ... A file ``cam0/mask.png`` beside it, white where pixels are usable, is its mask.
+    ``pinhole-radtan8`` is OpenCV's rational model; its ``rpmax``, unless 0, is the largest undistorted radius.
     Basalt's ``ucm`` has α = ξ / (1 + ξ) and focal lengths f = γ / (1 + ξ).
 """
 
@@ -17,6 +18,7 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load, whole_file
@@ -48,6 +50,7 @@ _PARAMETERS = {
     "ucm": ("alpha",),
     "kb4": ("k1", "k2", "k3", "k4"),
     "pinhole": (),
+    "pinhole-radtan8": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "rpmax"),
 }
 _POSITION, _QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
 
@@ -133,6 +136,10 @@ def _camera(values: Any, image_size: tuple[int, int], where: str) -> Camera:
             return KannalaBrandtCamera(focal_length, center, more, image_size, math.pi)
         if kind == "pinhole":
             return PinholeCamera(focal_length, center, image_size)
+        if kind == "pinhole-radtan8":
+            *distortion, radius = more
+            max_angle = math.atan(radius) if radius > 0 else None
+            return BrownConradyCamera(focal_length, center, distortion, image_size, max_angle)
         if not 0 <= more[0] < 1:
             raise FileFormatError(f"{where}, alpha: expected a number in [0, 1), got {more[0]:g}")
         xi = more[0] / (1 - more[0])
@@ -176,7 +183,12 @@ def _values(camera: Camera) -> tuple[str, tuple[str, ...], list[float]]:
     check_holds("basalt", camera)
     assert isinstance(
         camera,
-        PinholeCamera | KannalaBrandtCamera | DoubleSphereCamera | ExtendedUnifiedCamera | UnifiedCamera,
+        PinholeCamera
+        | BrownConradyCamera
+        | KannalaBrandtCamera
+        | DoubleSphereCamera
+        | ExtendedUnifiedCamera
+        | UnifiedCamera,
     )
     focal_length, more, kind = numbers_of(camera.focal_length), [], "pinhole"
     if isinstance(camera, UnifiedCamera):
@@ -185,6 +197,9 @@ def _values(camera: Camera) -> tuple[str, tuple[str, ...], list[float]]:
         xi = numbers_of(camera.xi)[0]
         kind, more = "ucm", [xi / (1 + xi)]
         focal_length = [value / (1 + xi) for value in focal_length]
+    elif isinstance(camera, BrownConradyCamera):
+        distortion = without_trailing_zeros(numbers_of(camera.distortion), (8,), "distortion")
+        kind, more = "pinhole-radtan8", [*distortion, 0.0]
     elif isinstance(camera, KannalaBrandtCamera):
         kind, more = "kb4", numbers_of(camera.distortion)
     elif isinstance(camera, DoubleSphereCamera):

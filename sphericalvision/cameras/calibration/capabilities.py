@@ -17,7 +17,14 @@ MODELS_OF_FORMAT: dict[str, tuple[str, ...]] = {
     "native": (),  # every model
     "ocamcalib": ("ocam",),
     "omnimvs": ("ocam",),
-    "basalt": ("pinhole", "kannala_brandt", "double_sphere", "extended_unified", "unified"),
+    "basalt": (
+        "pinhole",
+        "brown_conrady",
+        "kannala_brandt",
+        "double_sphere",
+        "extended_unified",
+        "unified",
+    ),
     "kalibr": (
         "pinhole",
         "brown_conrady",

@@ -24,7 +24,7 @@ from sphericalvision.recipes.study_training import flat_config, training_config,
 
 __all__ = ["Job", "evaluate_jobs", "scale_of"]
 
-GENERATION = 1
+GENERATION = 2
 """Raised whenever an evaluation would come out otherwise, so that old ones are not taken."""
 
 NO_MATTER = ("batch_size", "rig.", "entries", "seed", "num_test", "panorama_size", "num_train", "num_val")

@@ -12,6 +12,7 @@ import torch
 from rich.progress import track
 from torch import Tensor
 
+from sphericalvision.cameras import seen_by
 from sphericalvision.data.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.metrics import (
@@ -26,6 +27,9 @@ from sphericalvision.recipes.study_models import Lookup, Scale, StudyEstimator
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth, inverse_depth_from_index
 
 __all__ = ["Measured", "Truth", "Yardstick", "measure"]
+
+ZONE = math.radians(30)
+"""Latitude that divides what is around from what is above and below."""
 
 
 class Measured(NamedTuple):
@@ -44,7 +48,8 @@ class Truth(NamedTuple):
         inverse_depth: ``(B, V)`` 1/m.
         valid: ``(B, V)`` there is a truth.
         counts: ``(B, V)`` and two or more cameras see the point.
-        left_out: ``(B,)`` share of the valid points that fewer see, 0 to 1.
+        cameras: ``(B, V)`` number of cameras that see the point.
+        left_out: ``(B,)`` share of the valid points that fewer than two see, 0 to 1.
         panorama: ``(B, h, w)`` inverse depth, 1/m.
         panorama_counts: ``(B, h, w)`` there is a truth that two or more cameras see.
         panorama_directions: ``(h * w, 3)``.
@@ -54,6 +59,7 @@ class Truth(NamedTuple):
     inverse_depth: Tensor
     valid: Tensor
     counts: Tensor
+    cameras: Tensor
     left_out: Tensor
     panorama: Tensor
     panorama_counts: Tensor
@@ -72,18 +78,24 @@ class Yardstick:
         grid = Icosphere(scale.level - 2, device=device)
         self.scale, self.directions, self.solid_angles = scale, grid.vertices, grid.solid_angles
         self.seam = seam_mask(grid.vertices)
+        height = -grid.vertices[:, 1]  # sine of the latitude; up is -y
+        self.zones = {
+            "above": height > math.sin(ZONE),
+            "around": height.abs() <= math.sin(ZONE),
+            "below": height < -math.sin(ZONE),
+        }
 
     def truth(self, batch: Batch) -> Truth:
         """Ground truth of a batch, and where it counts."""
         inverse_depth, valid = batch["inverse_depth"], batch["valid"]
         index = index_from_inverse_depth(inverse_depth, self.scale.num_hypotheses, self.scale.min_depth)
         counts, left_out = evaluation_mask(batch["rig"], self.directions, inverse_depth, valid)
+        cameras = seen_by(batch["rig"], self.directions, inverse_depth.where(valid, 0.0))
         panorama, panorama_valid = batch["panorama_inverse_depth"], batch["panorama_valid"]
         around = panorama_directions(*panorama.shape[1:]).reshape(-1, 3).to(self.directions)
         seen, _ = evaluation_mask(batch["rig"], around, panorama.flatten(1), panorama_valid.flatten(1))
-        return Truth(
-            index, inverse_depth, valid, counts, left_out, panorama, seen.view(panorama.shape), around
-        )
+        shared = seen.view(panorama.shape)
+        return Truth(index, inverse_depth, valid, counts, cameras, left_out, panorama, shared, around)
 
     def errors(self, estimate: Lookup, truth: Truth) -> dict[str, dict[str, Tensor]]:
         """Errors ``(B,)`` of one batch, by protocol and name; NaN for frames where nothing counts.
@@ -93,12 +105,17 @@ class Yardstick:
         * ``solid_angle``: as ``paper``, vertices weighted by the solid angle that they stand for;
         * ``omnimvs``: the official protocol of OmniMVS, pixels of a panorama within 45° of the horizon, N = 192;
         * ``seam``, ``off_seam``: as ``paper`` within 5° of the seams of charts and panorama, and elsewhere;
+        * ``above``, ``around``, ``below``: as ``paper``, over 30° above the horizon, within 30°, over 30° below;
+        * ``two``, ``three``, ``four``: as ``paper``, points that two, three, and four or more cameras see;
         * ``depth``: AbsRel, RMSE in metres and the share within a factor 1.25, over the vertices of ``paper``;
         * ``points``: percent of the valid vertices left out, and of the others that the model says nothing about.
         """
         number, nearest = self.scale.num_hypotheses, self.scale.min_depth
         index, known = estimate(self.directions)
         mask = truth.counts & known
+        zones = {name: mask & zone for name, zone in self.zones.items()}
+        zones |= {"two": mask & (truth.cameras == 2), "three": mask & (truth.cameras == 3)}
+        zones |= {"four": mask & (truth.cameras > 3)}
         depth, true_depth = depth_from_index(index, number, nearest), truth.inverse_depth.reciprocal()
         return {
             "paper": depth_index_error(index, truth.indices, number, mask),
@@ -107,6 +124,7 @@ class Yardstick:
             "omnimvs": self._official(estimate, truth),
             "seam": depth_index_error(index, truth.indices, number, mask & self.seam),
             "off_seam": depth_index_error(index, truth.indices, number, mask & ~self.seam),
+            **{name: depth_index_error(index, truth.indices, number, zone) for name, zone in zones.items()},
             "depth": depth_error(depth, true_depth, mask),
             "points": {
                 "left_out": 100 * truth.left_out,

@@ -30,6 +30,7 @@ from sphericalvision.recipes.study_tables import (
     input_table,
     paper_table,
     save_table,
+    zone_table,
 )
 from sphericalvision.recipes.study_training import Training, write_json
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama
@@ -60,6 +61,7 @@ def report(
         "table": paper_table(results),
         "details": detail_table(results),
         "change": change_table(results),
+        "where": zone_table(results),
     }
     if config.inputs == "equirect":
         tables["inputs"] = input_table(results)

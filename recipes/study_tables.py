@@ -23,6 +23,7 @@ __all__ = [
     "paper_table",
     "save_table",
     "summarize",
+    "zone_table",
 ]
 
 Result = dict[str, Any]
@@ -42,6 +43,16 @@ DETAILS = (
     ("left out (%)", "points", "left_out", 1),
 )
 """Heading, protocol, name and digits of each column of the details."""
+
+ZONES = (
+    ("above 30°", "above", "MAE", 2),
+    ("within 30°", "around", "MAE", 2),
+    ("below −30°", "below", "MAE", 2),
+    ("2 cameras", "two", "MAE", 2),
+    ("3 cameras", "three", "MAE", 2),
+    ("4 or more", "four", "MAE", 2),
+)
+"""The same of the table of where errors are."""
 
 
 class Cell(NamedTuple):
@@ -150,6 +161,12 @@ def detail_table(results: list[Result]) -> Table:
         f"horizon, N = 192); depths up to 100 m; {_about(results)}. Left out: points that fewer than two cameras see."
     )
     return _by_angle(_fisheye(results), list(DETAILS), title)
+
+
+def zone_table(results: list[Result]) -> Table:
+    """MAE by latitude and by the number of cameras that see a point: where a model suffers from the angle."""
+    title = f"MAE in percent of N = {_number(results)} by latitude and by cameras that see a point; {_about(results)}."
+    return _by_angle(_fisheye(results), list(ZONES), title)
 
 
 def change_table(results: list[Result]) -> Table:

@@ -29,7 +29,13 @@ from sphericalvision.recipes.study_data import View, study_frames
 from sphericalvision.recipes.study_measures import Yardstick, measure
 from sphericalvision.recipes.study_models import Estimate, Scale, study_models
 from sphericalvision.recipes.study_pictures import PanelColumn, angle_plot, panel_sheet
-from sphericalvision.recipes.study_tables import change_table, detail_table, input_table, paper_table
+from sphericalvision.recipes.study_tables import (
+    change_table,
+    detail_table,
+    input_table,
+    paper_table,
+    zone_table,
+)
 from sphericalvision.recipes.study_training import training_config, training_words
 from tests.recipes.tiny import Run
 
@@ -40,6 +46,7 @@ def result(label: str, seed: int | None, angle: float, mae: float, inputs: str =
     """What the JSON of one evaluation holds, every number made from ``mae``."""
     index = {">1": 10 * mae, ">3": 3 * mae, ">5": 2 * mae, "MAE": mae, "RMS": 4 * mae}
     protocols = ("paper", "all", "solid_angle", "omnimvs", "seam", "off_seam")
+    protocols += ("above", "around", "below", "two", "three", "four")
     return {
         "label": label,
         "seed": seed,
@@ -108,6 +115,10 @@ def test_the_other_tables_from_known_numbers() -> None:
     assert details.markdown().splitlines()[2] == (
         "| 0° | IcoSweepNet | 0.150 ± 0.071 | 1.50 ± 0.71 | 0.900 | " + "1.50 ± 0.71 | " * 5 + "0.0 |"
     )
+    assert (
+        zone_table(RESULTS).markdown().splitlines()[2]
+        == "| 0° | IcoSweepNet | " + "1.50 ± 0.71 | " * 5 + "1.50 ± 0.71 |"
+    )
     both = [*RESULTS, result("IcoSweepNet", 0, 0.0, 7.0, "equirect")]
     assert paper_table(both).rows == paper_table(RESULTS).rows
     rows = input_table(both).markdown().splitlines()
@@ -167,8 +178,34 @@ def test_what_fewer_than_two_cameras_see_does_not_count(tilt_deg: int) -> None:
         assert 10 < share < 30
         expected = (1 - share / 100) * 0.5 + share / 100 * 100 * 3 / 8
         assert errors["all"]["MAE"] == pytest.approx(expected, rel=1e-3)
+        assert errors["four"]["MAE"] == pytest.approx(0.5, rel=1e-3)
     else:
         assert share == 0
+
+
+def test_zones_are_counted_apart() -> None:
+    """Off by the sine of the latitude, doubled where three cameras see: means over vertices, written out."""
+    batch, _ = batch_at(0.3, offset=0.0, hidden=0.0)
+    vertices = Icosphere(2).vertices
+    up = -vertices[:, 1]
+    points = 2.0 * vertices[:, None] - batch["rig"].positions
+    cameras = (
+        torch.acos((points * batch["rig"].axes).sum(-1) / points.norm(dim=-1)) < math.radians(110)
+    ).sum(-1)
+    offset = up.abs() * torch.where(cameras == 3, 2.0, 1.0)
+
+    def estimator(_: Any) -> Any:
+        return lambda directions: Estimate(
+            (7 * 0.55 * 0.5 + (offset if len(directions) == len(vertices) else 0 * directions[:, 0]))[None],
+            torch.ones(len(directions), dtype=torch.bool),
+        )
+
+    errors = measure({"model": estimator}, [batch], Yardstick(SCALE), panel_frame=0)["model"].errors
+    zones = {"above": up > 0.5, "around": up.abs() <= 0.5, "below": up < -0.5, "two": cameras == 2}
+    zones |= {"three": cameras == 3, "four": cameras == 4}
+    for name, zone in zones.items():
+        expected = 100 / 8 * offset[zone & (cameras >= 2)].mean().item()
+        assert errors[name]["MAE"] == pytest.approx(expected, rel=1e-3), name
 
 
 def test_nothing_is_counted_where_a_model_says_nothing() -> None:

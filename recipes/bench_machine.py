@@ -18,7 +18,9 @@ def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison
     """Peaks; the share of them that a stage reaches says how much is left to gain."""
     size = config.peak_size
     side, channels = max(8, size // 16), 64
-    dtypes = {"": torch.float32, BF16: torch.bfloat16}
+    dtypes = {"": torch.float32}
+    if "bf16" in config.options:  # without the instructions for it a matrix product takes minutes
+        dtypes[BF16] = torch.bfloat16
     for suffix, dtype in dtypes.items():
         matrix = torch.randn(size, size, device=device, dtype=dtype)
         name = f"matmul{suffix}"

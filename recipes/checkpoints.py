@@ -14,7 +14,13 @@ from torch import nn
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models import IcoSweepNet, OmniMVS
-from sphericalvision.models.weights import load_reference_checkpoint, load_weights, pretrained, save_weights
+from sphericalvision.models.weights import (
+    available_weights,
+    load_reference_checkpoint,
+    load_weights,
+    pretrained,
+    save_weights,
+)
 
 __all__ = ["WeightsBesideCheckpoint", "initialize", "load_network"]
 
@@ -76,8 +82,8 @@ def load_network(
     Its parameters depend neither on ``level`` nor on ``min_depth``, so both may be replaced.
 
     Args:
-        checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or ``.pth`` in the authors' format; the
-            network that ships with the package when not given.
+        checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or ``.pth`` in the authors' format, or the
+            name of a network that ships with the package; its default one when not given.
         level: of the images on the icosphere, instead of the level trained at; only ``IcoSweepNet`` has one.
         min_depth: nearest hypothesis in metres, instead of the one trained with.
 
@@ -124,6 +130,8 @@ def initialize(net: IcoSweepNet | OmniMVS, weights: str | Path) -> None:
 def _read(checkpoint: str | Path | None) -> IcoSweepNet | OmniMVS:
     if checkpoint is None:
         return pretrained()
+    if str(checkpoint) in available_weights() and not Path(checkpoint).exists():
+        return pretrained(str(checkpoint))
     path = check_file(checkpoint, "a checkpoint (.safetensors, .ckpt, or the authors' format)")
     if path.suffix == ".safetensors":
         return load_weights(path)

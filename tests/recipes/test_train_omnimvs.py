@@ -14,7 +14,7 @@ import torch
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.image_io import read_image, write_image
-from sphericalvision.models import OmniMVS, load_weights, save_weights
+from sphericalvision.models import OmniMVS, load_weights, pretrained, save_weights
 from sphericalvision.recipes.checkpoints import load_network
 from sphericalvision.recipes.rigs import make_ring
 from tests.recipes.tiny import TINY_SCENES, Run
@@ -114,3 +114,9 @@ def test_a_capture_becomes_depth_within_the_band(run: Run, tmp_path: Path) -> No
     assert known[8:24].all()
     assert not known[:8].any()
     assert not known[24:].any()
+
+
+def test_weights_that_ship_are_known_by_name() -> None:
+    net = load_network("omnimvs-study")
+    assert isinstance(net, OmniMVS)
+    assert net.hyperparameters == pretrained("omnimvs-study").hyperparameters

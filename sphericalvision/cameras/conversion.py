@@ -93,6 +93,11 @@ def convert(
     to = _model(to)
     if to is EquirectangularCamera:
         return _panorama(camera)
+    if isinstance(camera, EquirectangularCamera):
+        raise ArgumentError(
+            f"to: no {to.__name__} can stand for a panorama, whose pixels are no lens's; "
+            "bring its images to such a camera with sphericalvision.cameras.remap"
+        )
     candidates = _candidates(camera, to, num_coefficients, projection)
     exact = camera.to(torch.float64)
     azimuth = torch.arange(360, dtype=torch.float64, device=camera.device) * (math.pi / 180)

@@ -278,6 +278,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "unknown class": (lambda: wide_lens().convert(to=Camera), "PinholeCamera"),
     "unknown name": (lambda: wide_lens().convert(to="kb4"), "kannala_brandt"),
     "panorama": (lambda: wide_lens().convert(to=EquirectangularCamera), "reproject"),
+    "from a panorama": (lambda: EquirectangularCamera((32, 64)).convert(to="ocam"), "remap"),
     "coefficients": (lambda: wide_lens().convert(to="brown_conrady", num_coefficients=6), "4, 5, 8, 12, 14"),
     "no choice": (lambda: wide_lens().convert(to="double_sphere", num_coefficients=2), "num_coefficients"),
     "projection": (lambda: wide_lens().convert(to="ocam", projection="equidistant"), "FisheyeCamera"),

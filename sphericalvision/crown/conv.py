@@ -4,20 +4,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.crown.layout import Crown, _empty_channels_last, check_crown
+from sphericalvision.crown.layout import Crown, check_crown
 from sphericalvision.crown.winograd import conv3d_replicate
 
-__all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d", "crown_conv3d_chain"]
-
-CACHE_BYTES = 8 << 20
-"""Rectangles of a chain that together take no more than this go through it together."""
+__all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d"]
 
 # Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.
 COL_TAPS = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
@@ -30,15 +25,16 @@ def _planar_kernel(weight: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
     return F.pad(weight, (0, 1)).index_select(-1, index).unflatten(-1, (3, 3))
 
 
-def _check_conv(crown: Crown, weight: Tensor, spatial_dims: int, stride: int) -> None:
-    check_crown(crown, spatial_dims)
-    taps = 7 if spatial_dims == 2 else 21
+def _check_weight(weight: Tensor, taps: int, channels: int) -> None:
     if weight.ndim != 3 or weight.shape[-1] != taps:
         raise ShapeError(f"weight: expected shape (out, in, {taps}), got {tuple(weight.shape)}")
-    if weight.shape[1] != crown.col.shape[2]:
-        raise ShapeError(
-            f"crown: expected {weight.shape[1]} channels (dimension 2), got {crown.col.shape[2]}"
-        )
+    if weight.shape[1] != channels:
+        raise ShapeError(f"crown: expected {weight.shape[1]} channels (dimension 2), got {channels}")
+
+
+def _check_conv(crown: Crown, weight: Tensor, spatial_dims: int, stride: int) -> None:
+    check_crown(crown, spatial_dims)
+    _check_weight(weight, 7 if spatial_dims == 2 else 21, crown.col.shape[2])
     if stride not in (1, 2) or (stride == 2 and crown.level == 0):
         raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
 
@@ -111,39 +107,6 @@ def crown_conv3d(crown: Crown, weight: Tensor, bias: Tensor | None = None, strid
     def convolve(volumes: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
         kernel = _planar_kernel(taps_by_depth, taps)
         return conv3d_replicate(volumes.flatten(0, 1), kernel, bias, stride).unflatten(0, (-1, 5))
-
-    return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
-
-
-def crown_conv3d_chain(crown: Crown, layers: Sequence[tuple[Tensor, Tensor | None]]) -> Crown:
-    """Convolve a crown of volumes several times, with a ReLU between two times, for inference.
-
-    A few rectangles at a time go through all layers, so that what lies between them stays in cache: the same numbers
-    as ``crown_conv3d`` and ``crown_relu`` in turn. Not differentiable.
-
-    Args:
-        crown: rectangles ``(B, 5, in, N, h, w)``.
-        layers: weight ``(out, in, 21)`` and bias ``(out,)`` or None of each convolution.
-
-    Examples:
-        >>> from sphericalvision.crown import to_crown
-        >>> crown = to_crown(torch.ones(1, 4, 16, 42))
-        >>> crown_conv3d_chain(crown, [(torch.ones(8, 4, 21), None), (torch.ones(2, 8, 21), None)]).row.shape
-        torch.Size([1, 5, 2, 16, 3, 5])
-    """
-    _check_conv(crown, layers[0][0], 3, 1)
-
-    def convolve(rectangles: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
-        kernels = [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for weight, _ in layers]
-        batch, _, _, *places = rectangles.shape
-        result = _empty_channels_last(rectangles, 2, (batch, 5, len(layers[-1][0]), *places))
-        together = max(1, CACHE_BYTES // (rectangles[:, :1].numel() * rectangles.element_size()))
-        for some, target in zip(rectangles.split(together, 1), result.split(together, 1), strict=True):
-            volumes = some.flatten(0, 1)
-            for kernel, (_, bias) in zip(kernels[:-1], layers[:-1], strict=True):
-                volumes = conv3d_replicate(volumes, kernel, bias).relu_()
-            target.copy_(conv3d_replicate(volumes, kernels[-1], layers[-1][1]).view(target.shape))
-        return result
 
     return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
 

@@ -113,9 +113,13 @@ def from_crown(crown: Crown) -> Tensor:
         True
     """
     check_crown(crown)
-    ones = crown.col.new_ones(1)
-    places = _fold(ones.expand(1, 5, 1, *crown.col.shape[-2:]), ones.expand(1, 5, 1, *crown.row.shape[-2:]))
-    return _Fold.apply(*crown) * places.view(-1).reciprocal()
+    return _Fold.apply(*crown) * places_per_vertex(crown.col.shape[-1] - 1, crown.col).reciprocal()
+
+
+def places_per_vertex(n: int, like: Tensor) -> Tensor:
+    """Number of places ``(V,)`` in the crown of level ``log2(n)`` that each vertex stands in."""
+    ones = like.new_ones(1)
+    return _fold(ones.expand(1, 5, 1, 2 * n + 1, n + 1), ones.expand(1, 5, 1, n + 1, 2 * n + 1)).view(-1)
 
 
 def exchange(crown: Crown) -> Crown:

@@ -14,10 +14,13 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-__all__ = ["conv3d_replicate", "conv3d_winograd", "winograd_pays"]
+__all__ = ["conv3d_replicate", "conv3d_winograd", "convolve_padded", "transformed_kernels", "winograd_pays"]
 
 MIN_CHANNELS = 32
 """Below, the sums cost more than the products saved."""
+
+TRANSFORM_BYTES = 6 << 20
+"""Tiles are taken through the transforms a few at a time, each of which takes no more than this: they stay in cache."""
 
 # Rows of the transform of three taps; its columns are the taps.
 _TAPS = (
@@ -79,23 +82,10 @@ class _Winograd(torch.autograd.Function):
 
     @staticmethod
     def forward(volumes: Tensor, kernel: Tensor, bias: Tensor | None) -> Tensor:
-        padded, count = _padded(volumes), volumes.shape[2]
-        kernels = _transformed_kernels(kernel)
-        biases = (None, bias, None, None, None, None)  # the second product is part of every output, times one
-        m0, m1, m2, m3, m4, m5 = (
-            F.conv2d(tile, k, b).movedim(1, -1)
-            for tile, k, b in zip(_transformed_tiles(padded), kernels, biases, strict=True)
-        )
-        sum1, difference1, sum2, difference2 = m1 + m2, m1 - m2, m3 + m4, m3 - m4
-        shape = (volumes.shape[0], -1, *m0.shape[1:])
-        outputs = (
-            m0.add_(sum1).add_(sum2),
-            difference1.add(difference2, alpha=2),
-            sum1.add_(sum2, alpha=4),
-            difference1.add_(difference2, alpha=8).add_(m5),
-        )
-        result = torch.stack([output.view(shape) for output in outputs], 2)
-        return result.flatten(1, 2)[:, :count].movedim(-1, 1)
+        padded, (batch, _, count, height, width) = _padded(volumes), volumes.shape
+        result = volumes.new_empty(batch, count + -count % 4, height, width, len(kernel))
+        convolve_padded(padded, transformed_kernels(kernel), bias, result)
+        return result[:, :count].movedim(-1, 1)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor, Tensor | None], output: Tensor) -> None:
@@ -115,7 +105,7 @@ class _Winograd(torch.autograd.Function):
         even, odd, even4, odd8 = y0 + y2, y1 + y3, y0.add(y2, alpha=4), (2 * y1).add(y3, alpha=8)
         of_products = (y0, even + odd, even - odd, even4 + odd8, even4 - odd8, y3)
         of_tiles, of_kernels = [], []
-        kernels = _transformed_kernels(kernel)
+        kernels = transformed_kernels(kernel)
         for tile, k, product in zip(_transformed_tiles(padded), kernels, of_products, strict=True):
             of_tile, of_kernel, _ = torch.ops.aten.convolution_backward(
                 product.flatten(0, 1).movedim(-1, 1).contiguous(memory_format=torch.channels_last),
@@ -138,6 +128,33 @@ class _Winograd(torch.autograd.Function):
             return of_volumes, None, of_bias
         transform = kernel.new_tensor(_TAPS)
         return of_volumes, torch.einsum("kd,kocij->ocdij", transform, torch.stack(of_kernels)), of_bias
+
+
+def convolve_padded(padded: Tensor, kernels: list[Tensor], bias: Tensor | None, result: Tensor) -> None:
+    """Convolve padded volumes ``(B, N + 2, h + 2, w + 2, C)``, N a multiple of four, into ``(B, N, h, w, O)``.
+
+    Args:
+        padded: with the values around that the result needs; contiguous.
+        kernels: ``transformed_kernels``.
+        bias: ``(O,)``.
+        result: overwritten; any strides.
+    """
+    biases = (None, bias, None, None, None, None)  # the second product is part of every output, times one
+    tiles = result.shape[1] // 4
+    together = max(1, TRANSFORM_BYTES // (padded[:, 0].numel() * padded.element_size()))
+    for first in range(0, tiles, together):
+        slab = padded[:, 4 * first : 4 * min(first + together, tiles) + 2]
+        y = result[:, 4 * first : 4 * (first + together)].unflatten(1, (-1, 4))
+        m0, m1, m2, m3, m4, m5 = (
+            F.conv2d(tile, k, b).movedim(1, -1).view(y[:, :, 0].shape)
+            for tile, k, b in zip(_transformed_tiles(slab), kernels, biases, strict=True)
+        )
+        difference1, difference2 = m1 - m2, m3 - m4
+        sum1, sum2 = m1.add_(m2), m3.add_(m4)
+        torch.add(sum1, sum2, out=y[:, :, 0]).add_(m0)
+        torch.add(difference1, difference2, alpha=2, out=y[:, :, 1])
+        torch.add(sum1, sum2, alpha=4, out=y[:, :, 2])
+        torch.add(difference1, difference2, alpha=8, out=y[:, :, 3]).add_(m5)
 
 
 def _padded(volumes: Tensor) -> Tensor:
@@ -197,7 +214,7 @@ def _transformed_tiles(padded: Tensor) -> Any:
     yield planes(d5.add(d1, alpha=4).sub_(d3, alpha=5))
 
 
-def _transformed_kernels(kernel: Tensor) -> list[Tensor]:
-    """Six planar kernels ``(O, C, 3, 3)``, channels innermost."""
+def transformed_kernels(kernel: Tensor) -> list[Tensor]:
+    """Six planar kernels ``(O, C, 3, 3)`` of one ``(O, C, 3, 3, 3)``, channels innermost."""
     transformed = torch.einsum("kd,ocdij->kocij", kernel.new_tensor(_TAPS), kernel)
     return [k.contiguous(memory_format=torch.channels_last) for k in transformed]

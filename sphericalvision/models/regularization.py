@@ -51,10 +51,9 @@ class CostBlock(nn.Module):
         self.second = ConvNorm3d(hidden_channels, out_channels, norm)
 
     def forward(self, volume: Tensor) -> Tensor:
-        crown = to_crown(volume)
         if self.first.norm.is_affine and self.second.norm.is_affine and not torch.is_grad_enabled():
-            return from_crown(crown_conv3d_chain(crown, [self.first.layer, self.second.layer]))
-        return from_crown(self.second(crown_relu(self.first(crown))))
+            return crown_conv3d_chain(volume, [self.first.layer, self.second.layer])
+        return from_crown(self.second(crown_relu(self.first(to_crown(volume)))))
 
 
 class CostRegularizer(nn.Module):
@@ -103,6 +102,9 @@ class CostRegularizer(nn.Module):
         for block in self.blocks:
             change = self._run(block, volume)
             volume = volume + change if torch.is_grad_enabled() else change.add_(volume)
+        if self.reduction.norm.is_affine and not torch.is_grad_enabled():
+            layers = [self.reduction.layer, (self.score.weight, self.score.bias)]
+            return crown_conv3d_chain(volume, layers).squeeze(1)
         crown = crown_relu(self.reduction(to_crown(volume)))
         return from_crown(self.score(crown)).squeeze(1)
 

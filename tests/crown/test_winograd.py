@@ -14,6 +14,7 @@ from sphericalvision.crown import (
     crown_conv3d,
     crown_conv3d_chain,
     crown_relu,
+    from_crown,
     to_crown,
 )
 from sphericalvision.crown.winograd import conv3d_replicate, conv3d_winograd, winograd_pays
@@ -57,14 +58,32 @@ def test_only_what_gains_takes_the_other_way() -> None:
 
 
 @torch.no_grad()
-def test_a_chain_equals_its_layers(generator: torch.Generator) -> None:
-    crown = to_crown(torch.randn(2, 3, 8, 42, generator=generator))
-    first, second = torch.randn(4, 3, 21, generator=generator), torch.randn(2, 4, 21, generator=generator)
-    bias = torch.randn(4, generator=generator)
-    expected = crown_conv3d(crown_relu(crown_conv3d(crown, first, bias)), second)
-    result = crown_conv3d_chain(crown, [(first, bias), (second, None)])
-    torch.testing.assert_close(result.col, expected.col, atol=1e-4, rtol=1e-5)
-    torch.testing.assert_close(result.row, expected.row, atol=1e-4, rtol=1e-5)
+@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize(("count", "channels"), [(8, (3, 4, 2)), (5, (32, 33, 32)), (6, (32, 40, 1)), (1, (2, 3, 1))])
+def test_a_chain_equals_its_layers(
+    generator: torch.Generator, level: int, count: int, channels: tuple[int, int, int]
+) -> None:
+    start, middle, end = channels
+    values = torch.randn(2, start, count, 2 + 10 * 4**level, generator=generator)
+    first = torch.randn(middle, start, 21, generator=generator) / start
+    second = torch.randn(end, middle, 21, generator=generator) / middle
+    bias = torch.randn(middle, generator=generator)
+    expected = from_crown(crown_conv3d(crown_relu(crown_conv3d(to_crown(values), first, bias)), second))
+    result = crown_conv3d_chain(values, [(first, bias), (second, None)])
+    torch.testing.assert_close(result, expected, atol=1e-4, rtol=1e-5)
+
+
+@torch.no_grad()
+def test_a_chain_of_one_rectangle_at_a_time_equals_one_of_five(
+    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = torch.randn(1, 32, 12, 162, generator=generator)
+    layers = [(torch.randn(32, 32, 21, generator=generator), torch.randn(32, generator=generator))] * 2
+    five = crown_conv3d_chain(values, layers)
+    monkeypatch.setattr("sphericalvision.crown.chain.CACHE_BYTES", 0)
+    monkeypatch.setattr("sphericalvision.crown.winograd.TRANSFORM_BYTES", 0)
+    one = crown_conv3d_chain(values, layers)
+    torch.testing.assert_close(one, five, atol=1e-5 * float(five.abs().max()), rtol=1e-5)
 
 
 @torch.no_grad()

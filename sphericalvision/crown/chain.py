@@ -63,7 +63,8 @@ def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer]) -> Tensor:
         channels = len(weight)
     if torch.compiler.is_compiling():
         return _whole(values, layers)
-    return torch.stack([_chain(rows, level, layers) for rows in values.movedim(1, -1)]).movedim(-1, 1)
+    samples = [_chain(rows, level, layers) for rows in values.movedim(1, -1)]
+    return (samples[0][None] if len(samples) == 1 else torch.stack(samples)).movedim(-1, 1)
 
 
 def _whole(values: Tensor, layers: Sequence[Layer]) -> Tensor:
@@ -76,41 +77,38 @@ def _whole(values: Tensor, layers: Sequence[Layer]) -> Tensor:
 
 def _chain(rows: Tensor, level: int, layers: Sequence[Layer]) -> Tensor:
     """Values ``(N, V, in)`` to values ``(N, V, out)``."""
-    n, (count, _, channels) = 2**level, rows.shape
+    n, (count, vertices, channels) = 2**level, rows.shape
     # The rectangles' places, and the borders continued by themselves around them.
     col, row = _place_ids(level, rows.device).split(5)
-    wide, across = ((0, *range(m), m - 1) for m in (n + 1, 2 * n + 1))
-    sum_of_places = _Sum(rows, n, len(layers[-1][0]))
-    for ids, taps, (down, right) in (
-        (col.view(5, 2 * n + 1, n + 1), COL_TAPS, (across, wide)),
-        (row.view(5, n + 1, 2 * n + 1), ROW_TAPS, (wide, across)),
-    ):
-        ids = ids[:, list(down)][:, :, list(right)]
-        convolutions = [_Convolution(weight, bias, taps, rows) for weight, bias in layers]
-        full = count + (-count % 4 if any(c.winograd for c in convolutions) else 0)
-        hypotheses = torch.arange(-1, full + 1, device=rows.device).clamp(0, count - 1)
-        bytes_of_five = ids.numel() * full * channels * rows.element_size()
-        together = 5 if rows.device.type != "cpu" or bytes_of_five <= CACHE_BYTES else 1
-        places = hypotheses[:, None, None] * rows.shape[1] + ids[:, None]  # (5, full + 2, h + 2, w + 2)
+    wide, across = ([0, *range(m), m - 1] for m in (n + 1, 2 * n + 1))
+    col = col.view(5, 2 * n + 1, n + 1)[:, across][:, :, wide]
+    row = row.view(5, n + 1, 2 * n + 1)[:, wide][:, :, across]
+    down_and_across = [
+        [_Convolution(weight, bias, taps, rows) for weight, bias in layers] for taps in (COL_TAPS, ROW_TAPS)
+    ]
+    full = count + (-count % 4 if any(c.winograd for c in down_and_across[0]) else 0)
+    hypotheses = torch.arange(-1, full + 1, device=rows.device).clamp(0, count - 1)
+    bytes_of_five = col.numel() * full * channels * rows.element_size()
+    together = 5 if rows.device.type != "cpu" or bytes_of_five <= CACHE_BYTES else 1
+    # Large new tensors cost fresh pages: what lies between two layers is always in the same place.
+    widths = [channels, *(len(weight) for weight, _ in layers)]
+    between = [rows.new_empty(together * len(hypotheses) * col[0].numel(), width) for width in widths[:-1]]
+    last = rows.new_empty(together * full * (2 * n + 1) * (n + 1), widths[-1])
+    sum_of_places = _Sum(rows, n, widths[-1])
+    for ids, convolutions in zip((col, row), down_and_across, strict=True):
+        places = hypotheses[:, None, None] * vertices + ids[:, None]  # (5, full + 2, h + 2, w + 2)
         for first in range(0, 5, together):
             some = places[first : first + together]
-            padded = _take(rows, some)
-            for convolution in convolutions[:-1]:
-                padded = _continued(convolution, padded, count)
-            last = padded.new_empty(*_inner(padded), len(layers[-1][0]))
-            convolutions[-1](padded, last)
-            sum_of_places.add(last[:, :count], first, across=taps is ROW_TAPS)
+            groups, depth, height, width = some.shape
+            torch.index_select(rows.reshape(-1, channels), 0, some.flatten(), out=between[0])
+            padded = [buffer.view(groups, depth, height, width, -1) for buffer in between]
+            for convolution, given, result in zip(convolutions[:-1], padded[:-1], padded[1:], strict=True):
+                convolution(given, result[:, 1:-1, 1:-1, 1:-1])
+                _rectify_and_continue(result, count)
+            answer = last.view(groups, depth - 2, height - 2, width - 2, -1)
+            convolutions[-1](padded[-1], answer)
+            sum_of_places.add(answer[:, :count], first, across=ids is row)
     return sum_of_places.mean()
-
-
-def _take(rows: Tensor, places: Tensor) -> Tensor:
-    """Rows ``(N, V, C)`` at places ``(*)`` of ``N * V``, ``(*, C)``."""
-    return rows.reshape(-1, rows.shape[-1]).index_select(0, places.flatten()).view(*places.shape, -1)
-
-
-def _inner(padded: Tensor) -> list[int]:
-    """``(g, N, h, w)`` of padded volumes ``(g, N + 2, h + 2, w + 2, C)``."""
-    return [len(padded), *(size - 2 for size in padded.shape[1:4])]
 
 
 class _Convolution:
@@ -137,7 +135,7 @@ class _Convolution:
         """One output channel: a product with all taps at once, and a sum of its rows, shifted."""
         products = self.kernel[0].flatten(1).T @ padded.view(-1, padded.shape[-1]).T
         products = products.view(3, 3, 3, *padded.shape[:-1])
-        count, height, width = _inner(padded)[1:]
+        count, height, width = (size - 2 for size in padded.shape[1:4])
         total = products.new_zeros(()) if self.bias is None else self.bias
         for depth in range(3):
             for down in range(3):
@@ -147,19 +145,14 @@ class _Convolution:
         return total
 
 
-def _continued(convolution: _Convolution, padded: Tensor, count: int) -> Tensor:
-    """Convolve, rectify, and continue the borders by their own values: padded volumes again."""
-    groups, full, height, width = _inner(padded)
-    following = padded.new_empty(groups, full + 2, height + 2, width + 2, len(convolution.kernel))
-    inner = following[:, 1:-1, 1:-1, 1:-1]
-    convolution(padded, inner)
-    inner.relu_()
-    volumes = following[:, 1 : count + 1]
+def _rectify_and_continue(padded: Tensor, count: int) -> None:
+    """Apply ReLU inside padded volumes ``(g, N + 2, h + 2, w + 2, C)`` and repeat its border values all around."""
+    volumes = padded[:, 1 : count + 1]
+    volumes[:, :, 1:-1, 1:-1].relu_()
     volumes[:, :, 0], volumes[:, :, -1] = volumes[:, :, 1], volumes[:, :, -2]
     volumes[:, :, :, 0], volumes[:, :, :, -1] = volumes[:, :, :, 1], volumes[:, :, :, -2]
-    following[:, 0] = following[:, 1]
-    following[:, count + 1 :] = following[:, count : count + 1]
-    return following
+    padded[:, 0] = padded[:, 1]
+    padded[:, count + 1 :] = padded[:, count : count + 1]
 
 
 class _Sum:

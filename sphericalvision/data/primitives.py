@@ -71,29 +71,21 @@ class Primitives:
         return self.rotation / self.half[:, :, None]
 
     @cached_property
-    def radius(self) -> Tensor:
-        """``(P,)`` radii of bounding spheres."""
-        x, y, z = self.half.unbind(-1)
-        by_shape = torch.stack(
-            [
-                torch.hypot(x, y),
-                self.half.norm(dim=-1),
-                self.half.amax(-1),
-                torch.hypot(torch.maximum(x, z), y),
-            ]
-        )
-        return by_shape.gather(0, self.shape[None])[0]
-
-    @cached_property
-    def by_shape(self) -> dict[str, tuple[Tensor, Primitives]]:
-        """For each shape that occurs: row numbers, and those rows as a table of their own."""
-        rows = {name: (self.shape == k).nonzero()[:, 0] for k, name in enumerate(SHAPES)}
-        return {name: (ids, self.select(ids)) for name, ids in rows.items() if len(ids)}
+    def thickness(self) -> Tensor:
+        """``(P, 3)`` half sizes of the unit shapes' boxes: 1, or 0 across a rectangle."""
+        box = torch.ones_like(self.half)
+        box[self.shape == SHAPES.index("rectangle"), 2] = 0
+        return box
 
     @cached_property
     def shadow_casters(self) -> Primitives:
         """The rows that cast shadows."""
         return self.select(self.casts_shadow.nonzero()[:, 0])
+
+    @cached_property
+    def caster_row(self) -> Tensor:
+        """``(P,)`` each row's place among the shadow casters, -1 where it casts none."""
+        return torch.where(self.casts_shadow, self.casts_shadow.cumsum(0) - 1, -1)
 
     def select(self, rows: Tensor) -> Primitives:
         """The given rows as a table."""

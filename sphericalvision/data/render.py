@@ -8,27 +8,22 @@ Colours are computed in linear light and become a picture by the scene's exposur
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.data.raycast import Hit, Surface, occluded, surface, trace
+from sphericalvision.data.bundles import RAYS, Bundles, bundled, coherent_order
+from sphericalvision.data.raycast import chunk_size, trace
 from sphericalvision.data.scene import Scene
-from sphericalvision.data.textures import texture_bank
+from sphericalvision.data.shading import Looks, radiance
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import Camera, CameraRig
 
 __all__ = ["ray_depth", "render_camera", "render_directions", "render_rig"]
-
-#: Rays shaded at once on the CPU, so that results stay in the cache; other devices take many more.
-CHUNK = 16384
-#: Side of the squares of pixels that are rendered one after the other: a chunk is one, so its rays are neighbours.
-TILE = 128
-#: Shadow rays end this far before the surface that they test (metres).
-SHADOW_GAP = 2e-3
 
 
 def ray_depth(scene: Scene, origin: Tensor, directions: Tensor) -> Tensor:
@@ -72,8 +67,18 @@ def render_directions(
     directions = directions.to(scene.device, torch.float32)
     if spread is None:
         spread = (4 * torch.pi / max(1, directions.numel() // 3)) ** 0.5
-    light = _radiance(scene, origin.to(directions), directions, torch.as_tensor(spread).to(directions))
-    return _develop(scene, light)
+    shape = directions.shape[:-1]
+    rays = directions.reshape(-1, 3).T.contiguous()
+    spread = torch.as_tensor(spread).to(directions).expand(shape).reshape(-1)
+    order = coherent_order(rays)
+    if order is None:
+        order = torch.arange(rays.shape[1], device=rays.device)
+    rays, spread = rays.index_select(1, order), spread.index_select(0, order)
+    light = torch.empty_like(rays)
+    if len(order):
+        bundles = _exposed(scene, origin.to(directions), bundled(rays), bundled(spread))
+        light[:, order] = bundles.flatten(1)[:, : len(order)]
+    return _develop(scene, light).view(3, *shape)
 
 
 def render_camera(
@@ -100,18 +105,22 @@ def render_camera(
     height, width = camera.image_size
     down, across = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     centers = torch.stack([across, down], -1).float()
-    tiles = (down // TILE * width + across // TILE).flatten().argsort(stable=True).to(scene.device)
+    squares = _squares(height, width).to(scene.device)
     total = torch.zeros(3, height * width, device=scene.device)
     count = torch.zeros(height * width, device=scene.device)
+    sample = torch.zeros_like(total)
     for offset in _stratified(samples_per_pixel):
         seen = camera.unproject(centers + offset)
-        pixels = tiles[seen.valid.flatten().to(scene.device)[tiles]]
+        valid = seen.valid.flatten().to(scene.device)
         local = seen.directions.to(scene.device, torch.float32)
-        directions = local.reshape(-1, 3)[pixels] @ pose[:3, :3].T
+        pixels = _seen(squares, valid)
+        directions = pose[:3, :3] @ local.reshape(-1, 3).T.index_select(1, pixels.flatten())
         spread = _spread(local).flatten()[pixels] / samples_per_pixel**0.5
-        light = _radiance(scene, pose[:3, 3], directions, spread).clamp(max=4)
-        total.index_add_(1, pixels, light)
-        count[pixels] += 1
+        light = _exposed(scene, pose[:3, 3], directions.view(3, *pixels.shape), spread).clamp_(max=4)
+        # Squares at edges hold pixels twice, with the same light.
+        sample[:, pixels.flatten()] = light.flatten(1)
+        total += sample
+        count += valid
     picture = _develop(scene, total / count.clamp(min=1))
     return picture.view(3, height, width)
 
@@ -143,74 +152,29 @@ def _spread(directions: Tensor) -> Tensor:
     return torch.minimum(torch.maximum(*steps), 2 * torch.minimum(*steps))
 
 
-def _radiance(scene: Scene, origin: Tensor, directions: Tensor, spread: Tensor) -> Tensor:
-    """Exposed linear light ``(3, *)`` along rays from one point."""
-    shape = directions.shape[:-1]
-    rays, spread = directions.reshape(-1, 3), spread.expand(shape).reshape(-1)
-    size = CHUNK if rays.device.type == "cpu" else 64 * CHUNK
-    parts = [
-        _shade(scene, origin, d, s, bounces=1)
-        for d, s in zip(rays.split(size), spread.split(size), strict=True)
-    ]
-    return (torch.cat(parts) * scene.exposure).T.reshape(3, *shape)
-
-
-def _shade(scene: Scene, origins: Tensor, directions: Tensor, spread: Tensor, bounces: int) -> Tensor:
-    """Linear light ``(n, 3)``; reflections are followed ``bounces`` times."""
-    hit = trace(scene.primitives, origins, directions)
-    up = (0.5 - 2 * directions[:, 1:2]).clamp(0, 1)
-    light = torch.lerp(scene.background[1], scene.background[0], up)
-    met = (hit.primitive >= 0).nonzero()[:, 0]
-    if not len(met):
-        return light
-    origins = origins if origins.ndim == 1 else origins[met]
-    rays, hit, spread = directions[met], Hit(hit.distance[met], hit.primitive[met]), spread[met]
-    spot = surface(scene.primitives, origins, rays, hit)
-    material = scene.primitives.material[hit.primitive]
-    albedo = _albedo(scene, spot, material, rays, hit.distance * spread)
-    glow = scene.materials.emission[material][:, None]
-    answer = albedo * torch.where(glow > 0, glow, _irradiance(scene, spot))
-    mirror = scene.materials.mirror[material]
-    glossy = (mirror > 0).nonzero()[:, 0] if bounces else mirror.new_zeros(0, dtype=torch.long)
-    if len(glossy):
-        ray, normal = rays[glossy], spot.normal[glossy]
-        reflected = ray - 2 * (ray * normal).sum(-1, keepdim=True) * normal
-        away = spot.position[glossy] + SHADOW_GAP * normal
-        seen = _shade(scene, away, reflected, spread[glossy] * 2, bounces - 1)
-        answer[glossy] = torch.lerp(answer[glossy], seen, mirror[glossy][:, None])
-    light[met] = answer
-    return light
-
-
-def _albedo(scene: Scene, spot: Surface, material: Tensor, rays: Tensor, width: Tensor) -> Tensor:
-    """Reflectance ``(n, 3)``, filtered over rays that are ``width`` metres wide when they arrive."""
-    table = scene.materials
-    turn = table.texture_from_surface[material]
-    uv = (turn * spot.uv[:, None, :]).sum(-1) + table.offset[material]
-    slant = (rays * spot.normal).sum(-1).abs().clamp(min=0.02)
-    density = table.texture_from_surface.norm(dim=-1).amax(-1)[material]
-    # A slanted surface is crossed by an ellipse 1 / slant long; its mean width balances blur and aliasing.
-    # The box filters of a mip pyramid let some aliasing through: a little wider looks better.
-    value = texture_bank(str(scene.device)).sample(
-        table.texture[material], uv, 1.25 * width * slant.rsqrt() * density
+def _squares(height: int, width: int) -> Tensor:
+    """Numbers of the pixels in squares of `RAYS`, ``(s, RAYS)``; those at the edges hold the last pixels repeatedly."""
+    side = math.isqrt(RAYS)
+    rows, columns = (
+        torch.arange(-(-size // side) * side).clamp(max=size - 1).view(-1, side) for size in (height, width)
     )
-    return torch.lerp(table.dark[material], table.bright[material], value)
+    return (rows[:, None, :, None] * width + columns[None, :, None, :]).reshape(-1, RAYS)
 
 
-def _irradiance(scene: Scene, spot: Surface) -> Tensor:
-    """Light that arrives at surfaces ``(n, 3)``: ambient, more from above, and all lamps in sight."""
-    light = scene.ambient * (1 - 0.25 * spot.normal[:, 1:2])
-    casters = scene.primitives.shadow_casters
-    for position, color, reach in zip(
-        scene.lamps.position, scene.lamps.color, scene.lamps.reach, strict=True
-    ):
-        ray = spot.position - position
-        distance = ray.norm(dim=-1)
-        ray = ray / distance[:, None]
-        slant = -(spot.normal * ray).sum(-1)
-        lit = (slant > 0).nonzero()[:, 0]
-        hidden = occluded(casters, position, ray[lit], distance[lit] - SHADOW_GAP)
-        strength = torch.zeros_like(slant)
-        strength[lit] = slant[lit] * ~hidden / (reach**2 + distance[lit].square())
-        light = light + strength[:, None] * color
-    return light
+def _seen(squares: Tensor, valid: Tensor) -> Tensor:
+    """The squares with any valid pixel; in each the first of these stands in for the others."""
+    inside = valid[squares]
+    some = inside.any(1).nonzero()[:, 0]
+    squares, inside = squares[some], inside[some]
+    return torch.where(inside, squares, squares.gather(1, inside.int().argmax(1, keepdim=True)))
+
+
+def _exposed(scene: Scene, origin: Tensor, direction: Tensor, spread: Tensor) -> Tensor:
+    """Exposed linear light ``(3, b, RAYS)`` along bundled rays ``(3, b, RAYS)`` from one point."""
+    looks, size = Looks.of(scene), chunk_size(direction.device)
+    light = torch.empty_like(direction)
+    for start in range(0, direction.shape[1], size):
+        part = slice(start, start + size)
+        rays = Bundles(origin[:, None, None], direction[:, part].contiguous())
+        light[:, part] = radiance(scene, looks, rays, spread[part])
+    return light * scene.exposure

@@ -14,21 +14,16 @@ from torch import Tensor
 
 from sphericalvision.crown.conv import COL_TAPS, ROW_TAPS, _check_weight, _planar_kernel, crown_conv3d
 from sphericalvision.crown.hexpad import check_values
-from sphericalvision.crown.layout import (
-    Crown,
-    _charts,
-    _place_ids,
-    crown_relu,
-    from_crown,
-    places_per_vertex,
-    to_crown,
+from sphericalvision.crown.layout import crown_relu, from_crown, to_crown
+from sphericalvision.crown.rectangles import PlaceSum, Rectangles
+from sphericalvision.crown.winograd import (
+    convolve_padded,
+    repeat_border,
+    transformed_kernels,
+    winograd_pays,
 )
-from sphericalvision.crown.winograd import convolve_padded, transformed_kernels, winograd_pays
 
 __all__ = ["crown_conv3d_chain"]
-
-CACHE_BYTES = 8 << 20
-"""Five rectangles that together take no more than this go through the chain together."""
 
 Layer = tuple[Tensor, Tensor | None]
 
@@ -77,38 +72,32 @@ def _whole(values: Tensor, layers: Sequence[Layer]) -> Tensor:
 
 def _chain(rows: Tensor, level: int, layers: Sequence[Layer]) -> Tensor:
     """Values ``(N, V, in)`` to values ``(N, V, out)``."""
-    n, (count, vertices, channels) = 2**level, rows.shape
-    # The rectangles' places, and the borders continued by themselves around them.
-    col, row = _place_ids(level, rows.device).split(5)
-    wide, across = ([0, *range(m), m - 1] for m in (n + 1, 2 * n + 1))
-    col = col.view(5, 2 * n + 1, n + 1)[:, across][:, :, wide]
-    row = row.view(5, n + 1, 2 * n + 1)[:, wide][:, :, across]
-    down_and_across = [
+    count, _, channels = rows.shape
+    convolutions = [
         [_Convolution(weight, bias, taps, rows) for weight, bias in layers] for taps in (COL_TAPS, ROW_TAPS)
     ]
-    full = count + (-count % 4 if any(c.winograd for c in down_and_across[0]) else 0)
-    hypotheses = torch.arange(-1, full + 1, device=rows.device).clamp(0, count - 1)
-    bytes_of_five = col.numel() * full * channels * rows.element_size()
-    together = 5 if rows.device.type != "cpu" or bytes_of_five <= CACHE_BYTES else 1
+    full = count + (-count % 4 if any(c.winograd for c in convolutions[0]) else 0)
+    crown = Rectangles(rows, level, full)
     # Large new tensors cost fresh pages: what lies between two layers is always in the same place.
     widths = [channels, *(len(weight) for weight, _ in layers)]
-    between = [rows.new_empty(together * len(hypotheses) * col[0].numel(), width) for width in widths[:-1]]
-    last = rows.new_empty(together * full * (2 * n + 1) * (n + 1), widths[-1])
-    sum_of_places = _Sum(rows, n, widths[-1])
-    for ids, convolutions in zip((col, row), down_and_across, strict=True):
-        places = hypotheses[:, None, None] * vertices + ids[:, None]  # (5, full + 2, h + 2, w + 2)
-        for first in range(0, 5, together):
-            some = places[first : first + together]
-            groups, depth, height, width = some.shape
-            torch.index_select(rows.reshape(-1, channels), 0, some.flatten(), out=between[0])
-            padded = [buffer.view(groups, depth, height, width, -1) for buffer in between]
-            for convolution, given, result in zip(convolutions[:-1], padded[:-1], padded[1:], strict=True):
-                convolution(given, result[:, 1:-1, 1:-1, 1:-1])
-                _rectify_and_continue(result, count)
-            answer = last.view(groups, depth - 2, height - 2, width - 2, -1)
-            convolutions[-1](padded[-1], answer)
-            sum_of_places.add(answer[:, :count], first, across=ids is row)
-    return sum_of_places.mean()
+    padded_size = crown.together * (full + 2) * (2 * crown.n + 3) * (crown.n + 3)
+    between = [rows.new_empty(padded_size, width) for width in widths[:-1]]
+    last = rows.new_empty(crown.size, widths[-1])
+    places = PlaceSum(rows, crown.n, widths[-1])
+    for some in crown:
+        groups, depth, height, width = some.places.shape
+        torch.index_select(rows.reshape(-1, channels), 0, some.places.flatten(), out=between[0])
+        padded = [buffer.view(groups, depth, height, width, -1) for buffer in between]
+        *middle, end = convolutions[some.across]
+        for convolution, given, result in zip(middle, padded[:-1], padded[1:], strict=True):
+            inner = result[:, 1:-1, 1:-1, 1:-1]
+            convolution(given, inner)
+            inner.relu_()
+            repeat_border(result, count)
+        answer = last.view(groups, depth - 2, height - 2, width - 2, -1)
+        end(padded[-1], answer)
+        places.add(answer[:, :count], some)
+    return places.mean()
 
 
 class _Convolution:
@@ -143,53 +132,3 @@ class _Convolution:
                     shifted = products[depth, down, right][:, depth : depth + count]
                     total = total + shifted[:, :, down : down + height, right : right + width]
         return total
-
-
-def _rectify_and_continue(padded: Tensor, count: int) -> None:
-    """Apply ReLU inside padded volumes ``(g, N + 2, h + 2, w + 2, C)`` and repeat its border values all around."""
-    volumes = padded[:, 1 : count + 1]
-    volumes[:, :, 1:-1, 1:-1].relu_()
-    volumes[:, :, 0], volumes[:, :, -1] = volumes[:, :, 1], volumes[:, :, -2]
-    volumes[:, :, :, 0], volumes[:, :, :, -1] = volumes[:, :, :, 1], volumes[:, :, :, -2]
-    padded[:, 0] = padded[:, 1]
-    padded[:, count + 1 :] = padded[:, count : count + 1]
-
-
-class _Sum:
-    """The sum of every vertex over all its places, rectangle by rectangle: first those down, then those across.
-
-    The first row and the last column of rectangles down belong to the next one; they are kept apart until the end.
-    """
-
-    def __init__(self, rows: Tensor, n: int, channels: int) -> None:
-        count, vertices, _ = rows.shape
-        self.n = n
-        self.values = rows.new_empty(count, vertices, channels)
-        self.charts = self.values[:, 1:-1].view(count, 5, 2 * n, n, channels)
-        self.top = rows.new_empty(count, 5, n + 1, channels)
-        self.east = rows.new_empty(count, 5, 2 * n, channels)
-
-    def add(self, rectangles: Tensor, first: int, across: bool) -> None:
-        """Add rectangles ``(g, N, h, w, C)``, the first of which is number ``first``."""
-        n = self.n
-        for k, rectangle in enumerate(rectangles, first):
-            if not across:
-                self.charts[:, k] = rectangle[:, 1:, :-1]
-                self.top[:, k], self.east[:, k] = rectangle[:, 0], rectangle[:, 1:, -1]
-                continue
-            self.top[:, k] += rectangle[:, 0, : n + 1]
-            self.charts[:, k, :n] += rectangle[:, 1:, :n]
-            self.east[:, k, :n] += rectangle[:, 1:, n]
-            following = (k + 1) % 5
-            self.charts[:, following, n - 1 :, 1:] += rectangle[:, :, n + 1 : -1]
-            self.east[:, following, n - 1 :] += rectangle[:, :, -1]
-
-    def mean(self) -> Tensor:
-        """Values ``(N, V, C)``: the sums by the number of places."""
-        n, charts, top, east = self.n, self.charts, self.top, self.east
-        self.values[:, 0] = top[:, :, 0].sum(1)
-        self.values[:, -1] = east[:, :, -1].sum(1)
-        charts[:, :, :n, 0] += top[:, :, 1:].roll(1, 1)
-        charts[:, :, n:, 0] += east[:, :, :n].roll(1, 1)
-        charts[:, :, -1, 1:] += east[:, :, n:-1].roll(1, 1)
-        return self.values.mul_(places_per_vertex(n, self.values)[:, None].reciprocal_())

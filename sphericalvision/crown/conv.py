@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -23,6 +24,11 @@ def _planar_kernel(weight: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
     """Arrange seven taps ``(*, 7)`` as a planar kernel ``(*, 3, 3)``."""
     index = torch.tensor(taps, device=weight.device).flatten()
     return F.pad(weight, (0, 1)).index_select(-1, index).unflatten(-1, (3, 3))
+
+
+def neighbor_taps(taps: tuple[tuple[int, ...], ...]) -> list[int]:
+    """Of the nine places of a planar kernel those that hold a tap."""
+    return [place for place, tap in enumerate(sum(taps, ())) if tap < 7]
 
 
 def _check_weight(weight: Tensor, taps: int, channels: int) -> None:
@@ -106,7 +112,8 @@ def crown_conv3d(crown: Crown, weight: Tensor, bias: Tensor | None = None, strid
 
     def convolve(volumes: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
         kernel = _planar_kernel(taps_by_depth, taps)
-        return conv3d_replicate(volumes.flatten(0, 1), kernel, bias, stride).unflatten(0, (-1, 5))
+        flat = volumes.flatten(0, 1)
+        return conv3d_replicate(flat, kernel, bias, stride, neighbor_taps(taps)).unflatten(0, (-1, 5))
 
     return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
 

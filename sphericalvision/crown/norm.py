@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from sphericalvision.core import ShapeError, check_choice
 from sphericalvision.crown.layout import Crown, check_crown
+
+if TYPE_CHECKING:
+    from sphericalvision.crown.block import Moments
 
 __all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
 
@@ -52,6 +57,18 @@ class _CrownBatchNorm(_BatchNorm):
         if self.bias is not None:
             shift = shift + self.bias
         return weight * scale[:, None, None], shift
+
+    @torch.no_grad()
+    def track(self, moments: Moments) -> None:
+        """Let running statistics take a step towards those of a batch, as ``forward`` does in training mode."""
+        if not self.training or self.running_mean is None:
+            return
+        assert self.running_var is not None
+        assert self.num_batches_tracked is not None
+        self.num_batches_tracked.add_(1)
+        rate = 1 / float(self.num_batches_tracked) if self.momentum is None else self.momentum
+        self.running_mean.lerp_(moments.mean, rate)
+        self.running_var.lerp_(moments.variance * (moments.count / (moments.count - 1)), rate)
 
 
 class CrownBatchNorm2d(_CrownBatchNorm):

@@ -7,6 +7,7 @@ the speed of the machine; the sums around them are a few passes over memory.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -14,10 +15,22 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-__all__ = ["conv3d_replicate", "conv3d_winograd", "convolve_padded", "transformed_kernels", "winograd_pays"]
+__all__ = [
+    "conv3d_replicate",
+    "conv3d_winograd",
+    "convolve_padded",
+    "convolve_padded_backward",
+    "of_taps",
+    "repeat_border",
+    "transformed_kernels",
+    "unpadded",
+    "winograd_pays",
+]
 
 MIN_CHANNELS = 32
 """Below, the sums cost more than the products saved."""
+
+ALL_TAPS = tuple(range(9))
 
 TRANSFORM_BYTES = 6 << 20
 """Tiles are taken through the transforms a few at a time, each of which takes no more than this: they stay in cache."""
@@ -39,7 +52,13 @@ def winograd_pays(volumes: Tensor, kernel: Tensor) -> bool:
     return wide and volumes.dtype == torch.float32 and volumes.device.type == "cpu" and volumes.shape[2] >= 4
 
 
-def conv3d_replicate(volumes: Tensor, kernel: Tensor, bias: Tensor | None = None, stride: int = 1) -> Tensor:
+def conv3d_replicate(
+    volumes: Tensor,
+    kernel: Tensor,
+    bias: Tensor | None = None,
+    stride: int = 1,
+    taps: Sequence[int] = ALL_TAPS,
+) -> Tensor:
     """Convolve volumes ``(B, C, N, h, w)`` with ``(O, C, 3, 3, 3)``, continued by their own border values.
 
     Args:
@@ -47,18 +66,21 @@ def conv3d_replicate(volumes: Tensor, kernel: Tensor, bias: Tensor | None = None
         kernel: ``(O, C, 3, 3, 3)``.
         bias: ``(O,)``.
         stride: in the plane; along N it is 1.
+        taps: of the nine in the plane those that are not zero for good; others may be left without a gradient.
 
     Examples:
         >>> conv3d_replicate(torch.ones(1, 2, 4, 5, 3), torch.ones(1, 2, 3, 3, 3)).unique()
         tensor([54.])
     """
     if stride == 1 and winograd_pays(volumes, kernel):
-        return conv3d_winograd(volumes, kernel, bias)
+        return conv3d_winograd(volumes, kernel, bias, taps)
     padded = F.pad(volumes, (1, 1, 1, 1, 1, 1), mode="replicate")
     return F.conv3d(padded, kernel, bias, (1, stride, stride))
 
 
-def conv3d_winograd(volumes: Tensor, kernel: Tensor, bias: Tensor | None = None) -> Tensor:
+def conv3d_winograd(
+    volumes: Tensor, kernel: Tensor, bias: Tensor | None = None, taps: Sequence[int] = ALL_TAPS
+) -> Tensor:
     """Do what ``conv3d_replicate`` does at stride 1, differentiable once.
 
     Only the volumes are kept for the backward pass, not their transforms. In single precision the result is within
@@ -73,7 +95,7 @@ def conv3d_winograd(volumes: Tensor, kernel: Tensor, bias: Tensor | None = None)
         >>> torch.allclose(conv3d_winograd(volumes, kernel), conv3d_replicate(volumes, kernel))
         True
     """
-    result: Tensor = _Winograd.apply(volumes, kernel, bias)
+    result: Tensor = _Winograd.apply(volumes, kernel, bias, tuple(taps))
     return result
 
 
@@ -81,53 +103,34 @@ class _Winograd(torch.autograd.Function):
     """Volumes, kernel and bias to convolved volumes."""
 
     @staticmethod
-    def forward(volumes: Tensor, kernel: Tensor, bias: Tensor | None) -> Tensor:
+    def forward(volumes: Tensor, kernel: Tensor, bias: Tensor | None, taps: tuple[int, ...]) -> Tensor:
         padded, (batch, _, count, height, width) = _padded(volumes), volumes.shape
         result = volumes.new_empty(batch, count + -count % 4, height, width, len(kernel))
         convolve_padded(padded, transformed_kernels(kernel), bias, result)
         return result[:, :count].movedim(-1, 1)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor, Tensor | None], output: Tensor) -> None:
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
         ctx.save_for_backward(*inputs[:2])
+        ctx.taps = inputs[3]
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         volumes, kernel = ctx.saved_tensors
-        want_volumes, want_kernel, want_bias = ctx.needs_input_grad
-        padded, count = _padded(volumes), volumes.shape[2]
-        missing = -count % 4
-        of_outputs = gradient.movedim(1, -1)
-        if missing:
-            of_outputs = F.pad(of_outputs, (0, 0, 0, 0, 0, 0, 0, missing))
-        y0, y1, y2, y3 = (of_outputs[:, place::4] for place in range(4))
-        even, odd, even4, odd8 = y0 + y2, y1 + y3, y0.add(y2, alpha=4), (2 * y1).add(y3, alpha=8)
-        of_products = (y0, even + odd, even - odd, even4 + odd8, even4 - odd8, y3)
-        of_tiles, of_kernels = [], []
-        kernels = transformed_kernels(kernel)
-        for tile, k, product in zip(_transformed_tiles(padded), kernels, of_products, strict=True):
-            of_tile, of_kernel, _ = torch.ops.aten.convolution_backward(
-                product.flatten(0, 1).movedim(-1, 1).contiguous(memory_format=torch.channels_last),
-                tile,
-                k,
-                None,
-                (1, 1),
-                (0, 0),
-                (1, 1),
-                False,
-                (0, 0),
-                1,
-                (want_volumes, want_kernel, False),
-            )
-            of_tiles.append(of_tile)
-            of_kernels.append(of_kernel)
-        of_volumes = _gradient_of_volumes(of_tiles, padded.shape, count) if want_volumes else None
-        of_bias = gradient.sum((0, 2, 3, 4)) if want_bias else None
-        if not want_kernel:
-            return of_volumes, None, of_bias
-        transform = kernel.new_tensor(_TAPS)
-        return of_volumes, torch.einsum("kd,kocij->ocdij", transform, torch.stack(of_kernels)), of_bias
+        want_volumes, want_kernel, want_bias, _ = ctx.needs_input_grad
+        count = volumes.shape[2]
+        of_result = F.pad(gradient.movedim(1, -1), (0, 0, 2, 2, 2, 2, 0, -count % 4))
+        padded = _padded(volumes, room=2)
+        batch, full, height, width, channels = padded.shape
+        of_padded = (
+            of_result.new_zeros(batch, full, height - 2, width - 2, channels) if want_volumes else None
+        )
+        of_kernels = kernel.new_zeros(6, 9, *kernel.shape[:2]) if want_kernel else None
+        convolve_padded_backward(of_result, padded, kernel, of_padded, of_kernels, ctx.taps)
+        of_volumes = None if of_padded is None else unpadded(of_padded, count).movedim(-1, 1)
+        of_kernel = None if of_kernels is None else of_taps(of_kernels).unflatten(-1, (3, 3))
+        return of_volumes, of_kernel, gradient.sum((0, 2, 3, 4)) if want_bias else None, None
 
 
 def convolve_padded(padded: Tensor, kernels: list[Tensor], bias: Tensor | None, result: Tensor) -> None:
@@ -157,35 +160,88 @@ def convolve_padded(padded: Tensor, kernels: list[Tensor], bias: Tensor | None, 
         torch.add(difference1, difference2, alpha=8, out=y[:, :, 3]).add_(m5)
 
 
-def _padded(volumes: Tensor) -> Tensor:
-    """Border values repeated all around, N filled up to a multiple of four: ``(B, N' + 2, h + 2, w + 2, C)``."""
+def convolve_padded_backward(
+    of_result: Tensor,
+    padded: Tensor,
+    kernel: Tensor,
+    of_padded: Tensor | None,
+    of_kernels: Tensor | None,
+    taps: Sequence[int] = ALL_TAPS,
+) -> None:
+    """The adjoint of ``convolve_padded``; adds to ``of_padded`` and ``of_kernels``, where they are given.
+
+    Both gradients are made of products that are fast on a CPU: planar convolutions of what is padded already, and one
+    matrix product a tap between two views of the same grid, shifted.
+
+    Args:
+        of_result: ``(B, N, h + 4, w + 4, O)``, zero on the two outermost places all around; contiguous.
+        padded: ``(B, N + 2, h + 4, w + 4, C)``, what was convolved and then two rows and columns that are finite.
+        kernel: ``(O, C, 3, 3, 3)``.
+        of_padded: ``(B, N + 2, h + 2, w + 2, C)``.
+        of_kernels: ``(6, 9, O, C)``, of the transformed kernels; see ``of_taps``.
+        taps: of the nine in the plane those whose gradient is wanted.
+    """
+    tiles, width = of_result.shape[1] // 4, of_result.shape[3]
+    kernels = [
+        k.flip(2, 3).transpose(0, 1).contiguous(memory_format=torch.channels_last)
+        for k in transformed_kernels(kernel)
+    ]
+    together = max(1, TRANSFORM_BYTES // (padded[:, 0].numel() * padded.element_size()))
+    for first in range(0, tiles, together):
+        last = min(first + together, tiles)
+        slab = padded[:, 4 * first : 4 * last + 2]
+        y0, y1, y2, y3 = of_result[:, 4 * first : 4 * last].unflatten(1, (-1, 4)).unbind(2)
+        even, odd, even4, odd8 = y0 + y2, y1 + y3, y0.add(y2, alpha=4), (2 * y1).add_(y3, alpha=8)
+        products = (y0, even + odd, even.sub_(odd), even4 + odd8, even4.sub_(odd8), y3)
+        of_tiles = []
+        transformed = _transformed_tiles(slab) if of_kernels is not None else [None] * 6
+        for place, (product, tile) in enumerate(zip(products, transformed, strict=True)):
+            planes = product.flatten(0, 1)  # copies y0 and y3
+            if of_padded is not None:
+                of_tiles.append(F.conv2d(planes.movedim(-1, 1), kernels[place]))
+            if of_kernels is not None and tile is not None:
+                of_rows = planes.reshape(-1, planes.shape[-1])[2 * width + 2 :].T
+                rows = tile.movedim(1, -1).reshape(-1, tile.shape[1])
+                for tap in taps:
+                    start = tap // 3 * width + tap % 3
+                    of_kernels[place, tap].addmm_(of_rows, rows[start : start + of_rows.shape[1]])
+        if of_padded is not None:
+            _add_gradient_of_tiles(of_tiles, of_padded[:, 4 * first : 4 * last + 2])
+
+
+def of_taps(of_kernels: Tensor) -> Tensor:
+    """Gradient ``(O, C, 3, 9)`` of a kernel from that of its transforms ``(6, 9, O, C)``."""
+    return torch.einsum("kd,ktoc->ocdt", of_kernels.new_tensor(_TAPS), of_kernels)
+
+
+def _padded(volumes: Tensor, room: int = 0) -> Tensor:
+    """Border values repeated all around, N filled up to a multiple of four: ``(B, N' + 2, h + 2, w + 2, C)``.
+
+    With ``room`` as many rows and columns of zeros after them.
+    """
     batch, channels, count, height, width = volumes.shape
     full = count + -count % 4
-    padded = volumes.new_empty(batch, full + 2, height + 2, width + 2, channels)
+    padded = volumes.new_empty(batch, full + 2, height + 2 + room, width + 2 + room, channels)
+    if room:
+        padded[:, :, -room:] = 0
+        padded[:, :, :, -room:] = 0
+    with_border = padded[:, :, : height + 2, : width + 2]
+    with_border[:, 1 : count + 1, 1:-1, 1:-1] = volumes.movedim(1, -1)
+    repeat_border(with_border, count)
+    return padded
+
+
+def repeat_border(padded: Tensor, count: int) -> None:
+    """Continue N = ``count`` volumes inside ``(B, N' + 2, h + 2, w + 2, C)`` by their own border values."""
     inner = padded[:, 1 : count + 1]
-    inner[:, :, 1:-1, 1:-1] = volumes.movedim(1, -1)
     inner[:, :, 0, 1:-1], inner[:, :, -1, 1:-1] = inner[:, :, 1, 1:-1], inner[:, :, -2, 1:-1]
     inner[:, :, :, 0], inner[:, :, :, -1] = inner[:, :, :, 1], inner[:, :, :, -2]
     padded[:, 0] = padded[:, 1]
     padded[:, count + 1 :] = padded[:, count : count + 1]
-    return padded
 
 
-def _gradient_of_volumes(of_tiles: list[Tensor], shape: torch.Size, count: int) -> Tensor:
-    """The adjoint of ``_transformed_tiles`` after ``_padded``."""
-    v0, v1, v2, v3, v4, v5 = (g.movedim(1, -1).unflatten(0, (shape[0], -1)) for g in of_tiles)
-    sum1, difference1, sum2, difference2 = v1 + v2, v1 - v2, v3 + v4, v3 - v4
-    of_places = (
-        4 * v0,
-        (4 * v5).sub_(difference1, alpha=4).sub_(difference2, alpha=2),
-        (-5 * v0).sub_(sum1, alpha=4).sub_(sum2),
-        (-5 * v5).add_(difference1).add_(difference2, alpha=2),
-        sum1.add_(sum2).add_(v0),
-        v5,
-    )
-    padded = v0.new_zeros(shape)
-    for place, of_place in enumerate(of_places):
-        padded[:, place : place + shape[1] - 2 : 4] += of_place
+def unpadded(padded: Tensor, count: int) -> Tensor:
+    """The adjoint of ``repeat_border``: what was repeated is added to where it came from, ``(B, N, h, w, C)``."""
     padded[:, 1] += padded[:, 0]
     padded[:, count] += padded[:, count + 1 :].sum(1)
     inner = padded[:, 1 : count + 1]
@@ -193,7 +249,22 @@ def _gradient_of_volumes(of_tiles: list[Tensor], shape: torch.Size, count: int) 
     inner[:, :, :, -2] += inner[:, :, :, -1]
     inner[:, :, 1] += inner[:, :, 0]
     inner[:, :, -2] += inner[:, :, -1]
-    return inner[:, :, 1:-1, 1:-1].movedim(-1, 1)
+    return inner[:, :, 1:-1, 1:-1]
+
+
+def _add_gradient_of_tiles(of_tiles: list[Tensor], of_padded: Tensor) -> None:
+    """The adjoint of ``_transformed_tiles``, added to ``of_padded``."""
+    v0, v1, v2, v3, v4, v5 = (g.movedim(1, -1).unflatten(0, (len(of_padded), -1)) for g in of_tiles)
+    difference1, difference2 = v1 - v2, v3 - v4
+    sum1, sum2 = v1.add_(v2), v3.add_(v4)
+    length = of_padded.shape[1] - 2
+    at = [of_padded[:, place : place + length : 4] for place in range(6)]
+    at[0].add_(v0, alpha=4)
+    at[1].add_(v5, alpha=4).sub_(difference1, alpha=4).sub_(difference2, alpha=2)
+    at[2].sub_(v0, alpha=5).sub_(sum1, alpha=4).sub_(sum2)
+    at[3].sub_(v5, alpha=5).add_(difference1).add_(difference2, alpha=2)
+    at[4].add_(sum1).add_(sum2).add_(v0)
+    at[5].add_(v5)
 
 
 def _transformed_tiles(padded: Tensor) -> Any:

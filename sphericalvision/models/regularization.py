@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from sphericalvision.crown import (
     Crown,
     CrownConv3d,
+    CrownInstanceNorm3d,
     crown_conv3d,
     crown_conv3d_chain,
     crown_norm,
@@ -16,6 +17,7 @@ from sphericalvision.crown import (
     from_crown,
     to_crown,
 )
+from sphericalvision.crown.block import NormedLayer, block3d_pays, crown_block3d
 from sphericalvision.models.recompute import recomputed
 
 __all__ = ["ConvNorm3d", "CostBlock", "CostRegularizer"]
@@ -33,6 +35,11 @@ class ConvNorm3d(nn.Module):
     def layer(self) -> tuple[Tensor, Tensor]:
         """Weight and bias of the convolution with its normalisation in it, where that is affine."""
         return self.norm.folded(self.conv.weight)
+
+    @property
+    def normed_layer(self) -> NormedLayer:
+        """The convolution and its normalisation by the statistics of what it gets."""
+        return NormedLayer(self.conv.weight, self.norm.weight, self.norm.bias, self.norm.eps)
 
     def forward(self, crown: Crown) -> Crown:
         if self.norm.is_affine:
@@ -53,7 +60,27 @@ class CostBlock(nn.Module):
     def forward(self, volume: Tensor) -> Tensor:
         if self.first.norm.is_affine and self.second.norm.is_affine and not torch.is_grad_enabled():
             return crown_conv3d_chain(volume, [self.first.layer, self.second.layer])
+        if self._by_rectangles(volume):
+            samples = volume.split(1) if isinstance(self.first.norm, CrownInstanceNorm3d) else (volume,)
+            results = [self._normed(some) for some in samples]
+            return results[0] if len(results) == 1 else torch.cat(results)
         return from_crown(self.second(crown_relu(self.first(to_crown(volume)))))
+
+    def _by_rectangles(self, volume: Tensor) -> bool:
+        """Whether ``crown_block3d`` does the same, faster."""
+        layers = self.first, self.second
+        return (
+            all(block3d_pays(volume, layer.conv.weight) for layer in layers)
+            and not any(layer.norm.is_affine for layer in layers)
+            and not torch.compiler.is_compiling()
+            and not torch.is_autocast_enabled(volume.device.type)
+        )
+
+    def _normed(self, volume: Tensor) -> Tensor:
+        result, moments = crown_block3d(volume, self.first.normed_layer, self.second.normed_layer)
+        for layer, moment in zip((self.first, self.second), moments, strict=True):
+            layer.norm.track(moment)
+        return result
 
 
 class CostRegularizer(nn.Module):

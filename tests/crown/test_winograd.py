@@ -41,6 +41,14 @@ def test_values_and_gradients_are_those_of_the_direct_sum(generator: torch.Gener
         torch.testing.assert_close(ours, theirs)
 
 
+def test_taps_that_are_zero_now_have_a_gradient(generator: torch.Generator) -> None:
+    values = torch.randn(1, 32, 4, 42, generator=generator)
+    weight = torch.zeros(32, 32, 21, requires_grad=True)
+    crown_conv3d(to_crown(values), weight).col.sum().backward()
+    assert weight.grad is not None
+    assert weight.grad.abs().amin((0, 1)).min() > 0
+
+
 def test_single_precision_error_is_small(generator: torch.Generator) -> None:
     volumes = torch.randn(1, 64, 8, 9, 5, generator=generator)
     kernel = torch.randn(64, 64, 3, 3, 3, generator=generator)
@@ -59,7 +67,9 @@ def test_only_what_gains_takes_the_other_way() -> None:
 
 @torch.no_grad()
 @pytest.mark.parametrize("level", [0, 1, 2])
-@pytest.mark.parametrize(("count", "channels"), [(8, (3, 4, 2)), (5, (32, 33, 32)), (6, (32, 40, 1)), (1, (2, 3, 1))])
+@pytest.mark.parametrize(
+    ("count", "channels"), [(8, (3, 4, 2)), (5, (32, 33, 32)), (6, (32, 40, 1)), (1, (2, 3, 1))]
+)
 def test_a_chain_equals_its_layers(
     generator: torch.Generator, level: int, count: int, channels: tuple[int, int, int]
 ) -> None:
@@ -80,7 +90,7 @@ def test_a_chain_of_one_rectangle_at_a_time_equals_one_of_five(
     values = torch.randn(1, 32, 12, 162, generator=generator)
     layers = [(torch.randn(32, 32, 21, generator=generator), torch.randn(32, generator=generator))] * 2
     five = crown_conv3d_chain(values, layers)
-    monkeypatch.setattr("sphericalvision.crown.chain.CACHE_BYTES", 0)
+    monkeypatch.setattr("sphericalvision.crown.rectangles.CACHE_BYTES", 0)
     monkeypatch.setattr("sphericalvision.crown.winograd.TRANSFORM_BYTES", 0)
     one = crown_conv3d_chain(values, layers)
     torch.testing.assert_close(one, five, atol=1e-5 * float(five.abs().max()), rtol=1e-5)

@@ -1,0 +1,355 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two normalised 3D crown convolutions for training, one rectangle at a time in both passes.
+
+Kept for the backward pass are the volumes given and what the two convolutions put out before normalisation. All else,
+as normalised values, their copies with borders and transforms, is made again where it is wanted, in cache.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sphericalvision.crown.conv import COL_TAPS, ROW_TAPS, _planar_kernel, neighbor_taps
+from sphericalvision.crown.layout import places_per_vertex
+from sphericalvision.crown.rectangles import PlaceSum, Rectangles, Some
+from sphericalvision.crown.winograd import (
+    convolve_padded,
+    convolve_padded_backward,
+    of_taps,
+    repeat_border,
+    transformed_kernels,
+    unpadded,
+    winograd_pays,
+)
+from sphericalvision.icosphere import level_from_num_vertices
+
+__all__ = ["Moments", "NormedLayer", "block3d_pays", "crown_block3d"]
+
+TAPS = (COL_TAPS, ROW_TAPS)
+
+
+class NormedLayer(NamedTuple):
+    """A convolution and the affine normalisation by batch statistics after it.
+
+    Attributes:
+        weight: ``(out, in, 21)``.
+        scale: ``(out,)``.
+        shift: ``(out,)``.
+        eps: added to the variance.
+    """
+
+    weight: Tensor
+    scale: Tensor
+    shift: Tensor
+    eps: float
+
+
+class Moments(NamedTuple):
+    """Mean and biased variance ``(C,)`` over ``count`` places; not differentiable."""
+
+    mean: Tensor
+    variance: Tensor
+    count: int
+
+
+def block3d_pays(values: Tensor, weight: Tensor) -> bool:
+    """Whether ``crown_block3d`` is the faster way for values ``(B, C, N, V)`` and a weight ``(out, in, 21)``."""
+    return winograd_pays(values[:, :, :, None], weight)
+
+
+def crown_block3d(
+    values: Tensor, first: NormedLayer, second: NormedLayer
+) -> tuple[Tensor, tuple[Moments, Moments]]:
+    """Convolve volumes, normalise, rectify, convolve, normalise, and exchange; differentiable once.
+
+    The same as ``crown_conv3d`` and batch normalisation in training mode between ``to_crown`` and ``from_crown``, in
+    less time and memory. Both convolutions are computed as by ``conv3d_winograd``.
+
+    Args:
+        values: ``(B, in, N, V)``.
+        first: from in to hidden channels.
+        second: from hidden to out channels.
+
+    Returns:
+        ``(B, out, N, V)`` and the statistics of both normalisations, for running averages.
+
+    References:
+        Komatsu et al. (2020), CrownConv in three dimensions; Ioffe and Szegedy (2015), "Batch normalization", for
+        the gradient.
+
+    Examples:
+        >>> layer = NormedLayer(torch.rand(2, 2, 21), torch.ones(2), torch.zeros(2), 1e-5)
+        >>> result, _ = crown_block3d(torch.rand(1, 2, 4, 42), layer, layer)
+        >>> result.shape
+        torch.Size([1, 2, 4, 42])
+    """
+    rows = values.movedim(1, -1).contiguous()
+    result, *moments = _Block.apply(rows, *first, *second)
+    batch, count, vertices, _ = rows.shape
+    n = 2 ** level_from_num_vertices(vertices)
+    places = batch * count * 10 * (2 * n + 1) * (n + 1)
+    return result.movedim(-1, 1), (Moments(*moments[:2], places), Moments(*moments[2:], places))
+
+
+class _Block(torch.autograd.Function):
+    """Rows ``(B, N, V, in)`` to rows ``(B, N, V, out)``, and means and variances of both layers."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        rows: Tensor,
+        weight1: Tensor,
+        scale1: Tensor,
+        shift1: Tensor,
+        eps1: float,
+        weight2: Tensor,
+        scale2: Tensor,
+        shift2: Tensor,
+        eps2: float,
+    ) -> tuple[Tensor, ...]:
+        geometry = _Geometry(rows)
+        hidden, out = len(weight1), len(weight2)
+        conv1, conv2 = geometry.outputs(hidden), geometry.outputs(out)
+
+        kernels = [transformed_kernels(kernel) for kernel in _kernels(weight1)]
+        padded = geometry.padded(rows.shape[-1])
+        for place, some, sample in geometry:
+            given = geometry.take(sample, some, padded)
+            convolve_padded(given, kernels[some.across], None, geometry.view(conv1[place], some))
+        mean1, variance1 = geometry.moments(conv1)
+        to_norm1 = _to_norm(mean1, (variance1 + eps1).rsqrt(), scale1, shift1)
+
+        kernels = [transformed_kernels(kernel) for kernel in _kernels(weight2)]
+        padded = geometry.padded(hidden)
+        sums = [PlaceSum(sample, geometry.n, out) for sample in rows]
+        for place, some, _ in geometry:
+            given = geometry.rectified(conv1[place], some, to_norm1, padded)
+            result = geometry.view(conv2[place], some)
+            convolve_padded(given, kernels[some.across], None, result)
+            sums[place // len(geometry.crown)].add(result[:, : geometry.count], some)
+        mean2, variance2 = geometry.moments(conv2)
+        factor, offset = _to_norm(mean2, (variance2 + eps2).rsqrt(), scale2, shift2)
+        means = torch.stack([total.mean() for total in sums])
+
+        ctx.save_for_backward(
+            rows,
+            conv1,
+            conv2,
+            means,
+            weight1,
+            scale1,
+            shift1,
+            weight2,
+            scale2,
+            mean1,
+            variance1,
+            mean2,
+            variance2,
+        )
+        ctx.eps = eps1, eps2
+        answers = torch.addcmul(offset, means, factor), mean1, variance1, mean2, variance2
+        ctx.mark_non_differentiable(*answers[1:])
+        return answers
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+        rows, conv1, conv2, means, weight1, scale1, shift1, weight2, scale2, *moments = ctx.saved_tensors
+        mean1, variance1, mean2, variance2 = moments
+        invert1, invert2 = (variance1 + ctx.eps[0]).rsqrt(), (variance2 + ctx.eps[1]).rsqrt()
+        geometry = _Geometry(rows, room=True)
+
+        # The mean over places commutes with the normalisation, so its sums are sums over vertices.
+        of_shift2 = gradient.sum((0, 1, 2))
+        of_scale2 = (means - mean2).mul_(gradient).sum((0, 1, 2)) * invert2
+        by_output, constant = geometry.of_norm(mean2, invert2, scale2, of_scale2, of_shift2)
+        shares = places_per_vertex(geometry.n, gradient).reciprocal_()
+        by_vertex = torch.addcmul(constant, gradient * shares[:, None], scale2 * invert2)
+
+        to_norm1 = _to_norm(mean1, invert1, scale1, shift1)
+        kernels, of_weight = _kernels(weight2), _OfWeight(weight2)
+        padded, of_padded = geometry.padded(len(weight1)), geometry.padded(len(weight1), room=False)
+        of_outputs = geometry.outputs_with_zeros(len(weight2))
+        of_norm1 = torch.empty_like(conv1)
+        of_scale1, of_shift1 = torch.zeros_like(mean1), torch.zeros_like(mean1)
+        for place, some, _ in geometry:
+            given = geometry.rectified(conv1[place], some, to_norm1, padded)
+            upstream = geometry.zero_bordered(of_outputs, some)
+            inner = upstream[:, : geometry.count, 2:-2, 2:-2]
+            sample = by_vertex[place // len(geometry.crown)]
+            taken = sample.view(-1, sample.shape[-1]).index_select(0, geometry.inner_places(some).flatten())
+            output = geometry.view(conv2[place], some)[:, : geometry.count]
+            torch.addcmul(taken.view(inner.shape), output, by_output, out=inner)
+            target = geometry.without_room(of_padded, some).zero_()
+            convolve_padded_backward(
+                upstream,
+                given,
+                kernels[some.across],
+                target,
+                of_weight.sums[some.across],
+                of_weight.taps[some.across],
+            )
+            of_normed = geometry.view(of_norm1[place], some)[:, : geometry.count]
+            positive = given[:, 1 : geometry.count + 1, 1:-3, 1:-3] > 0
+            torch.mul(unpadded(target, geometry.count), positive, out=of_normed)
+            of_shift1 += of_normed.sum((0, 1, 2, 3))
+            centered = geometry.view(conv1[place], some)[:, : geometry.count] - mean1
+            of_scale1 += centered.mul_(of_normed).sum((0, 1, 2, 3))
+        of_scale1 *= invert1
+        of_weight2 = of_weight.total()
+
+        by_output, constant = geometry.of_norm(mean1, invert1, scale1, of_scale1, of_shift1)
+        kernels, of_weight = _kernels(weight1), _OfWeight(weight1)
+        padded = geometry.padded(rows.shape[-1])
+        of_padded = geometry.padded(rows.shape[-1], room=False) if ctx.needs_input_grad[0] else None
+        of_outputs = geometry.outputs_with_zeros(len(weight1))
+        sums = [PlaceSum(sample, geometry.n, rows.shape[-1]) for sample in rows]
+        for place, some, sample in geometry:
+            given = geometry.take(sample, some, padded)
+            upstream = geometry.zero_bordered(of_outputs, some)
+            inner = upstream[:, : geometry.count, 2:-2, 2:-2]
+            of_normed, output = (
+                geometry.view(both[place], some)[:, : geometry.count] for both in (of_norm1, conv1)
+            )
+            torch.addcmul(constant, of_normed, scale1 * invert1, out=inner).addcmul_(output, by_output)
+            target = None if of_padded is None else geometry.without_room(of_padded, some).zero_()
+            convolve_padded_backward(
+                upstream,
+                given,
+                kernels[some.across],
+                target,
+                of_weight.sums[some.across],
+                of_weight.taps[some.across],
+            )
+            if target is not None:
+                sums[place // len(geometry.crown)].add(unpadded(target, geometry.count), some)
+        of_rows = torch.stack([total.total() for total in sums]) if of_padded is not None else None
+        return of_rows, of_weight.total(), of_scale1, of_shift1, None, of_weight2, of_scale2, of_shift2, None
+
+
+class _Geometry:
+    """Where values of a batch ``(B, N, V, C)`` stand, and buffers of the right sizes.
+
+    Iterating gives, for every group of rectangles of every sample, its number, its places and the sample ``(N, V, C)``.
+    """
+
+    def __init__(self, rows: Tensor, room: bool = False) -> None:
+        self.rows, self.room = rows, room
+        _, self.count, vertices, _ = rows.shape
+        level = level_from_num_vertices(vertices)
+        self.n = 2**level
+        self.full = self.count + -self.count % 4
+        self.crown = Rectangles(rows[0], level, self.full, room)
+        self.groups = list(self.crown)
+
+    def __iter__(self) -> Any:
+        place = 0
+        for sample in self.rows:
+            for some in self.groups:
+                yield place, some, sample
+                place += 1
+
+    def outputs(self, channels: int) -> Tensor:
+        """What a convolution puts out: ``(groups of all samples, places of a group, channels)``."""
+        return self.rows.new_empty(len(self.rows) * len(self.crown), self.crown.size, channels)
+
+    def view(self, outputs: Tensor, some: Some) -> Tensor:
+        """Outputs of one group as ``(g, N', h, w, C)``."""
+        groups, depth, height, width = some.places.shape
+        border = 4 if self.room else 2
+        return outputs.view(groups, depth - 2, height - border, width - border, -1)
+
+    def padded(self, channels: int, room: bool | None = None) -> Tensor:
+        """A buffer for padded volumes of a group, all zero."""
+        more = 2 if self.room and room is not False else 0
+        size = self.crown.together * (self.full + 2) * (2 * self.n + 3 + more) * (self.n + 3 + more)
+        return self.rows.new_zeros(size, channels)
+
+    def outputs_with_zeros(self, channels: int) -> Tensor:
+        """A buffer for outputs of a group with two rows and columns of zeros all around."""
+        size = self.crown.together * self.full * (2 * self.n + 5) * (self.n + 5)
+        return self.rows.new_zeros(2, size, channels)
+
+    def zero_bordered(self, buffer: Tensor, some: Some) -> Tensor:
+        """Its part for one group, ``(g, N', h + 4, w + 4, C)``; each direction has its own, so that zeros stay."""
+        groups, depth, height, width = some.places.shape
+        return buffer[int(some.across)].view(groups, depth - 2, height, width, -1)
+
+    def without_room(self, buffer: Tensor, some: Some) -> Tensor:
+        """A buffer as padded volumes ``(g, N' + 2, h + 2, w + 2, C)``."""
+        groups, depth, height, width = some.places.shape
+        return buffer.view(groups, depth, height - 2, width - 2, -1)
+
+    def take(self, sample: Tensor, some: Some, buffer: Tensor) -> Tensor:
+        """Padded volumes of one group."""
+        torch.index_select(sample.view(-1, sample.shape[-1]), 0, some.places.flatten(), out=buffer)
+        return buffer.view(*some.places.shape, -1)
+
+    def inner_places(self, some: Some) -> Tensor:
+        """Places without borders, ``(g, N, h, w)``."""
+        end = -3 if self.room else -1
+        return some.places[:, 1 : self.count + 1, 1:end, 1:end]
+
+    def rectified(
+        self, outputs: Tensor, some: Some, to_norm: tuple[Tensor, Tensor], buffer: Tensor
+    ) -> Tensor:
+        """Outputs of one group normalised, rectified and padded."""
+        padded = buffer.view(*some.places.shape, -1)
+        with_border = padded[:, :, :-2, :-2] if self.room else padded
+        inner = with_border[:, 1 : self.count + 1, 1:-1, 1:-1]
+        factor, offset = to_norm
+        torch.addcmul(offset, self.view(outputs, some)[:, : self.count], factor, out=inner).relu_()
+        repeat_border(with_border, self.count)
+        return padded
+
+    def moments(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and biased variance of the first N of N' hypotheses, from those of the groups, which are equally large."""
+        means, variances = [], []
+        for group in outputs:
+            some = group.view(self.crown.together, self.full, -1, group.shape[-1])[:, : self.count].flatten(
+                0, 2
+            )
+            mean = some.mean(0)
+            means.append(mean)
+            variances.append((some - mean).square_().mean(0))
+        mean = torch.stack(means).mean(0)
+        return mean, torch.stack(variances).mean(0) + (torch.stack(means) - mean).square().mean(0)
+
+    def of_norm(
+        self, mean: Tensor, invert: Tensor, scale: Tensor, of_scale: Tensor, of_shift: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The gradient of a normalisation's input is ``scale * invert`` times that of its output, plus the input times
+        the first, plus the second of these."""
+        number = len(self.rows) * self.count * 10 * (2 * self.n + 1) * (self.n + 1)
+        by_input = -scale * invert.square() * of_scale / number
+        return by_input, -scale * invert * of_shift / number - by_input * mean
+
+
+class _OfWeight:
+    """The gradient of a weight ``(out, in, 21)``, gathered from both directions."""
+
+    def __init__(self, weight: Tensor) -> None:
+        self.weight = weight
+        self.sums = [weight.new_zeros(6, 9, *weight.shape[:2]) for _ in TAPS]
+        self.taps = [neighbor_taps(taps) for taps in TAPS]
+
+    def total(self) -> Tensor:
+        of_weight = self.weight.new_zeros(*self.weight.shape[:2], 3, 8)
+        for taps, sums in zip(TAPS, self.sums, strict=True):
+            of_weight.index_add_(-1, torch.tensor(sum(taps, ()), device=sums.device), of_taps(sums))
+        return of_weight[..., :7].flatten(-2)
+
+
+def _kernels(weight: Tensor) -> list[Tensor]:
+    """Kernels ``(O, C, 3, 3, 3)`` of both directions."""
+    return [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for taps in TAPS]
+
+
+def _to_norm(mean: Tensor, invert: Tensor, scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """Factor and offset that normalise."""
+    factor = invert * scale
+    return factor, shift - mean * factor

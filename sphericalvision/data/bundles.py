@@ -18,7 +18,7 @@ from torch import Tensor
 
 from sphericalvision.data.primitives import Primitives
 
-__all__ = ["NEAREST", "RAYS", "Bundles", "Meetings", "bundled", "coherent_order", "meetings"]
+__all__ = ["FAR", "NEAREST", "RAYS", "Bundles", "Meetings", "bundled", "coherent_order", "meetings"]
 
 #: Rays in a bundle: a square of 16 x 16 pixels.
 RAYS = 256
@@ -28,16 +28,18 @@ MARGIN, ROUNDING = 1e-3, 1e-5
 WIDE = 0.25
 #: Distances below this (metres) are the surface that the ray starts from.
 NEAREST = 1e-4
+#: Distances beyond this are none.
+FAR = 1e18
 #: Stands in for zero where it would be divided by.
 TINY = 1e-20
 
 
 class Bundles(NamedTuple):
-    """Rays in groups of neighbours.
+    """Rays in groups of neighbours, mostly of `RAYS`.
 
     Attributes:
-        origin: ``(3, b, 1)``, one for each bundle, or ``(3, b, RAYS)``; ``b`` may be 1 where all bundles share it.
-        direction: ``(3, b, RAYS)``, of any length.
+        origin: ``(3, b, 1)``, one for each bundle, or ``(3, b, r)``; ``b`` may be 1 where all bundles share it.
+        direction: ``(3, b, r)``, of any length.
     """
 
     origin: Tensor
@@ -45,25 +47,25 @@ class Bundles(NamedTuple):
 
 
 class Meetings(NamedTuple):
-    """Pairs of a bundle and a primitive that its rays may meet, sorted by bundle.
+    """Pairs of a bundle and a primitive that its rays may meet, sorted by primitive.
 
     Attributes:
+        place: ``(m,)`` where the primitive is in `Primitives.columns`.
         bundle: ``(m,)`` bundles' numbers.
-        row: ``(m,)`` rows of the table.
         near: ``(m,)`` whether a ray may start inside the primitive, or very near to it.
     """
 
+    place: Tensor
     bundle: Tensor
-    row: Tensor
     near: Tensor
 
 
-def bundled(columns: Tensor) -> Tensor:
-    """``(*, n)`` as ``(*, b, RAYS)``; the last bundle is filled up with the last column."""
-    missing = -columns.shape[-1] % RAYS
+def bundled(columns: Tensor, rays: int = RAYS) -> Tensor:
+    """``(*, n)`` as ``(*, b, rays)``; the last bundle is filled up with the last column."""
+    missing = -columns.shape[-1] % rays
     if missing:
         columns = torch.cat([columns, columns[..., -1:].expand(*columns.shape[:-1], missing)], -1)
-    return columns.reshape(*columns.shape[:-1], -1, RAYS)
+    return columns.reshape(*columns.shape[:-1], -1, rays)
 
 
 def coherent_order(direction: Tensor) -> Tensor | None:
@@ -91,46 +93,45 @@ def meetings(
     Args:
         primitives: the table.
         rays: the bundles.
-        limit: ``(b, RAYS)`` times at which rays end, in lengths of their directions.
+        limit: ``(b, r)`` times at which rays end, in lengths of their directions.
         own: ``(b,)`` one row for each bundle that it is known not to meet, or -1.
     """
-    count = rays.direction.shape[1]
+    table = primitives.columns
+    turn = table.frame.permute(0, 2, 1).flatten(0, 1)  # rows: axis, primitive
+    size = turn.abs()
     origin, around = _box(rays.origin)
     direction, spread = _box(rays.direction)
-    frame = primitives.local_from_world  # (P, 3, 3)
-    turn = frame.permute(1, 0, 2).reshape(-1, 3)  # rows: axis, primitive
+    spread = torch.zeros_like(direction) if spread is None else spread
 
-    def local(world: Tensor, by: Tensor) -> Tensor:
-        return (by @ world).view(3, len(frame), -1)
+    def local(by: Tensor, world: Tensor) -> Tensor:
+        return (by @ world).view(3, len(table.order), -1)
 
-    o = local(origin, turn) - (turn * primitives.center.repeat(3, 1)).sum(-1).view(3, -1, 1)
-    d, r = local(direction, turn), local(spread, turn.abs())
-    away = o.abs()
-    slack = local(around, turn.abs()) + away * ROUNDING + MARGIN
-    half = primitives.thickness.T[:, :, None]
-    outside = away - slack - half
-    toward = -d * o.sign()  # speed at which the bundle's middle approaches the slab's middle
-    enter = outside.clamp(min=0) / (toward + r).clamp(min=TINY)
-    slow = d.abs() - r  # least speed, where all rays have the same sense
-    ahead = half + slack + torch.where(toward > 0, away, -away)
-    leave = torch.where(slow > 0, ahead / slow.clamp(min=TINY), torch.inf)
-    end = leave.amin(0)
-    if limit is not None:
-        end = torch.minimum(end, limit.amax(-1))
-    possible = (enter.amax(0) <= end).T  # (b, P)
-    if possible.shape[0] != count:
-        possible = possible.expand(count, -1)
+    start = local(turn, origin).sub_(table.offset[..., None])
+    away = start.abs()
+    width = torch.add(table.box[..., None] + MARGIN, away, alpha=ROUNDING)
+    if around is not None:
+        width += local(size, around)
+    outside = away - width
+    toward = local(turn, direction).mul_(-start.sign())  # speed towards the slab's middle
+    either = local(size, spread)
+    most, least = toward + either, toward.sub_(either)
+    enter = outside.clamp(min=0) / most.clamp(min=TINY)
+    # Reciprocals of the times of leaving: by the far side, or, having started inside, by the near one.
+    rate = torch.maximum(least.div_(width + away), most.div_(outside.clamp(max=-TINY))).amax(0)
+    soonest = 1 / FAR if limit is None else limit.amax(-1).clamp_(min=TINY).reciprocal_()
+    rate = torch.maximum(rate, torch.as_tensor(soonest).to(rate))
+    possible = enter.amax(0).mul_(rate) <= 1  # (P, b)
     if own is not None:
         known = (own >= 0).nonzero()[:, 0]
-        possible[known, own[known]] = False
-    bundle, row = possible.nonzero(as_tuple=True)
-    near = ((outside - NEAREST / primitives.half.T[:, :, None]).amax(0) <= 0).T.expand(count, -1)
-    return Meetings(bundle, row, near[bundle, row])
+        possible[table.place[own[known]], known] = False
+    place, bundle = possible.nonzero(as_tuple=True)
+    near = ((outside - NEAREST / table.half[..., None]).amax(0) <= 0).expand_as(possible)
+    return Meetings(place, bundle, near[place, bundle])
 
 
-def _box(vectors: Tensor) -> tuple[Tensor, Tensor]:
-    """Middle and half sizes ``(3, b)`` of boxes around bundled vectors."""
+def _box(vectors: Tensor) -> tuple[Tensor, Tensor | None]:
+    """Middle and half sizes ``(3, b)`` of boxes around bundled vectors; None stands for no size."""
     if vectors.shape[-1] == 1:
-        return vectors[..., 0], torch.zeros_like(vectors[..., 0])
+        return vectors[..., 0], None
     low, high = vectors.amin(-1), vectors.amax(-1)
     return (low + high) / 2, (high - low) / 2

@@ -7,12 +7,10 @@ length. Comparisons cost more than arithmetic here, so a ray that misses is told
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
-__all__ = ["FAMILIES", "cylinder_interval", "round_interval", "slab_interval"]
+__all__ = ["HUGE", "INTERVALS", "cylinder_interval", "rectangle_interval", "round_interval", "slab_interval"]
 
 #: Added to components of directions, so that none is zero.
 TINY = 1e-20
@@ -22,11 +20,20 @@ HUGE = 1e30
 Interval = tuple[Tensor, Tensor]
 
 
-def slab_interval(o: Tensor, d: Tensor, thickness: Tensor | None = None) -> Interval:
-    """Interval in which all coordinates stay in [-1, 1], or within ``thickness`` ``(3, m, 1)`` of 0."""
+def rectangle_interval(o: Tensor, d: Tensor) -> Interval:
+    """The time at which z = 0, twice, where |x| and |y| stay below 1."""
+    back = o[2] / (d[2] + TINY)
+    x, y = torch.addcmul(o[:2], d[:2], back, value=-1).abs_()
+    beyond = torch.maximum(x, y).sub_(1).clamp_(min=0)
+    time = back.neg_()
+    return torch.add(time, beyond, alpha=HUGE), time
+
+
+def slab_interval(o: Tensor, d: Tensor) -> Interval:
+    """Interval in which all coordinates stay in [-1, 1]."""
     inverse = (d + TINY).reciprocal_()
     middle = o * inverse
-    reach = inverse.abs_() if thickness is None else inverse.abs_().mul_(thickness)
+    reach = inverse.abs_()
     enter = torch.add(middle, reach).amin(0).neg_()
     return enter, reach.sub_(middle).amin(0)
 
@@ -49,9 +56,5 @@ def cylinder_interval(o: Tensor, d: Tensor) -> Interval:
     return torch.maximum(side_enter, cap_enter), torch.minimum(side_leave, cap_leave)
 
 
-#: Shapes that are intersected by one function; a rectangle is a box of no thickness.
-FAMILIES: tuple[tuple[tuple[str, ...], Callable[[Tensor, Tensor], Interval]], ...] = (
-    (("rectangle", "box"), slab_interval),
-    (("ellipsoid",), round_interval),
-    (("cylinder",), cylinder_interval),
-)
+#: By shape, in the order of SHAPES.
+INTERVALS = (rectangle_interval, slab_interval, round_interval, cylinder_interval)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -37,6 +38,28 @@ class Part:
     rotation: Sequence[Sequence[float]] | None = None
     casts_shadow: bool = True
     uv_origin: tuple[float, float] = (0.0, 0.0)
+
+
+class Columns(NamedTuple):
+    """A table of primitives stored by coordinate and sorted by shape.
+
+    Attributes:
+        order: ``(P,)`` rows of the table.
+        place: ``(P,)`` where each row of the table is here.
+        starts: where each of :data:`SHAPES` starts, and the end.
+        frame: ``(3, 3, P)`` local_from_world.
+        offset: ``(3, P)`` centres, local.
+        box: ``(3, P)`` half sizes of the unit shapes' boxes: 1, or 0 across a rectangle.
+        half: ``(3, P)`` metres.
+    """
+
+    order: Tensor
+    place: Tensor
+    starts: tuple[int, ...]
+    frame: Tensor
+    offset: Tensor
+    box: Tensor
+    half: Tensor
 
 
 @dataclass(frozen=True)
@@ -71,11 +94,24 @@ class Primitives:
         return self.rotation / self.half[:, :, None]
 
     @cached_property
-    def thickness(self) -> Tensor:
-        """``(P, 3)`` half sizes of the unit shapes' boxes: 1, or 0 across a rectangle."""
+    def columns(self) -> Columns:
+        """The table as intersections need it."""
+        order = torch.cat([(self.shape == SHAPES.index(name)).nonzero()[:, 0] for name in SHAPES])
+        place = torch.empty_like(order)
+        place[order] = torch.arange(len(order), device=order.device)
+        frame = self.local_from_world[order].permute(1, 2, 0).contiguous()
         box = torch.ones_like(self.half)
         box[self.shape == SHAPES.index("rectangle"), 2] = 0
-        return box
+        counts = torch.bincount(self.shape, minlength=len(SHAPES)).tolist()
+        return Columns(
+            order=order,
+            place=place,
+            starts=tuple(sum(counts[:k]) for k in range(len(SHAPES) + 1)),
+            frame=frame,
+            offset=(frame * self.center[order].T).sum(1),
+            box=box[order].T.contiguous(),
+            half=self.half[order].T.contiguous(),
+        )
 
     @cached_property
     def shadow_casters(self) -> Primitives:
@@ -84,7 +120,7 @@ class Primitives:
 
     @cached_property
     def caster_row(self) -> Tensor:
-        """``(P,)`` each row's place among the shadow casters, -1 where it casts none."""
+        """``(P,)`` each row's number among the shadow casters, -1 where it casts none."""
         return torch.where(self.casts_shadow, self.casts_shadow.cumsum(0) - 1, -1)
 
     def select(self, rows: Tensor) -> Primitives:

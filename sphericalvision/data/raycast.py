@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_last_dim
-from sphericalvision.data.bundles import NEAREST, RAYS, Bundles, Meetings, bundled, coherent_order, meetings
-from sphericalvision.data.intervals import FAMILIES, HUGE
-from sphericalvision.data.primitives import SHAPES, Primitives
+from sphericalvision.data.bundles import FAR, NEAREST, RAYS, Bundles, Meetings, bundled, coherent_order, meetings
+from sphericalvision.data.intervals import HUGE, INTERVALS
+from sphericalvision.data.primitives import Primitives
 from sphericalvision.data.surfaces import describe
 
 __all__ = ["Hit", "Surface", "blocked", "first_hits", "occluded", "surface", "trace"]
@@ -25,9 +25,6 @@ __all__ = ["Hit", "Surface", "blocked", "first_hits", "occluded", "surface", "tr
 #: Bundles looked at together, and pairs intersected together, on the CPU: what stays in a core's cache. Other
 #: devices take many more at once.
 CHUNK, PAIRS = 64, 64
-#: Distances beyond this are none.
-FAR = 1e18
-
 
 class Hit(NamedTuple):
     """First intersections.
@@ -134,7 +131,8 @@ def first_hits(primitives: Primitives, rays: Bundles) -> tuple[Tensor, Tensor]:
     for pairs, bundle, first in found:
         # The row where this is the nearest, and something very small elsewhere.
         late = first.sub_(nearest.index_select(0, pairs.bundle))
-        mine = torch.sub(pairs.row[:, None].to(late.dtype), late, alpha=HUGE)
+        row = primitives.columns.order.index_select(0, pairs.place).to(late.dtype)
+        mine = torch.sub(row[:, None], late, alpha=HUGE)
         which.scatter_reduce_(0, bundle, mine, "amax")
     return nearest.masked_fill_(which < 0, torch.inf), which.long()
 
@@ -194,25 +192,18 @@ def chunk_size(device: torch.device) -> int:
 def _intervals(
     primitives: Primitives, rays: Bundles, pairs: Meetings
 ) -> Iterator[tuple[Meetings, Tensor, Tensor]]:
-    """Times ``(m, RAYS)`` at which the rays of some pairs enter and leave; enter > leave where they miss."""
-    frame = primitives.local_from_world.permute(1, 2, 0)
-    offset = (frame * primitives.center.T).sum(1)
-    shape = primitives.shape.index_select(0, pairs.row)
-    size = PAIRS if rays.direction.device.type == "cpu" else 64 * PAIRS
-    for names, interval in FAMILIES:
-        mine = sum(shape == SHAPES.index(name) for name in names)
-        for part in torch.as_tensor(mine).nonzero()[:, 0].split(size):
-            if not len(part):
-                continue
-            some = Meetings(*(column.index_select(0, part) for column in pairs))
-            turn = frame.index_select(2, some.row)[..., None]
-            o = _turned(turn, _of(rays.origin, some.bundle)) - offset.index_select(1, some.row)[..., None]
-            d = _turned(turn, _of(rays.direction, some.bundle))
-            if "rectangle" in names:
-                thickness = primitives.thickness.T.index_select(1, some.row)[..., None]
-                yield some, *interval(o, d, thickness)
-            else:
-                yield some, *interval(o, d)
+    """Times ``(m, r)`` at which the rays of some pairs enter and leave; enter > leave where they miss."""
+    table = primitives.columns
+    size = PAIRS * RAYS // rays.direction.shape[-1]
+    size = size if rays.direction.device.type == "cpu" else 64 * size
+    ends = torch.searchsorted(pairs.place, torch.tensor(table.starts, device=pairs.place.device)).tolist()
+    for interval, start, end in zip(INTERVALS, ends, ends[1:], strict=False):
+        for first in range(start, end, size):
+            some = Meetings(*(column[first : min(first + size, end)] for column in pairs))
+            turn = table.frame.flatten(0, 1).index_select(1, some.place).view(3, 3, -1, 1)
+            o = _turned(turn, _of(rays.origin, some.bundle))
+            o -= table.offset.index_select(1, some.place)[..., None]
+            yield some, *interval(o, _turned(turn, _of(rays.direction, some.bundle)))
 
 
 def _of(vectors: Tensor, bundle: Tensor) -> Tensor:
@@ -222,4 +213,4 @@ def _of(vectors: Tensor, bundle: Tensor) -> Tensor:
 def _turned(turn: Tensor, vectors: Tensor) -> Tensor:
     """``(3, 3, m, 1)`` times ``(3, m, n)``."""
     x = turn[:, 0] * vectors[0]
-    return torch.addcmul(torch.addcmul(x, turn[:, 1], vectors[1]), turn[:, 2], vectors[2])
+    return x.addcmul_(turn[:, 1], vectors[1]).addcmul_(turn[:, 2], vectors[2])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from sphericalvision.data.bundles import Bundles, bundled
+from sphericalvision.data.bundles import RAYS, Bundles, bundled
 from sphericalvision.data.raycast import blocked, first_hits
 from sphericalvision.data.scene import Scene
 from sphericalvision.data.surfaces import describe
@@ -18,6 +18,8 @@ __all__ = ["Looks", "radiance"]
 
 #: Shadow rays end this far before the surface that they test, and reflections start so far from it (metres).
 SHADOW_GAP = 2e-3
+#: Rays in a bundle of points that are sorted by primitive; divides RAYS.
+SORTED = 64
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ def radiance(scene: Scene, looks: Looks, rays: Bundles, spread: Tensor, bounces:
     direction, places, rows = rays.direction.flatten(1), position.flatten(1), row.flatten()
     normal, uv = describe(scene.primitives, places, direction, rows)
     light, glow = _albedo(looks, uv, normal, direction, rows, (distance * spread).flatten())
-    lit = _irradiance(scene, position, normal.view_as(position), row, met)
+    lit = _irradiance(scene, position, normal.view_as(position), row)
     light *= torch.where(glow > 0, glow, lit.flatten(1))
     if bounces and bool((looks.mirror > 0).any()):
         glossy = (looks.mirror > 0).index_select(0, rows).logical_and_(met.flatten()).nonzero()[:, 0]
@@ -132,28 +134,56 @@ def _albedo(
     return torch.addcmul(looks.dark.index_select(1, row), looks.range.index_select(1, row), value), glow
 
 
-def _irradiance(scene: Scene, position: Tensor, normal: Tensor, row: Tensor, met: Tensor) -> Tensor:
-    """Light that arrives at surfaces ``(3, b, RAYS)``: ambient, more from above, and all lamps in sight."""
-    light = scene.ambient[:, None, None] * (1 - 0.25 * normal[1])
-    if not len(scene.lamps.reach):
-        return light
-    casters = scene.primitives.shadow_casters
-    first = row[:, 0]
+def _irradiance(scene: Scene, position: Tensor, normal: Tensor, row: Tensor) -> Tensor:
+    """Light that arrives at surfaces ``(3, b, RAYS)``: ambient, more from above, and all lamps in sight.
+
+    Bundles that see one primitive stay as they are. Points of the others are sorted by primitive and go in smaller
+    bundles: as the lamps see them, neighbours on different primitives may be far apart.
+    """
     alone = (row == row[:, :1]).all(1)
-    own = torch.where(alone, scene.primitives.caster_row[first], -1)
-    lamp = scene.lamps.position.T[:, :, None, None]  # (3, L, 1, 1)
-    for k, (color, reach) in enumerate(zip(scene.lamps.color, scene.lamps.reach, strict=True)):
-        ray = position - lamp[:, k]
+    mixed = (~alone).nonzero()[:, 0]
+    if not len(mixed):
+        return _lit(scene, position, normal, row)
+    light = torch.empty_like(position)
+    whole = alone.nonzero()[:, 0]
+    if len(whole):
+        lit = _lit(scene, *(x.index_select(1, whole) for x in (position, normal)), row.index_select(0, whole))
+        light.index_copy_(1, whole, lit)
+    rows = row.index_select(0, mixed)
+    order = rows.flatten().argsort(stable=True)
+    numbers = (mixed[:, None] * RAYS + torch.arange(RAYS, device=row.device)).flatten()[order].view(-1, SORTED)
+    lit = _lit(
+        scene,
+        *(x.flatten(1).index_select(1, numbers.flatten()).view(3, *numbers.shape) for x in (position, normal)),
+        rows.flatten()[order].view(numbers.shape),
+    )
+    light.flatten(1).index_copy_(1, numbers.flatten(), lit.flatten(1))
+    return light
+
+
+def _lit(scene: Scene, position: Tensor, normal: Tensor, row: Tensor) -> Tensor:
+    """`_irradiance` of bundles ``(3, b, r)``."""
+    light = scene.ambient[:, None, None] * (1 - 0.25 * normal[1])
+    casters = scene.primitives.shadow_casters
+    # A convex primitive throws no shadow on its own lit side.
+    own = torch.where((row == row[:, :1]).all(1), scene.primitives.caster_row[row[:, 0]], -1)
+    for lamp, color, reach in zip(
+        scene.lamps.position[:, :, None, None], scene.lamps.color, scene.lamps.reach, strict=True
+    ):
+        ray = position - lamp
         squared = ray.square().sum(0)
-        slant = -(normal * ray).sum(0)
-        lit = (slant > 0).any(1).nonzero()[:, 0]
+        slant = (normal * ray).sum(0).neg_().clamp_(min=0)
+        lit = slant.amax(1).nonzero()[:, 0]
         if not len(lit):
             continue
         distance = squared.sqrt()
-        strength = slant.clamp_(min=0) / distance / (reach**2 + squared)
-        hidden = blocked(
-            casters, Bundles(lamp[:, k], ray.index_select(1, lit)), 1 - SHADOW_GAP / distance[lit], own[lit]
-        )
-        strength[lit] *= ~hidden
-        light = torch.addcmul(light, strength, color[:, None, None])
+        limit = 1 - SHADOW_GAP / distance
+        strength = slant.div_(distance).div_(squared.add_(reach**2))
+        if len(lit) < len(slant):
+            ray, limit, own_lit = ray.index_select(1, lit), limit.index_select(0, lit), own.index_select(0, lit)
+        else:
+            own_lit = own
+        hidden = blocked(casters, Bundles(lamp, ray), limit, own_lit)
+        strength.index_put_((lit,), strength.index_select(0, lit).masked_fill_(hidden, 0))
+        light.addcmul_(strength, color[:, None, None])
     return light

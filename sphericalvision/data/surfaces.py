@@ -24,42 +24,51 @@ def describe(
         direction: ``(3, n)`` of the rays that met them.
         row: ``(n,)`` the primitives that they lie on.
     """
-    axes = primitives.rotation.permute(1, 2, 0).flatten(0, 1).index_select(1, row).view(3, 3, -1)
+    axes = primitives.rotation.permute(2, 1, 0).contiguous()  # (world, local, P)
     offset = position - primitives.center.T.index_select(1, row)
-    metres = axes[:, 0] * offset[0]
-    metres.addcmul_(axes[:, 1], offset[1]).addcmul_(axes[:, 2], offset[2])
-    half = primitives.half.T.index_select(1, row)
+    metres = axes[0].index_select(1, row).mul_(offset[0])
+    metres.addcmul_(axes[1].index_select(1, row), offset[1])
+    metres.addcmul_(axes[2].index_select(1, row), offset[2])
     # Boxes and rectangles first, for all points: the face is where the coordinate is largest.
-    x, y, z = metres.abs().div_(half)
-    flat = (primitives.shape == SHAPES.index("rectangle")).to(row.dtype).index_select(0, row)
+    flat = primitives.shape == SHAPES.index("rectangle")
+    size = primitives.half.T.reciprocal()
+    size[:2, flat] = 0
+    x, y, z = metres.abs().mul_(size.index_select(1, row))
     on_x = x > torch.maximum(y, z)
-    on_y = (y > z) & ~on_x
-    if bool(flat.any()):
-        on_x &= flat == 0
-        on_y &= flat == 0
+    on_y = (y > z).logical_and_(~on_x)
     uv = torch.stack([torch.where(on_x, metres[2], metres[0]), torch.where(on_y, metres[2], metres[1])])
     face = (row * 3 + 2).sub_(on_y.long()).sub_(on_x.long(), alpha=2)
     normal = primitives.rotation.flatten(0, 1).T.contiguous().index_select(1, face)
     for name, shape in _ROUND.items():
-        on = (primitives.shape == SHAPES.index(name)).index_select(0, row).nonzero()[:, 0]
+        rows = primitives.shape == SHAPES.index(name)
+        on = rows.index_select(0, row).nonzero()[:, 0] if bool(rows.any()) else row[:0]
         if len(on):
-            sizes = half.index_select(1, on)
+            which = row.index_select(0, on)
+            half = primitives.half.T.index_select(1, which)
             local = metres.index_select(1, on)
-            outward, uv[:, on] = shape(local / sizes, local, sizes)
-            outward = (axes.index_select(2, on) * (outward / sizes)[:, None]).sum(0)
-            normal[:, on] = outward / outward.norm(dim=0)
-    away = (normal * direction).sum(0) > 0
-    return torch.where(away, -normal, normal), uv
+            outward, along = shape(local / half, local, half)
+            outward /= half
+            x, y, z = ((axes[k].index_select(1, which) * outward).sum(0) for k in (0, 1, 2))
+            length = (x * x).addcmul_(y, y).addcmul_(z, z).rsqrt_()
+            normal.index_copy_(1, on, torch.stack([x, y, z]).mul_(length))
+            uv.index_copy_(1, on, along)
+    side = torch.where((normal * direction).sum(0) > 0, -1.0, 1.0).to(normal)
+    return normal.mul_(side), uv
 
 
 def _ellipsoid(unit: Tensor, metres: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:
     longitude = torch.atan2(unit[0], unit[2])
-    latitude = torch.atan2(unit[1], torch.hypot(unit[0], unit[2]))
-    return unit, torch.stack([longitude * half[0], latitude * half[1]])
+    latitude = torch.atan2(unit[1], _across(unit))
+    return unit.clone(), torch.stack([longitude * half[0], latitude * half[1]])
+
+
+def _across(unit: Tensor) -> Tensor:
+    """Distance from the local y axis, for coordinates of the order of 1."""
+    return (unit[0] * unit[0]).addcmul_(unit[2], unit[2]).sqrt_()
 
 
 def _cylinder(unit: Tensor, metres: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:
-    on_cap = unit[1].abs() > torch.hypot(unit[0], unit[2])
+    on_cap = unit[1].abs() > _across(unit)
     side = torch.stack([unit[0], torch.zeros_like(unit[1]), unit[2]])
     cap = torch.zeros_like(unit)
     cap[1] = unit[1].sign()

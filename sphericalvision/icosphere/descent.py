@@ -39,6 +39,11 @@ class Triangles(NamedTuple):
         columns = torch.stack((column, column + sign, column), -1)
         return vertex_at(chart[:, None], rows, columns, level)
 
+    def numbers(self, level: int) -> Tensor:
+        """Numbers ``(M,)`` of the triangles in ``icosphere_faces`` of this level."""
+        n, half = 2**level, (1 - self.sign) // 2
+        return 2 * ((self.chart * (2 * n) + self.row - half) * n + self.column - half) + half
+
 
 def base_corners(like: Tensor) -> Tensor:
     """Corners ``(20, 3, 3)`` of the icosahedron's faces, in the order of ``icosphere_faces(0)``."""

@@ -10,8 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError
-from sphericalvision.icosphere import icosphere_vertices, locate, num_icosphere_vertices
+from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
+from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
@@ -28,94 +29,6 @@ class SweepVolume(NamedTuple):
 
     values: Tensor
     mask: Tensor
-
-
-class SweepTables(NamedTuple):
-    """Where to look up every (hypothesis, vertex, camera) on the cameras' icospheres: a rig, made ready.
-
-    Tables of a rig that is shared by the batch have no batch dimension. They cost one point location for
-    every entry, so a caller with a fixed rig makes them once and passes them in place of the rig. Cameras
-    come last, because then the values of all cameras at one point lie side by side in memory, as
-    channels-last convolutions want them.
-
-    Attributes:
-        ids: ``([B,] N, V, n, 3)`` vertex ids on a camera's icosphere.
-        weights: ``([B,] N, V, n, 3)`` barycentric weights, zero outside the field of view.
-        mask: ``([B,] N, V, n)`` True inside the field of view.
-    """
-
-    ids: Tensor
-    weights: Tensor
-    mask: Tensor
-
-    @property
-    def num_cameras(self) -> int:
-        """n, the number of cameras."""
-        return self.ids.shape[-2]
-
-    def to(self, device: torch.device | str) -> SweepTables:
-        """Return the tables on another device."""
-        return SweepTables(*(table.to(device) for table in self))
-
-    def permuted(self, order: Tensor) -> SweepTables:
-        """Return the tables with the cameras in another order, given as a permutation ``(n,)``."""
-        ids, weights, mask = self
-        return SweepTables(ids[..., order, :], weights[..., order, :], mask[..., order])
-
-
-def sweep_tables(
-    directions: Tensor, inverse_depths: Tensor, rig: CameraRig, feature_level: int
-) -> SweepTables:
-    """Locate the points of a sphere sweep on the icosphere of every camera.
-
-    The point of direction d at inverse depth w is ``rig.center + d / w``. A camera at c sees it in the
-    direction of ``d + w * (rig.center - c)``, which stays exact up to infinity (w = 0); camera icospheres are
-    aligned with the world. A point counts as seen if that direction is within the camera's ``max_angle`` of
-    its optical axis; occlusion is not known.
-
-    Args:
-        directions: ``(V, 3)`` unit vectors in the world frame; their device is the device of the tables.
-        inverse_depths: ``(N,)`` in 1/m.
-        rig: of n cameras; poses ``(n, 4, 4)`` for all of a batch or ``(B, n, 4, 4)`` for a rig a sample.
-        feature_level: level of the icosphere that the cameras' values are on.
-
-    Returns:
-        Tables of N hypotheses, V directions and n cameras, in the dtype of the rig and differentiable in its
-        poses.
-
-    References:
-        Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
-        representation of icosahedron", section III-C.
-    """
-    poses = rig.world_from_camera.to(directions.device)
-    center, axes, max_angles = (
-        torch.as_tensor(values).to(poses) for values in (rig.center, rig.axes, rig.max_angles)
-    )
-    offsets = center[..., None, :] - poses[..., :3, 3]
-    # A hypothesis at a time stays in the cache; coordinates come first, so that memory is contiguous.
-    points = directions.to(poses).T[:, :, None]
-    axes, offsets = (vectors.movedim(-1, 0).unsqueeze(-2) for vectors in (axes, offsets))
-    columns = []
-    for inverse_depth in inverse_depths.to(poses):
-        rays = points.view(3, *[1] * (offsets.ndim - 3), *points.shape[1:]) + inverse_depth * offsets
-        columns.append(_locate_seen(rays, axes, max_angles[..., None, :], feature_level))
-    return SweepTables(*(torch.stack(tables, poses.ndim - 3) for tables in zip(*columns, strict=True)))
-
-
-def _locate_seen(rays: Tensor, axes: Tensor, max_angles: Tensor, level: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Ids, weights ``(*b, V, n, 3)`` and mask ``(*b, V, n)`` of rays ``(3, *b, V, n)`` of any length."""
-    with torch.no_grad():
-        x, y, z = rays
-        p, q, r = axes
-        across = (q * z - r * y).square() + (r * x - p * z).square() + (p * y - q * x).square()
-        along = p * x + q * y + r * z
-        mask = (torch.atan2(across.sqrt(), along) <= max_angles) & (rays != 0).any(0)
-    seen = mask.flatten().nonzero()[:, 0]
-    # Only points in view are located: the weights of others are zero, and no NaN may reach a gradient.
-    found, shares = locate(rays.flatten(1).index_select(1, seen).T, level)
-    ids = found.new_zeros(mask.numel(), 3).index_copy_(0, seen, found)
-    weights = shares.new_zeros(mask.numel(), 3).index_copy(0, seen, shares)
-    return ids.view(*mask.shape, 3), weights.view(*mask.shape, 3), mask
 
 
 def sphere_sweep(features: Tensor, tables: SweepTables) -> SweepVolume:

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of a sphere sweep: where every camera of a rig sees the points of concentric icospheres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.icosphere.locate_many import chunk_size
+from sphericalvision.icosphere.triangle_table import (
+    TriangleTable,
+    coefficients,
+    find_triangles,
+    triangle_table,
+)
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import CameraRig
+
+__all__ = ["SweepTables", "sweep_tables"]
+
+
+class SweepTables(NamedTuple):
+    """Where to look up every (hypothesis, vertex, camera) on the cameras' icospheres: a rig, made ready.
+
+    Tables of a rig that is shared by the batch have no batch dimension. They cost one point location for
+    every entry, so a caller with a fixed rig makes them once and passes them in place of the rig. Cameras
+    come last, because then the values of all cameras at one point lie side by side in memory, as
+    channels-last convolutions want them.
+
+    Attributes:
+        ids: ``([B,] N, V, n, 3)`` vertex ids on a camera's icosphere.
+        weights: ``([B,] N, V, n, 3)`` barycentric weights, zero outside the field of view.
+        mask: ``([B,] N, V, n)`` True inside the field of view.
+    """
+
+    ids: Tensor
+    weights: Tensor
+    mask: Tensor
+
+    @property
+    def num_cameras(self) -> int:
+        """n, the number of cameras."""
+        return self.ids.shape[-2]
+
+    def to(self, device: torch.device | str) -> SweepTables:
+        """Return the tables on another device."""
+        return SweepTables(*(table.to(device) for table in self))
+
+    def permuted(self, order: Tensor) -> SweepTables:
+        """Return the tables with the cameras in another order, given as a permutation ``(n,)``."""
+        ids, weights, mask = self
+        return SweepTables(ids[..., order, :], weights[..., order, :], mask[..., order])
+
+
+def sweep_tables(
+    directions: Tensor, inverse_depths: Tensor, rig: CameraRig, feature_level: int
+) -> SweepTables:
+    """Locate the points of a sphere sweep on the icosphere of every camera.
+
+    The point of direction d at inverse depth w is ``rig.center + d / w``. A camera at c sees it in the
+    direction of ``d + w * (rig.center - c)``, which stays exact up to infinity (w = 0); camera icospheres are
+    aligned with the world. A point counts as seen if that direction is within the camera's ``max_angle`` of
+    its optical axis; occlusion is not known.
+
+    Args:
+        directions: ``(V, 3)`` unit vectors in the world frame; their device is the device of the tables.
+        inverse_depths: ``(N,)`` in 1/m.
+        rig: of n cameras; poses ``(n, 4, 4)`` for all of a batch or ``(B, n, 4, 4)`` for a rig a sample.
+        feature_level: level of the icosphere that the cameras' values are on.
+
+    Returns:
+        Tables of N hypotheses, V directions and n cameras, in the dtype of the rig and differentiable in its
+        poses.
+
+    References:
+        Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
+        representation of icosahedron", section III-C.
+    """
+    poses = rig.world_from_camera.to(directions.device)
+    center, axes, max_angles = (
+        torch.as_tensor(values).to(poses) for values in (rig.center, rig.axes, rig.max_angles)
+    )
+    offsets = center[..., None, :] - poses[..., :3, 3]
+    axes, limits = axes.detach(), _limits(max_angles.detach())
+    table = triangle_table(feature_level, poses.dtype, poses.device)
+    points, inverse_depths = directions.to(poses), inverse_depths.to(poses)
+    batch = poses.shape[:-3]
+    rigs = [
+        _tables_of_one_rig(points, inverse_depths, offsets[index], axes[index], limits[index], table)
+        for index in product(*map(range, batch))
+    ]
+    if not batch:
+        return rigs[0]
+    return SweepTables(*(torch.stack(parts).unflatten(0, batch) for parts in zip(*rigs, strict=True)))
+
+
+def _tables_of_one_rig(
+    points: Tensor,
+    inverse_depths: Tensor,
+    offsets: Tensor,
+    axes: Tensor,
+    limits: Tensor,
+    table: TriangleTable,
+) -> SweepTables:
+    """Tables of directions ``(V, 3)`` and n cameras by offset ``(n, 3)``, axis ``(n, 3)`` and limit ``(n,)``."""
+    shape = len(inverse_depths), len(points), len(offsets)
+    # Written out for every vertex and camera: to repeat so few numbers as there are cameras is slow.
+    points, offsets, axes = (
+        vectors.expand(3, *shape[1:]).contiguous()
+        for vectors in (points.T[:, :, None], offsets.T[:, None], axes.T[:, None])
+    )
+    limits = limits.expand(shape[1:]).contiguous()
+    inverse_depths = inverse_depths[:, None, None]
+    ids = torch.empty(*shape, 3, dtype=torch.long, device=points.device)
+    mask = torch.empty(shape, dtype=torch.bool, device=points.device)
+    weights, all_found = points.new_zeros(*shape, 3), []
+    corners = F.pad(table.ids, (0, 0, 1, 0))  # the first row is for what is not in view
+    for hypotheses, vertices in _blocks(*shape, chunk_size(points.device)):
+        with torch.no_grad():
+            block = hypotheses, vertices
+            rays = points[:, None, vertices] + inverse_depths[hypotheses] * offsets[:, None, vertices]
+            _in_view(rays, axes[:, vertices], limits[vertices], out=mask[block])
+            # Only points in view are located: the weights of others are zero, and no NaN may reach a gradient.
+            seen = mask[block].flatten().nonzero()[:, 0]
+            found, shares = find_triangles(rays.flatten(1).index_select(1, seen), table)
+            rows = found.new_zeros(mask[block].numel()).index_copy_(0, seen, found + 1)
+            torch.index_select(corners, 0, rows, out=ids[block].view(-1, 3))
+            weights[block].view(-1, 3).index_copy_(0, seen, shares.div_(shares.sum(0)).T)
+            all_found.append(found)
+    if torch.is_grad_enabled() and any(values.requires_grad for values in (points, inverse_depths, offsets)):
+        seen = mask.flatten().nonzero()[:, 0]
+        rays = (points[:, None] + inverse_depths * offsets[:, None]).flatten(1).index_select(1, seen)
+        shares = coefficients(rays, torch.cat(all_found), table)
+        weights = torch.zeros_like(weights).view(-1, 3).index_copy(0, seen, (shares / shares.sum(0)).T)
+    return SweepTables(ids, weights.view(*shape, 3), mask)
+
+
+def _limits(max_angles: Tensor) -> Tensor:
+    """Least cosines of angles in view, less rounding; every direction is in view of half a turn.
+
+    A limit on the cosine costs a fraction of the angle itself. Rounding moves it by some eps / sin(max_angle), which
+    between 1 and 179 degrees is no more than 1e-5 rad in float32.
+    """
+    limits = max_angles.cos() - 4 * torch.finfo(max_angles.dtype).eps
+    return torch.where(max_angles >= math.pi, -2.0, limits)
+
+
+def _in_view(rays: Tensor, axes: Tensor, limits: Tensor, out: Tensor) -> None:
+    """Write to ``out`` which rays ``(3, h, v, n)`` are in view; one of zero length never is."""
+    x, y, z = rays
+    length = (x * x).addcmul_(y, y).addcmul_(z, z).sqrt_()
+    along = (axes[0] * x).addcmul_(axes[1], y).addcmul_(axes[2], z)
+    torch.gt(along, length.mul_(limits), out=out)
+
+
+def _blocks(
+    num_hypotheses: int, num_vertices: int, num_cameras: int, size: int
+) -> Iterator[tuple[slice, slice]]:
+    """Hypotheses and vertices of about ``size`` entries at once, which follow each other in memory."""
+    hypotheses = max(1, size // (num_vertices * num_cameras))
+    vertices = num_vertices if hypotheses > 1 else max(1, min(num_vertices, size // num_cameras))
+    for hypothesis in range(0, num_hypotheses, hypotheses):
+        for vertex in range(0, num_vertices, vertices):
+            yield slice(hypothesis, hypothesis + hypotheses), slice(vertex, vertex + vertices)

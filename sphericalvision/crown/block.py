@@ -37,15 +37,15 @@ class NormedLayer(NamedTuple):
 
     Attributes:
         weight: ``(out, in, 21)``.
-        scale: ``(out,)``.
-        shift: ``(out,)``.
+        scale: ``(out,)``; None for no normalisation.
+        shift: ``(out,)``; None for no normalisation.
         eps: added to the variance.
     """
 
     weight: Tensor
-    scale: Tensor
-    shift: Tensor
-    eps: float
+    scale: Tensor | None = None
+    shift: Tensor | None = None
+    eps: float = 0.0
 
 
 class Moments(NamedTuple):
@@ -61,9 +61,7 @@ def block3d_pays(values: Tensor, weight: Tensor) -> bool:
     return winograd_pays(values[:, :, :, None], weight)
 
 
-def crown_block3d(
-    values: Tensor, first: NormedLayer, second: NormedLayer
-) -> tuple[Tensor, tuple[Moments, Moments]]:
+def crown_block3d(values: Tensor, first: NormedLayer, second: NormedLayer) -> tuple[Tensor, list[Moments]]:
     """Convolve volumes, normalise, rectify, convolve, normalise, and exchange; differentiable once.
 
     The same as ``crown_conv3d`` and batch normalisation in training mode between ``to_crown`` and ``from_crown``, in
@@ -72,10 +70,10 @@ def crown_block3d(
     Args:
         values: ``(B, in, N, V)``.
         first: from in to hidden channels.
-        second: from hidden to out channels.
+        second: from hidden to out channels; it may be without normalisation.
 
     Returns:
-        ``(B, out, N, V)`` and the statistics of both normalisations, for running averages.
+        ``(B, out, N, V)`` and the statistics of the normalisations, for running averages.
 
     References:
         Komatsu et al. (2020), CrownConv in three dimensions; Ioffe and Szegedy (2015), "Batch normalization", for
@@ -88,11 +86,12 @@ def crown_block3d(
         torch.Size([1, 2, 4, 42])
     """
     rows = values.movedim(1, -1).contiguous()
-    result, *moments = _Block.apply(rows, *first, *second)
+    result, *statistics = _Block.apply(rows, *first, *second)
     batch, count, vertices, _ = rows.shape
     n = 2 ** level_from_num_vertices(vertices)
     places = batch * count * 10 * (2 * n + 1) * (n + 1)
-    return result.movedim(-1, 1), (Moments(*moments[:2], places), Moments(*moments[2:], places))
+    pairs = zip(statistics[::2], statistics[1::2], strict=True)
+    return result.movedim(-1, 1), [Moments(mean, variance, places) for mean, variance in pairs]
 
 
 class _Block(torch.autograd.Function):
@@ -107,8 +106,8 @@ class _Block(torch.autograd.Function):
         shift1: Tensor,
         eps1: float,
         weight2: Tensor,
-        scale2: Tensor,
-        shift2: Tensor,
+        scale2: Tensor | None,
+        shift2: Tensor | None,
         eps2: float,
     ) -> tuple[Tensor, ...]:
         geometry = _Geometry(rows)
@@ -131,44 +130,38 @@ class _Block(torch.autograd.Function):
             result = geometry.view(conv2[place], some)
             convolve_padded(given, kernels[some.across], None, result)
             sums[place // len(geometry.crown)].add(result[:, : geometry.count], some)
-        mean2, variance2 = geometry.moments(conv2)
-        factor, offset = _to_norm(mean2, (variance2 + eps2).rsqrt(), scale2, shift2)
-        means = torch.stack([total.mean() for total in sums])
+        answer = torch.stack([total.mean() for total in sums])
 
-        ctx.save_for_backward(
-            rows,
-            conv1,
-            conv2,
-            means,
-            weight1,
-            scale1,
-            shift1,
-            weight2,
-            scale2,
-            mean1,
-            variance1,
-            mean2,
-            variance2,
-        )
+        statistics = [mean1, variance1]
+        kept = [rows, conv1, weight1, scale1, shift1, weight2, mean1, variance1]
+        if scale2 is not None and shift2 is not None:
+            mean2, variance2 = geometry.moments(conv2)
+            statistics += mean2, variance2
+            kept += conv2, answer, scale2, mean2, variance2
+            factor, offset = _to_norm(mean2, (variance2 + eps2).rsqrt(), scale2, shift2)
+            answer = torch.addcmul(offset, answer, factor)
+        ctx.save_for_backward(*kept)
         ctx.eps = eps1, eps2
-        answers = torch.addcmul(offset, means, factor), mean1, variance1, mean2, variance2
-        ctx.mark_non_differentiable(*answers[1:])
-        return answers
+        ctx.mark_non_differentiable(*statistics)
+        return answer, *statistics
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
-        rows, conv1, conv2, means, weight1, scale1, shift1, weight2, scale2, *moments = ctx.saved_tensors
-        mean1, variance1, mean2, variance2 = moments
-        invert1, invert2 = (variance1 + ctx.eps[0]).rsqrt(), (variance2 + ctx.eps[1]).rsqrt()
+        rows, conv1, weight1, scale1, shift1, weight2, mean1, variance1, *normed = ctx.saved_tensors
+        invert1 = (variance1 + ctx.eps[0]).rsqrt()
         geometry = _Geometry(rows, room=True)
 
-        # The mean over places commutes with the normalisation, so its sums are sums over vertices.
-        of_shift2 = gradient.sum((0, 1, 2))
-        of_scale2 = (means - mean2).mul_(gradient).sum((0, 1, 2)) * invert2
-        by_output, constant = geometry.of_norm(mean2, invert2, scale2, of_scale2, of_shift2)
-        shares = places_per_vertex(geometry.n, gradient).reciprocal_()
-        by_vertex = torch.addcmul(constant, gradient * shares[:, None], scale2 * invert2)
+        by_vertex = gradient * places_per_vertex(geometry.n, gradient).reciprocal_()[:, None]
+        of_scale2 = of_shift2 = conv2 = by_output = None
+        if normed:
+            # The mean over places commutes with the normalisation, so its sums are sums over vertices.
+            conv2, means, scale2, mean2, variance2 = normed
+            invert2 = (variance2 + ctx.eps[1]).rsqrt()
+            of_shift2 = gradient.sum((0, 1, 2))
+            of_scale2 = (means - mean2).mul_(gradient).sum((0, 1, 2)) * invert2
+            by_output, constant = geometry.of_norm(mean2, invert2, scale2, of_scale2, of_shift2)
+            torch.addcmul(constant, by_vertex, scale2 * invert2, out=by_vertex)
 
         to_norm1 = _to_norm(mean1, invert1, scale1, shift1)
         kernels, of_weight = _kernels(weight2), _OfWeight(weight2)
@@ -182,8 +175,9 @@ class _Block(torch.autograd.Function):
             inner = upstream[:, : geometry.count, 2:-2, 2:-2]
             sample = by_vertex[place // len(geometry.crown)]
             taken = sample.view(-1, sample.shape[-1]).index_select(0, geometry.inner_places(some).flatten())
-            output = geometry.view(conv2[place], some)[:, : geometry.count]
-            torch.addcmul(taken.view(inner.shape), output, by_output, out=inner)
+            inner.copy_(taken.view(inner.shape))
+            if conv2 is not None:
+                inner.addcmul_(geometry.view(conv2[place], some)[:, : geometry.count], by_output)
             target = geometry.without_room(of_padded, some).zero_()
             convolve_padded_backward(
                 upstream,

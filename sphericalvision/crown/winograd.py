@@ -200,11 +200,15 @@ def convolve_padded_backward(
             if of_padded is not None:
                 of_tiles.append(F.conv2d(planes.movedim(-1, 1), kernels[place]))
             if of_kernels is not None and tile is not None:
-                of_rows = planes.reshape(-1, planes.shape[-1])[2 * width + 2 :].T
+                # The sum over places in eight parts, which is faster; at the end there are zeros to leave out.
+                of_rows = planes.reshape(-1, planes.shape[-1])[2 * width + 2 :]
+                number = len(of_rows) // 8 * 8
+                of_parts = of_rows[:number].unflatten(0, (8, -1)).mT
                 rows = tile.movedim(1, -1).reshape(-1, tile.shape[1])
                 for tap in taps:
                     start = tap // 3 * width + tap % 3
-                    of_kernels[place, tap].addmm_(of_rows, rows[start : start + of_rows.shape[1]])
+                    parts = rows[start : start + number].unflatten(0, (8, -1))
+                    of_kernels[place, tap] += torch.bmm(of_parts, parts).sum(0)
         if of_padded is not None:
             _add_gradient_of_tiles(of_tiles, of_padded[:, 4 * first : 4 * last + 2])
 

@@ -60,27 +60,32 @@ class CostBlock(nn.Module):
     def forward(self, volume: Tensor) -> Tensor:
         if self.first.norm.is_affine and self.second.norm.is_affine and not torch.is_grad_enabled():
             return crown_conv3d_chain(volume, [self.first.layer, self.second.layer])
-        if self._by_rectangles(volume):
-            samples = volume.split(1) if isinstance(self.first.norm, CrownInstanceNorm3d) else (volume,)
-            results = [self._normed(some) for some in samples]
-            return results[0] if len(results) == 1 else torch.cat(results)
+        if _by_rectangles(volume, self.first, self.second):
+            return _in_samples(volume, self.first, self.second)
         return from_crown(self.second(crown_relu(self.first(to_crown(volume)))))
 
-    def _by_rectangles(self, volume: Tensor) -> bool:
-        """Whether ``crown_block3d`` does the same, faster."""
-        layers = self.first, self.second
-        return (
-            all(block3d_pays(volume, layer.conv.weight) for layer in layers)
-            and not any(layer.norm.is_affine for layer in layers)
-            and not torch.compiler.is_compiling()
-            and not torch.is_autocast_enabled(volume.device.type)
-        )
 
-    def _normed(self, volume: Tensor) -> Tensor:
-        result, moments = crown_block3d(volume, self.first.normed_layer, self.second.normed_layer)
-        for layer, moment in zip((self.first, self.second), moments, strict=True):
-            layer.norm.track(moment)
-        return result
+def _by_rectangles(volume: Tensor, *layers: ConvNorm3d) -> bool:
+    """Whether ``crown_block3d`` does the same as these layers, faster."""
+    return (
+        all(block3d_pays(volume, layer.conv.weight) for layer in layers)
+        and not any(layer.norm.is_affine for layer in layers)
+        and not torch.compiler.is_compiling()
+        and not torch.is_autocast_enabled(volume.device.type)
+    )
+
+
+def _in_samples(volume: Tensor, first: ConvNorm3d, second: ConvNorm3d | NormedLayer) -> Tensor:
+    """``crown_block3d``, a sample at a time for instance normalisation, and a step of running statistics."""
+    end = second if isinstance(second, NormedLayer) else second.normed_layer
+    results = []
+    for some in volume.split(1 if isinstance(first.norm, CrownInstanceNorm3d) else len(volume)):
+        result, moments = crown_block3d(some, first.normed_layer, end)
+        results.append(result)
+        for layer, moment in zip((first, second), moments, strict=False):
+            if isinstance(layer, ConvNorm3d):
+                layer.norm.track(moment)
+    return results[0] if len(results) == 1 else torch.cat(results)
 
 
 class CostRegularizer(nn.Module):
@@ -132,6 +137,8 @@ class CostRegularizer(nn.Module):
         if self.reduction.norm.is_affine and not torch.is_grad_enabled():
             layers = [self.reduction.layer, (self.score.weight, self.score.bias)]
             return crown_conv3d_chain(volume, layers).squeeze(1)
+        if _by_rectangles(volume, self.reduction) and self.score.bias is None:
+            return _in_samples(volume, self.reduction, NormedLayer(self.score.weight)).squeeze(1)
         crown = crown_relu(self.reduction(to_crown(volume)))
         return from_crown(self.score(crown)).squeeze(1)
 

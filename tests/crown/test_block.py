@@ -25,17 +25,21 @@ def inputs(generator: torch.Generator, batch: int, count: int, level: int) -> li
     return [values, draw(3, 2, 21), draw(3), draw(3), draw(4, 3, 21), draw(4), draw(4)]
 
 
+def norm_of(scale: Tensor, shift: Tensor) -> CrownBatchNorm3d:
+    norm = CrownBatchNorm3d(len(scale)).double()
+    del norm.weight, norm.bias
+    norm.weight, norm.bias = scale, shift
+    return norm
+
+
 def on_whole_crowns(values: Tensor, *parameters: Tensor) -> tuple[Tensor, list[CrownBatchNorm3d]]:
     weight1, scale1, shift1, weight2, scale2, shift2 = parameters
-    norms = [CrownBatchNorm3d(len(scale)).double() for scale in (scale1, scale2)]
-    for norm, scale, shift in zip(norms, (scale1, scale2), (shift1, shift2), strict=True):
-        del norm.weight, norm.bias
-        norm.weight, norm.bias = scale, shift
+    norms = [norm_of(scale1, shift1), norm_of(scale2, shift2)]
     crown = crown_relu(norms[0](crown_conv3d(to_crown(values), weight1)))
     return from_crown(norms[1](crown_conv3d(crown, weight2))), norms
 
 
-def block(values: Tensor, *parameters: Tensor) -> tuple[Tensor, tuple[Moments, Moments]]:
+def block(values: Tensor, *parameters: Tensor) -> tuple[Tensor, list[Moments]]:
     weight1, scale1, shift1, weight2, scale2, shift2 = parameters
     first, second = NormedLayer(weight1, scale1, shift1, 1e-5), NormedLayer(weight2, scale2, shift2, 1e-5)
     return crown_block3d(values, first, second)
@@ -57,6 +61,24 @@ def test_values_and_gradients_are_those_of_whole_crowns(
     (expected, _), (result, _) = on_whole_crowns(*tensors), block(*tensors)
     torch.testing.assert_close(result, expected)
     upstream = torch.randn(expected.shape, generator=generator, dtype=torch.float64)
+    for ours, theirs in zip(
+        torch.autograd.grad(result, tensors, upstream),
+        torch.autograd.grad(expected, tensors, upstream),
+        strict=True,
+    ):
+        torch.testing.assert_close(ours, theirs)
+
+
+def test_the_second_layer_may_be_without_normalisation(generator: torch.Generator) -> None:
+    values, weight1, scale1, shift1, weight2, *_ = inputs(generator, 2, 6, 1)
+    tensors = values, weight1, scale1, shift1, weight2
+    upstream = torch.randn(2, 4, 6, 42, generator=generator).double()
+    norm = norm_of(scale1, shift1)
+    crown = crown_relu(norm(crown_conv3d(to_crown(values), weight1)))
+    expected = from_crown(crown_conv3d(crown, weight2))
+    result, moments = crown_block3d(values, NormedLayer(weight1, scale1, shift1, 1e-5), NormedLayer(weight2))
+    assert len(moments) == 1
+    torch.testing.assert_close(result, expected)
     for ours, theirs in zip(
         torch.autograd.grad(result, tensors, upstream),
         torch.autograd.grad(expected, tensors, upstream),

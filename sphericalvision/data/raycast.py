@@ -15,16 +15,26 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_last_dim
-from sphericalvision.data.bundles import FAR, NEAREST, RAYS, Bundles, Meetings, bundled, coherent_order, meetings
+from sphericalvision.data.bundles import (
+    FAR,
+    NEAREST,
+    RAYS,
+    Bundles,
+    Meetings,
+    bundled,
+    coherent_order,
+    meetings,
+)
 from sphericalvision.data.intervals import HUGE, INTERVALS
 from sphericalvision.data.primitives import Primitives
 from sphericalvision.data.surfaces import describe
 
 __all__ = ["Hit", "Surface", "blocked", "first_hits", "occluded", "surface", "trace"]
 
-#: Bundles looked at together, and pairs intersected together, on the CPU: what stays in a core's cache. Other
-#: devices take many more at once.
-CHUNK, PAIRS = 64, 64
+#: Bundles looked at together, and pairs intersected together, on the CPU: few enough for a core's cache, many enough
+#: for the time that an operation takes to start. Other devices take many more at once.
+CHUNK, PAIRS = 192, 64
+
 
 class Hit(NamedTuple):
     """First intersections.
@@ -107,7 +117,7 @@ def surface(primitives: Primitives, origins: Tensor, directions: Tensor, hit: Hi
         hit: their hits, each ``(n,)``.
     """
     position = origins + hit.distance[:, None] * directions
-    normal, uv = describe(primitives, position.T.contiguous(), directions.T.contiguous(), hit.primitive)
+    normal, uv, _ = describe(primitives, position.T.contiguous(), directions.T.contiguous(), hit.primitive)
     return Surface(position, normal.T, uv.T + primitives.uv_origin[hit.primitive])
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["ray_depth", "render_camera", "render_directions", "render_rig"]
 
 
+@torch.no_grad()
 def ray_depth(scene: Scene, origin: Tensor, directions: Tensor) -> Tensor:
     """Exact distances from a point along rays.
 
@@ -47,6 +48,7 @@ def ray_depth(scene: Scene, origin: Tensor, directions: Tensor) -> Tensor:
     return trace(scene.primitives, origin.to(directions), directions).distance
 
 
+@torch.no_grad()
 def render_directions(
     scene: Scene, origin: Tensor, directions: Tensor, spread: float | Tensor | None = None
 ) -> Tensor:
@@ -81,6 +83,7 @@ def render_directions(
     return _develop(scene, light).view(3, *shape)
 
 
+@torch.no_grad()
 def render_camera(
     scene: Scene, camera: Camera, world_from_camera: Tensor, samples_per_pixel: int = 1
 ) -> Tensor:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,7 +15,7 @@ from sphericalvision.data.scene import Scene
 from sphericalvision.data.surfaces import describe
 from sphericalvision.data.textures import TextureBank, texture_bank
 
-__all__ = ["Looks", "radiance"]
+__all__ = ["Looks", "Points", "irradiance", "radiance"]
 
 #: Shadow rays end this far before the surface that they test, and reflections start so far from it (metres).
 SHADOW_GAP = 2e-3
@@ -62,6 +63,24 @@ class Looks:
         )
 
 
+class Points(NamedTuple):
+    """Points on surfaces, in bundles.
+
+    Attributes:
+        position: ``(3, b, r)`` metres.
+        normal: ``(3, b, r)``.
+        side: ``(b, r)`` the primitive that each lies on; the inner side of primitive p is -1 - p.
+    """
+
+    position: Tensor
+    normal: Tensor
+    side: Tensor
+
+    def alone(self) -> Tensor:
+        """Which bundles lie on one side of one primitive ``(b,)``."""
+        return (self.side == self.side[:, :1]).all(1)
+
+
 def radiance(scene: Scene, looks: Looks, rays: Bundles, spread: Tensor, bounces: int = 1) -> Tensor:
     """Linear light ``(3, b, RAYS)``, not yet exposed.
 
@@ -72,51 +91,38 @@ def radiance(scene: Scene, looks: Looks, rays: Bundles, spread: Tensor, bounces:
         spread: ``(b, RAYS)`` angles between neighbouring rays.
         bounces: how often reflections are followed.
     """
-    distance, row = first_hits(scene.primitives, rays)
-    met = row >= 0
-    all_met = bool(met.all())
-    if not all_met:
-        distance, row = distance.masked_fill(~met, 1.0), row.clamp(min=0)
+    distance, hit = first_hits(scene.primitives, rays)
+    met = hit >= 0
+    distance, row = distance.masked_fill_(~met, 1), hit.clamp(min=0)
     position = torch.addcmul(rays.origin, rays.direction, distance)
-    direction, places, rows = rays.direction.flatten(1), position.flatten(1), row.flatten()
-    normal, uv = describe(scene.primitives, places, direction, rows)
+    direction, rows = rays.direction.flatten(1), row.flatten()
+    normal, uv, inner = describe(scene.primitives, position.flatten(1), direction, rows)
     light, glow = _albedo(looks, uv, normal, direction, rows, (distance * spread).flatten())
-    lit = _irradiance(scene, position, normal.view_as(position), row)
-    light *= torch.where(glow > 0, glow, lit.flatten(1))
+    side = torch.where(inner.view_as(row), -1 - row, row)
+    arriving = irradiance(scene, Points(position, normal.view_as(position), side))
+    light.mul_(torch.where(glow > 0, glow, arriving.flatten(1)))
     if bounces and bool((looks.mirror > 0).any()):
         glossy = (looks.mirror > 0).index_select(0, rows).logical_and_(met.flatten()).nonzero()[:, 0]
         if len(glossy):
-            light[:, glossy] = _reflected(
-                scene, looks, places, normal, direction, spread.flatten(), rows, light, glossy, bounces
-            )
+            spot, ray, outward = (x.index_select(1, glossy) for x in (position.flatten(1), direction, normal))
+            wider = bundled(2 * spread.flatten()[glossy])
+            seen = radiance(scene, looks, _reflected(spot, ray, outward), wider, bounces - 1)
+            share = looks.mirror.index_select(0, rows[glossy])
+            mixed = torch.lerp(light.index_select(1, glossy), seen.flatten(1)[:, : len(glossy)], share)
+            light.index_copy_(1, glossy, mixed)
     light = light.view_as(position)
-    if all_met:
+    if bool(met.all()):
         return light
     up = (0.5 - 2 * rays.direction[1]).clamp(0, 1)
     above, below = scene.background[:, :, None, None]
     return torch.where(met, light, torch.lerp(below, above, up))
 
 
-def _reflected(
-    scene: Scene,
-    looks: Looks,
-    position: Tensor,
-    normal: Tensor,
-    direction: Tensor,
-    spread: Tensor,
-    row: Tensor,
-    light: Tensor,
-    glossy: Tensor,
-    bounces: int,
-) -> Tensor:
-    """The light ``(3, k)`` of the ``k`` rays numbered ``glossy``, mixed with what their mirrors show."""
-    ray, normal, position, light = (x.index_select(1, glossy) for x in (direction, normal, position, light))
+def _reflected(position: Tensor, ray: Tensor, normal: Tensor) -> Bundles:
+    """Mirrored rays of ``(3, n)`` points."""
     away = torch.add(position, normal, alpha=SHADOW_GAP)
     mirrored = torch.addcmul(ray, normal, (ray * normal).sum(0), value=-2)
-    rays = Bundles(bundled(away), bundled(mirrored))
-    seen = radiance(scene, looks, rays, bundled(spread.index_select(0, glossy) * 2), bounces - 1)
-    share = looks.mirror.index_select(0, row.index_select(0, glossy))
-    return torch.lerp(light, seen.flatten(1)[:, : len(glossy)], share)
+    return Bundles(bundled(away), bundled(mirrored))
 
 
 def _albedo(
@@ -134,56 +140,49 @@ def _albedo(
     return torch.addcmul(looks.dark.index_select(1, row), looks.range.index_select(1, row), value), glow
 
 
-def _irradiance(scene: Scene, position: Tensor, normal: Tensor, row: Tensor) -> Tensor:
-    """Light that arrives at surfaces ``(3, b, RAYS)``: ambient, more from above, and all lamps in sight.
+def irradiance(scene: Scene, points: Points) -> Tensor:
+    """Light that arrives at points ``(3, b, RAYS)``: ambient, more from above, and all lamps in sight.
 
-    Bundles that see one primitive stay as they are. Points of the others are sorted by primitive and go in smaller
-    bundles: as the lamps see them, neighbours on different primitives may be far apart.
+    Bundles of points on one primitive stay as they are. The points of the others are sorted by primitive and go in
+    smaller bundles: neighbours on different primitives may be far apart as the lamps see them.
     """
-    alone = (row == row[:, :1]).all(1)
+    alone = points.alone()
     mixed = (~alone).nonzero()[:, 0]
-    if not len(mixed):
-        return _lit(scene, position, normal, row)
-    light = torch.empty_like(position)
+    light = torch.empty_like(points.position)
     whole = alone.nonzero()[:, 0]
     if len(whole):
-        lit = _lit(scene, *(x.index_select(1, whole) for x in (position, normal)), row.index_select(0, whole))
-        light.index_copy_(1, whole, lit)
-    rows = row.index_select(0, mixed)
-    order = rows.flatten().argsort(stable=True)
-    numbers = (mixed[:, None] * RAYS + torch.arange(RAYS, device=row.device)).flatten()[order].view(-1, SORTED)
-    lit = _lit(
-        scene,
-        *(x.flatten(1).index_select(1, numbers.flatten()).view(3, *numbers.shape) for x in (position, normal)),
-        rows.flatten()[order].view(numbers.shape),
-    )
-    light.flatten(1).index_copy_(1, numbers.flatten(), lit.flatten(1))
+        light.index_copy_(1, whole, _lit(scene, Points(*(x.index_select(-2, whole) for x in points))))
+    if len(mixed):
+        order = points.side.index_select(0, mixed).flatten().argsort(stable=True)
+        number = mixed[:, None] * RAYS + torch.arange(RAYS, device=mixed.device)
+        number = number.flatten().index_select(0, order)
+        sorted_points = (
+            x.flatten(-2).index_select(-1, number).view(*x.shape[:-2], -1, SORTED) for x in points
+        )
+        light.flatten(1).index_copy_(1, number, _lit(scene, Points(*sorted_points)).flatten(1))
     return light
 
 
-def _lit(scene: Scene, position: Tensor, normal: Tensor, row: Tensor) -> Tensor:
-    """`_irradiance` of bundles ``(3, b, r)``."""
+def _lit(scene: Scene, points: Points) -> Tensor:
+    """`irradiance` of bundles of any number of points."""
+    position, normal, side = points
     light = scene.ambient[:, None, None] * (1 - 0.25 * normal[1])
-    casters = scene.primitives.shadow_casters
-    # A convex primitive throws no shadow on its own lit side.
-    own = torch.where((row == row[:, :1]).all(1), scene.primitives.caster_row[row[:, 0]], -1)
-    for lamp, color, reach in zip(
-        scene.lamps.position[:, :, None, None], scene.lamps.color, scene.lamps.reach, strict=True
-    ):
+    # A convex primitive throws no shadow on its own outer side, where that faces the lamp.
+    own = scene.primitives.caster_row.index_select(0, side[:, 0].clamp(min=0))
+    own = torch.where(points.alone() & (side[:, 0] >= 0), own, -1)
+    lamps = zip(scene.lamps.position[:, :, None, None], scene.lamps.color, scene.lamps.reach, strict=True)
+    for lamp, color, reach in lamps:
         ray = position - lamp
-        squared = ray.square().sum(0)
         slant = (normal * ray).sum(0).neg_().clamp_(min=0)
         lit = slant.amax(1).nonzero()[:, 0]
         if not len(lit):
             continue
+        squared = ray.square().sum(0)
         distance = squared.sqrt()
-        limit = 1 - SHADOW_GAP / distance
         strength = slant.div_(distance).div_(squared.add_(reach**2))
-        if len(lit) < len(slant):
-            ray, limit, own_lit = ray.index_select(1, lit), limit.index_select(0, lit), own.index_select(0, lit)
-        else:
-            own_lit = own
-        hidden = blocked(casters, Bundles(lamp, ray), limit, own_lit)
-        strength.index_put_((lit,), strength.index_select(0, lit).masked_fill_(hidden, 0))
+        limit = 1 - SHADOW_GAP / distance.index_select(0, lit)
+        rays = Bundles(lamp, ray.index_select(1, lit))
+        hidden = blocked(scene.primitives.shadow_casters, rays, limit, own.index_select(0, lit))
+        strength.index_copy_(0, lit, strength.index_select(0, lit).masked_fill_(hidden, 0))
         light.addcmul_(strength, color[:, None, None])
     return light

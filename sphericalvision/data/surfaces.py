@@ -15,14 +15,19 @@ __all__ = ["describe"]
 
 def describe(
     primitives: Primitives, position: Tensor, direction: Tensor, row: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Unit normals ``(3, n)`` on the rays' side, and surface coordinates in metres ``(2, n)``, without their origin.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Unit normals on the rays' side, surface coordinates without their origin, and whether that side is the inner.
+
+    A rectangle has no inner side.
 
     Args:
         primitives: the table.
         position: ``(3, n)`` points, metres.
         direction: ``(3, n)`` of the rays that met them.
         row: ``(n,)`` the primitives that they lie on.
+
+    Returns:
+        ``(3, n)``, ``(2, n)`` in metres, and bool ``(n,)``.
     """
     axes = primitives.rotation.permute(2, 1, 0).contiguous()  # (world, local, P)
     offset = position - primitives.center.T.index_select(1, row)
@@ -52,8 +57,9 @@ def describe(
             length = (x * x).addcmul_(y, y).addcmul_(z, z).rsqrt_()
             normal.index_copy_(1, on, torch.stack([x, y, z]).mul_(length))
             uv.index_copy_(1, on, along)
-    side = torch.where((normal * direction).sum(0) > 0, -1.0, 1.0).to(normal)
-    return normal.mul_(side), uv
+    away = (normal * direction).sum(0) > 0
+    normal.mul_(1 - 2 * away.to(normal.dtype))
+    return normal, uv, away.logical_and_(~flat.index_select(0, row))
 
 
 def _ellipsoid(unit: Tensor, metres: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:

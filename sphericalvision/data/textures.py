@@ -168,7 +168,8 @@ class TextureBank:
         Returns:
             ``(n, 3)`` linear intensities.
         """
-        return self.columns(texture, *uv.T, footprint).T
+        across, down = uv.T
+        return self.columns(texture, across, down, footprint).T
 
     def columns(self, texture: Tensor, across: Tensor, down: Tensor, footprint: Tensor) -> Tensor:
         """As `sample`, by coordinate: ``(n,)`` each to ``(3, n)``."""
@@ -213,7 +214,9 @@ class TextureBank:
     @cached_property
     def _sides(self) -> Tensor:
         """Side of each level."""
-        return torch.tensor([float(self.size >> k) for k in range(self.num_levels)], device=self.texels.device)
+        return torch.tensor(
+            [float(self.size >> k) for k in range(self.num_levels)], device=self.texels.device
+        )
 
     @cached_property
     def _offsets(self) -> Tensor:

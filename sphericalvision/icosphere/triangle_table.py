@@ -28,7 +28,7 @@ CELLS, MOST_CELLS = 8, 512
 #: Steps across edges before the way down is taken after all.
 STEPS = 16
 #: Level up to which cells are looked up by the way down.
-FIRST = 2
+FIRST = 1
 
 
 class TriangleTable(NamedTuple):
@@ -48,9 +48,9 @@ def triangle_table(level: int, dtype: torch.dtype, device: torch.device) -> Tria
 
     Examples:
         >>> table = triangle_table(1, torch.float32, torch.device("cpu"))
-        >>> triangles, shares = find_triangles(torch.tensor([[0.0], [-2.0], [0.1]]), table)
-        >>> table.ids[triangles[0]].tolist(), shares.sum().item() > 2
-        ([0, 3, 1], True)
+        >>> triangles, shares = find_triangles(torch.tensor([[0.0], [-2.0], [0.0]]), table)
+        >>> table.ids[triangles[0], shares[:, 0].argmax()].item()  # straight up is the north pole
+        0
     """
     table = _without_cells(level, dtype)
     cells = _cells(_without_cells(level, torch.float32) if dtype != torch.float32 else table)
@@ -153,15 +153,29 @@ def _neighbors(level: int) -> Tensor:
 
 
 def _cells(table: TriangleTable) -> Tensor:
-    """Triangles in the middle of the cells: begin in the middle quarter of those of the coarser level."""
+    """Triangles in the middle of the cells, found from those of the coarser level."""
     level, resolution = table.level, _resolution(table.level)
     centers = cell_centers(resolution)
     if level <= FIRST:
         return descend(F.normalize(centers.T, dim=-1), level).numbers(level).int()
-    coarse, repeats = _cells(_without_cells(level - 1, torch.float32)), resolution // _resolution(level - 1)
-    coarse = coarse.view(2, resolution // repeats, 1, resolution // repeats, 1)
-    coarse = coarse.expand(-1, -1, repeats, -1, repeats).flatten()
-    # The cell (row, column) of a chart becomes four, and the quarter is in the first of them or in the last.
-    half, place, columns = coarse % 2, coarse // 2, 2 ** (level - 1)
-    row, column = 2 * (place // columns) + half, 2 * (place % columns) + half
-    return find_triangles(centers, table, 2 * (row * 2 * columns + column) + 1 - half)[0]
+    coarser = _without_cells(level - 1, torch.float32)
+    rows = _resolution(level - 1)
+    parents = _cells(coarser).view(2, rows, 1, rows, 1)
+    repeats = resolution // rows
+    parents = parents.expand(-1, -1, repeats, -1, repeats).flatten()
+    return find_triangles(centers, table, _children(centers, parents, coarser))[0]
+
+
+def _children(rays: Tensor, parents: Tensor, table: TriangleTable) -> Tensor:
+    """Triangles of the next level about where rays ``(3, m)`` pierce their parents, triangles ``(m,)`` of a table."""
+    shares = coefficients(rays, parents, table)
+    # The corner that has more than half of the weight (outside, two may have); else the middle, which is turned.
+    first, second, third = shares.gt(shares.sum(0).div_(2)).int()
+    second -= first * second
+    third -= (first + second) * third
+    n, half, place = 2**table.level, parents & 1, parents >> 1
+    sign = 1 - 2 * half
+    row = (place >> table.level).mul_(2).add_(half).addcmul_(sign, third)
+    column = (place & n - 1).mul_(2).add_(half).addcmul_(sign, second)
+    middle = 1 - first.add_(second).add_(third)
+    return row.mul_(2 * n).add_(column).mul_(2).add_(half).addcmul_(sign, middle)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere, locate
 from sphericalvision.icosphere.descent import barycentric_weights, descend
-from sphericalvision.icosphere.locate_many import CHUNK, locate_many
+from sphericalvision.icosphere.locate_many import locate_many
 
 
 def on_edges_and_corners(level: int, dtype: torch.dtype) -> Tensor:
@@ -23,8 +23,11 @@ def on_edges_and_corners(level: int, dtype: torch.dtype) -> Tensor:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("level", [0, 1, 4, 7])
-def test_the_same_triangles_and_weights(level: int, dtype: torch.dtype, generator: torch.Generator) -> None:
-    directions = torch.randn(2 * CHUNK + 77, 3, generator=generator, dtype=torch.float64).to(dtype)
+def test_the_same_triangles_and_weights(
+    level: int, dtype: torch.dtype, generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sphericalvision.icosphere.locate_many.chunk_size", lambda device: 8192)
+    directions = torch.randn(2 * 8192 + 77, 3, generator=generator, dtype=torch.float64).to(dtype)
     unit = torch.nn.functional.normalize(directions, dim=-1)
     ids, weights = locate_many(directions, level)
     triangles = descend(unit, level)
@@ -68,3 +71,12 @@ def test_gradients_are_those_of_few_directions(generator: torch.Generator) -> No
         (weights * torch.arange(3.0)).square().sum().backward()
         gradients.append(given.grad)
     torch.testing.assert_close(*gradients)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision_is_located_in_float32(dtype: torch.dtype, generator: torch.Generator) -> None:
+    directions = torch.randn(500, 3, generator=generator).to(dtype)
+    ids, weights = locate_many(directions, 2)
+    expected_ids, expected = locate_many(directions.float(), 2)
+    assert torch.equal(ids, expected_ids)
+    assert torch.equal(weights, expected.to(dtype))

@@ -49,11 +49,11 @@ class NormedLayer(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Mean and biased variance ``(C,)`` over ``count`` places; not differentiable."""
+    """Mean and biased variance ``(C,)`` over a number of places; not differentiable."""
 
     mean: Tensor
     variance: Tensor
-    count: int
+    places: int
 
 
 def block3d_pays(values: Tensor, weight: Tensor) -> bool:
@@ -176,7 +176,7 @@ class _Block(torch.autograd.Function):
             sample = by_vertex[place // len(geometry.crown)]
             taken = sample.view(-1, sample.shape[-1]).index_select(0, geometry.inner_places(some).flatten())
             inner.copy_(taken.view(inner.shape))
-            if conv2 is not None:
+            if conv2 is not None and by_output is not None:
                 inner.addcmul_(geometry.view(conv2[place], some)[:, : geometry.count], by_output)
             target = geometry.without_room(of_padded, some).zero_()
             convolve_padded_backward(
@@ -199,7 +199,7 @@ class _Block(torch.autograd.Function):
         by_output, constant = geometry.of_norm(mean1, invert1, scale1, of_scale1, of_shift1)
         kernels, of_weight = _kernels(weight1), _OfWeight(weight1)
         padded = geometry.padded(rows.shape[-1])
-        of_padded = geometry.padded(rows.shape[-1], room=False) if ctx.needs_input_grad[0] else None
+        of_given = geometry.padded(rows.shape[-1], room=False) if ctx.needs_input_grad[0] else None
         of_outputs = geometry.outputs_with_zeros(len(weight1))
         sums = [PlaceSum(sample, geometry.n, rows.shape[-1]) for sample in rows]
         for place, some, sample in geometry:
@@ -210,7 +210,7 @@ class _Block(torch.autograd.Function):
                 geometry.view(both[place], some)[:, : geometry.count] for both in (of_norm1, conv1)
             )
             torch.addcmul(constant, of_normed, scale1 * invert1, out=inner).addcmul_(output, by_output)
-            target = None if of_padded is None else geometry.without_room(of_padded, some).zero_()
+            target = None if of_given is None else geometry.without_room(of_given, some).zero_()
             convolve_padded_backward(
                 upstream,
                 given,
@@ -221,7 +221,7 @@ class _Block(torch.autograd.Function):
             )
             if target is not None:
                 sums[place // len(geometry.crown)].add(unpadded(target, geometry.count), some)
-        of_rows = torch.stack([total.total() for total in sums]) if of_padded is not None else None
+        of_rows = torch.stack([total.total() for total in sums]) if of_given is not None else None
         return of_rows, of_weight.total(), of_scale1, of_shift1, None, of_weight2, of_scale2, of_shift2, None
 
 
@@ -301,7 +301,7 @@ class _Geometry:
         return padded
 
     def moments(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and biased variance of the first N of N' hypotheses, from those of the groups, which are equally large."""
+        """Mean and biased variance of the first N of N' hypotheses, from those of groups of equal size."""
         means, variances = [], []
         for group in outputs:
             some = group.view(self.crown.together, self.full, -1, group.shape[-1])[:, : self.count].flatten(

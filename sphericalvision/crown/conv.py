@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.crown.layout import Crown, check_crown
+from sphericalvision.crown.planar import conv2d_replicate
 from sphericalvision.crown.winograd import conv3d_replicate
 
 __all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d"]
@@ -72,21 +73,10 @@ def crown_conv2d(crown: Crown, weight: Tensor, bias: Tensor | None = None, strid
     _check_conv(crown, weight, 2, stride)
 
     def convolve(rectangles: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
-        padded = _replicate_border(rectangles.flatten(0, 1))
-        return F.conv2d(padded, _planar_kernel(weight, taps), bias, stride).unflatten(0, (-1, 5))
+        kernel = _planar_kernel(weight, taps)
+        return conv2d_replicate(rectangles.flatten(0, 1), kernel, bias, stride).unflatten(0, (-1, 5))
 
     return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
-
-
-def _replicate_border(images: Tensor) -> Tensor:
-    """Images ``(B, C, h, w)`` with their outermost values once more all around.
-
-    In compiled graphs by slices: inductor expects another memory format of the padding's gradient than it gets.
-    """
-    if not torch.compiler.is_compiling():
-        return F.pad(images, (1, 1, 1, 1), mode="replicate")
-    tall = torch.cat((images[..., :1, :], images, images[..., -1:, :]), -2)
-    return torch.cat((tall[..., :1], tall, tall[..., -1:]), -1)
 
 
 def crown_conv3d(crown: Crown, weight: Tensor, bias: Tensor | None = None, stride: int = 1) -> Crown:

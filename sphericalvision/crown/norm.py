@@ -26,7 +26,8 @@ class _CrownBatchNorm(_BatchNorm):
     def _check_input_dim(self, input: Tensor) -> None:
         """Accept all: the crown is checked as a whole in ``forward``."""
 
-    def forward(self, crown: Crown) -> Crown:  # type: ignore[override]
+    def forward(self, crown: Crown, rectify: bool = False) -> Crown:  # type: ignore[override]
+        """Normalise a crown and, with ``rectify``, apply ReLU, which then takes no memory of its own."""
         check_crown(crown, self.spatial_dims)
         if crown.col.shape[2] != self.num_features:
             raise ShapeError(
@@ -35,6 +36,8 @@ class _CrownBatchNorm(_BatchNorm):
         # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
         col, row = (rectangles.flatten(0, 1).flatten(-2) for rectangles in crown)
         both = super().forward(torch.cat((col, row)))
+        if rectify:
+            both = both.relu_()
         col, row = both.chunk(2)  # unlike unbind, its gradient keeps the channels innermost in memory
         return Crown(col.view(crown.col.shape), row.view(crown.row.shape))
 
@@ -68,7 +71,7 @@ class _CrownBatchNorm(_BatchNorm):
         self.num_batches_tracked.add_(1)
         rate = 1 / float(self.num_batches_tracked) if self.momentum is None else self.momentum
         self.running_mean.lerp_(moments.mean, rate)
-        self.running_var.lerp_(moments.variance * (moments.count / (moments.count - 1)), rate)
+        self.running_var.lerp_(moments.variance * (moments.places / (moments.places - 1)), rate)
 
 
 class CrownBatchNorm2d(_CrownBatchNorm):
@@ -115,10 +118,12 @@ class _CrownInstanceNorm(_CrownBatchNorm):
     def __init__(self, num_features: int, eps: float = 1e-5) -> None:
         super().__init__(num_features, eps, track_running_stats=False)
 
-    def forward(self, crown: Crown) -> Crown:  # type: ignore[override]
+    def forward(self, crown: Crown, rectify: bool = False) -> Crown:  # type: ignore[override]
         check_crown(crown, self.spatial_dims)
         samples = zip(crown.col.split(1), crown.row.split(1), strict=True)
-        cols, rows = zip(*(super(_CrownInstanceNorm, self).forward(Crown(*s)) for s in samples), strict=True)
+        cols, rows = zip(
+            *(super(_CrownInstanceNorm, self).forward(Crown(*s), rectify) for s in samples), strict=True
+        )
         return Crown(cols[0], rows[0]) if len(cols) == 1 else Crown(torch.cat(cols), torch.cat(rows))
 
 

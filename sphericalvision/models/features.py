@@ -32,10 +32,11 @@ class ConvNorm2d(nn.Module):
         self.conv = CrownConv2d(in_channels, out_channels, stride=stride)
         self.norm = crown_norm(norm, 2, out_channels)
 
-    def forward(self, crown: Crown) -> Crown:
+    def forward(self, crown: Crown, rectify: bool = False) -> Crown:
         if self.norm.is_affine:
-            return crown_conv2d(crown, *self.norm.folded(self.conv.weight), self.conv.stride)
-        return self.norm(self.conv(crown))
+            result = crown_conv2d(crown, *self.norm.folded(self.conv.weight), self.conv.stride)
+            return crown_relu(result) if rectify else result
+        return self.norm(self.conv(crown), rectify)
 
 
 class ResidualBlock(nn.Module):
@@ -55,7 +56,7 @@ class ResidualBlock(nn.Module):
         self.shortcut = CrownAvgPool2d(stride) if stride > 1 else nn.Identity()
 
     def forward(self, crown: Crown) -> Crown:
-        residual = self.second(crown_relu(self.first(crown)))
+        residual = self.second(self.first(crown, rectify=True))
         return crown_relu(residual + self.shortcut(crown))
 
 
@@ -99,8 +100,8 @@ class FeatureExtractor(nn.Module):
         self.last = CrownConv2d(channels, channels)
 
     def forward(self, images: Tensor) -> Tensor:
-        crown = crown_relu(self.entry(to_crown(images)))
-        crown = exchange(crown_relu(self.second(crown)))
+        crown = self.entry(to_crown(images), rectify=True)
+        crown = exchange(self.second(crown, rectify=True))
         fine = exchange(self.fine(crown))
         crown = exchange(self.coarse(fine))
         if self.coarsening == 1:

@@ -210,17 +210,17 @@ class _Block(torch.autograd.Function):
                 geometry.view(both[place], some)[:, : geometry.count] for both in (of_norm1, conv1)
             )
             torch.addcmul(constant, of_normed, scale1 * invert1, out=inner).addcmul_(output, by_output)
-            target = None if of_given is None else geometry.without_room(of_given, some).zero_()
+            of_taken = None if of_given is None else geometry.without_room(of_given, some).zero_()
             convolve_padded_backward(
                 upstream,
                 given,
                 kernels[some.across],
-                target,
+                of_taken,
                 of_weight.sums[some.across],
                 of_weight.taps[some.across],
             )
-            if target is not None:
-                sums[place // len(geometry.crown)].add(unpadded(target, geometry.count), some)
+            if of_taken is not None:
+                sums[place // len(geometry.crown)].add(unpadded(of_taken, geometry.count), some)
         of_rows = torch.stack([total.total() for total in sums]) if of_given is not None else None
         return of_rows, of_weight.total(), of_scale1, of_shift1, None, of_weight2, of_scale2, of_shift2, None
 

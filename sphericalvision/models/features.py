@@ -35,7 +35,8 @@ class ConvNorm2d(nn.Module):
     def forward(self, crown: Crown, rectify: bool = False) -> Crown:
         if self.norm.is_affine:
             result = crown_conv2d(crown, *self.norm.folded(self.conv.weight), self.conv.stride)
-            return crown_relu(result) if rectify else result
+            rectifier = torch.relu if torch.is_grad_enabled() else torch.relu_
+            return crown_map(rectifier, result) if rectify else result
         return self.norm(self.conv(crown), rectify)
 
 

@@ -137,14 +137,14 @@ def first_hits(primitives: Primitives, rays: Bundles) -> tuple[Tensor, Tensor]:
         bundle = pairs.bundle[:, None].expand_as(first)
         nearest.scatter_reduce_(0, bundle, first, "amin")
         found.append((pairs, bundle, first))
-    which = torch.full_like(nearest, -1)
+    which = torch.full_like(nearest, FAR)
     for pairs, bundle, first in found:
-        # The row where this is the nearest, and something very small elsewhere.
+        # The row where this is the nearest, and something very large elsewhere; of equals the first row counts.
         late = first.sub_(nearest.index_select(0, pairs.bundle))
         row = primitives.columns.order.index_select(0, pairs.place).to(late.dtype)
-        mine = torch.sub(row[:, None], late, alpha=HUGE)
-        which.scatter_reduce_(0, bundle, mine, "amax")
-    return nearest.masked_fill_(which < 0, torch.inf), which.long()
+        which.scatter_reduce_(0, bundle, torch.add(row[:, None], late, alpha=HUGE), "amin")
+    none = which >= FAR
+    return nearest.masked_fill_(none, torch.inf), which.masked_fill_(none, -1).long()
 
 
 def blocked(primitives: Primitives, rays: Bundles, limit: Tensor, own: Tensor | None = None) -> Tensor:

@@ -297,3 +297,29 @@ def test_texture_lookup_at_texel_centres_and_over_everything(generator: torch.Ge
     torch.testing.assert_close(mirrored, fine)
     coarse = bank.sample(number, uv, torch.full((100,), 5.0))
     torch.testing.assert_close(coarse, image.mean((1, 2)).expand(100, 3), rtol=0, atol=0.005)
+
+
+def test_texture_lookup_is_trilinear_between_mirrored_texels(generator: torch.Generator) -> None:
+    """One look-up after another in float64, from the texels' bytes."""
+    bank = texture_bank()
+    uv = 6 * torch.rand(300, 2, generator=generator) - 3
+    footprint = 2.0 ** (10 * torch.rand(300, generator=generator) - 9)
+    texture = torch.randint(0, len(bank.names), (300,), generator=generator)
+    levels = [bank.size >> k for k in range(bank.num_levels)]
+
+    def texel(number: int, level: int, row: int, column: int) -> Tensor:
+        side = levels[level]
+        row, column = (min(k % (2 * side), 2 * side - 1 - k % (2 * side)) for k in (row, column))
+        start = number * sum(s * s for s in levels) + sum(s * s for s in levels[:level])
+        return (bank.texels[start + row * side + column, :3].double() / 255) ** 2
+
+    for k, seen in enumerate(bank.sample(texture, uv, footprint)):
+        exact = min(max(math.log2(footprint[k].item() * bank.size), 0.0), bank.num_levels - 1.0)
+        expected = torch.zeros(3, dtype=torch.float64)
+        for level in {math.floor(exact), math.ceil(exact)}:
+            x, y = (uv[k].double() * levels[level] - 0.5).tolist()
+            for row in (math.floor(y), math.floor(y) + 1):
+                for column in (math.floor(x), math.floor(x) + 1):
+                    share = (1 - abs(exact - level)) * (1 - abs(y - row)) * (1 - abs(x - column))
+                    expected += share * texel(int(texture[k]), level, row, column)
+        torch.testing.assert_close(seen.double(), expected, rtol=1e-3, atol=1e-3)

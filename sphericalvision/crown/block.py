@@ -7,6 +7,8 @@ as normalised values, their copies with borders and transforms, is made again wh
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import product
 from typing import Any, NamedTuple
 
 import torch
@@ -137,7 +139,7 @@ class _Block(torch.autograd.Function):
         if scale2 is not None and shift2 is not None:
             mean2, variance2 = geometry.moments(conv2)
             statistics += mean2, variance2
-            kept += conv2, answer, scale2, mean2, variance2
+            kept += conv2, scale2, mean2, variance2
             factor, offset = _to_norm(mean2, (variance2 + eps2).rsqrt(), scale2, shift2)
             answer = torch.addcmul(offset, answer, factor)
         ctx.save_for_backward(*kept)
@@ -155,11 +157,14 @@ class _Block(torch.autograd.Function):
         by_vertex = gradient * places_per_vertex(geometry.n, gradient).reciprocal_()[:, None]
         of_scale2 = of_shift2 = conv2 = by_output = None
         if normed:
-            # The mean over places commutes with the normalisation, so its sums are sums over vertices.
-            conv2, means, scale2, mean2, variance2 = normed
+            conv2, scale2, mean2, variance2 = normed
             invert2 = (variance2 + ctx.eps[1]).rsqrt()
             of_shift2 = gradient.sum((0, 1, 2))
-            of_scale2 = (means - mean2).mul_(gradient).sum((0, 1, 2)) * invert2
+            of_scale2 = torch.zeros_like(mean2)
+            for place, some, sample in geometry.over(by_vertex):
+                centered = geometry.view(conv2[place], some)[:, : geometry.count] - mean2
+                of_scale2 += centered.mul_(geometry.take_inner(sample, some)).sum((0, 1, 2, 3))
+            of_scale2 *= invert2
             by_output, constant = geometry.of_norm(mean2, invert2, scale2, of_scale2, of_shift2)
             torch.addcmul(constant, by_vertex, scale2 * invert2, out=by_vertex)
 
@@ -169,13 +174,11 @@ class _Block(torch.autograd.Function):
         of_outputs = geometry.outputs_with_zeros(len(weight2))
         of_norm1 = torch.empty_like(conv1)
         of_scale1, of_shift1 = torch.zeros_like(mean1), torch.zeros_like(mean1)
-        for place, some, _ in geometry:
+        for place, some, sample in geometry.over(by_vertex):
             given = geometry.rectified(conv1[place], some, to_norm1, padded)
             upstream = geometry.zero_bordered(of_outputs, some)
             inner = upstream[:, : geometry.count, 2:-2, 2:-2]
-            sample = by_vertex[place // len(geometry.crown)]
-            taken = sample.view(-1, sample.shape[-1]).index_select(0, geometry.inner_places(some).flatten())
-            inner.copy_(taken.view(inner.shape))
+            inner.copy_(geometry.take_inner(sample, some))
             if conv2 is not None and by_output is not None:
                 inner.addcmul_(geometry.view(conv2[place], some)[:, : geometry.count], by_output)
             target = geometry.without_room(of_padded, some).zero_()
@@ -240,12 +243,13 @@ class _Geometry:
         self.crown = Rectangles(rows[0], level, self.full, room)
         self.groups = list(self.crown)
 
-    def __iter__(self) -> Any:
-        place = 0
-        for sample in self.rows:
-            for some in self.groups:
-                yield place, some, sample
-                place += 1
+    def __iter__(self) -> Iterator[tuple[int, Some, Tensor]]:
+        return self.over(self.rows)
+
+    def over(self, values: Tensor) -> Iterator[tuple[int, Some, Tensor]]:
+        """Iterate with samples of other values ``(B, N, V, *)``."""
+        for place, (sample, some) in enumerate(product(values, self.groups)):
+            yield place, some, sample
 
     def outputs(self, channels: int) -> Tensor:
         """What a convolution puts out: ``(groups of all samples, places of a group, channels)``."""
@@ -283,10 +287,12 @@ class _Geometry:
         torch.index_select(sample.view(-1, sample.shape[-1]), 0, some.places.flatten(), out=buffer)
         return buffer.view(*some.places.shape, -1)
 
-    def inner_places(self, some: Some) -> Tensor:
-        """Places without borders, ``(g, N, h, w)``."""
+    def take_inner(self, sample: Tensor, some: Some) -> Tensor:
+        """Values of one group without borders, ``(g, N, h, w, C)``."""
         end = -3 if self.room else -1
-        return some.places[:, 1 : self.count + 1, 1:end, 1:end]
+        places = some.places[:, 1 : self.count + 1, 1:end, 1:end]
+        taken = sample.view(-1, sample.shape[-1]).index_select(0, places.flatten())
+        return taken.view(*places.shape, -1)
 
     def rectified(
         self, outputs: Tensor, some: Some, to_norm: tuple[Tensor, Tensor], buffer: Tensor

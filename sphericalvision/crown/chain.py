@@ -28,6 +28,7 @@ __all__ = ["crown_conv3d_chain"]
 Layer = tuple[Tensor, Tensor | None]
 
 
+@torch.no_grad()
 def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer]) -> Tensor:
     """Convolve volumes on an icosphere several times, with a ReLU between two times, and exchange at the end.
 

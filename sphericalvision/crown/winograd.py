@@ -157,10 +157,18 @@ def convolve_padded(padded: Tensor, kernels: list[Tensor], bias: Tensor | None, 
         )
         difference1, difference2 = m1 - m2, m3 - m4
         sum1, sum2 = m1.add_(m2), m3.add_(m4)
-        torch.add(sum1, sum2, out=y[:, :, 0]).add_(m0)
-        torch.add(difference1, difference2, alpha=2, out=y[:, :, 1])
-        torch.add(sum1, sum2, alpha=4, out=y[:, :, 2])
-        torch.add(difference1, difference2, alpha=8, out=y[:, :, 3]).add_(m5)
+        y0, y1, y2, y3 = y.unbind(2)
+        _sum_into(y0, sum1, sum2, 1).add_(m0)
+        _sum_into(y1, difference1, difference2, 2)
+        _sum_into(y2, sum1, sum2, 4)
+        _sum_into(y3, difference1, difference2, 8).add_(m5)
+
+
+def _sum_into(target: Tensor, first: Tensor, second: Tensor, factor: float) -> Tensor:
+    """Write ``first + factor * second`` to ``target``; compilers want a copy for strided ones."""
+    if torch.compiler.is_compiling():
+        return target.copy_(torch.add(first, second, alpha=factor))
+    return torch.add(first, second, alpha=factor, out=target)
 
 
 def convolve_padded_backward(

@@ -27,6 +27,7 @@ from sphericalvision.crown.winograd import (
     unpadded,
     winograd_pays,
 )
+from sphericalvision.crown.winograd_rows import PlanarKernel
 from sphericalvision.icosphere import level_from_num_vertices
 
 __all__ = ["Moments", "NormedLayer", "block3d_pays", "crown_block3d"]
@@ -116,7 +117,7 @@ class _Block(torch.autograd.Function):
         hidden, out = len(weight1), len(weight2)
         conv1, conv2 = geometry.outputs(hidden), geometry.outputs(out)
 
-        kernels = [transformed_kernels(kernel) for kernel in _kernels(weight1)]
+        kernels = _transformed(weight1)
         padded = geometry.padded(rows.shape[-1])
         for place, some, sample in geometry:
             given = geometry.take(sample, some, padded)
@@ -124,7 +125,7 @@ class _Block(torch.autograd.Function):
         mean1, variance1 = geometry.moments(conv1)
         to_norm1 = _to_norm(mean1, (variance1 + eps1).rsqrt(), scale1, shift1)
 
-        kernels = [transformed_kernels(kernel) for kernel in _kernels(weight2)]
+        kernels = _transformed(weight2)
         padded = geometry.padded(hidden)
         sums = [PlaceSum(sample, geometry.n, out) for sample in rows]
         for place, some, _ in geometry:
@@ -334,7 +335,7 @@ class _OfWeight:
 
     def __init__(self, weight: Tensor) -> None:
         self.weight = weight
-        self.sums = [weight.new_zeros(6, 9, *weight.shape[:2]) for _ in TAPS]
+        self.sums = [weight.new_zeros(6, 4, 3, *weight.shape[:2]) for _ in TAPS]
         self.taps = [neighbor_taps(taps) for taps in TAPS]
 
     def total(self) -> Tensor:
@@ -347,6 +348,12 @@ class _OfWeight:
 def _kernels(weight: Tensor) -> list[Tensor]:
     """Kernels ``(O, C, 3, 3, 3)`` of both directions."""
     return [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for taps in TAPS]
+
+
+def _transformed(weight: Tensor) -> list[list[PlanarKernel]]:
+    """These, transformed."""
+    pairs = zip(_kernels(weight), TAPS, strict=True)
+    return [transformed_kernels(kernel, neighbor_taps(taps)) for kernel, taps in pairs]
 
 
 def _to_norm(mean: Tensor, invert: Tensor, scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:

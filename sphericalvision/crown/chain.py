@@ -12,7 +12,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from sphericalvision.crown.conv import COL_TAPS, ROW_TAPS, _check_weight, _planar_kernel, crown_conv3d
+from sphericalvision.crown.conv import (
+    COL_TAPS,
+    ROW_TAPS,
+    _check_weight,
+    _planar_kernel,
+    crown_conv3d,
+    neighbor_taps,
+)
 from sphericalvision.crown.hexpad import check_values
 from sphericalvision.crown.layout import crown_relu, from_crown, to_crown
 from sphericalvision.crown.rectangles import PlaceSum, Rectangles
@@ -110,7 +117,7 @@ class _Convolution:
         self.kernel, self.bias = _planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias
         volumes = rows.movedim(-1, 0)[None, :, :, None]  # (1, C, N, 1, V)
         self.winograd = winograd_pays(volumes, self.kernel)
-        self.kernels = transformed_kernels(self.kernel) if self.winograd else []
+        self.kernels = transformed_kernels(self.kernel, neighbor_taps(taps)) if self.winograd else []
 
     def __call__(self, padded: Tensor, result: Tensor) -> None:
         """Convolve ``(g, N + 2, h + 2, w + 2, C)`` into ``(g, N, h, w, O)``."""

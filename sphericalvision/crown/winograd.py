@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Volumes convolved 3 x 3 x 3 with half the multiplications: Winograd's F(4, 3) along the hypotheses.
+"""Volumes convolved 3 x 3 x 3 with a third of the multiplications: Winograd's F(4, 3) along the hypotheses.
 
-Four neighbouring outputs need six products in place of twelve. What is left is six planar convolutions, which run at
+Four neighbouring outputs need six products in place of twelve, each of them a planar convolution, for which
+``winograd_rows`` has a short way of its own. What is left are convolutions with kernels of a single row, which run at
 the speed of the machine; the sums around them are a few passes over memory.
 """
 
@@ -14,6 +15,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+
+from sphericalvision.crown.winograd_rows import (
+    ALL_TAPS,
+    PlanarKernel,
+    add_gradient_of_rows,
+    convolve_rows,
+    of_rows,
+    planar_kernel,
+)
 
 __all__ = [
     "conv3d_replicate",
@@ -29,11 +39,6 @@ __all__ = [
 
 MIN_CHANNELS = 32
 """Below, the sums cost more than the products saved."""
-
-ALL_TAPS = tuple(range(9))
-
-PARTS = 8
-"""A sum over places is made in this many parts, which a CPU is faster with."""
 
 TRANSFORM_BYTES = 6 << 20
 """Tiles are taken through the transforms a few at a time, each of which takes no more than this: they stay in cache."""
@@ -69,7 +74,7 @@ def conv3d_replicate(
         kernel: ``(O, C, 3, 3, 3)``.
         bias: ``(O,)``.
         stride: in the plane; along N it is 1.
-        taps: of the nine in the plane those that are not zero for good; others may be left without a gradient.
+        taps: of the nine in the plane those that are not zero; others may be left without a gradient.
 
     Examples:
         >>> conv3d_replicate(torch.ones(1, 2, 4, 5, 3), torch.ones(1, 2, 3, 3, 3)).unique()
@@ -109,7 +114,7 @@ class _Winograd(torch.autograd.Function):
     def forward(volumes: Tensor, kernel: Tensor, bias: Tensor | None, taps: tuple[int, ...]) -> Tensor:
         padded, (batch, _, count, height, width) = _padded(volumes), volumes.shape
         result = volumes.new_empty(batch, count + -count % 4, height, width, len(kernel))
-        convolve_padded(padded, transformed_kernels(kernel), bias, result)
+        convolve_padded(padded, transformed_kernels(kernel, taps), bias, result)
         return result[:, :count].movedim(-1, 1)
 
     @staticmethod
@@ -129,14 +134,14 @@ class _Winograd(torch.autograd.Function):
         of_padded = (
             of_result.new_zeros(batch, full, height - 2, width - 2, channels) if want_volumes else None
         )
-        of_kernels = kernel.new_zeros(6, 9, *kernel.shape[:2]) if want_kernel else None
+        of_kernels = kernel.new_zeros(6, 4, 3, *kernel.shape[:2]) if want_kernel else None
         convolve_padded_backward(of_result, padded, kernel, of_padded, of_kernels, ctx.taps)
         of_volumes = None if of_padded is None else unpadded(of_padded, count).movedim(-1, 1)
         of_kernel = None if of_kernels is None else of_taps(of_kernels).unflatten(-1, (3, 3))
         return of_volumes, of_kernel, gradient.sum((0, 2, 3, 4)) if want_bias else None, None
 
 
-def convolve_padded(padded: Tensor, kernels: list[Tensor], bias: Tensor | None, result: Tensor) -> None:
+def convolve_padded(padded: Tensor, kernels: list[PlanarKernel], bias: Tensor | None, result: Tensor) -> None:
     """Convolve padded volumes ``(B, N + 2, h + 2, w + 2, C)``, N a multiple of four, into ``(B, N, h, w, O)``.
 
     Args:
@@ -152,7 +157,7 @@ def convolve_padded(padded: Tensor, kernels: list[Tensor], bias: Tensor | None, 
         slab = padded[:, 4 * first : 4 * min(first + together, tiles) + 2]
         y = result[:, 4 * first : 4 * (first + together)].unflatten(1, (-1, 4))
         m0, m1, m2, m3, m4, m5 = (
-            F.conv2d(tile, k, b).movedim(1, -1).view(y[:, :, 0].shape)
+            convolve_rows(tile, k, b).view(y[:, :, 0].shape)
             for tile, k, b in zip(_transformed_tiles(slab), kernels, biases, strict=True)
         )
         difference1, difference2 = m1 - m2, m3 - m4
@@ -181,22 +186,19 @@ def convolve_padded_backward(
 ) -> None:
     """The adjoint of ``convolve_padded``; adds to ``of_padded`` and ``of_kernels``, where they are given.
 
-    Both gradients are made of products that are fast on a CPU: planar convolutions of what is padded already, and one
-    matrix product a tap between two views of the same grid, shifted.
+    Both gradients are made of products that are fast on a CPU: planar convolutions of what is padded already, and
+    matrix products between two views of the same grid, shifted.
 
     Args:
         of_result: ``(B, N, h + 4, w + 4, O)``, zero on the two outermost places all around; contiguous.
         padded: ``(B, N + 2, h + 4, w + 4, C)``, what was convolved and then two rows and columns that are finite.
         kernel: ``(O, C, 3, 3, 3)``.
         of_padded: ``(B, N + 2, h + 2, w + 2, C)``.
-        of_kernels: ``(6, 9, O, C)``, of the transformed kernels; see ``of_taps``.
-        taps: of the nine in the plane those whose gradient is wanted.
+        of_kernels: ``(6, 4, 3, O, C)``, of the transformed kernels; see ``of_taps``.
+        taps: of the nine in the plane those that are not zero, whose gradient is wanted.
     """
-    tiles, width = of_result.shape[1] // 4, of_result.shape[3]
-    kernels = [
-        k.flip(2, 3).transpose(0, 1).contiguous(memory_format=torch.channels_last)
-        for k in transformed_kernels(kernel)
-    ]
+    tiles = of_result.shape[1] // 4
+    kernels = transformed_kernels(kernel.flip(3, 4).transpose(0, 1), [8 - tap for tap in taps])
     together = max(1, TRANSFORM_BYTES // (padded[:, 0].numel() * padded.element_size()))
     for first in range(0, tiles, together):
         last = min(first + together, tiles)
@@ -209,38 +211,16 @@ def convolve_padded_backward(
         for place, (product, tile) in enumerate(zip(products, transformed, strict=True)):
             planes = product.flatten(0, 1)  # copies y0 and y3
             if of_padded is not None:
-                of_tiles.append(F.conv2d(planes.movedim(-1, 1), kernels[place]))
+                of_tiles.append(convolve_rows(planes, kernels[place]))
             if of_kernels is not None and tile is not None:
-                rows = tile.movedim(1, -1).flatten(0, 2)
-                _add_gradient_of_kernel(planes.flatten(0, 2), rows, width, taps, of_kernels[place])
+                add_gradient_of_rows(planes, tile, taps, of_kernels[place])
         if of_padded is not None:
             _add_gradient_of_tiles(of_tiles, of_padded[:, 4 * first : 4 * last + 2])
 
 
-def _add_gradient_of_kernel(
-    of_rows: Tensor, rows: Tensor, width: int, taps: Sequence[int], out: Tensor
-) -> None:
-    """Add to ``out`` ``(9, O, C)`` the gradient of a planar kernel: one product a tap of one grid, shifted.
-
-    Args:
-        of_rows: ``(B * (h + 4) * width, O)``, gradients with two zeros all around.
-        rows: ``(B * (h + 4) * width, C)``, padded images and then two rows and columns that are finite.
-        width: ``w + 4``.
-        taps: of the nine those wanted.
-        out: ``(9, O, C)``.
-    """
-    of_rows = of_rows[2 * width + 2 :]
-    number = len(of_rows) // PARTS * PARTS  # what is left out are zeros
-    of_parts = of_rows[:number].unflatten(0, (PARTS, -1)).mT
-    for tap in taps:
-        start = tap // 3 * width + tap % 3
-        parts = rows[start : start + number].unflatten(0, (PARTS, -1))
-        out[tap] += torch.bmm(of_parts, parts).sum(0)
-
-
 def of_taps(of_kernels: Tensor) -> Tensor:
-    """Gradient ``(O, C, 3, 9)`` of a kernel from that of its transforms ``(6, 9, O, C)``."""
-    return torch.einsum("kd,ktoc->ocdt", of_kernels.new_tensor(_TAPS), of_kernels)
+    """Gradient ``(O, C, 3, 9)`` of a kernel from that of its transforms ``(6, 4, 3, O, C)``."""
+    return torch.einsum("kd,ktoc->ocdt", of_kernels.new_tensor(_TAPS), of_rows(of_kernels))
 
 
 def _padded(volumes: Tensor, room: int = 0) -> Tensor:
@@ -283,7 +263,7 @@ def unpadded(padded: Tensor, count: int) -> Tensor:
 
 def _add_gradient_of_tiles(of_tiles: list[Tensor], of_padded: Tensor) -> None:
     """The adjoint of ``_transformed_tiles``, added to ``of_padded``."""
-    v0, v1, v2, v3, v4, v5 = (g.movedim(1, -1).unflatten(0, (len(of_padded), -1)) for g in of_tiles)
+    v0, v1, v2, v3, v4, v5 = (g.unflatten(0, (len(of_padded), -1)) for g in of_tiles)
     difference1, difference2 = v1 - v2, v3 - v4
     sum1, sum2 = v1.add_(v2), v3.add_(v4)
     length = of_padded.shape[1] - 2
@@ -297,24 +277,21 @@ def _add_gradient_of_tiles(of_tiles: list[Tensor], of_padded: Tensor) -> None:
 
 
 def _transformed_tiles(padded: Tensor) -> Any:
-    """Yield the six transforms of all tiles, each ``(B * N' / 4, C, h + 2, w + 2)``, channels innermost."""
+    """Yield the six transforms of all tiles, each ``(B * N' / 4, h + 2, w + 2, C)``."""
     length = padded.shape[1] - 2
     d0, d1, d2, d3, d4, d5 = (padded[:, place : place + length : 4] for place in range(6))
 
-    def planes(tiles: Tensor) -> Tensor:
-        return tiles.flatten(0, 1).movedim(-1, 1)
-
-    yield planes(d4.add(d0, alpha=4).sub_(d2, alpha=5))
+    yield d4.add(d0, alpha=4).sub_(d2, alpha=5).flatten(0, 1)
     even, odd = d4.sub(d2, alpha=4), d3.sub(d1, alpha=4)
-    yield planes(even + odd)
-    yield planes(even.sub_(odd))
+    yield (even + odd).flatten(0, 1)
+    yield even.sub_(odd).flatten(0, 1)
     even, odd = d4 - d2, d3 - d1
-    yield planes(even.add(odd, alpha=2))
-    yield planes(even.sub_(odd, alpha=2))
-    yield planes(d5.add(d1, alpha=4).sub_(d3, alpha=5))
+    yield even.add(odd, alpha=2).flatten(0, 1)
+    yield even.sub_(odd, alpha=2).flatten(0, 1)
+    yield d5.add(d1, alpha=4).sub_(d3, alpha=5).flatten(0, 1)
 
 
-def transformed_kernels(kernel: Tensor) -> list[Tensor]:
-    """Six planar kernels ``(O, C, 3, 3)`` of one ``(O, C, 3, 3, 3)``, channels innermost."""
+def transformed_kernels(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> list[PlanarKernel]:
+    """Six planar kernels ``(O, C, 3, 3)`` of one ``(O, C, 3, 3, 3)`` whose taps but those given are zero."""
     transformed = torch.einsum("kd,ocdij->kocij", kernel.new_tensor(_TAPS), kernel)
-    return [k.contiguous(memory_format=torch.channels_last) for k in transformed]
+    return [planar_kernel(k, taps) for k in transformed]

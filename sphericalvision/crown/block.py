@@ -7,7 +7,7 @@ as normalised values, their copies with borders and transforms, is made again wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from sphericalvision.crown.conv import COL_TAPS, ROW_TAPS, _planar_kernel, neigh
 from sphericalvision.crown.layout import places_per_vertex
 from sphericalvision.crown.rectangles import PlaceSum, Rectangles, Some
 from sphericalvision.crown.winograd import (
+    adjoint_kernels,
     convolve_padded,
     convolve_padded_backward,
     of_taps,
@@ -27,7 +28,7 @@ from sphericalvision.crown.winograd import (
     unpadded,
     winograd_pays,
 )
-from sphericalvision.crown.winograd_rows import PlanarKernel
+from sphericalvision.crown.winograd_rows import PlanarKernel, Workspace
 from sphericalvision.icosphere import level_from_num_vertices
 
 __all__ = ["Moments", "NormedLayer", "block3d_pays", "crown_block3d"]
@@ -116,29 +117,35 @@ class _Block(torch.autograd.Function):
         geometry = _Geometry(rows)
         hidden, out = len(weight1), len(weight2)
         conv1, conv2 = geometry.outputs(hidden), geometry.outputs(out)
+        workspace, moments = Workspace(), _Moments()
 
         kernels = _transformed(weight1)
         padded = geometry.padded(rows.shape[-1])
         for place, some, sample in geometry:
             given = geometry.take(sample, some, padded)
-            convolve_padded(given, kernels[some.across], None, geometry.view(conv1[place], some))
-        mean1, variance1 = geometry.moments(conv1)
+            result = geometry.view(conv1[place], some)
+            convolve_padded(given, kernels[some.across], None, result, workspace)
+            moments.add(result[:, : geometry.count])
+        mean1, variance1 = moments.total()
         to_norm1 = _to_norm(mean1, (variance1 + eps1).rsqrt(), scale1, shift1)
 
         kernels = _transformed(weight2)
-        padded = geometry.padded(hidden)
+        padded, moments = geometry.padded(hidden), _Moments()
         sums = [PlaceSum(sample, geometry.n, out) for sample in rows]
         for place, some, _ in geometry:
             given = geometry.rectified(conv1[place], some, to_norm1, padded)
             result = geometry.view(conv2[place], some)
-            convolve_padded(given, kernels[some.across], None, result)
-            sums[place // len(geometry.crown)].add(result[:, : geometry.count], some)
-        answer = torch.stack([total.mean() for total in sums])
+            convolve_padded(given, kernels[some.across], None, result, workspace)
+            result = result[:, : geometry.count]
+            sums[place // len(geometry.crown)].add(result, some)
+            if scale2 is not None:
+                moments.add(result)
+        answer = _stack([total.mean() for total in sums])
 
         statistics = [mean1, variance1]
         kept = [rows, conv1, weight1, scale1, shift1, weight2, mean1, variance1]
         if scale2 is not None and shift2 is not None:
-            mean2, variance2 = geometry.moments(conv2)
+            mean2, variance2 = moments.total()
             statistics += mean2, variance2
             kept += conv2, scale2, mean2, variance2
             factor, offset = _to_norm(mean2, (variance2 + eps2).rsqrt(), scale2, shift2)
@@ -153,7 +160,7 @@ class _Block(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
         rows, conv1, weight1, scale1, shift1, weight2, mean1, variance1, *normed = ctx.saved_tensors
         invert1 = (variance1 + ctx.eps[0]).rsqrt()
-        geometry = _Geometry(rows, room=True)
+        geometry, workspace = _Geometry(rows, room=True), Workspace()
 
         by_vertex = gradient * places_per_vertex(geometry.n, gradient).reciprocal_()[:, None]
         of_scale2 = of_shift2 = conv2 = by_output = None
@@ -170,7 +177,7 @@ class _Block(torch.autograd.Function):
             torch.addcmul(constant, by_vertex, scale2 * invert2, out=by_vertex)
 
         to_norm1 = _to_norm(mean1, invert1, scale1, shift1)
-        kernels, of_weight = _kernels(weight2), _OfWeight(weight2)
+        kernels, of_weight = _transformed(weight2, adjoint_kernels), _OfWeight(weight2)
         padded, of_padded = geometry.padded(len(weight1)), geometry.padded(len(weight1), room=False)
         of_outputs = geometry.outputs_with_zeros(len(weight2))
         of_norm1 = torch.empty_like(conv1)
@@ -189,6 +196,7 @@ class _Block(torch.autograd.Function):
                 kernels[some.across],
                 target,
                 of_weight.sums[some.across],
+                workspace,
                 of_weight.taps[some.across],
             )
             of_normed = geometry.view(of_norm1[place], some)[:, : geometry.count]
@@ -201,7 +209,7 @@ class _Block(torch.autograd.Function):
         of_weight2 = of_weight.total()
 
         by_output, constant = geometry.of_norm(mean1, invert1, scale1, of_scale1, of_shift1)
-        kernels, of_weight = _kernels(weight1), _OfWeight(weight1)
+        kernels, of_weight = _transformed(weight1, adjoint_kernels), _OfWeight(weight1)
         padded = geometry.padded(rows.shape[-1])
         of_given = geometry.padded(rows.shape[-1], room=False) if ctx.needs_input_grad[0] else None
         of_outputs = geometry.outputs_with_zeros(len(weight1))
@@ -221,11 +229,12 @@ class _Block(torch.autograd.Function):
                 kernels[some.across],
                 of_taken,
                 of_weight.sums[some.across],
+                workspace,
                 of_weight.taps[some.across],
             )
             if of_taken is not None:
                 sums[place // len(geometry.crown)].add(unpadded(of_taken, geometry.count), some)
-        of_rows = torch.stack([total.total() for total in sums]) if of_given is not None else None
+        of_rows = _stack([total.total() for total in sums]) if of_given is not None else None
         return of_rows, of_weight.total(), of_scale1, of_shift1, None, of_weight2, of_scale2, of_shift2, None
 
 
@@ -307,19 +316,6 @@ class _Geometry:
         repeat_border(with_border, self.count)
         return padded
 
-    def moments(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and biased variance of the first N of N' hypotheses, from those of groups of equal size."""
-        means, variances = [], []
-        for group in outputs:
-            some = group.view(self.crown.together, self.full, -1, group.shape[-1])[:, : self.count].flatten(
-                0, 2
-            )
-            mean = some.mean(0)
-            means.append(mean)
-            variances.append((some - mean).square_().mean(0))
-        mean = torch.stack(means).mean(0)
-        return mean, torch.stack(variances).mean(0) + (torch.stack(means) - mean).square().mean(0)
-
     def of_norm(
         self, mean: Tensor, invert: Tensor, scale: Tensor, of_scale: Tensor, of_shift: Tensor
     ) -> tuple[Tensor, Tensor]:
@@ -328,6 +324,27 @@ class _Geometry:
         number = len(self.rows) * self.count * 10 * (2 * self.n + 1) * (self.n + 1)
         by_input = -scale * invert.square() * of_scale / number
         return by_input, -scale * invert * of_shift / number - by_input * mean
+
+
+class _Moments:
+    """Mean and biased variance of values ``(*, C)`` that come in groups of equal size."""
+
+    def __init__(self) -> None:
+        self.means: list[Tensor] = []
+        self.variances: list[Tensor] = []
+
+    def add(self, values: Tensor) -> None:
+        """Count a group in."""
+        values = values.flatten(0, -2)
+        mean = values.mean(0)
+        self.means.append(mean)
+        self.variances.append((values - mean).square_().mean(0))
+
+    def total(self) -> tuple[Tensor, Tensor]:
+        """Those of all groups."""
+        means = torch.stack(self.means)
+        mean = means.mean(0)
+        return mean, torch.stack(self.variances).mean(0) + (means - mean).square_().mean(0)
 
 
 class _OfWeight:
@@ -345,15 +362,17 @@ class _OfWeight:
         return of_weight[..., :7].flatten(-2)
 
 
-def _kernels(weight: Tensor) -> list[Tensor]:
-    """Kernels ``(O, C, 3, 3, 3)`` of both directions."""
-    return [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for taps in TAPS]
+def _transformed(
+    weight: Tensor, transform: Callable[..., list[PlanarKernel]] = transformed_kernels
+) -> list[list[PlanarKernel]]:
+    """Kernels of both directions, made ready."""
+    planar = [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for taps in TAPS]
+    return [transform(kernel, neighbor_taps(taps)) for kernel, taps in zip(planar, TAPS, strict=True)]
 
 
-def _transformed(weight: Tensor) -> list[list[PlanarKernel]]:
-    """These, transformed."""
-    pairs = zip(_kernels(weight), TAPS, strict=True)
-    return [transformed_kernels(kernel, neighbor_taps(taps)) for kernel, taps in pairs]
+def _stack(samples: list[Tensor]) -> Tensor:
+    """One tensor of all; without a copy if there is only one."""
+    return samples[0][None] if len(samples) == 1 else torch.stack(samples)
 
 
 def _to_norm(mean: Tensor, invert: Tensor, scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:

@@ -29,6 +29,7 @@ from sphericalvision.crown.winograd import (
     transformed_kernels,
     winograd_pays,
 )
+from sphericalvision.crown.winograd_rows import Workspace
 
 __all__ = ["crown_conv3d_chain"]
 
@@ -91,6 +92,7 @@ def _chain(rows: Tensor, level: int, layers: Sequence[Layer]) -> Tensor:
     padded_size = crown.together * (full + 2) * (2 * crown.n + 3) * (crown.n + 3)
     between = [rows.new_empty(padded_size, width) for width in widths[:-1]]
     last = rows.new_empty(crown.size, widths[-1])
+    workspace = Workspace()
     places = PlaceSum(rows, crown.n, widths[-1])
     for some in crown:
         groups, depth, height, width = some.places.shape
@@ -99,11 +101,10 @@ def _chain(rows: Tensor, level: int, layers: Sequence[Layer]) -> Tensor:
         *middle, end = convolutions[some.across]
         for convolution, given, result in zip(middle, padded[:-1], padded[1:], strict=True):
             inner = result[:, 1:-1, 1:-1, 1:-1]
-            convolution(given, inner)
-            inner.relu_()
+            convolution(given, inner, workspace, rectify=True)
             repeat_border(result, count)
         answer = last.view(groups, depth - 2, height - 2, width - 2, -1)
-        end(padded[-1], answer)
+        end(padded[-1], answer, workspace)
         places.add(answer[:, :count], some)
     return places.mean()
 
@@ -119,14 +120,17 @@ class _Convolution:
         self.winograd = winograd_pays(volumes, self.kernel)
         self.kernels = transformed_kernels(self.kernel, neighbor_taps(taps)) if self.winograd else []
 
-    def __call__(self, padded: Tensor, result: Tensor) -> None:
+    def __call__(self, padded: Tensor, result: Tensor, workspace: Workspace, rectify: bool = False) -> None:
         """Convolve ``(g, N + 2, h + 2, w + 2, C)`` into ``(g, N, h, w, O)``."""
         if self.winograd:
-            convolve_padded(padded, self.kernels, self.bias, result)
-        elif len(self.kernel) == 1:
+            convolve_padded(padded, self.kernels, self.bias, result, workspace, rectify)
+            return
+        if len(self.kernel) == 1:
             result.copy_(self._single(padded)[..., None])
         else:
             result.copy_(F.conv3d(padded.movedim(-1, 1), self.kernel, self.bias).movedim(1, -1))
+        if rectify:
+            result.relu_()
 
     def _single(self, padded: Tensor) -> Tensor:
         """One output channel: a product with all taps at once, and a sum of its rows, shifted."""

@@ -8,7 +8,7 @@ the speed of the machine; the sums around them are a few passes over memory.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import torch
@@ -19,6 +19,7 @@ from torch.autograd.function import once_differentiable
 from sphericalvision.crown.winograd_rows import (
     ALL_TAPS,
     PlanarKernel,
+    Workspace,
     add_gradient_of_rows,
     convolve_rows,
     of_rows,
@@ -26,6 +27,7 @@ from sphericalvision.crown.winograd_rows import (
 )
 
 __all__ = [
+    "adjoint_kernels",
     "conv3d_replicate",
     "conv3d_winograd",
     "convolve_padded",
@@ -40,10 +42,18 @@ __all__ = [
 MIN_CHANNELS = 32
 """Below, the sums cost more than the products saved."""
 
-TRANSFORM_BYTES = 6 << 20
+TRANSFORM_BYTES = 12 << 20
 """Tiles are taken through the transforms a few at a time, each of which takes no more than this: they stay in cache."""
 
-# Rows of the transform of three taps; its columns are the taps.
+# Of the transforms of a line of values: of six given ones, of three taps, and of six products to four results.
+_GIVEN = (
+    (4.0, 0.0, -5.0, 0.0, 1.0, 0.0),
+    (0.0, -4.0, -4.0, 1.0, 1.0, 0.0),
+    (0.0, 4.0, -4.0, -1.0, 1.0, 0.0),
+    (0.0, -2.0, -1.0, 2.0, 1.0, 0.0),
+    (0.0, 2.0, -1.0, -2.0, 1.0, 0.0),
+    (0.0, 4.0, 0.0, -5.0, 0.0, 1.0),
+)
 _TAPS = (
     (1 / 4, 0.0, 0.0),
     (-1 / 6, -1 / 6, -1 / 6),
@@ -52,12 +62,19 @@ _TAPS = (
     (1 / 24, -1 / 12, 1 / 6),
     (0.0, 0.0, 1.0),
 )
+_RESULT = (
+    (1.0, 1.0, 1.0, 1.0, 1.0, 0.0),
+    (0.0, 1.0, -1.0, 2.0, -2.0, 0.0),
+    (0.0, 1.0, 1.0, 4.0, 4.0, 0.0),
+    (0.0, 1.0, -1.0, 8.0, -8.0, 1.0),
+)
 
 
 def winograd_pays(volumes: Tensor, kernel: Tensor) -> bool:
     """Whether ``conv3d_winograd`` is the faster way: single precision on a CPU, and channels enough."""
     wide = kernel.shape[1] >= MIN_CHANNELS and kernel.shape[0] >= MIN_CHANNELS
-    return wide and volumes.dtype == torch.float32 and volumes.device.type == "cpu" and volumes.shape[2] >= 4
+    single = volumes.dtype == torch.float32 and not torch.is_autocast_enabled(volumes.device.type)
+    return wide and single and volumes.device.type == "cpu" and volumes.shape[2] >= 4
 
 
 def conv3d_replicate(
@@ -114,7 +131,7 @@ class _Winograd(torch.autograd.Function):
     def forward(volumes: Tensor, kernel: Tensor, bias: Tensor | None, taps: tuple[int, ...]) -> Tensor:
         padded, (batch, _, count, height, width) = _padded(volumes), volumes.shape
         result = volumes.new_empty(batch, count + -count % 4, height, width, len(kernel))
-        convolve_padded(padded, transformed_kernels(kernel, taps), bias, result)
+        convolve_padded(padded, transformed_kernels(kernel, taps), bias, result, Workspace())
         return result[:, :count].movedim(-1, 1)
 
     @staticmethod
@@ -135,13 +152,21 @@ class _Winograd(torch.autograd.Function):
             of_result.new_zeros(batch, full, height - 2, width - 2, channels) if want_volumes else None
         )
         of_kernels = kernel.new_zeros(6, 4, 3, *kernel.shape[:2]) if want_kernel else None
-        convolve_padded_backward(of_result, padded, kernel, of_padded, of_kernels, ctx.taps)
+        kernels = adjoint_kernels(kernel, ctx.taps)
+        convolve_padded_backward(of_result, padded, kernels, of_padded, of_kernels, Workspace(), ctx.taps)
         of_volumes = None if of_padded is None else unpadded(of_padded, count).movedim(-1, 1)
         of_kernel = None if of_kernels is None else of_taps(of_kernels).unflatten(-1, (3, 3))
         return of_volumes, of_kernel, gradient.sum((0, 2, 3, 4)) if want_bias else None, None
 
 
-def convolve_padded(padded: Tensor, kernels: list[PlanarKernel], bias: Tensor | None, result: Tensor) -> None:
+def convolve_padded(
+    padded: Tensor,
+    kernels: list[PlanarKernel],
+    bias: Tensor | None,
+    result: Tensor,
+    workspace: Workspace,
+    rectify: bool = False,
+) -> None:
     """Convolve padded volumes ``(B, N + 2, h + 2, w + 2, C)``, N a multiple of four, into ``(B, N, h, w, O)``.
 
     Args:
@@ -149,39 +174,33 @@ def convolve_padded(padded: Tensor, kernels: list[PlanarKernel], bias: Tensor | 
         kernels: ``transformed_kernels``.
         bias: ``(O,)``.
         result: overwritten; any strides.
+        workspace: of these convolutions.
+        rectify: whether a ReLU follows.
     """
-    biases = (None, bias, None, None, None, None)  # the second product is part of every output, times one
-    tiles = result.shape[1] // 4
-    together = max(1, TRANSFORM_BYTES // (padded[:, 0].numel() * padded.element_size()))
-    for first in range(0, tiles, together):
-        slab = padded[:, 4 * first : 4 * min(first + together, tiles) + 2]
-        y = result[:, 4 * first : 4 * (first + together)].unflatten(1, (-1, 4))
-        m0, m1, m2, m3, m4, m5 = (
-            convolve_rows(tile, k, b).view(y[:, :, 0].shape)
-            for tile, k, b in zip(_transformed_tiles(slab), kernels, biases, strict=True)
-        )
-        difference1, difference2 = m1 - m2, m3 - m4
-        sum1, sum2 = m1.add_(m2), m3.add_(m4)
-        y0, y1, y2, y3 = y.unbind(2)
-        _sum_into(y0, sum1, sum2, 1).add_(m0)
-        _sum_into(y1, difference1, difference2, 2)
-        _sum_into(y2, sum1, sum2, 4)
-        _sum_into(y3, difference1, difference2, 8).add_(m5)
-
-
-def _sum_into(target: Tensor, first: Tensor, second: Tensor, factor: float) -> Tensor:
-    """Write ``first + factor * second`` to ``target``; compilers want a copy for strided ones."""
-    if torch.compiler.is_compiling():
-        return target.copy_(torch.add(first, second, alpha=factor))
-    return torch.add(first, second, alpha=factor, out=target)
+    for given, some in _slabs(padded, result):
+        tiles = _transformed_tiles(given, workspace)
+        products = workspace.take("products", (len(tiles), 6, *some.shape[2:]), some)
+        for place, kernel in enumerate(kernels):  # the second product is part of every output, times one
+            convolve_rows(
+                tiles[:, place], kernel, bias if place == 1 else None, products[:, place], workspace
+            )
+        if some.is_contiguous():
+            _matmul(_RESULT, products, some.unflatten(1, (-1, 4)).flatten(0, 1))
+        else:
+            values = workspace.take("results", some.shape, some)
+            _matmul(_RESULT, products, values.unflatten(1, (-1, 4)).flatten(0, 1))
+            some.copy_(values)
+        if rectify:
+            some.relu_()
 
 
 def convolve_padded_backward(
     of_result: Tensor,
     padded: Tensor,
-    kernel: Tensor,
+    kernels: list[PlanarKernel],
     of_padded: Tensor | None,
     of_kernels: Tensor | None,
+    workspace: Workspace,
     taps: Sequence[int] = ALL_TAPS,
 ) -> None:
     """The adjoint of ``convolve_padded``; adds to ``of_padded`` and ``of_kernels``, where they are given.
@@ -191,31 +210,76 @@ def convolve_padded_backward(
 
     Args:
         of_result: ``(B, N, h + 4, w + 4, O)``, zero on the two outermost places all around; contiguous.
-        padded: ``(B, N + 2, h + 4, w + 4, C)``, what was convolved and then two rows and columns that are finite.
-        kernel: ``(O, C, 3, 3, 3)``.
+        padded: ``(B, N + 2, h + 4, w + 4, C)``, what was convolved and then two rows and columns that are finite;
+            contiguous.
+        kernels: ``adjoint_kernels``.
         of_padded: ``(B, N + 2, h + 2, w + 2, C)``.
         of_kernels: ``(6, 4, 3, O, C)``, of the transformed kernels; see ``of_taps``.
+        workspace: of these convolutions.
         taps: of the nine in the plane those that are not zero, whose gradient is wanted.
     """
-    tiles = of_result.shape[1] // 4
-    kernels = transformed_kernels(kernel.flip(3, 4).transpose(0, 1), [8 - tap for tap in taps])
-    together = max(1, TRANSFORM_BYTES // (padded[:, 0].numel() * padded.element_size()))
-    for first in range(0, tiles, together):
-        last = min(first + together, tiles)
-        slab = padded[:, 4 * first : 4 * last + 2]
-        y0, y1, y2, y3 = of_result[:, 4 * first : 4 * last].unflatten(1, (-1, 4)).unbind(2)
-        even, odd, even4, odd8 = y0 + y2, y1 + y3, y0.add(y2, alpha=4), (2 * y1).add_(y3, alpha=8)
-        products = (y0, even + odd, even.sub_(odd), even4 + odd8, even4.sub_(odd8), y3)
-        of_tiles = []
-        transformed = _transformed_tiles(slab) if of_kernels is not None else [None] * 6
-        for place, (product, tile) in enumerate(zip(products, transformed, strict=True)):
-            planes = product.flatten(0, 1)  # copies y0 and y3
-            if of_padded is not None:
-                of_tiles.append(convolve_rows(planes, kernels[place]))
-            if of_kernels is not None and tile is not None:
-                add_gradient_of_rows(planes, tile, taps, of_kernels[place])
+    to_products = tuple(zip(*_RESULT, strict=True))
+    first = 0
+    for given, some in _slabs(padded, of_result):
+        of_products = workspace.take(
+            "of_products", (some[:, ::4].flatten(0, 1).shape[0], 6, *some.shape[2:]), some
+        )
+        for place, group in enumerate(some):
+            sized = of_products.unflatten(0, (len(some), -1))[place]
+            _matmul(to_products, group.unflatten(0, (-1, 4)), sized)
+        if of_kernels is not None:
+            tiles = _transformed_tiles(given, workspace)
+            for place in range(6):
+                add_gradient_of_rows(
+                    of_products[:, place], tiles[:, place], taps, of_kernels[place], workspace
+                )
         if of_padded is not None:
-            _add_gradient_of_tiles(of_tiles, of_padded[:, 4 * first : 4 * last + 2])
+            last = first + some.shape[1]
+            _add_gradient_of_tiles(of_products, kernels, of_padded[:, first : last + 2], workspace)
+            first = last
+
+
+def _slabs(padded: Tensor, result: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield volumes ``(B, 4 T + 2, *)`` and results ``(B, 4 T, *)``, so many tiles T at a time as stay in cache."""
+    count = result.shape[1]
+    together = max(1, TRANSFORM_BYTES // (padded[:, 0].numel() * padded.element_size()))
+    for first in range(0, count, 4 * together):
+        last = min(first + 4 * together, count)
+        yield padded[:, first : last + 2], result[:, first:last]
+
+
+def _matmul(matrix: Sequence[Sequence[float]], values: Tensor, out: Tensor) -> None:
+    """Multiply a matrix ``(p, q)`` with values ``(B, q, *)`` into ``(B, p, *)``, contiguous in all but B."""
+    factor = values.new_tensor(matrix).expand(len(values), -1, -1)
+    if torch.compiler.is_compiling():
+        out.copy_((factor @ values.flatten(2)).view(out.shape))
+    else:
+        torch.bmm(factor, values.flatten(2), out=out.flatten(2))
+
+
+def _transformed_tiles(padded: Tensor, workspace: Workspace) -> Tensor:
+    """The six transforms of all tiles of ``(B, 4 T + 2, H, W, C)``: ``(B * T, 6, H, W, C)``."""
+    batch, length, *image = padded.shape
+    tiles = workspace.take("tiles", (batch, length // 4, 6, *image), padded)
+    for volume, transformed in zip(padded, tiles, strict=True):
+        overlapping = volume.flatten(1).unfold(0, 6, 4).mT
+        _matmul(_GIVEN, overlapping, transformed.flatten(2))
+    return tiles.flatten(0, 1)
+
+
+def _add_gradient_of_tiles(
+    of_products: Tensor, kernels: list[PlanarKernel], of_padded: Tensor, workspace: Workspace
+) -> None:
+    """Add to ``of_padded`` ``(B, 4 T + 2, h, w, C)`` what follows from ``(B * T, 6, h + 2, w + 2, O)``."""
+    batch, length, *image = of_padded.shape
+    of_tiles = workspace.take("of_tiles", (len(of_products), 6, *image), of_padded)
+    for place, kernel in enumerate(kernels):
+        convolve_rows(of_products[:, place], kernel, None, of_tiles[:, place], workspace)
+    summed = workspace.take("tiles", of_tiles.shape, of_padded)
+    _matmul(tuple(zip(*_GIVEN, strict=True)), of_tiles, summed)
+    of_given = summed.unflatten(0, (batch, -1)).unbind(2)
+    for place, values in enumerate(of_given):
+        of_padded[:, place : place + length - 2 : 4] += values
 
 
 def of_taps(of_kernels: Tensor) -> Tensor:
@@ -261,37 +325,12 @@ def unpadded(padded: Tensor, count: int) -> Tensor:
     return inner[:, :, 1:-1, 1:-1]
 
 
-def _add_gradient_of_tiles(of_tiles: list[Tensor], of_padded: Tensor) -> None:
-    """The adjoint of ``_transformed_tiles``, added to ``of_padded``."""
-    v0, v1, v2, v3, v4, v5 = (g.unflatten(0, (len(of_padded), -1)) for g in of_tiles)
-    difference1, difference2 = v1 - v2, v3 - v4
-    sum1, sum2 = v1.add_(v2), v3.add_(v4)
-    length = of_padded.shape[1] - 2
-    at = [of_padded[:, place : place + length : 4] for place in range(6)]
-    at[0].add_(v0, alpha=4)
-    at[1].add_(v5, alpha=4).sub_(difference1, alpha=4).sub_(difference2, alpha=2)
-    at[2].sub_(v0, alpha=5).sub_(sum1, alpha=4).sub_(sum2)
-    at[3].sub_(v5, alpha=5).add_(difference1).add_(difference2, alpha=2)
-    at[4].add_(sum1).add_(sum2).add_(v0)
-    at[5].add_(v5)
-
-
-def _transformed_tiles(padded: Tensor) -> Any:
-    """Yield the six transforms of all tiles, each ``(B * N' / 4, h + 2, w + 2, C)``."""
-    length = padded.shape[1] - 2
-    d0, d1, d2, d3, d4, d5 = (padded[:, place : place + length : 4] for place in range(6))
-
-    yield d4.add(d0, alpha=4).sub_(d2, alpha=5).flatten(0, 1)
-    even, odd = d4.sub(d2, alpha=4), d3.sub(d1, alpha=4)
-    yield (even + odd).flatten(0, 1)
-    yield even.sub_(odd).flatten(0, 1)
-    even, odd = d4 - d2, d3 - d1
-    yield even.add(odd, alpha=2).flatten(0, 1)
-    yield even.sub_(odd, alpha=2).flatten(0, 1)
-    yield d5.add(d1, alpha=4).sub_(d3, alpha=5).flatten(0, 1)
-
-
 def transformed_kernels(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> list[PlanarKernel]:
     """Six planar kernels ``(O, C, 3, 3)`` of one ``(O, C, 3, 3, 3)`` whose taps but those given are zero."""
     transformed = torch.einsum("kd,ocdij->kocij", kernel.new_tensor(_TAPS), kernel)
     return [planar_kernel(k, taps) for k in transformed]
+
+
+def adjoint_kernels(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> list[PlanarKernel]:
+    """The six for the gradient of what is convolved."""
+    return transformed_kernels(kernel.flip(3, 4).transpose(0, 1), [8 - tap for tap in taps])

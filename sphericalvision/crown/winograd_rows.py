@@ -7,6 +7,7 @@ one row of the kernel alone, so that at a hexagon's kernel, whose outer rows hav
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -20,6 +21,21 @@ ALL_TAPS = tuple(range(9))
 
 # Rows of the transform of three rows of taps; its columns are the rows of the kernel.
 _ROWS = ((1.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.5, -0.5, 0.5), (0.0, 0.0, 1.0))
+
+
+class Workspace:
+    """Memory for what lies between, kept from one convolution to the next: fresh pages cost as much as the sums."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, Tensor] = {}
+
+    def take(self, name: str, shape: Sequence[int], like: Tensor) -> Tensor:
+        """A tensor of that shape whose values are left from before."""
+        size = math.prod(shape)
+        kept = self._kept.get(name)
+        if kept is None or kept.numel() < size:
+            kept = self._kept[name] = like.new_empty(size)
+        return kept[:size].view(shape)
 
 
 class PlanarKernel(NamedTuple):
@@ -56,51 +72,49 @@ def _columns(taps: Sequence[int]) -> list[tuple[int, int]]:
     return [(min(some), max(some)) for some in (of_row[0], of_all, of_all, of_row[2])]
 
 
-def convolve_rows(images: Tensor, kernel: PlanarKernel, bias: Tensor | None = None) -> Tensor:
-    """Convolve images ``(B, h + 2, w + 2, C)`` to ``(B, h, w, O)``; contiguous.
+def convolve_rows(
+    images: Tensor, kernel: PlanarKernel, bias: Tensor | None, out: Tensor, workspace: Workspace
+) -> None:
+    """Convolve images ``(B, h + 2, w + 2, C)`` into ``(B, h, w, O)``; both of any strides.
 
     References:
         Winograd (1980), "Arithmetic complexity of computations"; Lavin and Gray (2016), "Fast algorithms for
         convolutional neural networks", for F(2, 3).
-
-    Examples:
-        >>> kernel = planar_kernel(torch.ones(1, 2, 3, 3))
-        >>> convolve_rows(torch.ones(1, 5, 6, 2), kernel).shape
-        torch.Size([1, 3, 4, 1])
     """
     if torch.compiler.is_compiling():  # a compiler takes long for many small products
-        return F.conv2d(images.movedim(-1, 1), kernel.whole, bias).movedim(1, -1)
-    batch, height, width, _ = images.shape
-    result = images.new_empty(batch, height - 2, width - 2, len(kernel.whole))
-    even, odd = result[:, ::2], result[:, 1::2]
+        out.copy_(F.conv2d(images.movedim(-1, 1), kernel.whole, bias).movedim(1, -1))
+        return
+    even, odd = out[:, ::2], out[:, 1::2]
     biases = (None, bias, None, None)  # the second product is part of every output, times one
     p0, p1, p2, p3 = (
         F.conv2d(tile.movedim(-1, 1), row, b).movedim(1, -1)
-        for tile, row, b in zip(_transformed(images, kernel.columns), kernel.rows, biases, strict=True)
+        for tile, row, b in zip(
+            _transformed(images, kernel.columns, workspace), kernel.rows, biases, strict=True
+        )
     )
     count = odd.shape[1]
     torch.add(p1, p2, out=even).add_(p0)
     torch.sub(p1[:, :count], p2[:, :count], out=odd).sub_(p3)
-    return result
 
 
-def _transformed(images: Tensor, columns: Sequence[tuple[int, int]]) -> Iterator[Tensor]:
+def _transformed(
+    images: Tensor, columns: Sequence[tuple[int, int]], workspace: Workspace
+) -> Iterator[Tensor]:
     """The four transforms of all tiles of four rows; the last has one row less at an odd number of outputs."""
-    width = images.shape[2]
-    first0, last0 = columns[0]
-    first1, last1 = columns[1]
-    first3, last3 = columns[3]
-    rows0, rows1, rows2, rows3 = images[:, :-2:2], images[:, 1:-1:2], images[:, 2::2], images[:, 3::2]
-    some = slice(first0, width - 2 + last0)
-    yield rows0[:, :, some] - rows2[:, :, some]
-    some = slice(first1, width - 2 + last1)
-    yield rows1[:, :, some] + rows2[:, :, some]
-    yield rows2[:, :, some] - rows1[:, :, some]
-    some = slice(first3, width - 2 + last3)
-    yield rows1[:, : rows3.shape[1], some] - rows3[:, :, some]
+    rows = images[:, :-2:2], images[:, 1:-1:2], images[:, 2::2], images[:, 3::2]
+    count, width = rows[3].shape[1], images.shape[2] - 2
+    for place, (one, other, sign) in enumerate(((0, 2, -1), (1, 2, 1), (2, 1, -1), (1, 3, -1))):
+        first, last = columns[place]
+        some = slice(None, count if place == 3 else None), slice(first, width + last)
+        minuend, subtrahend = (rows[k][:, *some] for k in (one, other))
+        shape = minuend.shape
+        tile = workspace.take(f"rows {place}", shape, images)
+        yield torch.add(minuend, subtrahend, alpha=sign, out=tile)
 
 
-def add_gradient_of_rows(of_result: Tensor, images: Tensor, taps: Sequence[int], out: Tensor) -> None:
+def add_gradient_of_rows(
+    of_result: Tensor, images: Tensor, taps: Sequence[int], out: Tensor, workspace: Workspace
+) -> None:
     """Add to ``out`` the gradient of a kernel's transform: one product a tap of one grid, shifted.
 
     Args:
@@ -113,7 +127,7 @@ def add_gradient_of_rows(of_result: Tensor, images: Tensor, taps: Sequence[int],
     columns = _columns(taps)
     of_products = even.contiguous(), even + odd, even - odd, -odd
     whole = [(0, 2)] * 4
-    for place, tile in enumerate(_transformed(images[:, :-2], whole)):
+    for place, tile in enumerate(_transformed(images[:, :-2], whole, workspace)):
         rows = tile.flatten(1, 2)
         of_parts = of_products[place][:, : tile.shape[1]].flatten(1, 2)[:, 2:].mT
         number = rows.shape[1] - 2

@@ -14,7 +14,7 @@ from sphericalvision.crown.layout import _place_ids, places_per_vertex
 
 __all__ = ["PlaceSum", "Rectangles", "Some"]
 
-CACHE_BYTES = 8 << 20
+CACHE_BYTES = 16 << 20
 """Five rectangles that together take no more than this are taken together."""
 
 

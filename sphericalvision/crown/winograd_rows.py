@@ -19,6 +19,9 @@ __all__ = ["ALL_TAPS", "PlanarKernel", "add_gradient_of_rows", "convolve_rows", 
 
 ALL_TAPS = tuple(range(9))
 
+MIN_PLACES = 5000
+"""Images of fewer places altogether are convolved with the whole kernel: small products are slow."""
+
 # Rows of the transform of three rows of taps; its columns are the rows of the kernel.
 _ROWS = ((1.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.5, -0.5, 0.5), (0.0, 0.0, 1.0))
 
@@ -81,7 +84,8 @@ def convolve_rows(
         Winograd (1980), "Arithmetic complexity of computations"; Lavin and Gray (2016), "Fast algorithms for
         convolutional neural networks", for F(2, 3).
     """
-    if torch.compiler.is_compiling():  # a compiler takes long for many small products
+    few = images.shape[:3].numel() < MIN_PLACES
+    if few or torch.compiler.is_compiling():  # compilers take long for many small products
         out.copy_(F.conv2d(images.movedim(-1, 1), kernel.whole, bias).movedim(1, -1))
         return
     even, odd = out[:, ::2], out[:, 1::2]

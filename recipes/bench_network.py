@@ -88,7 +88,7 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
         },
         "plain",
         flop_regularizer,
-        "Operations are those of the plain way; Winograd's way needs three tenths of them, so that its share may pass 100 %.",
+        "Operations are those of the plain way; Winograd's way needs three tenths of them: its share may pass 100 %.",
         gbyte=_gbyte(volume, logits) + sum(p.numel() * 4 for p in net.regularizer.parameters()) / 1e9,
     )
     steps = torch.arange(number, device=device, dtype=logits.dtype).view(1, -1, 1)

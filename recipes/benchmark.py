@@ -6,6 +6,7 @@ Every figure stands beside a plain way to do the same work, run in turns with it
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig
 
-from sphericalvision.core import check_choice
+from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.bench_tables import machine, print_measured, save_measured
 from sphericalvision.recipes.benchmarking import Comparison, Measured, Peaks, measure
 from sphericalvision.recipes.cli import choose_device, command, console, output_folder
@@ -35,9 +36,14 @@ def comparisons(group: str, config: DictConfig, device: torch.device) -> Iterato
 
 
 def benchmark(config: DictConfig, folder: Path) -> list[Measured]:
-    """Measure the groups that ``config`` names; the tables go to ``folder``."""
+    """Measure the groups that ``config`` names; the tables go to ``folder``.
+
+    Raises:
+        ArgumentError: there is no such group, or nothing of that title.
+    """
     for group in config.groups:
         check_choice("groups", group, GROUPS)
+    wanted = _expression(config.only)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
     device = choose_device(config.device)
@@ -45,16 +51,29 @@ def benchmark(config: DictConfig, folder: Path) -> list[Measured]:
     for key, value in facts.items():
         console.print(f"{key}: {value}", highlight=False)
     rows: list[Measured] = []
+    titles: list[str] = []
     for group in config.groups:
         for comparison in comparisons(group, config, device):
+            if not wanted.search(comparison.title):
+                titles.append(comparison.title)
+                continue
             with console.status(comparison.title):
                 measured = measure(comparison, config.seconds, device, peaks=Peaks.of(rows))
             print_measured(measured)
             rows += measured
             written = save_measured(folder, rows, facts)  # after each, so that an interruption loses little
+    if not rows:
+        raise ArgumentError(f"only: expected a part of a title, got {config.only!r}; there are {titles}")
     for path in written:
         print(path)
     return rows
+
+
+def _expression(only: str | None) -> re.Pattern[str]:
+    try:
+        return re.compile(only or "")
+    except re.error as error:
+        raise ArgumentError(f"only: expected a regular expression, got {only!r}: {error}") from error
 
 
 @command("benchmark")

@@ -206,6 +206,15 @@ def test_an_unknown_group_is_refused_before_anything_runs(tmp_path: Path) -> Non
     assert not list(tmp_path.iterdir())
 
 
+def test_what_to_measure_is_found_by_title(tmp_path: Path) -> None:
+    titles = {row.title for row in benchmark(config("only='copy|regression'"), tmp_path)}
+    assert sorted(title.split(":")[0] for title in titles) == ["level 3 to 1, N = 4", "peak"]
+    with pytest.raises(ArgumentError, match="only: expected a part of a title"):
+        benchmark(config("only=regresion"), tmp_path)
+    with pytest.raises(ArgumentError, match="only: expected a regular expression"):
+        benchmark(config("only='('"), tmp_path)
+
+
 def test_bare_formulas_are_those_of_the_camera_models() -> None:
     """Both ways."""
     seen = set()

@@ -42,7 +42,7 @@ __all__ = [
 MIN_CHANNELS = 32
 """Below, the sums cost more than the products saved."""
 
-TRANSFORM_BYTES = 12 << 20
+TRANSFORM_BYTES = 6 << 20
 """Tiles are taken through the transforms a few at a time, each of which takes no more than this: they stay in cache."""
 
 # Of the transforms of a line of values: of six given ones, of three taps, and of six products to four results.
@@ -242,7 +242,9 @@ def convolve_padded_backward(
 def _slabs(padded: Tensor, result: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
     """Yield volumes ``(B, 4 T + 2, *)`` and results ``(B, 4 T, *)``, so many tiles T at a time as stay in cache."""
     count = result.shape[1]
-    together = max(1, TRANSFORM_BYTES // (padded[:, 0].numel() * padded.element_size()))
+    at_most = max(1, TRANSFORM_BYTES // (padded[:, 0].numel() * padded.element_size()))
+    tiles = count // 4
+    together = -(-tiles // -(-tiles // at_most))  # as even as can be
     for first in range(0, count, 4 * together):
         last = min(first + 4 * together, count)
         yield padded[:, first : last + 2], result[:, first:last]

@@ -207,11 +207,15 @@ class IcoSweepNet(nn.Module):
         if order is not None:
             order = order.to(images.device)
             features, tables = features[:, order], tables.permuted(order)
+        # In one expression, so that nothing keeps the cost volume while what follows from it is refined.
+        return self.regularizer.refine(self.regularizer.fuse(self._cost_volume(images, features, tables)))
+
+    def _cost_volume(self, images: Tensor, features: Tensor, tables: SweepTables) -> Tensor:
         volume = self.sweep(features, tables)
         if self.aggregation == "concatenation":
-            return self.regularizer(concatenate_cameras(volume))
+            return concatenate_cameras(volume)
         seen = volume.mask & self._not_blank(images, tables)
-        return self.regularizer(mean_and_variance(SweepVolume(volume.values, seen)))
+        return mean_and_variance(SweepVolume(volume.values, seen))
 
     def extract_features(self, images: Tensor) -> Tensor:
         """Return the features ``(B, n, C, V_{level-feature_coarsening})`` of images ``(B, n, 3, V_level)``.

@@ -130,10 +130,18 @@ class CostRegularizer(nn.Module):
         self.score = CrownConv3d(channels, 1)
 
     def forward(self, volume: Tensor) -> Tensor:
-        volume = self._run(self.fusion, volume)
+        return self.refine(self.fuse(volume))
+
+    def fuse(self, volume: Tensor) -> Tensor:
+        """The first block, ``(B, 2 * channels, N, V)``: after it the large volume it was given can go."""
+        return self._run(self.fusion, volume)
+
+    def refine(self, volume: Tensor) -> Tensor:
+        """All that follows ``fuse``, in whose volume it works where no gradient is wanted."""
         for block in self.blocks:
             change = self._run(block, volume)
-            volume = volume + change if torch.is_grad_enabled() else change.add_(volume)
+            volume = volume + change if torch.is_grad_enabled() else volume.add_(change)
+            del change
         if self.reduction.norm.is_affine and not torch.is_grad_enabled():
             layers = [self.reduction.layer, (self.score.weight, self.score.bias)]
             return crown_conv3d_chain(volume, layers).squeeze(1)

@@ -92,7 +92,7 @@ def test_a_blank_camera_does_not_count(generator: torch.Generator) -> None:
     images = 2 * torch.rand(1, 3, 3, 642, generator=generator) - 1
     images[:, 1] = 0
     volumes = []
-    net.regularizer.register_forward_pre_hook(lambda _, inputs: volumes.append(inputs[0]))
+    net.regularizer.fusion.register_forward_pre_hook(lambda _, inputs: volumes.append(inputs[0]))
     net(images, rig)
     mean, variance, share = volumes[0].split((4, 4, 1), 1)
     first, last = net.sweep(net.extract_features(images), rig).values[:, [0, 2]].unbind(1)

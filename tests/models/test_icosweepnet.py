@@ -206,3 +206,26 @@ def test_errors_name_the_argument() -> None:
     for name, value in (("level", 1), ("num_hypotheses", 1), ("min_depth", -1.0), ("num_cameras", 0)):
         with pytest.raises(ArgumentError, match=name):
             small_net(**{name: value})
+
+
+@pytest.mark.parametrize("aggregation", ["concatenation", "variance"])
+@pytest.mark.parametrize("training", [False, True])
+def test_mixed_precision_stays_close_to_single_precision(aggregation: str, training: bool) -> None:
+    torch.manual_seed(0)
+    net = IcoSweepNet(
+        3, 4, feature_channels=16, aggregation=aggregation, shuffle_cameras=False, norm="instance"
+    ).train(training)
+    pictures, rig = 2 * torch.rand(1, 4, 3, IMAGE_VERTICES) - 1, ring_rig(4)
+    found = []
+    for mixed in (False, True):
+        net.zero_grad()
+        with torch.autocast("cpu", torch.bfloat16, enabled=mixed):
+            index = net(pictures, rig)
+        index.float().square().mean().backward()
+        with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=mixed):
+            torch.testing.assert_close(net(pictures, rig), index, atol=1e-2, rtol=1e-2)
+        gradients = [p.grad.flatten() for p in net.parameters() if p.grad is not None]
+        found.append((index.detach().float(), torch.cat(gradients)))
+    (single, of_single), (mixed_index, of_mixed) = found
+    assert (single - mixed_index).abs().max() < 0.1
+    assert torch.cosine_similarity(of_single, of_mixed, 0) > 0.8

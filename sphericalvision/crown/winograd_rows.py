@@ -87,7 +87,7 @@ def convolve_rows(
         Winograd (1980), "Arithmetic complexity of computations"; Lavin and Gray (2016), "Fast algorithms for
         convolutional neural networks", for F(2, 3).
     """
-    few = images.shape[:3].numel() < MIN_PLACES
+    few = images.shape[:3].numel() < MIN_PLACES or images.shape[1] < 4
     if few or torch.compiler.is_compiling():  # compilers take long for many small products
         out.copy_(F.conv2d(images.movedim(-1, 1), kernel.whole, bias).movedim(1, -1))
         return
@@ -136,6 +136,8 @@ def add_gradient_of_rows(
     parts = max(number for number in range(1, PARTS + 1) if len(images) % number == 0)
     for place, tile in enumerate(_transformed(images[:, :-2], [(0, 2)] * 4, workspace)):
         if place == 3:
+            if not tile.numel():  # of a single row
+                break
             of_tile = odd[:, : tile.shape[1]].neg()
         else:
             of_tile = even.contiguous() if place == 0 else even.add(odd, alpha=3 - 2 * place)

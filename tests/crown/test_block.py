@@ -57,6 +57,7 @@ def test_values_and_gradients_are_those_of_whole_crowns(
 ) -> None:
     monkeypatch.setattr("sphericalvision.crown.rectangles.CACHE_BYTES", cache_bytes)
     monkeypatch.setattr("sphericalvision.crown.winograd.TRANSFORM_BYTES", cache_bytes)
+    monkeypatch.setattr("sphericalvision.crown.winograd_rows.MIN_PLACES", cache_bytes)
     tensors = inputs(generator, batch, count, level)
     (expected, _), (result, _) = on_whole_crowns(*tensors), block(*tensors)
     torch.testing.assert_close(result, expected)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 import torch
 import torch.nn.functional as F
@@ -24,6 +26,12 @@ def direct(volumes: Tensor, kernel: Tensor, bias: Tensor | None = None) -> Tenso
     return F.conv3d(F.pad(volumes, (1, 1, 1, 1, 1, 1), mode="replicate"), kernel, bias)
 
 
+@pytest.fixture(params=[0, 10**9], ids=["rows", "whole"], autouse=True)
+def min_places(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels a row at a time, as for large planes, and whole ones, as for small planes."""
+    monkeypatch.setattr("sphericalvision.crown.winograd_rows.MIN_PLACES", request.param)
+
+
 @pytest.mark.parametrize("count", [4, 5, 6, 7, 8, 1])
 def test_values_and_gradients_are_those_of_the_direct_sum(generator: torch.Generator, count: int) -> None:
     def draw(*shape: int) -> Tensor:
@@ -39,6 +47,25 @@ def test_values_and_gradients_are_those_of_the_direct_sum(generator: torch.Gener
         strict=True,
     ):
         torch.testing.assert_close(ours, theirs)
+
+
+@pytest.mark.parametrize("taps", [range(9), (1, 2, 3, 4, 5, 6, 7), (0, 1, 4, 7, 8), (3, 4, 5), (0,)])
+@pytest.mark.parametrize("size", [(5, 4), (4, 3), (1, 1), (2, 7)])
+def test_kernels_with_taps_missing(
+    generator: torch.Generator, taps: Sequence[int], size: tuple[int, int]
+) -> None:
+    volumes = torch.randn(2, 3, 6, *size, generator=generator, dtype=torch.float64).requires_grad_()
+    kernel = torch.randn(2, 3, 3, 9, generator=generator, dtype=torch.float64)
+    missing = [tap for tap in range(9) if tap not in taps]
+    kernel[..., missing] = 0
+    kernel = kernel.unflatten(-1, (3, 3)).requires_grad_()
+    expected, result = direct(volumes, kernel), conv3d_winograd(volumes, kernel, None, taps)
+    torch.testing.assert_close(result, expected)
+    upstream = torch.randn(expected.shape, generator=generator, dtype=torch.float64)
+    ours, of_kernel = torch.autograd.grad(result, (volumes, kernel), upstream)
+    theirs, of_direct = torch.autograd.grad(expected, (volumes, kernel), upstream)
+    torch.testing.assert_close(ours, theirs)
+    torch.testing.assert_close(of_kernel.flatten(-2)[..., taps], of_direct.flatten(-2)[..., taps])
 
 
 def test_taps_that_are_zero_now_have_a_gradient(generator: torch.Generator) -> None:

@@ -15,6 +15,7 @@ from sphericalvision.crown import (
     to_crown,
 )
 from sphericalvision.crown.block import Moments, NormedLayer, crown_block3d
+from tests.crown.same import assert_same_values_and_gradients
 
 
 def inputs(generator: torch.Generator, batch: int, count: int, level: int) -> list[Tensor]:
@@ -60,32 +61,18 @@ def test_values_and_gradients_are_those_of_whole_crowns(
     monkeypatch.setattr("sphericalvision.crown.winograd_rows.MIN_PLACES", cache_bytes)
     tensors = inputs(generator, batch, count, level)
     (expected, _), (result, _) = on_whole_crowns(*tensors), block(*tensors)
-    torch.testing.assert_close(result, expected)
-    upstream = torch.randn(expected.shape, generator=generator, dtype=torch.float64)
-    for ours, theirs in zip(
-        torch.autograd.grad(result, tensors, upstream),
-        torch.autograd.grad(expected, tensors, upstream),
-        strict=True,
-    ):
-        torch.testing.assert_close(ours, theirs)
+    assert_same_values_and_gradients(result, expected, tensors, generator)
 
 
 def test_the_second_layer_may_be_without_normalisation(generator: torch.Generator) -> None:
     values, weight1, scale1, shift1, weight2, *_ = inputs(generator, 2, 6, 1)
     tensors = values, weight1, scale1, shift1, weight2
-    upstream = torch.randn(2, 4, 6, 42, generator=generator).double()
     norm = norm_of(scale1, shift1)
     crown = crown_relu(norm(crown_conv3d(to_crown(values), weight1)))
     expected = from_crown(crown_conv3d(crown, weight2))
     result, moments = crown_block3d(values, NormedLayer(weight1, scale1, shift1, 1e-5), NormedLayer(weight2))
     assert len(moments) == 1
-    torch.testing.assert_close(result, expected)
-    for ours, theirs in zip(
-        torch.autograd.grad(result, tensors, upstream),
-        torch.autograd.grad(expected, tensors, upstream),
-        strict=True,
-    ):
-        torch.testing.assert_close(ours, theirs)
+    assert_same_values_and_gradients(result, expected, tensors, generator)
 
 
 def test_statistics_are_those_of_the_normalisation(generator: torch.Generator) -> None:

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.crown.planar import conv2d_replicate
+from tests.crown.same import assert_same_values_and_gradients
 
 
 def draw(generator: torch.Generator, *shape: int) -> Tensor:
@@ -24,14 +25,7 @@ def test_values_and_gradients_are_those_of_the_direct_sum(
     images, kernel, bias = inputs
     expected = F.conv2d(F.pad(images, (1, 1, 1, 1), mode="replicate"), kernel, bias, stride)
     result = conv2d_replicate(images, kernel, bias, stride)
-    torch.testing.assert_close(result, expected)
-    upstream = torch.randn(expected.shape, generator=generator, dtype=torch.float64)
-    for ours, theirs in zip(
-        torch.autograd.grad(result, inputs, upstream),
-        torch.autograd.grad(expected, inputs, upstream),
-        strict=True,
-    ):
-        torch.testing.assert_close(ours, theirs)
+    assert_same_values_and_gradients(result, expected, inputs, generator)
 
 
 def test_images_that_need_no_gradient_get_none(generator: torch.Generator) -> None:

@@ -20,6 +20,7 @@ from sphericalvision.crown import (
     to_crown,
 )
 from sphericalvision.crown.winograd import conv3d_replicate, conv3d_winograd, winograd_pays
+from tests.crown.same import assert_same_values_and_gradients
 
 
 def direct(volumes: Tensor, kernel: Tensor, bias: Tensor | None = None) -> Tensor:
@@ -39,14 +40,7 @@ def test_values_and_gradients_are_those_of_the_direct_sum(generator: torch.Gener
 
     inputs = draw(2, 3, count, 5, 4), draw(2, 3, 3, 3, 3), draw(2)
     expected, result = direct(*inputs), conv3d_winograd(*inputs)
-    torch.testing.assert_close(result, expected)
-    upstream = torch.randn(expected.shape, generator=generator, dtype=torch.float64)
-    for ours, theirs in zip(
-        torch.autograd.grad(result, inputs, upstream),
-        torch.autograd.grad(expected, inputs, upstream),
-        strict=True,
-    ):
-        torch.testing.assert_close(ours, theirs)
+    assert_same_values_and_gradients(result, expected, inputs, generator)
 
 
 @pytest.mark.parametrize("taps", [range(9), (1, 2, 3, 4, 5, 6, 7), (0, 1, 4, 7, 8), (3, 4, 5), (0,)])

@@ -35,6 +35,9 @@ __all__ = ["crown_conv3d_chain"]
 
 Layer = tuple[Tensor, Tensor | None]
 
+SLOW_ALONE = 20480
+"""A single volume of no more channels x hypotheses x rows than this torch convolves in a slow way."""
+
 
 @torch.no_grad()
 def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer]) -> Tensor:
@@ -86,7 +89,8 @@ def _chain(rows: Tensor, level: int, layers: Sequence[Layer]) -> Tensor:
         [_Convolution(weight, bias, taps, rows) for weight, bias in layers] for taps in (COL_TAPS, ROW_TAPS)
     ]
     full = count + (-count % 4 if any(c.winograd for c in convolutions[0]) else 0)
-    crown = Rectangles(rows, level, full)
+    five = any(c.slow_alone((full + 2) * (2**level + 3)) for c in convolutions[0])
+    crown = Rectangles(rows, level, full, five=five)
     # Large new tensors cost fresh pages: what lies between two layers is always in the same place.
     widths = [channels, *(len(weight) for weight, _ in layers)]
     padded_size = crown.together * (full + 2) * (2 * crown.n + 3) * (crown.n + 3)
@@ -119,6 +123,11 @@ class _Convolution:
         volumes = rows.movedim(-1, 0)[None, :, :, None]  # (1, C, N, 1, V)
         self.winograd = winograd_pays(volumes, self.kernel)
         self.kernels = transformed_kernels(self.kernel, neighbor_taps(taps)) if self.winograd else []
+
+    def slow_alone(self, places: int) -> bool:
+        """Whether torch is slow at a single volume of so many hypotheses x rows."""
+        direct = not self.winograd and len(self.kernel) > 1
+        return direct and self.kernel.shape[1] * places <= SLOW_ALONE
 
     def __call__(self, padded: Tensor, result: Tensor, workspace: Workspace, rectify: bool = False) -> None:
         """Convolve ``(g, N + 2, h + 2, w + 2, C)`` into ``(g, N, h, w, O)``."""

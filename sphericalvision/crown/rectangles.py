@@ -41,18 +41,20 @@ class Rectangles:
         level: of the icosphere.
         full: N' to which hypotheses are filled up, by repeating the last one.
         room: whether to leave two more rows and columns after each rectangle.
+        five: whether to take five together however large they are.
 
     Attributes:
         together: rectangles in a group.
         size: places of a group without borders, ``N' * h * w`` of each rectangle, the same for both directions.
     """
 
-    def __init__(self, rows: Tensor, level: int, full: int, room: bool = False) -> None:
+    def __init__(self, rows: Tensor, level: int, full: int, room: bool = False, five: bool = False) -> None:
         self.level, self.full, self.room = level, full, room
         self.n = n = 2**level
         self.count, self.vertices, channels = rows.shape
         bytes_of_five = 5 * (2 * n + 1) * (n + 1) * full * channels * rows.element_size()
-        self.together = 5 if rows.device.type != "cpu" or bytes_of_five <= CACHE_BYTES else 1
+        five = five or rows.device.type != "cpu" or bytes_of_five <= CACHE_BYTES
+        self.together = 5 if five else 1
         self.size = self.together * full * (2 * n + 1) * (n + 1)
         self.device = rows.device
 

@@ -129,3 +129,26 @@ def test_a_folded_normalisation_equals_the_separate_one(generator: torch.Generat
     expected, result = norm(conv(crown)), crown_conv3d(crown, *norm.folded(conv.weight))
     torch.testing.assert_close(result.col, expected.col, atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(result.row, expected.row, atol=1e-5, rtol=1e-5)
+
+
+@torch.no_grad()
+def test_narrow_volumes_are_convolved_five_at_a_time(
+    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = torch.randn(1, 4, 6, 162, generator=generator)
+    layers = [(torch.randn(4, 4, 21, generator=generator), None)] * 2
+    monkeypatch.setattr("sphericalvision.crown.rectangles.CACHE_BYTES", 0)
+    sizes = []
+
+    def convolve(volumes: Tensor, *args: Tensor | None) -> Tensor:
+        sizes.append(len(volumes))
+        return direct_conv(volumes, *args)
+
+    direct_conv = F.conv3d
+    monkeypatch.setattr("sphericalvision.crown.chain.F.conv3d", convolve)
+    five = crown_conv3d_chain(values, layers)
+    assert set(sizes) == {5}
+    sizes.clear()
+    monkeypatch.setattr("sphericalvision.crown.chain.SLOW_ALONE", 0)
+    torch.testing.assert_close(crown_conv3d_chain(values, layers), five, atol=1e-4, rtol=1e-5)
+    assert set(sizes) == {1}

@@ -24,8 +24,8 @@ from sphericalvision.sweep import SphereSweep
 
 __all__ = ["WAYS", "alone"]
 
-WAYS = ("plain", "sphericalvision", "sphericalvision, recompute")
-"""How a stage can be computed; the last saves memory in training."""
+WAYS = ("plain", "sphericalvision", "sphericalvision, recompute", "sphericalvision, native")
+"""How a stage can be computed; recomputing saves memory in training, native operators are for inference."""
 
 
 def alone(
@@ -76,7 +76,7 @@ def _run(
             torch.cuda.synchronize()
         return time.perf_counter() - start
     net = IcoSweepNet(level, num_hypotheses, feature_channels=feature_channels).to(place)
-    net.recompute = way == WAYS[2]
+    net.recompute, net.native = way == WAYS[2], way == WAYS[3]
     run = PlainNetwork(net) if way == WAYS[0] else net
     images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=place) - 1
     tables = net.sweep.tables(rig)

@@ -27,8 +27,8 @@ from sphericalvision.sweep import SphereSweep, SweepTables, soft_argmax
 
 __all__ = ["OPTIONS", "comparisons"]
 
-OPTIONS = ("bf16", "compiled")
-"""Other ways to run the whole network; compiling shows in the time of the first call."""
+OPTIONS = ("bf16", "compiled", "native")
+"""Other ways to run the network; what they compile shows in the time of the first call."""
 
 OURS = "sphericalvision"
 Run = Callable[[], Any]
@@ -85,10 +85,11 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
         {
             "plain": _inference(lambda: plain.regularize(volume)),
             OURS: _inference(lambda: net.regularizer(volume)),
-        },
+        }
+        | _native(net, lambda: net.regularizer(volume), config.options),
         "plain",
         flop_regularizer,
-        "Operations are those of the plain way; Winograd's way needs three tenths of them: its share may pass 100 %.",
+        "Operations are those of the plain way. Winograd's ways need three tenths at most: shares may pass 100 %.",
         gbyte=_gbyte(volume, logits) + sum(p.numel() * 4 for p in net.regularizer.parameters()) / 1e9,
     )
     steps = torch.arange(number, device=device, dtype=logits.dtype).view(1, -1, 1)
@@ -180,7 +181,8 @@ def _memory(
 ) -> Iterator[Comparison]:
     if not config.memory:
         return
-    for stage, ways in (("inference", WAYS[:2]), ("training", WAYS)):
+    native = WAYS[3:] if "native" in config.options else ()
+    for stage, ways in (("inference", WAYS[:2] + native), ("training", WAYS[:3])):
         if stage == "inference" or config.training:
             options = {"device": str(device), "feature_channels": config.feature_channels}
             yield Comparison(
@@ -202,7 +204,7 @@ def _optional(net: IcoSweepNet, images: Tensor, tables: SweepTables, options: li
 
         return _inference(cast)
 
-    runs: dict[str, Run] = {}
+    runs = _native(net, lambda: net(images, tables), options)
     if "bf16" in options:
         runs[OURS + BF16] = bf16(lambda: net(images, tables))
     if "compiled" in options:
@@ -211,6 +213,19 @@ def _optional(net: IcoSweepNet, images: Tensor, tables: SweepTables, options: li
         if "bf16" in options:
             runs[f"{OURS}, compiled{BF16}"] = torch.no_grad()(bf16(lambda: compiled(images, tables)))
     return runs
+
+
+def _native(net: IcoSweepNet, run: Run, options: list[str]) -> dict[str, Run]:
+    """What a network does, with its operators in C++, if that is among the options."""
+
+    def with_operators() -> Any:
+        net.native = True
+        try:
+            return run()
+        finally:
+            net.native = False
+
+    return {WAYS[3]: _inference(with_operators)} if "native" in options else {}
 
 
 def _inference(run: Run) -> Run:

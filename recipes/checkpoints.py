@@ -75,7 +75,10 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
 
 
 def load_network(
-    checkpoint: str | Path | None = None, level: int | None = None, min_depth: float | None = None
+    checkpoint: str | Path | None = None,
+    level: int | None = None,
+    min_depth: float | None = None,
+    native: bool = False,
 ) -> IcoSweepNet | OmniMVS:
     """Load a network of either kind in evaluation mode.
 
@@ -86,9 +89,11 @@ def load_network(
             name of a network that ships with the package; its default one when not given.
         level: of the images on the icosphere, instead of the level trained at; only ``IcoSweepNet`` has one.
         min_depth: nearest hypothesis in metres, instead of the one trained with.
+        native: whether to use operators in C++; only ``IcoSweepNet`` has some.
 
     Raises:
-        ArgumentError: a level for a network on panoramas.
+        ArgumentError: a level or ``native`` for a network on panoramas.
+        MissingCompilerError: the operators could not be compiled.
         MissingFileError: no such file.
         FileFormatError: the file holds no network of this package.
     """
@@ -103,6 +108,12 @@ def load_network(
         state = net.state_dict()
         net = type(net)(**wanted)
         net.load_state_dict(state)
+    if native and not isinstance(net, IcoSweepNet):
+        raise ArgumentError(
+            f"native: {checkpoint} is {type(net).__name__}, which has no operators in C++; leave it out"
+        )
+    if native:
+        net.native = True
     return net.eval()
 
 

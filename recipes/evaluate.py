@@ -44,9 +44,9 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     A network on panoramas has no level; it is evaluated at the vertices of level 3 unless ``model.level`` says
     otherwise.
     """
-    net = load_network(config.checkpoint, None, config.model.min_depth)
+    net = load_network(config.checkpoint, None, config.model.min_depth, config.native)
     if isinstance(net, IcoSweepNet) and config.model.level not in (None, net.level):
-        net = load_network(config.checkpoint, config.model.level, config.model.min_depth)
+        net = load_network(config.checkpoint, config.model.level, config.model.min_depth, config.native)
     level = net.level if isinstance(net, IcoSweepNet) else config.model.level or 5
     OmegaConf.update(config, "model.level", level)
     OmegaConf.update(config, "model.min_depth", net.min_depth)

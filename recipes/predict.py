@@ -62,7 +62,8 @@ def network_for(rig: CameraRig, config: DictConfig) -> IcoSweepNet | OmniMVS:
         raise ArgumentError(
             f"min_depth: expected a positive number of metres or auto, got {config.min_depth!r}"
         )
-    return load_network(config.checkpoint, config.level, float(min_depth)).to(choose_device(config.device))
+    net = load_network(config.checkpoint, config.level, float(min_depth), config.native)
+    return net.to(choose_device(config.device))
 
 
 def image_preparation(

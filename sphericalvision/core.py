@@ -18,6 +18,7 @@ __all__ = [
     "KORNIA_CHECK_SHAPE",
     "ArgumentError",
     "FileFormatError",
+    "MissingCompilerError",
     "MissingFileError",
     "ShapeError",
     "SphericalVisionError",
@@ -45,6 +46,10 @@ class FileFormatError(SphericalVisionError, ValueError):
 
 class MissingFileError(SphericalVisionError, FileNotFoundError):
     """A file or folder is missing; the message names it and says what was expected there."""
+
+
+class MissingCompilerError(SphericalVisionError, RuntimeError):
+    """What is to be compiled on this machine could not be; the message says what is needed."""
 
 
 def check_last_dim(name: str, tensor: torch.Tensor, size: int) -> None:

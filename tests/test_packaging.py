@@ -71,6 +71,7 @@ def in_wheel(path: Path) -> str:
         ("sphericalvision", "**/*.safetensors"),
         ("sphericalvision", "**/*.md"),
         ("sphericalvision", "py.typed"),
+        ("sphericalvision", "**/*.cpp"),
     ],
 )
 def test_wheel_holds_every_file_of_the_tree(wheel: set[str], folder: str, pattern: str) -> None:

@@ -12,6 +12,7 @@ from sphericalvision.crown.hexconv import HexConv2d, HexConv3d, hex_conv2d, hex_
 from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.crown.layout import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
 from sphericalvision.crown.modules import CrownExchange, CrownPointwise, FromCrown, ToCrown
+from sphericalvision.crown.native import native_operators
 from sphericalvision.crown.norm import (
     CrownBatchNorm2d,
     CrownBatchNorm3d,
@@ -59,6 +60,7 @@ __all__ = [
     "hex_conv2d",
     "hex_conv3d",
     "hex_pad",
+    "native_operators",
     "north_fraction",
     "to_crown",
 ]

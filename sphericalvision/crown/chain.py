@@ -22,6 +22,7 @@ from sphericalvision.crown.conv import (
 )
 from sphericalvision.crown.hexpad import check_values
 from sphericalvision.crown.layout import crown_relu, from_crown, to_crown
+from sphericalvision.crown.native import native_operators
 from sphericalvision.crown.rectangles import PlaceSum, Rectangles
 from sphericalvision.crown.winograd import (
     convolve_padded,
@@ -29,6 +30,7 @@ from sphericalvision.crown.winograd import (
     transformed_kernels,
     winograd_pays,
 )
+from sphericalvision.crown.winograd_cubes import convolve_cubes, cube_kernel
 from sphericalvision.crown.winograd_rows import Workspace
 
 __all__ = ["crown_conv3d_chain"]
@@ -38,9 +40,12 @@ Layer = tuple[Tensor, Tensor | None]
 SLOW_ALONE = 20480
 """A single volume of no more channels x hypotheses x rows than this torch convolves in a slow way."""
 
+MIN_SIDE = 8
+"""Rectangles of shorter sides leave too much of the cubes of ``convolve_cubes`` unused."""
+
 
 @torch.no_grad()
-def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer]) -> Tensor:
+def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer], native: bool = False) -> Tensor:
     """Convolve volumes on an icosphere several times, with a ReLU between two times, and exchange at the end.
 
     The same numbers as ``crown_conv3d`` and ``crown_relu`` in turn between ``to_crown`` and ``from_crown``, in less
@@ -49,12 +54,15 @@ def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer]) -> Tensor:
     Args:
         values: ``(B, in, N, V)``.
         layers: weight ``(out, in, 21)`` and bias ``(out,)`` or None of each convolution.
+        native: whether to use operators in C++ where they are faster, which is in single precision on a CPU; they are
+            compiled when they are first used on a machine. Compiled and exported graphs do without.
 
     Returns:
         ``(B, out, N, V)``.
 
     Raises:
         ShapeError: if the values or a weight do not fit.
+        MissingCompilerError: with ``native``, if the operators could not be compiled.
 
     References:
         Komatsu et al. (2020), CrownConv in three dimensions.
@@ -70,7 +78,9 @@ def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer]) -> Tensor:
         channels = len(weight)
     if torch.compiler.is_compiling():
         return _whole(values, layers)
-    samples = [_chain(rows, level, layers) for rows in values.movedim(1, -1)]
+    if native:
+        native_operators()  # an error is known at once
+    samples = [_chain(rows, level, layers, native) for rows in values.movedim(1, -1)]
     return (samples[0][None] if len(samples) == 1 else torch.stack(samples)).movedim(-1, 1)
 
 
@@ -82,11 +92,12 @@ def _whole(values: Tensor, layers: Sequence[Layer]) -> Tensor:
     return from_crown(crown)
 
 
-def _chain(rows: Tensor, level: int, layers: Sequence[Layer]) -> Tensor:
+def _chain(rows: Tensor, level: int, layers: Sequence[Layer], native: bool) -> Tensor:
     """Values ``(N, V, in)`` to values ``(N, V, out)``."""
     count, _, channels = rows.shape
     convolutions = [
-        [_Convolution(weight, bias, taps, rows) for weight, bias in layers] for taps in (COL_TAPS, ROW_TAPS)
+        [_Convolution(weight, bias, taps, rows, native and 2**level >= MIN_SIDE) for weight, bias in layers]
+        for taps in (COL_TAPS, ROW_TAPS)
     ]
     full = count + (-count % 4 if any(c.winograd for c in convolutions[0]) else 0)
     five = any(c.slow_alone((full + 2) * (2**level + 3)) for c in convolutions[0])
@@ -117,12 +128,20 @@ class _Convolution:
     """One layer, made ready for rectangles of one direction."""
 
     def __init__(
-        self, weight: Tensor, bias: Tensor | None, taps: tuple[tuple[int, ...], ...], rows: Tensor
+        self,
+        weight: Tensor,
+        bias: Tensor | None,
+        taps: tuple[tuple[int, ...], ...],
+        rows: Tensor,
+        native: bool,
     ) -> None:
         self.kernel, self.bias = _planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias
         volumes = rows.movedim(-1, 0)[None, :, :, None]  # (1, C, N, 1, V)
         self.winograd = winograd_pays(volumes, self.kernel)
-        self.kernels = transformed_kernels(self.kernel, neighbor_taps(taps)) if self.winograd else []
+        self.cubes = cube_kernel(self.kernel, neighbor_taps(taps)) if self.winograd and native else None
+        self.kernels = (
+            transformed_kernels(self.kernel, neighbor_taps(taps)) if self.winograd and not native else []
+        )
 
     def slow_alone(self, places: int) -> bool:
         """Whether torch is slow at a single volume of so many hypotheses x rows."""
@@ -131,6 +150,9 @@ class _Convolution:
 
     def __call__(self, padded: Tensor, result: Tensor, workspace: Workspace, rectify: bool = False) -> None:
         """Convolve ``(g, N + 2, h + 2, w + 2, C)`` into ``(g, N, h, w, O)``."""
+        if self.cubes is not None:
+            convolve_cubes(padded, self.cubes, self.bias, result, workspace, rectify, native=True)
+            return
         if self.winograd:
             convolve_padded(padded, self.kernels, self.bias, result, workspace, rectify)
             return

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.crown import native_operators
 from sphericalvision.icosphere import coarse_vertex_ids, num_icosphere_vertices
 from sphericalvision.models.aggregation import (
     aggregated_channels,
@@ -126,6 +127,23 @@ class IcoSweepNet(nn.Module):
     @recompute.setter
     def recompute(self, value: bool) -> None:
         self.regularizer.recompute = value
+
+    @property
+    def native(self) -> bool:
+        """Whether inference in single precision on a CPU uses operators in C++: the same results in less time.
+
+        May be set at any time. They are compiled when they are first used on a machine.
+
+        Raises:
+            MissingCompilerError: when set, if they could not be compiled.
+        """
+        return self.regularizer.native
+
+    @native.setter
+    def native(self, value: bool) -> None:
+        if value:
+            native_operators()
+        self.regularizer.native = value
 
     @property
     def any_cameras(self) -> bool:

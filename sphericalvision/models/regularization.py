@@ -57,9 +57,9 @@ class CostBlock(nn.Module):
         self.first = ConvNorm3d(in_channels, hidden_channels, norm)
         self.second = ConvNorm3d(hidden_channels, out_channels, norm)
 
-    def forward(self, volume: Tensor) -> Tensor:
+    def forward(self, volume: Tensor, native: bool = False) -> Tensor:
         if self.first.norm.is_affine and self.second.norm.is_affine and not torch.is_grad_enabled():
-            return crown_conv3d_chain(volume, [self.first.layer, self.second.layer])
+            return crown_conv3d_chain(volume, [self.first.layer, self.second.layer], native)
         if _by_rectangles(volume, self.first, self.second):
             return _in_samples(volume, self.first, self.second)
         return from_crown(self.second(crown_relu(self.first(to_crown(volume)))))
@@ -103,6 +103,7 @@ class CostRegularizer(nn.Module):
 
     Attributes:
         recompute: whether to save memory in training by computing the inside of each block twice.
+        native: whether inference uses operators in C++ where they are faster; see ``crown_conv3d_chain``.
 
     References:
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
@@ -123,6 +124,7 @@ class CostRegularizer(nn.Module):
     ) -> None:
         super().__init__()
         self.recompute = False
+        self.native = False
         width = 2 * channels
         self.fusion = CostBlock(in_channels, fusion_channels or in_channels, width, norm)
         self.blocks = nn.ModuleList(CostBlock(width, width, width, norm) for _ in range(4))
@@ -144,11 +146,13 @@ class CostRegularizer(nn.Module):
             del change
         if self.reduction.norm.is_affine and not torch.is_grad_enabled():
             layers = [self.reduction.layer, (self.score.weight, self.score.bias)]
-            return crown_conv3d_chain(volume, layers).squeeze(1)
+            return crown_conv3d_chain(volume, layers, self.native).squeeze(1)
         if _by_rectangles(volume, self.reduction) and self.score.bias is None:
             return _in_samples(volume, self.reduction, NormedLayer(self.score.weight)).squeeze(1)
         crown = crown_relu(self.reduction(to_crown(volume)))
         return from_crown(self.score(crown)).squeeze(1)
 
     def _run(self, block: nn.Module, volume: Tensor) -> Tensor:
-        return recomputed(block, volume) if self.recompute and self.training else block(volume)
+        if self.recompute and self.training:
+            return recomputed(block, volume)
+        return block(volume, self.native)

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.crown import from_crown, to_crown
+from sphericalvision.core import ArgumentError, MissingCompilerError, ShapeError
+from sphericalvision.crown import crown_conv3d_chain, from_crown, to_crown
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import CostRegularizer, IcoSweepNet
 from sphericalvision.sweep import depth_from_index
@@ -144,6 +144,37 @@ def test_recomputing_changes_neither_gradients_nor_statistics(generator: torch.G
         torch.testing.assert_close(other.grad, one.grad, msg=name)
     for (name, one), other in zip(nets[0].named_buffers(), nets[1].buffers(), strict=True):
         torch.testing.assert_close(other, one, msg=name)
+
+
+def test_native_is_for_every_layer_of_the_regulariser(
+    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[bool] = []
+
+    def chain(values: Tensor, layers: Any, native: bool) -> Tensor:
+        asked.append(native)
+        return crown_conv3d_chain(values, layers)
+
+    monkeypatch.setattr("sphericalvision.models.regularization.crown_conv3d_chain", chain)
+    monkeypatch.setattr("sphericalvision.models.icosweepnet.native_operators", lambda: None)
+    net, batch = small_net().eval(), images(generator)
+    with torch.no_grad():
+        net(batch, ring_rig(3))
+        assert asked == [False] * 6
+        net.native = True
+        net(batch, ring_rig(3))
+    assert asked[6:] == [True] * 6
+
+
+def test_native_stays_off_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing() -> None:
+        raise MissingCompilerError("no compiler")
+
+    monkeypatch.setattr("sphericalvision.models.icosweepnet.native_operators", missing)
+    net = small_net()
+    with pytest.raises(MissingCompilerError):
+        net.native = True
+    assert not net.native
 
 
 def test_a_few_steps_fit_one_sample(generator: torch.Generator) -> None:

@@ -97,6 +97,17 @@ def test_every_stage_has_its_row_its_needs_and_its_share_of_the_peak(tmp_path: P
     }
 
 
+def test_native_has_its_rows_and_is_off_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sphericalvision.models.icosweepnet.native_operators", lambda: None)
+    rows = benchmark(config("options=[native]", "training=false", "only=inference|regulariser"), tmp_path)
+    assert {row.name for row in rows} == {"plain", "sphericalvision", "sphericalvision, native"}
+    assert len(rows) == 9
+    (comparison,) = (
+        c for c in comparisons(config("options=[native]"), torch.device("cpu")) if "whole" in c.title
+    )
+    torch.testing.assert_close(*(comparison.runs[name]() for name in ("plain", "sphericalvision, native")))
+
+
 def test_share_of_the_peak_is_the_least_time_over_the_time_taken() -> None:
     rows = [
         Measured("peak", "matmul", 2.0, "s", 0, 1, gflop=200.0, peak="FLOP"),  # 100 GFLOP/s

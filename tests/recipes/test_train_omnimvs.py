@@ -78,6 +78,8 @@ def test_networks_are_not_mixed_up(
     )
     with pytest.raises(ArgumentError, match="whose images are not on an icosphere; leave it out"):
         load_network(path, level=5)
+    with pytest.raises(ArgumentError, match=r"native: .*omnimvs.safetensors is OmniMVS"):
+        load_network(path, native=True)
     assert load_network(path, min_depth=1.0).min_depth == 1.0
     sphere_only = [word for word in WORDS if not word.startswith("experiment")]
     message = failing(

@@ -131,7 +131,7 @@ class _Block(torch.autograd.Function):
 
         kernels = _transformed(weight2)
         padded, moments = geometry.padded(hidden), _Moments()
-        sums = [PlaceSum(sample, geometry.n, out) for sample in rows]
+        sums = [PlaceSum(sample.new_empty(*sample.shape[:2], out), geometry.n) for sample in rows]
         for place, some, _ in geometry:
             given = geometry.rectified(conv1[place], some, to_norm1, padded)
             result = geometry.view(conv2[place], some)
@@ -213,7 +213,7 @@ class _Block(torch.autograd.Function):
         padded = geometry.padded(rows.shape[-1])
         of_given = geometry.padded(rows.shape[-1], room=False) if ctx.needs_input_grad[0] else None
         of_outputs = geometry.outputs_with_zeros(len(weight1))
-        sums = [PlaceSum(sample, geometry.n, rows.shape[-1]) for sample in rows]
+        sums = [PlaceSum(torch.empty_like(sample), geometry.n) for sample in rows]
         for place, some, sample in geometry:
             given = geometry.take(sample, some, padded)
             upstream = geometry.zero_bordered(of_outputs, some)

@@ -33,7 +33,7 @@ from sphericalvision.crown.winograd import (
 from sphericalvision.crown.winograd_cubes import convolve_cubes, cube_kernel
 from sphericalvision.crown.winograd_rows import Workspace
 
-__all__ = ["crown_conv3d_chain"]
+__all__ = ["convolve_chain", "crown_conv3d_chain"]
 
 Layer = tuple[Tensor, Tensor | None]
 
@@ -72,6 +72,22 @@ def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer], native: bool = F
         >>> crown_conv3d_chain(values, [(torch.ones(8, 4, 21), None), (torch.ones(2, 8, 21), None)]).shape
         torch.Size([1, 2, 16, 42])
     """
+    return convolve_chain(values, layers, native, Workspace())
+
+
+@torch.no_grad()
+def convolve_chain(
+    values: Tensor, layers: Sequence[Layer], native: bool, workspace: Workspace, keep: bool = False
+) -> Tensor:
+    """``crown_conv3d_chain`` in memory that is kept from one call to the next.
+
+    Args:
+        values: ``(B, in, N, V)``.
+        layers: as there.
+        native: as there.
+        workspace: of these calls.
+        keep: whether the result is in the workspace, too, where the next call that keeps one overwrites it.
+    """
     level, channels = check_values(values, 3), values.shape[1]
     for weight, _ in layers:
         _check_weight(weight, 21, channels)
@@ -80,8 +96,12 @@ def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer], native: bool = F
         return _whole(values, layers)
     if native:
         native_operators()  # an error is known at once
-    samples = [_chain(rows, level, layers, native) for rows in values.movedim(1, -1)]
-    return (samples[0][None] if len(samples) == 1 else torch.stack(samples)).movedim(-1, 1)
+    given = values.movedim(1, -1)
+    shape = (*given.shape[:3], channels)
+    result = workspace.take("result", shape, values) if keep else values.new_empty(shape)
+    for rows, of_rows in zip(given, result, strict=True):
+        _chain(rows, level, layers, native, workspace, of_rows)
+    return result.movedim(-1, 1)
 
 
 def _whole(values: Tensor, layers: Sequence[Layer]) -> Tensor:
@@ -92,8 +112,10 @@ def _whole(values: Tensor, layers: Sequence[Layer]) -> Tensor:
     return from_crown(crown)
 
 
-def _chain(rows: Tensor, level: int, layers: Sequence[Layer], native: bool) -> Tensor:
-    """Values ``(N, V, in)`` to values ``(N, V, out)``."""
+def _chain(
+    rows: Tensor, level: int, layers: Sequence[Layer], native: bool, workspace: Workspace, result: Tensor
+) -> None:
+    """Values ``(N, V, in)`` to the result ``(N, V, out)``."""
     count, _, channels = rows.shape
     convolutions = [
         [_Convolution(weight, bias, taps, rows, native and 2**level >= MIN_SIDE) for weight, bias in layers]
@@ -105,23 +127,24 @@ def _chain(rows: Tensor, level: int, layers: Sequence[Layer], native: bool) -> T
     # Large new tensors cost fresh pages: what lies between two layers is always in the same place.
     widths = [channels, *(len(weight) for weight, _ in layers)]
     padded_size = crown.together * (full + 2) * (2 * crown.n + 3) * (crown.n + 3)
-    between = [rows.new_empty(padded_size, width) for width in widths[:-1]]
-    last = rows.new_empty(crown.size, widths[-1])
-    workspace = Workspace()
-    places = PlaceSum(rows, crown.n, widths[-1])
+    between = [
+        workspace.take(f"between {k}", (padded_size, width), rows) for k, width in enumerate(widths[:-1])
+    ]
+    last = workspace.take("last", (crown.size, widths[-1]), rows)
+    places = PlaceSum(result, crown.n)
     for some in crown:
         groups, depth, height, width = some.places.shape
         torch.index_select(rows.reshape(-1, channels), 0, some.places.flatten(), out=between[0])
         padded = [buffer.view(groups, depth, height, width, -1) for buffer in between]
         *middle, end = convolutions[some.across]
-        for convolution, given, result in zip(middle, padded[:-1], padded[1:], strict=True):
-            inner = result[:, 1:-1, 1:-1, 1:-1]
+        for convolution, given, following in zip(middle, padded[:-1], padded[1:], strict=True):
+            inner = following[:, 1:-1, 1:-1, 1:-1]
             convolution(given, inner, workspace, rectify=True)
-            repeat_border(result, count)
+            repeat_border(following, count)
         answer = last.view(groups, depth - 2, height - 2, width - 2, -1)
         end(padded[-1], answer, workspace)
         places.add(answer[:, :count], some)
-    return places.mean()
+    places.mean()
 
 
 class _Convolution:

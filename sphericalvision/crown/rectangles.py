@@ -81,15 +81,18 @@ class PlaceSum:
     """The sum of every vertex over all its places, group by group: first those down, then those across.
 
     The first row and the last column of rectangles down belong to the next one; they are kept apart until the end.
+
+    Args:
+        values: ``(N, V, C)``, contiguous, where the sum is made.
+        n: edges of a triangle of the icosahedron, ``2**level``.
     """
 
-    def __init__(self, rows: Tensor, n: int, channels: int) -> None:
-        count, vertices, _ = rows.shape
-        self.n = n
-        self.values = rows.new_empty(count, vertices, channels)
+    def __init__(self, values: Tensor, n: int) -> None:
+        count, _, channels = values.shape
+        self.n, self.values = n, values
         self.charts = self.values[:, 1:-1].view(count, 5, 2 * n, n, channels)
-        self.top = rows.new_empty(count, 5, n + 1, channels)
-        self.east = rows.new_empty(count, 5, 2 * n, channels)
+        self.top = values.new_empty(count, 5, n + 1, channels)
+        self.east = values.new_empty(count, 5, 2 * n, channels)
 
     def add(self, rectangles: Tensor, some: Some) -> None:
         """Add values ``(g, N, h, w, C)`` at the places of a group."""

@@ -24,7 +24,7 @@ from sphericalvision.crown.winograd_rows import ALL_TAPS, Workspace
 
 __all__ = ["CubeKernel", "convolve_cubes", "cube_kernel", "results_of_products", "tiles_of_volumes"]
 
-TILE_BYTES = 24 << 20
+TILE_BYTES = 32 << 20
 """Cubes are taken a few at a time, whose transforms take no more than this."""
 
 _A, _B = math.sqrt(0.5), math.sqrt(2.0)

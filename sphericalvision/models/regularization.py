@@ -11,13 +11,14 @@ from sphericalvision.crown import (
     CrownConv3d,
     CrownInstanceNorm3d,
     crown_conv3d,
-    crown_conv3d_chain,
     crown_norm,
     crown_relu,
     from_crown,
     to_crown,
 )
 from sphericalvision.crown.block import NormedLayer, block3d_pays, crown_block3d
+from sphericalvision.crown.chain import convolve_chain
+from sphericalvision.crown.winograd_rows import Workspace
 from sphericalvision.models.recompute import recomputed
 
 __all__ = ["ConvNorm3d", "CostBlock", "CostRegularizer"]
@@ -57,9 +58,11 @@ class CostBlock(nn.Module):
         self.first = ConvNorm3d(in_channels, hidden_channels, norm)
         self.second = ConvNorm3d(hidden_channels, out_channels, norm)
 
-    def forward(self, volume: Tensor, native: bool = False) -> Tensor:
+    def forward(self, volume: Tensor, native: bool = False, workspace: Workspace | None = None) -> Tensor:
+        """Convolve; with a workspace the result may be in it, where the next block overwrites it."""
         if self.first.norm.is_affine and self.second.norm.is_affine and not torch.is_grad_enabled():
-            return crown_conv3d_chain(volume, [self.first.layer, self.second.layer], native)
+            layers = [self.first.layer, self.second.layer]
+            return convolve_chain(volume, layers, native, workspace or Workspace(), workspace is not None)
         if _by_rectangles(volume, self.first, self.second):
             return _in_samples(volume, self.first, self.second)
         return from_crown(self.second(crown_relu(self.first(to_crown(volume)))))
@@ -136,23 +139,24 @@ class CostRegularizer(nn.Module):
 
     def fuse(self, volume: Tensor) -> Tensor:
         """The first block, ``(B, 2 * channels, N, V)``: after it the large volume it was given can go."""
-        return self._run(self.fusion, volume)
+        return self._run(self.fusion, volume, None)
 
     def refine(self, volume: Tensor) -> Tensor:
         """All that follows ``fuse``, in whose volume it works where no gradient is wanted."""
+        workspace = Workspace()  # fresh memory for each block would cost as much as the sums
         for block in self.blocks:
-            change = self._run(block, volume)
+            change = self._run(block, volume, workspace)
             volume = volume + change if torch.is_grad_enabled() else volume.add_(change)
             del change
         if self.reduction.norm.is_affine and not torch.is_grad_enabled():
             layers = [self.reduction.layer, (self.score.weight, self.score.bias)]
-            return crown_conv3d_chain(volume, layers, self.native).squeeze(1)
+            return convolve_chain(volume, layers, self.native, workspace).squeeze(1)
         if _by_rectangles(volume, self.reduction) and self.score.bias is None:
             return _in_samples(volume, self.reduction, NormedLayer(self.score.weight)).squeeze(1)
         crown = crown_relu(self.reduction(to_crown(volume)))
         return from_crown(self.score(crown)).squeeze(1)
 
-    def _run(self, block: nn.Module, volume: Tensor) -> Tensor:
+    def _run(self, block: nn.Module, volume: Tensor, workspace: Workspace | None) -> Tensor:
         if self.recompute and self.training:
             return recomputed(block, volume)
-        return block(volume, self.native)
+        return block(volume, self.native, workspace)

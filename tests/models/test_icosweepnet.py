@@ -151,11 +151,11 @@ def test_native_is_for_every_layer_of_the_regulariser(
 ) -> None:
     asked: list[bool] = []
 
-    def chain(values: Tensor, layers: Any, native: bool) -> Tensor:
+    def chain(values: Tensor, layers: Any, native: bool, *args: Any) -> Tensor:
         asked.append(native)
         return crown_conv3d_chain(values, layers)
 
-    monkeypatch.setattr("sphericalvision.models.regularization.crown_conv3d_chain", chain)
+    monkeypatch.setattr("sphericalvision.models.regularization.convolve_chain", chain)
     monkeypatch.setattr("sphericalvision.models.icosweepnet.native_operators", lambda: None)
     net, batch = small_net().eval(), images(generator)
     with torch.no_grad():

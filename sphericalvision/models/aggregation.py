@@ -43,9 +43,15 @@ def mean_and_variance(volume: SweepVolume) -> Tensor:
     seen = mask.unsqueeze(2).to(values)
     count = seen.sum(1)
     divisor = count.clamp_min(1)
-    mean = (values * seen).sum(1) / divisor
-    variance = ((values - mean.unsqueeze(1)).square() * seen).sum(1) / divisor
-    return torch.cat((mean, variance, count / values.shape[1]), 1)
+    cameras = list(zip(values.unbind(1), seen.unbind(1), strict=True))  # one at a time: fewer passes over memory
+    total = values.new_zeros(())
+    for value, weight in cameras:
+        total = torch.addcmul(total, value, weight)
+    mean = total / divisor
+    total = values.new_zeros(())
+    for value, weight in cameras:
+        total = torch.addcmul(total, (value - mean).square(), weight)
+    return torch.cat((mean, total / divisor, count / values.shape[1]), 1)
 
 
 def aggregated_channels(aggregation: str, channels: int, num_cameras: int) -> int:

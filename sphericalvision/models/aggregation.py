@@ -43,7 +43,9 @@ def mean_and_variance(volume: SweepVolume) -> Tensor:
     seen = mask.unsqueeze(2).to(values)
     count = seen.sum(1)
     divisor = count.clamp_min(1)
-    cameras = list(zip(values.unbind(1), seen.unbind(1), strict=True))  # one at a time: fewer passes over memory
+    cameras = list(
+        zip(values.unbind(1), seen.unbind(1), strict=True)
+    )  # fewer passes over memory than all at once
     total = values.new_zeros(())
     for value, weight in cameras:
         total = torch.addcmul(total, value, weight)

@@ -43,9 +43,8 @@ def mean_and_variance(volume: SweepVolume) -> Tensor:
     seen = mask.unsqueeze(2).to(values)
     count = seen.sum(1)
     divisor = count.clamp_min(1)
-    cameras = list(
-        zip(values.unbind(1), seen.unbind(1), strict=True)
-    )  # fewer passes over memory than all at once
+    # A camera at a time, which takes fewer passes over memory.
+    cameras = list(zip(values.unbind(1), seen.unbind(1), strict=True))
     total = values.new_zeros(())
     for value, weight in cameras:
         total = torch.addcmul(total, value, weight)

@@ -19,6 +19,7 @@ from sphericalvision.crown.conv import COL_TAPS, ROW_TAPS, _planar_kernel, neigh
 from sphericalvision.crown.layout import places_per_vertex
 from sphericalvision.crown.rectangles import PlaceSum, Rectangles, Some
 from sphericalvision.crown.winograd import (
+    MIN_CHANNELS,
     adjoint_kernels,
     convolve_padded,
     convolve_padded_backward,
@@ -28,6 +29,7 @@ from sphericalvision.crown.winograd import (
     unpadded,
     winograd_pays,
 )
+from sphericalvision.crown.winograd_cubes import CubeKernel, convolve_cubes, cube_kernel, cubes_pay
 from sphericalvision.crown.winograd_rows import PlanarKernel, Workspace
 from sphericalvision.icosphere import level_from_num_vertices
 
@@ -65,7 +67,9 @@ def block3d_pays(values: Tensor, weight: Tensor) -> bool:
     return winograd_pays(values[:, :, :, None], weight)
 
 
-def crown_block3d(values: Tensor, first: NormedLayer, second: NormedLayer) -> tuple[Tensor, list[Moments]]:
+def crown_block3d(
+    values: Tensor, first: NormedLayer, second: NormedLayer, native: bool = False
+) -> tuple[Tensor, list[Moments]]:
     """Convolve volumes, normalise, rectify, convolve, normalise, and exchange; differentiable once.
 
     The same as ``crown_conv3d`` and batch normalisation in training mode between ``to_crown`` and ``from_crown``, in
@@ -75,6 +79,7 @@ def crown_block3d(values: Tensor, first: NormedLayer, second: NormedLayer) -> tu
         values: ``(B, in, N, V)``.
         first: from in to hidden channels.
         second: from hidden to out channels; it may be without normalisation.
+        native: whether the forward pass uses operators in C++; see ``crown_conv3d_chain``.
 
     Returns:
         ``(B, out, N, V)`` and the statistics of the normalisations, for running averages.
@@ -90,7 +95,7 @@ def crown_block3d(values: Tensor, first: NormedLayer, second: NormedLayer) -> tu
         torch.Size([1, 2, 4, 42])
     """
     rows = values.movedim(1, -1).contiguous()
-    result, *statistics = _Block.apply(rows, *first, *second)
+    result, *statistics = _Block.apply(rows, *first, *second, native)
     batch, count, vertices, _ = rows.shape
     n = 2 ** level_from_num_vertices(vertices)
     places = batch * count * 10 * (2 * n + 1) * (n + 1)
@@ -113,29 +118,31 @@ class _Block(torch.autograd.Function):
         scale2: Tensor | None,
         shift2: Tensor | None,
         eps2: float,
+        native: bool,
     ) -> tuple[Tensor, ...]:
         geometry = _Geometry(rows)
         hidden, out = len(weight1), len(weight2)
         conv1, conv2 = geometry.outputs(hidden), geometry.outputs(out)
         workspace, moments = Workspace(), _Moments()
 
-        kernels = _transformed(weight1)
+        native = native and cubes_pay(geometry.n)
+        kernels = _ready(weight1, native)
         padded = geometry.padded(rows.shape[-1])
         for place, some, sample in geometry:
             given = geometry.take(sample, some, padded)
             result = geometry.view(conv1[place], some)
-            convolve_padded(given, kernels[some.across], None, result, workspace)
+            _convolve(given, kernels[some.across], result, workspace)
             moments.add(result[:, : geometry.count])
         mean1, variance1 = moments.total()
         to_norm1 = _to_norm(mean1, (variance1 + eps1).rsqrt(), scale1, shift1)
 
-        kernels = _transformed(weight2)
+        kernels = _ready(weight2, native)
         padded, moments = geometry.padded(hidden), _Moments()
         sums = [PlaceSum(sample.new_empty(*sample.shape[:2], out), geometry.n) for sample in rows]
         for place, some, _ in geometry:
             given = geometry.rectified(conv1[place], some, to_norm1, padded)
             result = geometry.view(conv2[place], some)
-            convolve_padded(given, kernels[some.across], None, result, workspace)
+            _convolve(given, kernels[some.across], result, workspace)
             result = result[:, : geometry.count]
             sums[place // len(geometry.crown)].add(result, some)
             if scale2 is not None:
@@ -235,7 +242,8 @@ class _Block(torch.autograd.Function):
             if of_taken is not None:
                 sums[place // len(geometry.crown)].add(unpadded(of_taken, geometry.count), some)
         of_rows = _stack([total.total() for total in sums]) if of_given is not None else None
-        return of_rows, of_weight.total(), of_scale1, of_shift1, None, of_weight2, of_scale2, of_shift2, None
+        of_first = of_weight.total(), of_scale1, of_shift1, None
+        return of_rows, *of_first, of_weight2, of_scale2, of_shift2, None, None
 
 
 class _Geometry:
@@ -368,6 +376,23 @@ def _transformed(
     """Kernels of both directions, made ready."""
     planar = [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for taps in TAPS]
     return [transform(kernel, neighbor_taps(taps)) for kernel, taps in zip(planar, TAPS, strict=True)]
+
+
+def _ready(weight: Tensor, native: bool) -> list[CubeKernel] | list[list[PlanarKernel]]:
+    """Kernels of both directions for a forward pass."""
+    if not native or len(weight) < MIN_CHANNELS:
+        return _transformed(weight)
+    planar = [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for taps in TAPS]
+    return [cube_kernel(kernel, neighbor_taps(taps)) for kernel, taps in zip(planar, TAPS, strict=True)]
+
+
+def _convolve(
+    padded: Tensor, kernel: CubeKernel | list[PlanarKernel], result: Tensor, workspace: Workspace
+) -> None:
+    if isinstance(kernel, CubeKernel):
+        convolve_cubes(padded, kernel, None, result, workspace, native=True)
+    else:
+        convolve_padded(padded, kernel, None, result, workspace)
 
 
 def _stack(samples: list[Tensor]) -> Tensor:

@@ -30,7 +30,7 @@ from sphericalvision.crown.winograd import (
     transformed_kernels,
     winograd_pays,
 )
-from sphericalvision.crown.winograd_cubes import convolve_cubes, cube_kernel
+from sphericalvision.crown.winograd_cubes import convolve_cubes, cube_kernel, cubes_pay
 from sphericalvision.crown.winograd_rows import Workspace
 
 __all__ = ["convolve_chain", "crown_conv3d_chain"]
@@ -39,9 +39,6 @@ Layer = tuple[Tensor, Tensor | None]
 
 SLOW_ALONE = 20480
 """A single volume of no more channels x hypotheses x rows than this torch convolves in a slow way."""
-
-MIN_SIDE = 8
-"""Rectangles of shorter sides leave too much of the cubes of ``convolve_cubes`` unused."""
 
 
 @torch.no_grad()
@@ -118,7 +115,7 @@ def _chain(
     """Values ``(N, V, in)`` to the result ``(N, V, out)``."""
     count, _, channels = rows.shape
     convolutions = [
-        [_Convolution(weight, bias, taps, rows, native and 2**level >= MIN_SIDE) for weight, bias in layers]
+        [_Convolution(weight, bias, taps, rows, native and cubes_pay(2**level)) for weight, bias in layers]
         for taps in (COL_TAPS, ROW_TAPS)
     ]
     full = count + (-count % 4 if any(c.winograd for c in convolutions[0]) else 0)

@@ -22,7 +22,17 @@ from torch import Tensor
 from sphericalvision.crown.native import native_operators
 from sphericalvision.crown.winograd_rows import ALL_TAPS, Workspace
 
-__all__ = ["CubeKernel", "convolve_cubes", "cube_kernel", "results_of_products", "tiles_of_volumes"]
+__all__ = [
+    "CubeKernel",
+    "convolve_cubes",
+    "cube_kernel",
+    "cubes_pay",
+    "results_of_products",
+    "tiles_of_volumes",
+]
+
+MIN_SIDE = 8
+"""Rectangles of shorter sides leave too much of the cubes unused."""
 
 TILE_BYTES = 32 << 20
 """Cubes are taken a few at a time, whose transforms take no more than this."""
@@ -52,6 +62,11 @@ _RESULT = (
     (0.0, 0.5, 0.5, 2.0, 2.0, 0.0),
     (0.0, _A / 2, -_A / 2, 2 * _B, -2 * _B, 1.0),
 )
+
+
+def cubes_pay(side: int) -> bool:
+    """Whether cubes are the faster way for rectangles of ``side`` edges times twice as many."""
+    return side >= MIN_SIDE
 
 
 class CubeKernel(NamedTuple):

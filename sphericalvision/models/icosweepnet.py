@@ -130,9 +130,10 @@ class IcoSweepNet(nn.Module):
 
     @property
     def native(self) -> bool:
-        """Whether inference in single precision on a CPU uses operators in C++: the same results in less time.
+        """Whether wide 3D convolutions in single precision on a CPU use operators in C++: the same results, faster.
 
-        May be set at any time. They are compiled when they are first used on a machine.
+        They do so in inference and in the forward pass of training. May be set at any time. The operators are compiled
+        when they are first used on a machine.
 
         Raises:
             MissingCompilerError: when set, if they could not be compiled.

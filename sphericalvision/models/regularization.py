@@ -64,7 +64,7 @@ class CostBlock(nn.Module):
             layers = [self.first.layer, self.second.layer]
             return convolve_chain(volume, layers, native, workspace or Workspace(), workspace is not None)
         if _by_rectangles(volume, self.first, self.second):
-            return _in_samples(volume, self.first, self.second)
+            return _in_samples(volume, self.first, self.second, native)
         return from_crown(self.second(crown_relu(self.first(to_crown(volume)))))
 
 
@@ -78,12 +78,12 @@ def _by_rectangles(volume: Tensor, *layers: ConvNorm3d) -> bool:
     )
 
 
-def _in_samples(volume: Tensor, first: ConvNorm3d, second: ConvNorm3d | NormedLayer) -> Tensor:
+def _in_samples(volume: Tensor, first: ConvNorm3d, second: ConvNorm3d | NormedLayer, native: bool) -> Tensor:
     """``crown_block3d``, a sample at a time for instance normalisation, and a step of running statistics."""
     end = second if isinstance(second, NormedLayer) else second.normed_layer
     results = []
     for some in volume.split(1 if isinstance(first.norm, CrownInstanceNorm3d) else len(volume)):
-        result, moments = crown_block3d(some, first.normed_layer, end)
+        result, moments = crown_block3d(some, first.normed_layer, end, native)
         results.append(result)
         for layer, moment in zip((first, second), moments, strict=False):
             if isinstance(layer, ConvNorm3d):
@@ -106,7 +106,7 @@ class CostRegularizer(nn.Module):
 
     Attributes:
         recompute: whether to save memory in training by computing the inside of each block twice.
-        native: whether inference uses operators in C++ where they are faster; see ``crown_conv3d_chain``.
+        native: whether forward passes use operators in C++ where they are faster; see ``crown_conv3d_chain``.
 
     References:
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
@@ -152,7 +152,8 @@ class CostRegularizer(nn.Module):
             layers = [self.reduction.layer, (self.score.weight, self.score.bias)]
             return convolve_chain(volume, layers, self.native, workspace).squeeze(1)
         if _by_rectangles(volume, self.reduction) and self.score.bias is None:
-            return _in_samples(volume, self.reduction, NormedLayer(self.score.weight)).squeeze(1)
+            end = NormedLayer(self.score.weight)
+            return _in_samples(volume, self.reduction, end, self.native).squeeze(1)
         crown = crown_relu(self.reduction(to_crown(volume)))
         return from_crown(self.score(crown)).squeeze(1)
 

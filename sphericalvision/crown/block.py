@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -370,9 +370,10 @@ class _OfWeight:
         return of_weight[..., :7].flatten(-2)
 
 
-def _transformed(
-    weight: Tensor, transform: Callable[..., list[PlanarKernel]] = transformed_kernels
-) -> list[list[PlanarKernel]]:
+Kernel = TypeVar("Kernel")
+
+
+def _transformed(weight: Tensor, transform: Callable[..., Kernel]) -> list[Kernel]:
     """Kernels of both directions, made ready."""
     planar = [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for taps in TAPS]
     return [transform(kernel, neighbor_taps(taps)) for kernel, taps in zip(planar, TAPS, strict=True)]
@@ -380,10 +381,9 @@ def _transformed(
 
 def _ready(weight: Tensor, native: bool) -> list[CubeKernel] | list[list[PlanarKernel]]:
     """Kernels of both directions for a forward pass."""
-    if not native or len(weight) < MIN_CHANNELS:
-        return _transformed(weight)
-    planar = [_planar_kernel(weight.unflatten(-1, (3, 7)), taps) for taps in TAPS]
-    return [cube_kernel(kernel, neighbor_taps(taps)) for kernel, taps in zip(planar, TAPS, strict=True)]
+    if native and len(weight) >= MIN_CHANNELS:
+        return _transformed(weight, cube_kernel)
+    return _transformed(weight, transformed_kernels)
 
 
 def _convolve(

@@ -33,7 +33,7 @@ _INSTRUCTIONS = {
 def native_operators() -> Any:
     """Return the operators, ``winograd_tiles`` and ``winograd_results``, for tensors on the CPU.
 
-    The first call on a machine compiles them, in about twenty seconds, into the folder where torch keeps its
+    The first call on a machine compiles them into the folder where torch keeps its
     extensions (``TORCH_EXTENSIONS_DIR``); later processes load them from there.
 
     Raises:

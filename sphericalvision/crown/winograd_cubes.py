@@ -6,7 +6,7 @@ hexagon's kernel 204, in place of 64 x 21. The products are matrix products over
 over much memory in small steps, which takes code of its own (``native``); those in PyTorch are for comparison.
 
 The points of the transforms are 0, +-1 / sqrt(2), +-sqrt(2) and infinity. With the usual +-1 and +-2 in three
-dimensions errors would be ten times as large.
+dimensions the largest errors would be several times as large.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from omegaconf import DictConfig
 from sphericalvision.cameras import Camera, CameraRig, Conversion, field_of_view, save_camera, save_rig
 from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.recipes.cli import command, console, print_table
-from sphericalvision.recipes.rigs import radians, read_calibration
+from sphericalvision.recipes.app.cli import command, console, print_table
+from sphericalvision.recipes.app.rigs import radians, read_calibration
 
 __all__ = ["convert", "main"]
 

@@ -13,11 +13,13 @@ from torch.utils.data import DataLoader
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere, collate_samples
-from sphericalvision.data.image_io import write_image
+from sphericalvision.io.images import write_image
 from sphericalvision.models import IcoSweepNet
-from sphericalvision.recipes.checkpoints import load_network
-from sphericalvision.recipes.cli import build, choose_device, command, console, output_folder
-from sphericalvision.recipes.evaluation import (
+from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.recipes.app.cli import build, choose_device, command, console, output_folder
+from sphericalvision.recipes.app.frames import RenderedFrames, SceneDepths
+from sphericalvision.recipes.app.results import DepthResult, estimate_depth, save_result
+from sphericalvision.recipes.evaluation.tables import (
     Row,
     constant_estimators,
     evaluate,
@@ -25,8 +27,6 @@ from sphericalvision.recipes.evaluation import (
     save_rows,
     sweep_estimator,
 )
-from sphericalvision.recipes.frames import RenderedFrames, SceneDepths
-from sphericalvision.recipes.results import DepthResult, estimate_depth, save_result
 from sphericalvision.sweep import index_from_inverse_depth
 from sphericalvision.viz import depth_panorama, error_panorama, sheet
 

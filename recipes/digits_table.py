@@ -15,9 +15,9 @@ from typing import NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.image_io import whole_file
+from sphericalvision.io.images import whole_file
 from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier
-from sphericalvision.recipes.cli import command, output_folder, print_table
+from sphericalvision.recipes.app.cli import command, output_folder, print_table
 
 __all__ = ["DigitsRun", "gather", "main", "table"]
 

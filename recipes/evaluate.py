@@ -13,10 +13,11 @@ from omegaconf import DictConfig, OmegaConf
 from sphericalvision.core import check_choice
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import IcoSweepNet, OmniMVS
-from sphericalvision.recipes.checkpoints import load_network
-from sphericalvision.recipes.cli import build, choose_device, command, output_folder, print_config
-from sphericalvision.recipes.datamodules import SampleDataModule
-from sphericalvision.recipes.evaluation import (
+from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.recipes.app.cli import build, choose_device, command, output_folder, print_config
+from sphericalvision.recipes.datamodules.base import SampleDataModule
+from sphericalvision.recipes.evaluation.inputs import VertexEstimator
+from sphericalvision.recipes.evaluation.tables import (
     Estimator,
     Row,
     constant_estimators,
@@ -26,7 +27,6 @@ from sphericalvision.recipes.evaluation import (
     semi_global_estimator,
     sweep_estimator,
 )
-from sphericalvision.recipes.inputs import VertexEstimator
 
 __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation", "main"]
 

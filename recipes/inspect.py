@@ -13,11 +13,11 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, coverage, field_of_view, focal_length_on_axis, overlap
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.image_io import read_image, write_image
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.recipes.captures import find_capture, find_masks, read_frame
-from sphericalvision.recipes.cli import command, console, output_folder, print_table
-from sphericalvision.recipes.rigs import radians, read_calibration
+from sphericalvision.io.images import read_image, write_image
+from sphericalvision.recipes.app.captures import find_capture, find_masks, read_frame
+from sphericalvision.recipes.app.cli import command, console, output_folder, print_table
+from sphericalvision.recipes.app.rigs import radians, read_calibration
 from sphericalvision.viz import angle_map, coverage_panorama, rig_picture
 
 __all__ = ["inspect", "load_rig", "main", "print_cameras", "print_poses", "save_pictures"]

@@ -13,15 +13,15 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import ToSphere
-from sphericalvision.data.image_io import read_image
+from sphericalvision.io.images import read_image
 from sphericalvision.models import IcoSweepNet, OmniMVS
-from sphericalvision.recipes.captures import find_capture, find_masks, read_frame
-from sphericalvision.recipes.checkpoints import load_network
-from sphericalvision.recipes.cli import choose_device, command, console, output_folder, print_config
-from sphericalvision.recipes.omnistereo_datamodule import ChosenEntries
-from sphericalvision.recipes.results import estimate_depth, save_result
-from sphericalvision.recipes.rigs import rig_from_file
-from sphericalvision.recipes.training_free import SemiGlobalSweep
+from sphericalvision.recipes.app.captures import find_capture, find_masks, read_frame
+from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.recipes.app.cli import choose_device, command, console, output_folder, print_config
+from sphericalvision.recipes.app.results import estimate_depth, save_result
+from sphericalvision.recipes.app.rigs import rig_from_file
+from sphericalvision.recipes.datamodules.omnistereo import ChosenEntries
+from sphericalvision.recipes.evaluation.training_free import SemiGlobalSweep
 
 __all__ = ["load_rig", "main", "network_for", "predict"]
 

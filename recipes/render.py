@@ -14,9 +14,9 @@ from torch.utils.data import DataLoader
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
-from sphericalvision.data.omnistereo_files import RELEASES
-from sphericalvision.recipes.cli import build, command, console, output_folder, print_config
-from sphericalvision.recipes.frames import RenderedFrames
+from sphericalvision.data.omnistereo.files import RELEASES
+from sphericalvision.recipes.app.cli import build, command, console, output_folder, print_config
+from sphericalvision.recipes.app.frames import RenderedFrames
 
 __all__ = ["main", "missing_frames", "render"]
 

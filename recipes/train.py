@@ -18,14 +18,14 @@ from omegaconf import DictConfig
 from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
 
 from sphericalvision.core import ArgumentError, check_file
-from sphericalvision.recipes.callbacks import training_callbacks
-from sphericalvision.recipes.checkpoints import WeightsBesideCheckpoint
-from sphericalvision.recipes.cli import build, command, output_folder, print_config
-from sphericalvision.recipes.datamodules import SampleDataModule
-from sphericalvision.recipes.evaluation import Row, print_rows, save_rows
-from sphericalvision.recipes.lit_base import IndexModule
-from sphericalvision.recipes.lit_classification import ClassificationModule
-from sphericalvision.recipes.next_steps import evaluate_command, resume_command
+from sphericalvision.recipes.app.checkpoints import WeightsBesideCheckpoint
+from sphericalvision.recipes.app.cli import build, command, output_folder, print_config
+from sphericalvision.recipes.app.next_steps import evaluate_command, resume_command
+from sphericalvision.recipes.datamodules.base import SampleDataModule
+from sphericalvision.recipes.digits.module import ClassificationModule
+from sphericalvision.recipes.evaluation.tables import Row, print_rows, save_rows
+from sphericalvision.recipes.training.callbacks import training_callbacks
+from sphericalvision.recipes.training.lit_base import IndexModule
 
 __all__ = ["Run", "instantiate_run", "main", "train"]
 

@@ -14,7 +14,7 @@ import yaml
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 
-from sphericalvision.recipes.cli import name_rigs, quote_paths
+from sphericalvision.recipes.app.cli import name_rigs, quote_paths
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

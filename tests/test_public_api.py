@@ -20,7 +20,6 @@ PACKAGES = (
     "sphericalvision.core",
     "sphericalvision.crown",
     "sphericalvision.data",
-    "sphericalvision.data.transforms",
     "sphericalvision.geometry",
     "sphericalvision.icosphere",
     "sphericalvision.losses",

@@ -2,11 +2,6 @@
 """Camera models that work on directions, beyond 180° where the lens does, rigs of them, and calibration files."""
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.brown_conrady import (
-    BrownConradyCamera,
-    project_brown_conrady,
-    unproject_brown_conrady,
-)
 from sphericalvision.cameras.calibration import (
     read_camera,
     read_cameras,
@@ -21,48 +16,53 @@ from sphericalvision.cameras.calibration import (
     write_omnimvs,
     write_opencv,
 )
-from sphericalvision.cameras.conversion import Conversion, InverseFit, convert, fit_inverse_polynomial
+from sphericalvision.cameras.conversion.convert import Conversion, InverseFit, convert, fit_inverse_polynomial
 from sphericalvision.cameras.coverage import Overlap, coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, z_from_depth
-from sphericalvision.cameras.double_sphere import (
-    DoubleSphereCamera,
-    project_double_sphere,
-    unproject_double_sphere,
-)
-from sphericalvision.cameras.equirectangular import (
-    EquirectangularCamera,
-    project_equirectangular,
-    unproject_equirectangular,
-)
-from sphericalvision.cameras.extended_unified import (
-    ExtendedUnifiedCamera,
-    project_extended_unified,
-    unproject_extended_unified,
-)
 from sphericalvision.cameras.field_of_view import (
     FieldOfView,
     field_of_view,
     focal_length_on_axis,
     visible_angle,
 )
-from sphericalvision.cameras.fisheye import FisheyeCamera, project_fisheye, unproject_fisheye
-from sphericalvision.cameras.kannala_brandt import (
+from sphericalvision.cameras.models.brown_conrady import (
+    BrownConradyCamera,
+    project_brown_conrady,
+    unproject_brown_conrady,
+)
+from sphericalvision.cameras.models.double_sphere import (
+    DoubleSphereCamera,
+    project_double_sphere,
+    unproject_double_sphere,
+)
+from sphericalvision.cameras.models.equirectangular import (
+    EquirectangularCamera,
+    project_equirectangular,
+    unproject_equirectangular,
+)
+from sphericalvision.cameras.models.extended_unified import (
+    ExtendedUnifiedCamera,
+    project_extended_unified,
+    unproject_extended_unified,
+)
+from sphericalvision.cameras.models.fisheye import FisheyeCamera, project_fisheye, unproject_fisheye
+from sphericalvision.cameras.models.kannala_brandt import (
     KannalaBrandtCamera,
     project_kannala_brandt,
     unproject_kannala_brandt,
 )
-from sphericalvision.cameras.ocam import OCamCamera, project_ocam, unproject_ocam
-from sphericalvision.cameras.pinhole import PinholeCamera, project_pinhole, unproject_pinhole
-from sphericalvision.cameras.radial_polynomial import (
+from sphericalvision.cameras.models.ocam import OCamCamera, project_ocam, unproject_ocam
+from sphericalvision.cameras.models.pinhole import PinholeCamera, project_pinhole, unproject_pinhole
+from sphericalvision.cameras.models.radial_polynomial import (
     RadialPolynomialCamera,
     project_radial_polynomial,
     unproject_radial_polynomial,
 )
-from sphericalvision.cameras.remap import REMAP_MODES, Remap, remap
-from sphericalvision.cameras.remap_tables import Remapped
+from sphericalvision.cameras.models.unified import UnifiedCamera, project_unified, unproject_unified
+from sphericalvision.cameras.remapping.remap import REMAP_MODES, Remap, remap
+from sphericalvision.cameras.remapping.tables import Remapped
+from sphericalvision.cameras.remapping.undistort import undistort, undistorted_camera
 from sphericalvision.cameras.rig import CameraRig, ring_rig
-from sphericalvision.cameras.undistort import undistort, undistorted_camera
-from sphericalvision.cameras.unified import UnifiedCamera, project_unified, unproject_unified
 
 __all__ = [
     "REMAP_MODES",

@@ -16,7 +16,7 @@ from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import bilinear_sample, components, is_at_least, is_greater
 
 if TYPE_CHECKING:
-    from sphericalvision.cameras.conversion import Conversion
+    from sphericalvision.cameras.conversion.convert import Conversion
 
 __all__ = ["Camera", "Projection", "Unprojection"]
 
@@ -216,7 +216,7 @@ class Camera(ABC):
             >>> fisheye.convert(to=KannalaBrandtCamera).max_error < 0.01
             True
         """
-        from sphericalvision.cameras.conversion import convert  # which knows all the models
+        from sphericalvision.cameras.conversion.convert import convert  # which knows all the models
 
         return convert(self, to, **options)
 

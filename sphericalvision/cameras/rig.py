@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.fisheye import FisheyeCamera
+from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.cameras.sphere_images import sample_sphere
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import (

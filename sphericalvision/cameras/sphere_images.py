@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import bilinear_sample
 

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The crown: an icosphere laid out as ten rectangles, and the layers that work on it or on the vertices directly."""
 
-from sphericalvision.crown.chain import crown_conv3d_chain
 from sphericalvision.crown.conv import (
     CrownConv2d,
     CrownConv3d,
     crown_conv2d,
     crown_conv3d,
 )
+from sphericalvision.crown.fast.chain import crown_conv3d_chain
+from sphericalvision.crown.fast.native import native_operators
 from sphericalvision.crown.hexconv import HexConv2d, HexConv3d, hex_conv2d, hex_conv3d, north_fraction
 from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.crown.layout import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
 from sphericalvision.crown.modules import CrownExchange, CrownPointwise, FromCrown, ToCrown
-from sphericalvision.crown.native import native_operators
 from sphericalvision.crown.norm import (
     CrownBatchNorm2d,
     CrownBatchNorm3d,

@@ -10,9 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.crown.fast.planar import conv2d_replicate
+from sphericalvision.crown.fast.winograd import conv3d_replicate
 from sphericalvision.crown.layout import Crown, check_crown
-from sphericalvision.crown.planar import conv2d_replicate
-from sphericalvision.crown.winograd import conv3d_replicate
 
 __all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d"]
 

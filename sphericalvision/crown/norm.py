@@ -13,7 +13,7 @@ from sphericalvision.core import ShapeError, check_choice
 from sphericalvision.crown.layout import Crown, check_crown
 
 if TYPE_CHECKING:
-    from sphericalvision.crown.block import Moments
+    from sphericalvision.crown.fast.block import Moments
 
 __all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
 

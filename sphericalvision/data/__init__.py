@@ -1,19 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes that are rendered, data sets on disk, and transforms of their samples."""
 
+from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
+from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
+from sphericalvision.data.augmentation.rotate_fisheye import RotateFisheye
+from sphericalvision.data.augmentation.sphere_rotation import (
+    num_yaw_steps,
+    random_rotations,
+    rotate_on_sphere,
+    yaw_on_sphere,
+    yaw_rotation,
+)
+from sphericalvision.data.augmentation.sphere_transforms import RandomSphereRotation, RandomYaw
+from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
 from sphericalvision.data.collate import collate_samples
 from sphericalvision.data.fisheye_scenes import FisheyeSceneDataset
-from sphericalvision.data.fivefold import RotateFivefold, rotate_fivefold
-from sphericalvision.data.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
-from sphericalvision.data.image_io import read_image, write_image
-from sphericalvision.data.ocam_fit import ocam_from_camera
-from sphericalvision.data.omnistereo import OmniStereoDataset
-from sphericalvision.data.omnistereo_files import split_frames
-from sphericalvision.data.omnistereo_writer import write_omnistereo
-from sphericalvision.data.photometric import PhotometricAugmentation
-from sphericalvision.data.rotate_fisheye import RotateFisheye
+from sphericalvision.data.omnistereo.dataset import OmniStereoDataset
+from sphericalvision.data.omnistereo.files import split_frames
+from sphericalvision.data.omnistereo.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
+from sphericalvision.data.omnistereo.ocam_fit import ocam_from_camera
+from sphericalvision.data.omnistereo.writer import write_omnistereo
 from sphericalvision.data.scene_dataset import SceneDataset
-from sphericalvision.data.scenes import (
+from sphericalvision.data.scenes.recipes import (
     Scene,
     make_scene,
     ray_depth,
@@ -21,15 +29,7 @@ from sphericalvision.data.scenes import (
     render_directions,
     render_rig,
 )
-from sphericalvision.data.sphere_rotation import (
-    num_yaw_steps,
-    random_rotations,
-    rotate_on_sphere,
-    yaw_on_sphere,
-    yaw_rotation,
-)
-from sphericalvision.data.sphere_transforms import RandomSphereRotation, RandomYaw
-from sphericalvision.data.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
+from sphericalvision.io.images import read_image, write_image
 
 __all__ = [
     "Compose",

@@ -14,12 +14,12 @@ from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data.panorama_grid import latitude_limit, panorama_directions
-from sphericalvision.data.scene import Scene
+from sphericalvision.data.augmentation.transforms import ToSphere
+from sphericalvision.data.omnistereo.panorama_grid import latitude_limit, panorama_directions
 from sphericalvision.data.scene_cache import SceneCache, decode, encode, parameter_digest, rounded
-from sphericalvision.data.scenes import ray_depth, render_rig
+from sphericalvision.data.scenes.recipes import ray_depth, render_rig
+from sphericalvision.data.scenes.scene import Scene
 from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, SeededScenes
-from sphericalvision.data.transforms import ToSphere
 from sphericalvision.icosphere import Icosphere
 
 __all__ = ["ENTRIES", "FisheyeSceneDataset"]

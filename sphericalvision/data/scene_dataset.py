@@ -12,7 +12,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.scene_cache import SceneCache, decode, encode, parameter_digest
-from sphericalvision.data.scenes import ray_depth, render_rig
+from sphericalvision.data.scenes.recipes import ray_depth, render_rig
 from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, SeededScenes
 from sphericalvision.icosphere import Icosphere
 

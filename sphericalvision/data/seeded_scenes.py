@@ -10,8 +10,8 @@ from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data.scene import Scene
-from sphericalvision.data.scenes import KINDS, make_scene
+from sphericalvision.data.scenes.recipes import KINDS, make_scene
+from sphericalvision.data.scenes.scene import Scene
 
 __all__ = ["GENERATION", "NATURAL_MIN_DEPTH", "SeededScenes"]
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.icosphere.descent import barycentric_weights, descend
-from sphericalvision.icosphere.locate_many import locate_many
+from sphericalvision.icosphere.fast.locate_many import locate_many
 from sphericalvision.icosphere.topology import check_level, num_icosphere_vertices
 
 __all__ = ["locate"]

@@ -16,9 +16,9 @@ from sphericalvision.crown import (
     from_crown,
     to_crown,
 )
-from sphericalvision.crown.block import NormedLayer, block3d_pays, crown_block3d
-from sphericalvision.crown.chain import convolve_chain
-from sphericalvision.crown.winograd_rows import Workspace
+from sphericalvision.crown.fast.block import NormedLayer, block3d_pays, crown_block3d
+from sphericalvision.crown.fast.chain import convolve_chain
+from sphericalvision.crown.fast.winograd_rows import Workspace
 from sphericalvision.models.recompute import recomputed
 
 __all__ = ["ConvNorm3d", "CostBlock", "CostRegularizer"]

@@ -12,8 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from sphericalvision.icosphere.locate_many import chunk_size
-from sphericalvision.icosphere.triangle_table import (
+from sphericalvision.icosphere.fast.locate_many import chunk_size
+from sphericalvision.icosphere.fast.triangle_table import (
     TriangleTable,
     coefficients,
     find_triangles,

@@ -14,9 +14,9 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ShapeError
-from sphericalvision.data.image_io import write_image
-from sphericalvision.data.panorama_grid import panorama_directions
+from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.io.images import write_image
 from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color
 from sphericalvision.viz.figure import add_scale_bar, sheet
 

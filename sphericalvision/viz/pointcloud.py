@@ -12,8 +12,8 @@ import trimesh
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data.image_io import whole_file
-from sphericalvision.data.panorama_grid import panorama_directions
+from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
+from sphericalvision.io.images import whole_file
 
 __all__ = ["PointCloud", "panorama_point_cloud", "save_point_cloud"]
 

@@ -8,8 +8,6 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from laws import camera_laws as laws
-from laws import differentiation_laws
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
@@ -24,6 +22,8 @@ from sphericalvision.cameras import (
     RadialPolynomialCamera,
     UnifiedCamera,
 )
+from tests.laws import camera_laws as laws
+from tests.laws import differentiation_laws
 
 SIZE = (96, 112)
 CENTER = (55.2, 47.1)  # off the middle, and not a whole pixel

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
-from sphericalvision.data.ground_truth import read_ground_truth, write_ground_truth
+from sphericalvision.data.omnistereo.ground_truth import read_ground_truth, write_ground_truth
 
 
 def test_convention_png_value_over_65500_times_minimum_depth(tmp_path: Path) -> None:

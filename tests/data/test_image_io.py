@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sphericalvision.core import FileFormatError, MissingFileError, ShapeError
-from sphericalvision.data.image_io import (
+from sphericalvision.io.images import (
     list_folder,
     read_image,
     read_pages,

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from sphericalvision.core import ShapeError
-from sphericalvision.data.panorama_grid import latitude_limit, nearest_pixels, panorama_directions
+from sphericalvision.data.omnistereo.panorama_grid import latitude_limit, nearest_pixels, panorama_directions
 from sphericalvision.icosphere import Icosphere
 
 

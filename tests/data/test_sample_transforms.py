@@ -16,9 +16,9 @@ import torch
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, read_rig
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data.panorama_grid import panorama_directions
-from sphericalvision.data.photometric import PhotometricAugmentation
-from sphericalvision.data.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
+from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
+from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
+from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere
 
 Sample = dict[str, Any]

@@ -15,9 +15,9 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.fivefold import RotateFivefold, rotate_fivefold
+from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
 from sphericalvision.data.scene_dataset import SceneDataset
-from sphericalvision.data.scenes import make_scene, ray_depth, render_directions, render_rig
+from sphericalvision.data.scenes.recipes import make_scene, ray_depth, render_directions, render_rig
 from sphericalvision.icosphere import Icosphere
 
 Sample = dict[str, Any]

@@ -13,9 +13,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, FisheyeCamera
 from sphericalvision.core import ArgumentError, MissingFileError
-from sphericalvision.data.primitives import Part, pack
-from sphericalvision.data.scene import Lamp, Material, Scene, pack_lamps, pack_materials
-from sphericalvision.data.scenes import (
+from sphericalvision.data.scenes.primitives import Part, pack
+from sphericalvision.data.scenes.recipes import (
     KINDS,
     make_scene,
     ray_depth,
@@ -23,7 +22,8 @@ from sphericalvision.data.scenes import (
     render_directions,
     render_rig,
 )
-from sphericalvision.data.textures import PATTERNS, PHOTOGRAPHS, pattern, photograph, texture_bank
+from sphericalvision.data.scenes.scene import Lamp, Material, Scene, pack_lamps, pack_materials
+from sphericalvision.data.scenes.textures import PATTERNS, PHOTOGRAPHS, pattern, photograph, texture_bank
 
 ORIGIN = torch.zeros(3)
 DOWN = torch.tensor([0.0, 1.0, 0.0])

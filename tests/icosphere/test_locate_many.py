@@ -9,7 +9,7 @@ from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere, locate
 from sphericalvision.icosphere.descent import barycentric_weights, descend
-from sphericalvision.icosphere.locate_many import locate_many
+from sphericalvision.icosphere.fast.locate_many import locate_many
 
 
 def on_edges_and_corners(level: int, dtype: torch.dtype) -> Tensor:
@@ -26,7 +26,7 @@ def on_edges_and_corners(level: int, dtype: torch.dtype) -> Tensor:
 def test_the_same_triangles_and_weights(
     level: int, dtype: torch.dtype, generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sphericalvision.icosphere.locate_many.chunk_size", lambda device: 8192)
+    monkeypatch.setattr("sphericalvision.icosphere.fast.locate_many.chunk_size", lambda device: 8192)
     directions = torch.randn(2 * 8192 + 77, 3, generator=generator, dtype=torch.float64).to(dtype)
     unit = torch.nn.functional.normalize(directions, dim=-1)
     ids, weights = locate_many(directions, level)

@@ -9,8 +9,8 @@ import torch.nn.functional as F
 
 from sphericalvision.icosphere import Icosphere, icosphere_face_neighbors
 from sphericalvision.icosphere.descent import descend
-from sphericalvision.icosphere.octahedron import cell_centers, cell_numbers
-from sphericalvision.icosphere.triangle_table import coefficients, find_triangles, triangle_table
+from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
+from sphericalvision.icosphere.fast.triangle_table import coefficients, find_triangles, triangle_table
 
 CPU = torch.device("cpu")
 
@@ -55,7 +55,7 @@ def test_walks_end_in_the_same_triangle_wherever_they_begin(
     steps: int, generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Steps across edges lead there; where they are not enough, the way down does."""
-    monkeypatch.setattr("sphericalvision.icosphere.triangle_table.STEPS", steps)
+    monkeypatch.setattr("sphericalvision.icosphere.fast.triangle_table.STEPS", steps)
     level = 3
     table = triangle_table(level, torch.float64, CPU)
     rays = torch.randn(3, 1000, dtype=torch.float64, generator=generator)

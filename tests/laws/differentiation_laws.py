@@ -8,10 +8,10 @@ from collections.abc import Callable
 from functools import partial
 
 import torch
-from laws.camera_laws import inner_angle, replaced
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
+from tests.laws.camera_laws import inner_angle, replaced
 
 BOTH = ("project", "unproject")
 ANGLES = (0.0, 1e-6, 0.7, math.pi / 2, math.radians(100.5))  # and the edge

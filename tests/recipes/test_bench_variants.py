@@ -10,8 +10,8 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.recipes import bench_variants
 from sphericalvision.recipes.benchmark import benchmark
+from sphericalvision.recipes.benchmark import variants as bench_variants
 
 
 def config(*overrides: str) -> DictConfig:

@@ -16,12 +16,14 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.crown import to_crown
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
-from sphericalvision.recipes import bench_alone, bench_cameras, bench_network
-from sphericalvision.recipes.bench_network import comparisons
+from sphericalvision.recipes.benchmark import alone as bench_alone
 from sphericalvision.recipes.benchmark import benchmark
-from sphericalvision.recipes.benchmarking import BF16, Comparison, Measured, Peaks, measure
-from sphericalvision.recipes.plain_network import PlainNetwork
-from sphericalvision.recipes.plain_setup import plain_charts, plain_sweep_tables
+from sphericalvision.recipes.benchmark import cameras as bench_cameras
+from sphericalvision.recipes.benchmark import network as bench_network
+from sphericalvision.recipes.benchmark.measuring import BF16, Comparison, Measured, Peaks, measure
+from sphericalvision.recipes.benchmark.network import comparisons
+from sphericalvision.recipes.benchmark.plain_network import PlainNetwork
+from sphericalvision.recipes.benchmark.plain_setup import plain_charts, plain_sweep_tables
 from sphericalvision.sweep import SphereSweep
 
 TINY = [

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sphericalvision.core import ArgumentError, MissingFileError
-from sphericalvision.recipes.captures import find_capture, find_masks
+from sphericalvision.recipes.app.captures import find_capture, find_masks
 
 NAMES = ["cam1", "cam2", "cam3"]
 

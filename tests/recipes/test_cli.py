@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from sphericalvision.recipes.cli import quote_paths, unquote_paths
+from sphericalvision.recipes.app.cli import quote_paths, unquote_paths
 from tests.recipes.tiny import TINY_SCENES, Run
 
 Failing = Callable[..., str]
@@ -76,7 +76,7 @@ def test_a_folder_of_own_configs_extends_the_experiments(run: Run, tmp_path: Pat
     folder = tmp_path / "mine" / "scene_rig"
     folder.mkdir(parents=True)
     (folder / "tiny.yaml").write_text(
-        "_target_: sphericalvision.recipes.rigs.make_ring\nimage_size: [32, 32]\n"
+        "_target_: sphericalvision.recipes.app.rigs.make_ring\nimage_size: [32, 32]\n"
     )
     words = [
         "scene_rig=tiny",

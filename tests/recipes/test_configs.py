@@ -14,9 +14,9 @@ from omegaconf import DictConfig, OmegaConf
 import sphericalvision.conf
 from sphericalvision.data import write_omnistereo
 from sphericalvision.models import OmniMVS
-from sphericalvision.recipes.cli import build
-from sphericalvision.recipes.frames import RenderedFrames
-from sphericalvision.recipes.rigs import make_ring
+from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.app.frames import RenderedFrames
+from sphericalvision.recipes.app.rigs import make_ring
 
 CONF = Path(sphericalvision.conf.__file__).parent
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))

@@ -21,7 +21,7 @@ from sphericalvision.cameras import (
     ring_rig,
     save_camera,
 )
-from sphericalvision.data.image_io import read_image, write_image
+from sphericalvision.io.images import read_image, write_image
 from tests.recipes.tiny import Run
 
 LENS = DoubleSphereCamera([75.0, 75.0], [152.3, 151.5], -0.2, 0.6, (304, 304), math.radians(100))

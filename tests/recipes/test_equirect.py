@@ -13,8 +13,8 @@ from hydra import compose, initialize_config_module
 
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.data import OmniStereoDataset, collate_samples
-from sphericalvision.recipes.cli import build, name_rigs
-from sphericalvision.recipes.scene_datamodule import FisheyeSceneDataModule
+from sphericalvision.recipes.app.cli import build, name_rigs
+from sphericalvision.recipes.datamodules.scenes import FisheyeSceneDataModule
 from tests.recipes.tiny import TINY_SCENES, Run
 
 TINY_PANORAMAS = ("rig=equirect4", "scene_rig.image_size=[16,32]")

@@ -12,9 +12,9 @@ import pytest
 import torch
 import trimesh
 
-from sphericalvision.data.image_io import read_image, write_image
+from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import IcoSweepNet, save_weights
-from sphericalvision.recipes.rigs import make_ring
+from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
 
 SIZE = (40, 48)

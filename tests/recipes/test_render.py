@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from sphericalvision.data import OmniStereoDataset
-from sphericalvision.recipes.frames import RenderedFrames, kind_of
-from sphericalvision.recipes.rigs import make_ring
+from sphericalvision.recipes.app.frames import RenderedFrames, kind_of
+from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
 
 TINY = ("scene_rig.image_size=[32,32]", "samples_per_pixel=1", "height=32")

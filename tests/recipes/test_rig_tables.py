@@ -8,7 +8,7 @@ import math
 import torch
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.recipes.rig_tables import RigTables
+from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.sweep import SphereSweep
 
 

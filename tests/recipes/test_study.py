@@ -17,26 +17,27 @@ from hydra import compose, initialize_config_module
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
-from sphericalvision.data.image_io import read_image
-from sphericalvision.data.panorama_grid import panorama_directions
+from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.images import read_image
 from sphericalvision.models import save_weights
-from sphericalvision.recipes import study_jobs, study_training
-from sphericalvision.recipes.cli import build
-from sphericalvision.recipes.frames import RenderedFrames
-from sphericalvision.recipes.rigs import make_ring
-from sphericalvision.recipes.study_data import View, study_frames
-from sphericalvision.recipes.study_measures import Yardstick, measure
-from sphericalvision.recipes.study_models import Estimate, Scale, study_models
-from sphericalvision.recipes.study_pictures import PanelColumn, angle_plot, panel_sheet
-from sphericalvision.recipes.study_tables import (
+from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.app.frames import RenderedFrames
+from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.recipes.study import jobs as study_jobs
+from sphericalvision.recipes.study import training as study_training
+from sphericalvision.recipes.study.data import View, study_frames
+from sphericalvision.recipes.study.measures import Yardstick, measure
+from sphericalvision.recipes.study.models import Estimate, Scale, study_models
+from sphericalvision.recipes.study.pictures import PanelColumn, angle_plot, panel_sheet
+from sphericalvision.recipes.study.tables import (
     change_table,
     detail_table,
     input_table,
     paper_table,
     zone_table,
 )
-from sphericalvision.recipes.study_training import training_config, training_words
+from sphericalvision.recipes.study.training import training_config, training_words
 from tests.recipes.tiny import Run
 
 ANGLES = (0.0, 45.0)

@@ -16,9 +16,9 @@ import torch
 from omegaconf import OmegaConf
 
 from sphericalvision.models import load_weights
-from sphericalvision.recipes.checkpoints import load_network
-from sphericalvision.recipes.datamodules import TrainingStream
-from sphericalvision.recipes.lit_depth import METRICS, DepthModule
+from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.recipes.datamodules.base import TrainingStream
+from sphericalvision.recipes.training.lit_depth import METRICS, DepthModule
 from tests.recipes.tiny import Run
 
 Words = tuple[str, ...]

@@ -13,10 +13,10 @@ import pytest
 import torch
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.image_io import read_image, write_image
+from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import OmniMVS, load_weights, pretrained, save_weights
-from sphericalvision.recipes.checkpoints import load_network
-from sphericalvision.recipes.rigs import make_ring
+from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import TINY_SCENES, Run
 
 WORDS = (

@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from laws.grid_laws import DOUBLE, some_rotation, spread_directions
 
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, ShapeError
@@ -22,6 +21,7 @@ from sphericalvision.sphere import (
     resample,
     world_from_cube_face,
 )
+from tests.laws.grid_laws import DOUBLE, some_rotation, spread_directions
 
 
 def test_convention_cubemap() -> None:

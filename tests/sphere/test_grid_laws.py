@@ -7,7 +7,10 @@ import math
 
 import pytest
 import torch
-from laws.grid_laws import (
+from torch import Tensor
+
+from sphericalvision.sphere import Healpix, Icosphere, SphereGrid, TangentImages, resample
+from tests.laws.grid_laws import (
     DOUBLE,
     MAKERS,
     in_awkward_places,
@@ -15,10 +18,7 @@ from laws.grid_laws import (
     spread_directions,
     symmetries,
 )
-from laws.harmonics import harmonics
-from torch import Tensor
-
-from sphericalvision.sphere import Healpix, Icosphere, SphereGrid, TangentImages, resample
+from tests.laws.harmonics import harmonics
 
 NAMES = list(MAKERS)
 PAIRS = [(a, b) for a in NAMES for b in NAMES]

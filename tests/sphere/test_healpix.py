@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 import torch
-from laws.grid_laws import DOUBLE, spread_directions
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import longitude_latitude_from_directions
 from sphericalvision.sphere import Healpix, nested_from_ring, ring_from_nested
+from tests.laws.grid_laws import DOUBLE, spread_directions
 
 
 def gorski_centers(nside: int) -> list[tuple[float, float]]:

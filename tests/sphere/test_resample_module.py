@@ -7,7 +7,6 @@ import math
 
 import pytest
 import torch
-from laws.grid_laws import DOUBLE, MAKERS, some_rotation
 from torch import Tensor
 
 from sphericalvision.cameras import FisheyeCamera, KannalaBrandtCamera, PinholeCamera
@@ -23,6 +22,7 @@ from sphericalvision.sphere import (
     resample,
     resample_mask,
 )
+from tests.laws.grid_laws import DOUBLE, MAKERS, some_rotation
 
 FISHEYE = FisheyeCamera.from_field_of_view((48, 64), math.radians(200)).to(DOUBLE)
 SMALL = [Equirectangular(6, 12), Cubemap(4), Healpix(2), Icosphere(1), TangentImages(0, 5)]

@@ -15,11 +15,11 @@ from sphericalvision.sphere import (
     Equirectangular,
     SphereConv2d,
     equirectangular_pad,
-    row_sums,
-    sphere_conv,
     sphere_conv2d,
     sphere_taps,
 )
+from sphericalvision.sphere.convolutions import sphere_conv
+from sphericalvision.sphere.fast import row_sums
 
 
 def random_values(*shape: int) -> Tensor:

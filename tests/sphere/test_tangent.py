@@ -7,11 +7,11 @@ import math
 
 import pytest
 import torch
-from laws.grid_laws import DOUBLE, spread_directions
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices
 from sphericalvision.sphere import Equirectangular, TangentImages, resample
+from tests.laws.grid_laws import DOUBLE, spread_directions
 
 
 def test_convention_tangent_patches() -> None:

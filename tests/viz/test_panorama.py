@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera
 from sphericalvision.core import ShapeError
-from sphericalvision.data.panorama_grid import panorama_directions
+from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.viz import (

@@ -12,7 +12,7 @@ import torch
 import trimesh
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data.panorama_grid import panorama_directions
+from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.viz import panorama_point_cloud, save_point_cloud
 
 

@@ -18,11 +18,10 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load, whole_file
-from sphericalvision.cameras.calibration.numbers import (
+from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
     entry,
@@ -33,12 +32,13 @@ from sphericalvision.cameras.calibration.numbers import (
     write_mask,
 )
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation
-from sphericalvision.cameras.double_sphere import DoubleSphereCamera
-from sphericalvision.cameras.extended_unified import ExtendedUnifiedCamera
-from sphericalvision.cameras.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.pinhole import PinholeCamera
+from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.models.double_sphere import DoubleSphereCamera
+from sphericalvision.cameras.models.extended_unified import ExtendedUnifiedCamera
+from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
+from sphericalvision.cameras.models.pinhole import PinholeCamera
+from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.cameras.unified import UnifiedCamera
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.geometry import transform_from_quaternion
 

@@ -20,10 +20,9 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, load
-from sphericalvision.cameras.calibration.numbers import (
+from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
     entry,
@@ -32,8 +31,9 @@ from sphericalvision.cameras.calibration.numbers import (
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.unified import UnifiedCamera
+from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
+from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.core import FileFormatError, MissingFileError
 
 __all__ = ["KITTI360_POSES", "contents", "kitti360_contents", "recognizes"]

@@ -19,19 +19,19 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, whole_file
-from sphericalvision.cameras.calibration.numbers import (
+from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
     focal_lengths,
     numbers,
     size_from_width_height,
 )
-from sphericalvision.cameras.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.pinhole import PinholeCamera
+from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
+from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.core import ArgumentError, FileFormatError
 
 __all__ = ["contents", "recognizes", "write_colmap"]

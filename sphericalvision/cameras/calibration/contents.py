@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.numbers import as_told, check_radius
+from sphericalvision.cameras.calibration.parsing import as_told, check_radius
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 

@@ -20,11 +20,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import write_yaml
-from sphericalvision.cameras.calibration.numbers import (
+from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
     entry,
@@ -33,12 +32,13 @@ from sphericalvision.cameras.calibration.numbers import (
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.double_sphere import DoubleSphereCamera
-from sphericalvision.cameras.extended_unified import ExtendedUnifiedCamera
-from sphericalvision.cameras.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.pinhole import PinholeCamera
+from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.models.double_sphere import DoubleSphereCamera
+from sphericalvision.cameras.models.extended_unified import ExtendedUnifiedCamera
+from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
+from sphericalvision.cameras.models.pinhole import PinholeCamera
+from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.cameras.unified import UnifiedCamera
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
 

@@ -27,8 +27,8 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load
-from sphericalvision.cameras.calibration.numbers import as_told, bounded, number, size_from_width_height
-from sphericalvision.cameras.ocam import OCamCamera
+from sphericalvision.cameras.calibration.parsing import as_told, bounded, number, size_from_width_height
+from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.geometry import transform_from_quaternion
 

@@ -16,11 +16,10 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.calibration.capabilities import check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import write_yaml
-from sphericalvision.cameras.calibration.numbers import (
+from sphericalvision.cameras.calibration.parsing import (
     as_told,
     entry,
     mapping,
@@ -29,16 +28,17 @@ from sphericalvision.cameras.calibration.numbers import (
     size_from_width_height,
     write_mask,
 )
-from sphericalvision.cameras.double_sphere import DoubleSphereCamera
-from sphericalvision.cameras.equirectangular import EquirectangularCamera
-from sphericalvision.cameras.extended_unified import ExtendedUnifiedCamera
-from sphericalvision.cameras.fisheye import FisheyeCamera
-from sphericalvision.cameras.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.ocam import OCamCamera
-from sphericalvision.cameras.pinhole import PinholeCamera
-from sphericalvision.cameras.radial_polynomial import RadialPolynomialCamera
+from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.models.double_sphere import DoubleSphereCamera
+from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.models.extended_unified import ExtendedUnifiedCamera
+from sphericalvision.cameras.models.fisheye import FisheyeCamera
+from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
+from sphericalvision.cameras.models.ocam import OCamCamera
+from sphericalvision.cameras.models.pinhole import PinholeCamera
+from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
+from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.cameras.unified import UnifiedCamera
 from sphericalvision.core import FileFormatError
 
 __all__ = [

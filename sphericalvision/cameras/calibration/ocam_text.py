@@ -16,7 +16,7 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of
 from sphericalvision.cameras.calibration.files import data_lines, whole_file
-from sphericalvision.cameras.calibration.numbers import (
+from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
     check_radius,
@@ -24,7 +24,7 @@ from sphericalvision.cameras.calibration.numbers import (
     numbers,
     size_from_width_height,
 )
-from sphericalvision.cameras.ocam import OCamCamera
+from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import transform_from_axis_angle

@@ -19,10 +19,10 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.capabilities import check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import write_yaml
-from sphericalvision.cameras.calibration.numbers import entry, numbers, read_mask, write_mask
 from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
+from sphericalvision.cameras.calibration.parsing import entry, numbers, read_mask, write_mask
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
-from sphericalvision.cameras.ocam import OCamCamera
+from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle

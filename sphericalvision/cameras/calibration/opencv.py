@@ -21,16 +21,8 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load
-from sphericalvision.cameras.calibration.numbers import (
-    as_told,
-    bounded,
-    focal_lengths,
-    metres_per,
-    size_from_width_height,
-)
 from sphericalvision.cameras.calibration.opencv_keys import (
     DISTORTION,
     MATRIX,
@@ -41,10 +33,18 @@ from sphericalvision.cameras.calibration.opencv_keys import (
     matrix,
     rotation,
 )
+from sphericalvision.cameras.calibration.parsing import (
+    as_told,
+    bounded,
+    focal_lengths,
+    metres_per,
+    size_from_width_height,
+)
 from sphericalvision.cameras.calibration.poses import checked_rigid
-from sphericalvision.cameras.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.pinhole import PinholeCamera
-from sphericalvision.cameras.unified import UnifiedCamera
+from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
+from sphericalvision.cameras.models.pinhole import PinholeCamera
+from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import invert_transform
 

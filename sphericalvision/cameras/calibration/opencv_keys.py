@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.calibration.numbers import numbers
+from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError
 
 __all__ = ["DISTORTION", "MATRIX", "ROTATION", "SIZE", "TRANSLATION", "find", "matrix", "rotation"]

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.files import STRUCTURED, whole_file
-from sphericalvision.cameras.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.pinhole import PinholeCamera
+from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
+from sphericalvision.cameras.models.pinhole import PinholeCamera
+from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.cameras.unified import UnifiedCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import invert_transform
 

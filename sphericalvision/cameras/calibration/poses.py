@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.calibration.numbers import numbers
+from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError
 
 __all__ = ["axis_angle_from_rotation", "checked_rigid", "quaternion_from_rotation", "transform_from_rows"]

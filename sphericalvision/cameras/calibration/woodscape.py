@@ -20,7 +20,7 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.numbers import (
+from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
     entry,
@@ -29,7 +29,7 @@ from sphericalvision.cameras.calibration.numbers import (
     numbers,
     size_from_width_height,
 )
-from sphericalvision.cameras.radial_polynomial import RadialPolynomialCamera
+from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_quaternion
 

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rendered frames as they go to disk: fisheye images and a ground-truth panorama."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from torch.utils.data import Dataset
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
+from sphericalvision.data.scenes.recipes import make_scene, ray_depth, render_rig
+from sphericalvision.icosphere import Icosphere
+
+__all__ = ["RenderedFrames", "SceneDepths", "kind_of"]
+
+
+def kind_of(kind: str, seed: int) -> str:
+    """The kind of scene of a seed: ``"mixed"`` takes turns.
+
+    Examples:
+        >>> kind_of("mixed", 4), kind_of("mixed", 5), kind_of("room", 5)
+        ('room', 'floating', 'room')
+    """
+    check_choice("kind", kind, ("room", "floating", "mixed"))
+    return ("room", "floating")[seed % 2] if kind == "mixed" else kind
+
+
+class RenderedFrames(Dataset[dict[str, Any]]):
+    """Frames of procedural scenes, each the scene of its own seed.
+
+    Args:
+        rig: cameras that take the pictures.
+        frames: frame numbers.
+        first_seed: seed of frame 1.
+        kind: "room", "floating" or "mixed".
+        samples_per_pixel: rays per pixel.
+        height: rows of the ground-truth panorama; it has twice as many columns.
+        scale: multiplies the scene's lengths; for larger rigs.
+    """
+
+    def __init__(
+        self,
+        rig: CameraRig,
+        frames: Sequence[int],
+        first_seed: int = 0,
+        kind: str = "mixed",
+        samples_per_pixel: int = 4,
+        height: int = 320,
+        scale: float = 1.0,
+    ) -> None:
+        if not height > 0:
+            raise ArgumentError(f"height: expected a positive number of rows, got {height}")
+        kind_of(kind, 0)
+        self.rig, self.frames, self.first_seed, self.kind = rig, frames, first_seed, kind
+        self.samples_per_pixel, self.height, self.scale = samples_per_pixel, height, scale
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        frame = self.frames[index]
+        seed = self.first_seed + frame - 1
+        scene = make_scene(kind_of(self.kind, seed), seed, scale=self.scale, center=self.rig.center)
+        depth = ray_depth(scene, self.rig.center, panorama_directions(self.height, 2 * self.height))
+        return {
+            "images": render_rig(scene, self.rig, self.samples_per_pixel),
+            "inverse_depth": depth.reciprocal(),
+            "valid": depth > 0,
+            "rig": self.rig,
+            "frame": f"{frame:05d}",
+        }
+
+
+class SceneDepths(Dataset[dict[str, Any]]):
+    """Ground truth alone of scenes, at the vertices of an icosphere; nothing is rendered.
+
+    Args:
+        rig: its centre is where depth is measured from.
+        num_scenes: how many.
+        level: icosphere level of the images; depth is two levels below.
+        first_seed: seed of the first scene.
+        kind: "room", "floating" or "mixed".
+        scale: multiplies the scenes' lengths.
+    """
+
+    def __init__(
+        self, rig: CameraRig, num_scenes: int, level: int, first_seed: int, kind: str, scale: float
+    ) -> None:
+        self.center, self.num_scenes, self.first_seed = rig.center, num_scenes, first_seed
+        self.kind, self.scale = kind, scale
+        self.directions = Icosphere(level - 2).vertices
+
+    def __len__(self) -> int:
+        return self.num_scenes
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        seed = self.first_seed + index
+        scene = make_scene(kind_of(self.kind, seed), seed, scale=self.scale, center=self.center)
+        depth = ray_depth(scene, self.center, self.directions)
+        return {"inverse_depth": depth.reciprocal(), "valid": depth > 0}

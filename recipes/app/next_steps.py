@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command lines that a finished or stopped training prints, with real paths."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from hydra import compose
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from sphericalvision.recipes.app.cli import unquote_paths
+
+__all__ = ["evaluate_command", "resume_command"]
+
+
+def resume_command(last: Path, max_steps: int | None = None) -> str:
+    """Command line that goes on with this run in the same folder, to ``max_steps`` if given."""
+    replaced = ("resume=", "output=", *(["trainer.max_steps="] if max_steps else []))
+    given = [word for word in HydraConfig.get().overrides.task if not word.startswith(replaced)]
+    longer = [f"trainer.max_steps={max_steps}"] if max_steps else []
+    words = [*unquote_paths(given), *longer, f"output={last.parent.parent}", f"resume={last}"]
+    return shlex.join(["sphericalvision-train", *words])
+
+
+def evaluate_command(best: Path, config: DictConfig) -> str:
+    """Command line that evaluates the best checkpoint on the test split of the same data."""
+    choices = HydraConfig.get().runtime.choices
+    groups = [f"data={choices['data']}"] + (
+        [f"scene_rig={choices['scene_rig']}"] if "rig" in config.data else []
+    )
+    usual = compose("evaluate", groups)
+    changes = [
+        f"{group}.{key}={value}".replace(" ", "").replace("None", "null")
+        for group in ("scene_rig", "data")
+        for key, value in config[group].items()
+        if key in usual[group] and key not in ("level", "min_depth", "rig", "seed")
+        if group == "data" or "rig" in config.data
+        if OmegaConf.is_missing(usual[group], key) or usual[group][key] != value
+    ]
+    return shlex.join(
+        ["sphericalvision-evaluate", f"checkpoint={best.with_suffix('.safetensors')}", *groups, *changes]
+    )

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that one depth estimate becomes: a picture, a point cloud, and arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
+from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.io.images import whole_file, write_image
+from sphericalvision.models import IcoSweepNet, OmniMVS
+from sphericalvision.recipes.evaluation.training_free import SemiGlobalSweep
+from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
+from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama, save_depth_panorama
+from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_cloud
+
+__all__ = ["DepthResult", "estimate_depth", "save_result"]
+
+
+@dataclass(frozen=True)
+class DepthResult:
+    """What a network says about one frame; ``H`` rows and ``2 * H`` columns of panorama.
+
+    Attributes:
+        directions: ``(V, 3)`` of the network's own grid: the vertices of an icosphere, or the pixels of a panorama.
+        index: ``(V,)`` hypothesis index there.
+        inverse_depth: ``(V,)`` 1/m.
+        panorama: ``(H, 2 * H)`` depth in metres along the rays from the rig's centre; NaN where the network's grid does
+            not reach.
+        min_depth: nearest hypothesis in metres.
+        max_depth: metres; farther is not told from infinity: half a hypothesis away from it.
+    """
+
+    directions: Tensor
+    index: Tensor
+    inverse_depth: Tensor
+    panorama: Tensor
+    min_depth: float
+    max_depth: float
+
+
+@torch.inference_mode()
+def estimate_depth(
+    net: IcoSweepNet | OmniMVS | SemiGlobalSweep, images: Tensor, rig: CameraRig, height: int = 320
+) -> DepthResult:
+    """Estimate the depth of one frame of an unbatched rig, on the network's device.
+
+    The images are those that the network wants: ``(n, 3, V)`` on icospheres, or ``(n, 3, H, W)`` of the cameras.
+    """
+    device = next(net.buffers()).device
+    index = net(images[None].to(device), rig.to(device))[0].float().cpu()
+    number, min_depth = net.num_hypotheses, net.min_depth
+    inverse_depth = inverse_depth_from_index(index, number, min_depth)
+    if isinstance(net, OmniMVS):
+        view, grid = panorama_directions(height, 2 * height), net.grid.cpu()
+        panorama = grid.sample(inverse_depth, view.flatten(0, 1)).view(height, 2 * height)
+        panorama = panorama.where(grid.contains(view), math.nan)
+        directions = grid.directions.flatten(0, 1)
+    else:
+        panorama = icosphere_to_panorama(inverse_depth, height)
+        directions = Icosphere(level_from_num_vertices(len(index))).vertices
+    max_depth = float(depth_from_index(torch.tensor(0.5), number, min_depth))
+    return DepthResult(
+        directions, index.flatten(), inverse_depth.flatten(), panorama.reciprocal(), min_depth, max_depth
+    )
+
+
+def save_result(
+    folder: Path, prefix: str, result: DepthResult, images: Mapping[str, Tensor], rig: CameraRig
+) -> list[Path]:
+    """Write pictures of depth and colour, point cloud and arrays, their names after ``prefix``; returns the paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    picture = save_depth_panorama(folder / f"{prefix}depth.png", result.panorama, result.min_depth)
+    colors, seen = rgb_panorama(rig, images, result.panorama.shape[0], result.panorama)
+    write_image(folder / f"{prefix}color.png", colors)
+    depth = result.panorama.where(seen, math.nan)
+    cloud = panorama_point_cloud(depth, colors, max_depth=result.max_depth, center=rig.center)
+    written = [picture, folder / f"{prefix}color.png"]
+    if len(cloud.points):
+        written.append(save_point_cloud(folder / f"{prefix}points.ply", cloud.points, cloud.colors))
+    arrays = {
+        "index": result.index,
+        "inverse_depth": result.inverse_depth,
+        "depth": result.inverse_depth.reciprocal(),
+        "directions": result.directions,
+        "depth_panorama": result.panorama,
+        "color_panorama": colors,
+        "seen_panorama": seen,
+        "center": rig.center,
+    }
+    path = folder / f"{prefix}depth.npz"
+    stored: dict[str, Any] = {key: value.cpu().numpy() for key, value in arrays.items()}
+    with whole_file(path) as temporary:
+        np.savez_compressed(temporary, **stored)
+    return [*written, path]

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One stage in a process of its own: from cold, and with a high-water mark of memory that nothing else has raised."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sphericalvision.cameras import ring_rig
+from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.models import IcoSweepNet
+from sphericalvision.recipes.benchmark.plain_network import PlainNetwork
+from sphericalvision.recipes.benchmark.plain_setup import plain_setup
+from sphericalvision.sweep import SphereSweep
+
+__all__ = ["WAYS", "alone"]
+
+WAYS = ("plain", "sphericalvision", "sphericalvision, recompute", "sphericalvision, native")
+"""How a stage can be computed; recomputing saves memory in training, native operators are for inference."""
+
+
+def alone(
+    stage: str, way: str, level: int, num_hypotheses: int, device: str = "cpu", **options: int
+) -> float:
+    """Run one stage in a fresh process.
+
+    Args:
+        stage: ``"setup"`` in seconds, without the time to start Python and import torch; ``"inference"`` or
+            ``"training"`` in MB of memory that it adds at most.
+        way: one of ``WAYS``.
+        level: of the images.
+        num_hypotheses: N.
+        device: torch's name of it.
+        options: ``feature_channels``.
+
+    Examples:
+        >>> alone("setup", "sphericalvision", level=3, num_hypotheses=4) > 0
+        True
+    """
+    task = {"stage": stage, "way": way, "level": level, "num_hypotheses": num_hypotheses, "device": device}
+    answer = subprocess.run(
+        [sys.executable, "-m", __name__, json.dumps(task | options)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"OMP_NUM_THREADS": str(torch.get_num_threads())},
+    )
+    if answer.returncode:
+        raise RuntimeError(
+            f"{stage}, {way}: the process of its own ended with {answer.stderr.strip()[-500:]}"
+        )
+    return float(answer.stdout.split()[-1])
+
+
+def _run(
+    stage: str, way: str, level: int, num_hypotheses: int, device: str, feature_channels: int = 32
+) -> float:
+    place = torch.device(device)
+    rig = ring_rig(4).to(place)
+    if stage == "setup":
+        start = time.perf_counter()
+        if way == "plain":
+            plain_setup(rig.to("cpu"), level, num_hypotheses)
+        else:  # charts are slices of the vertices' order: there is nothing else to make
+            SphereSweep(level - 2, num_hypotheses, 0.55).to(place).tables(rig)
+        if place.type == "cuda":
+            torch.cuda.synchronize()
+        return time.perf_counter() - start
+    net = IcoSweepNet(level, num_hypotheses, feature_channels=feature_channels).to(place)
+    net.recompute, net.native = way == WAYS[2], way == WAYS[3]
+    run = PlainNetwork(net) if way == WAYS[0] else net
+    images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=place) - 1
+    tables = net.sweep.tables(rig)
+    if stage == "inference":
+        run.eval()
+        return _added_memory(torch.inference_mode()(lambda: run(images, tables)), place)
+    run.train()
+    return _added_memory(lambda: run(images, tables).sum().backward(), place)
+
+
+def _added_memory(run: Callable[[], Any], device: torch.device) -> float:
+    """MB by which the high-water mark rises above what is held before."""
+    if device.type == "cuda":
+        torch.cuda.reset_peak_memory_stats(device)
+        held = torch.cuda.memory_allocated(device)
+        run()
+        return (torch.cuda.max_memory_allocated(device) - held) / 1e6
+    before = _resident("VmRSS")
+    # A new mark on Linux; elsewhere, and where that is not allowed, the old one can only hide what is small.
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+    run()
+    return max(0.0, _resident("VmHWM") - before)
+
+
+def _resident(field: str) -> float:
+    """MB of memory in use (``VmRSS``) or at most so far (``VmHWM``)."""
+    try:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return next(float(line.split()[1]) for line in lines if line.startswith(field)) * 1024 / 1e6
+    except (OSError, StopIteration):
+        import resource  # not on Windows
+
+        unit = 1 if sys.platform == "darwin" else 1024
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+if __name__ == "__main__":
+    print(_run(**json.loads(sys.argv[1])))

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OmniThings and its kin as training, validation and test data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift, ToSphere
+from sphericalvision.data.augmentation.transforms import Compose
+from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
+
+__all__ = ["ChosenEntries", "OmniStereoDataModule"]
+
+ENTRIES = ("sphere", "fisheye", "panorama")
+
+
+class OmniStereoDataModule(SampleDataModule):
+    """OmniThings and its kin from disk, split and augmented as in the paper.
+
+    Args:
+        root: folder of the set that is trained on.
+        level: icosphere level of the images.
+        min_depth: nearest hypothesis in metres of the network; checked against the release.
+        dataset: "omnithings", "omnihouse", "sunny", "cloudy" or "sunset".
+        protocol: whose splits, "paper" or "official".
+        release: "png" or "tiff"; detected when not given.
+        missing: "error", or "skip" for a partial copy.
+        photometric: augment colours in training.
+        shift: standard deviation of the random shift in training, pixels; 0 for none.
+        val_split: split that validates.
+        test_split: split that tests.
+        train_split: split that trains.
+        batch_size: samples in a batch.
+        num_workers: processes that read samples.
+        seed: of order and augmentation in training.
+        entries: what samples hold: some of "sphere" (for networks on the icosphere), "fisheye" and "panorama" (for
+            networks on panoramas), with the keys of ``FisheyeSceneDataset``.
+    """
+
+    def __init__(
+        self,
+        root: str,
+        level: int,
+        min_depth: float,
+        dataset: str = "omnithings",
+        protocol: str = "paper",
+        release: str | None = None,
+        missing: str = "error",
+        photometric: bool = True,
+        shift: float = 0.5,
+        train_split: str = "train",
+        val_split: str = "val",
+        test_split: str = "test",
+        batch_size: int = 4,
+        num_workers: int = 4,
+        seed: int = 0,
+        entries: Sequence[str] = ("sphere",),
+    ) -> None:
+        super().__init__(batch_size, num_workers, seed)
+        self.level, self.min_depth, self.entries = level, min_depth, tuple(entries)
+        self.splits = {"train": train_split, "val": val_split, "test": test_split}
+        self.photometric, self.shift = photometric, shift
+        self.options: dict[str, Any] = {
+            "root": root,
+            "dataset": dataset,
+            "protocol": protocol,
+            "release": release,
+            "missing": missing,
+        }
+
+    def dataset(self, split: str) -> OmniStereoDataset:
+        """Frames of one split, augmented in "train"."""
+        augment = split == "train"
+        stages: list[Callable[[Sample], Sample]] = []
+        if augment and self.photometric:
+            stages.append(PhotometricAugmentation())
+        if augment and self.shift:
+            stages.append(RandomShift(self.shift))
+        return self._read(split, stages)
+
+    def plain_train_dataset(self) -> OmniStereoDataset:
+        """Training frames as they are on disk."""
+        return self._read("train", [])
+
+    def _read(self, split: str, stages: list[Callable[[Sample], Sample]]) -> OmniStereoDataset:
+        return self.read(split, *stages, ChosenEntries(self.entries, self.level))
+
+    def read(self, split: str, *stages: Callable[[Sample], Sample]) -> OmniStereoDataset:
+        """Frames of one split through transforms of one's own.
+
+        Raises:
+            ArgumentError: the set has another scale than the network.
+        """
+        transform = Compose(*stages)
+        frames = OmniStereoDataset(split=self.splits[split], transform=transform, **self.options)
+        if abs(frames.min_depth / self.min_depth - 1) > 0.02:
+            raise ArgumentError(
+                f"data.root: {self.options['root']} has the minimum depth {frames.min_depth:g} m "
+                f"({frames.release}), the network {self.min_depth:g} m; set "
+                f"model.min_depth={frames.min_depth:g} to work at the scale of the set"
+            )
+        return frames
+
+
+class ChosenEntries:
+    """The last transform of a sample: what networks on the icosphere and on panoramas want of it.
+
+    Args:
+        entries: some of "sphere", "fisheye" and "panorama".
+        level: icosphere level of the images of "sphere".
+
+    Returns:
+        The sample with ``images``, ``inverse_depth`` and ``valid`` of ``ToSphere`` for "sphere"; ``fisheye``
+        ``(n, 3, H, W)`` in [-1, 1], 0 where a camera does not look or a mask covers; ``panorama_inverse_depth`` and
+        ``panorama_valid`` ``(h, w)`` for "panorama". Entries not asked for are gone.
+
+    Raises:
+        ArgumentError: an unknown entry or none; images that differ in size for "fisheye".
+    """
+
+    def __init__(self, entries: Sequence[str], level: int) -> None:
+        self.entries = tuple(entries)
+        if not self.entries:
+            raise ArgumentError(f"data.entries: expected some of {', '.join(map(repr, ENTRIES))}, got none")
+        for entry in self.entries:
+            check_choice("data.entries", entry, ENTRIES)
+        self.to_sphere = ToSphere(level) if "sphere" in self.entries else None
+        self._rig: CameraRig | None = None
+        self._seen = torch.empty(0)
+
+    def __call__(self, sample: Sample) -> Sample:
+        chosen = {
+            key: value for key, value in sample.items() if key not in ("images", "inverse_depth", "valid")
+        }
+        if self.to_sphere is not None:
+            chosen = self.to_sphere(sample)
+        if "fisheye" in self.entries:
+            chosen["fisheye"] = self._stacked(sample["images"], sample["rig"])
+        if "panorama" in self.entries:
+            chosen |= {"panorama_inverse_depth": sample["inverse_depth"], "panorama_valid": sample["valid"]}
+        return chosen
+
+    def _stacked(self, images: dict[str, Tensor], rig: CameraRig) -> Tensor:
+        sizes = sorted({tuple(image.shape[-2:]) for image in images.values()})
+        if len(sizes) > 1:
+            raise ArgumentError(f"data: images of one size are wanted for the entry 'fisheye', got {sizes}")
+        if self._rig is not rig:
+            self._rig, self._seen = rig, torch.stack([_visible(rig, name) for name in rig.names])
+        return (torch.stack([images[name] for name in rig.names]) * 2 - 1) * self._seen[:, None]
+
+
+def _visible(rig: CameraRig, name: str) -> Tensor:
+    """Pixels ``(h, w)`` that look somewhere and are not masked."""
+    camera = rig.cameras[name]
+    height, width = camera.image_size
+    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    seen = camera.unproject(torch.stack((columns, rows), -1).to(rig.world_from_camera)).valid
+    return seen & rig.masks[name] if name in rig.masks else seen

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rendered scenes as training, validation and test data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import torch
+from rich.progress import track
+from torch.utils.data import DataLoader, Dataset
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError
+from sphericalvision.data import FisheyeSceneDataset, RotateFivefold, SceneDataset
+from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
+from sphericalvision.data.augmentation.transforms import Compose
+from sphericalvision.data.seeded_scenes import SeededScenes
+from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
+
+__all__ = ["Augmented", "FisheyeSceneDataModule", "SceneDataModule"]
+
+
+class Augmented(Dataset[Sample]):
+    """A data set with a transform on each sample."""
+
+    def __init__(self, dataset: Dataset[Sample], transform: Callable[[Sample], Sample]) -> None:
+        self.dataset, self.transform = dataset, transform
+
+    def __len__(self) -> int:
+        return len(self.dataset)  # type: ignore[arg-type]
+
+    def __getitem__(self, index: int) -> Sample:
+        return self.transform(self.dataset[index])
+
+
+class SceneDataModule(SampleDataModule):
+    """Rendered scenes: train, validation and test scenes come from disjoint ranges of seeds.
+
+    Args:
+        rig: what the scenes are seen through.
+        level: icosphere level of the images.
+        min_depth: nearest hypothesis in metres; nearer points are not valid.
+        kind: "room", "floating" or "mixed".
+        num_train: number of training scenes.
+        num_val: number of validation scenes.
+        num_test: number of test scenes.
+        train_seed: seed of the first training scene.
+        val_seed: seed of the first validation scene.
+        test_seed: seed of the first test scene.
+        samples_per_pixel: rays per image pixel.
+        antialias: average images over the area between vertices before they are looked up.
+        augment: in training, turn the world by random multiples of 72 degrees and vary colours.
+        cache_dir: folder where rendered samples are kept; rendered again each time when not given.
+        batch_size: samples in a batch.
+        num_workers: processes that prepare samples, and that render before training.
+        seed: of the order in training.
+    """
+
+    def __init__(
+        self,
+        rig: CameraRig,
+        level: int,
+        min_depth: float,
+        kind: str = "mixed",
+        num_train: int = 1000,
+        num_val: int = 32,
+        num_test: int = 64,
+        train_seed: int = 0,
+        val_seed: int = 1_000_000,
+        test_seed: int = 2_000_000,
+        samples_per_pixel: int = 4,
+        antialias: bool = True,
+        augment: bool = True,
+        cache_dir: str | None = None,
+        batch_size: int = 4,
+        num_workers: int = 0,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(batch_size, num_workers, seed)
+        self.rig, self.cache_dir, self.augment = rig, cache_dir, augment
+        self.options: dict[str, Any] = {
+            "level": level,
+            "kind": kind,
+            "samples_per_pixel": samples_per_pixel,
+            "antialias": antialias,
+            "min_depth": min_depth,
+        }
+        self.scenes = {
+            "train": (num_train, train_seed),
+            "val": (num_val, val_seed),
+            "test": (num_test, test_seed),
+        }
+        self._check_disjoint()
+
+    def _check_disjoint(self) -> None:
+        ranges = sorted((first, first + number, split) for split, (number, first) in self.scenes.items())
+        for (_, end, one), (start, _, other) in pairwise(ranges):
+            if start < end:
+                raise ArgumentError(
+                    f"data: the seeds of {one} and {other} scenes overlap ({one} ends at {end - 1}, {other} "
+                    f"starts at {start}); set data.{other}_seed to {end} or more"
+                )
+
+    def dataset(self, split: str) -> Dataset[Sample]:
+        """Scenes of one split, augmented in "train"."""
+        scenes = self.scene_dataset(split)
+        if split != "train" or not self.augment:
+            return scenes
+        return Augmented(scenes, Compose(RotateFivefold(), PhotometricAugmentation()))
+
+    def plain_train_dataset(self) -> SeededScenes:
+        """Training scenes without augmentation."""
+        return self.scene_dataset("train")
+
+    def scene_dataset(self, split: str) -> SeededScenes:
+        """Scenes of one split, as rendered."""
+        number, first_seed = self.scenes[split]
+        return SceneDataset(number, self.rig, first_seed=first_seed, cache_dir=self.cache_dir, **self.options)
+
+    def prepare_data(self) -> None:
+        """Render, where a cache keeps it, what training and validation will read, so that its progress shows."""
+        for split in ("train", "val"):
+            self.render(split)
+
+    def render(self, split: str) -> None:
+        """Render the scenes of a split that are not in the cache yet; does nothing without a cache."""
+        if self.cache_dir is None:
+            return
+        scenes = self.scene_dataset(split)
+        missing = [i for i in range(len(scenes)) if not scenes.is_cached(i)]
+        if not missing:
+            return
+        subset = torch.utils.data.Subset(scenes, missing)
+        loader = DataLoader(subset, batch_size=None, num_workers=self.num_workers)
+        for _ in track(loader, f"rendering {split} scenes", total=len(missing)):
+            pass
+
+
+class FisheyeSceneDataModule(SceneDataModule):
+    """Rendered scenes as ``FisheyeSceneDataset`` gives them: for networks on the icosphere, on panoramas, or both.
+
+    Args:
+        rig: what the scenes are seen through.
+        level: icosphere level of the images on the sphere; depth at its vertices is two levels below.
+        min_depth: nearest hypothesis in metres; nearer points are not valid.
+        panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
+        entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama".
+        **options: as of ``SceneDataModule``.
+    """
+
+    def __init__(
+        self,
+        rig: CameraRig,
+        level: int,
+        min_depth: float,
+        panorama_size: Sequence[int] = (80, 160),
+        entries: Sequence[str] = ("sphere", "fisheye", "panorama"),
+        **options: Any,
+    ) -> None:
+        super().__init__(rig, level, min_depth, **options)
+        if self.augment and "panorama" in entries and panorama_size[1] % 5:
+            raise ArgumentError(
+                "data.panorama_size: turning by multiples of 72 degrees wants a width that is a multiple of 5, got "
+                f"{panorama_size[1]}; or set data.augment=false"
+            )
+        self.options |= {"panorama": tuple(panorama_size), "entries": tuple(entries)}
+
+    def scene_dataset(self, split: str) -> SeededScenes:
+        """Scenes of one split, as rendered."""
+        number, first_seed = self.scenes[split]
+        return FisheyeSceneDataset(
+            number, self.rig, first_seed=first_seed, cache_dir=self.cache_dir, **self.options
+        )

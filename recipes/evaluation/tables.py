@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables: estimators of the hypothesis index, the paper's errors of each, printed and saved."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterable, Mapping, Sized
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from rich.progress import track
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.metrics import DepthIndexError
+from sphericalvision.models import IcoSweepNet, OmniMVS
+from sphericalvision.recipes.app.cli import print_table
+from sphericalvision.sweep import index_from_inverse_depth, photo_consistency, semi_global_sweep
+
+__all__ = [
+    "Estimator",
+    "Row",
+    "constant_estimators",
+    "evaluate",
+    "index_target",
+    "print_rows",
+    "save_rows",
+    "semi_global_estimator",
+    "sweep_estimator",
+]
+
+Batch = dict[str, Any]
+Estimator = Callable[[Batch], Tensor]
+"""Takes a batch, gives the hypothesis index ``(B, V)``."""
+
+
+class Row(NamedTuple):
+    """One line of a table: what was measured, and its errors by name."""
+
+    name: str
+    values: Mapping[str, float]
+
+
+def index_target(batch: Batch, net: IcoSweepNet | OmniMVS) -> Tensor:
+    """True hypothesis index ``(B, V)`` in the hypotheses of ``net``; not rounded."""
+    h = net.hyperparameters
+    return index_from_inverse_depth(batch["inverse_depth"], h["num_hypotheses"], h["min_depth"])
+
+
+@torch.inference_mode()
+def evaluate(
+    estimators: Mapping[str, Estimator],
+    loader: Iterable[Batch],
+    net: IcoSweepNet | OmniMVS,
+    within: Tensor | None = None,
+) -> list[Row]:
+    """Errors of several estimators on the same batches, in the hypotheses of ``net``; shows its progress.
+
+    ``within`` ``(V,)`` leaves out all points where it is False.
+    """
+    device = next(net.parameters()).device
+    number = net.hyperparameters["num_hypotheses"]
+    metrics = {name: DepthIndexError(number).to(device) for name in estimators}
+    for batch in _progress(loader, "evaluating"):
+        batch = {key: value.to(device) if hasattr(value, "to") else value for key, value in batch.items()}
+        target = index_target(batch, net)
+        valid = batch["valid"] if within is None else batch["valid"] & within.to(device)
+        for name, estimator in estimators.items():
+            metrics[name].update(estimator(batch), target, valid)
+    return [
+        Row(name, {key: float(value) for key, value in metric.compute().items()})
+        for name, metric in metrics.items()
+    ]
+
+
+def constant_estimators(loader: Iterable[Batch], net: IcoSweepNet | OmniMVS) -> dict[str, Estimator]:
+    """The best constants of the training set for the mean absolute error: a depth map, and a single depth.
+
+    Both are medians of the true index: over the frames for each vertex, and over everything.
+
+    Raises:
+        ArgumentError: there is no valid ground truth.
+    """
+    device = next(net.parameters()).device
+    targets = [
+        index_target(batch, net).where(batch["valid"], torch.nan)
+        for batch in _progress(loader, "training depths")
+    ]
+    truth = torch.cat(targets) if targets else torch.full((1, 1), torch.nan)
+    scalar = truth.nanmedian().to(device)
+    if scalar.isnan():
+        raise ArgumentError(
+            "baselines: the training set has no valid depth to take the median of; check data.*"
+        )
+    per_vertex = truth.nanmedian(0).values.to(device)
+    per_vertex = per_vertex.where(~per_vertex.isnan(), scalar)
+    return {
+        "constant depth map": lambda batch: per_vertex.expand_as(batch["inverse_depth"]),
+        "constant depth": lambda batch: scalar.expand_as(batch["inverse_depth"]),
+    }
+
+
+def sweep_estimator(net: IcoSweepNet | OmniMVS) -> Estimator:
+    """The training-free photo-consistency sweep with the hypotheses of ``net``."""
+    number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
+
+    def estimate(batch: Batch) -> Tensor:
+        return photo_consistency(batch["images"], batch["rig"], number, min_depth).index
+
+    return estimate
+
+
+def semi_global_estimator(net: IcoSweepNet | OmniMVS) -> Estimator:
+    """The training-free sweep with semi-global smoothing, with the hypotheses of ``net``."""
+    number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
+
+    def estimate(batch: Batch) -> Tensor:
+        return semi_global_sweep(batch["images"], batch["rig"], number, min_depth).index
+
+    return estimate
+
+
+def print_rows(title: str, rows: list[Row]) -> None:
+    """Print a table; the columns are those of the first row."""
+    names = list(rows[0].values)
+    print_table(
+        title, ["", *names], [[row.name, *(f"{row.values[key]:.2f}" for key in names)] for row in rows]
+    )
+
+
+def save_rows(stem: Path, rows: list[Row]) -> None:
+    """Write a table as ``.md``, ``.json`` and ``.csv``; the columns are those of the first row."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    names = list(rows[0].values)
+    lines = ["| | " + " | ".join(names) + " |", "|---" + "|---:" * len(names) + "|"]
+    lines += ["| " + " | ".join([row.name, *(f"{row.values[k]:.2f}" for k in names)]) + " |" for row in rows]
+    stem.with_suffix(".md").write_text("\n".join(lines) + "\n")
+    stem.with_suffix(".json").write_text(
+        json.dumps({row.name: dict(row.values) for row in rows}, indent=2) + "\n"
+    )
+    with stem.with_suffix(".csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["name", *names])
+        writer.writerows([row.name, *(row.values[key] for key in names)] for row in rows)
+
+
+def _progress(loader: Iterable[Batch], label: str) -> Iterable[Batch]:
+    return track(loader, label, total=len(loader) if isinstance(loader, Sized) else None)

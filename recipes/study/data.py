@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a study evaluates on: the same frames through cameras tilted by each angle, or through 360° cameras."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
+from torch.utils.data import Dataset, Subset
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.data import RotateFisheye
+from sphericalvision.data.seeded_scenes import NATURAL_MIN_DEPTH
+from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.app.frames import SceneDepths
+from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
+from sphericalvision.recipes.datamodules.omnistereo import ChosenEntries, OmniStereoDataModule
+from sphericalvision.recipes.datamodules.scenes import SceneDataModule
+
+__all__ = ["INPUTS", "View", "study_frames", "training_depths", "views"]
+
+INPUTS = ("fisheye", "equirect")
+
+
+class View(NamedTuple):
+    """How the frames are seen: through which rig, and tilted down by how many degrees."""
+
+    inputs: str
+    angle_deg: float
+
+    @property
+    def name(self) -> str:
+        """For file names."""
+        return f"{self.inputs}-{self.angle_deg:g}deg"
+
+
+def views(config: DictConfig) -> list[View]:
+    """All views of a study: every angle and, with ``inputs=equirect``, the level rig of 360° cameras.
+
+    Raises:
+        ArgumentError: an unknown kind of input, no angles, or the same twice.
+    """
+    check_choice("inputs", config.inputs, INPUTS)
+    angles = [float(angle) for angle in config.angles_deg]
+    if not angles or len(set(angles)) != len(angles):
+        raise ArgumentError(f"angles_deg: expected each angle once and at least one, got {angles}")
+    fisheye = [View("fisheye", angle) for angle in sorted(angles)]
+    if config.inputs == "fisheye":
+        return fisheye
+    if "rig" not in config.data:
+        raise ArgumentError(
+            "inputs=equirect: sees the same scenes through other cameras, which takes rendered scenes "
+            "(data=fisheye_scenes); images on disk have the cameras that they have"
+        )
+    level = [] if 0.0 in angles else [View("fisheye", 0.0)]
+    return [*level, *fisheye, View("equirect", 0.0)]
+
+
+def study_frames(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
+    """The frames of a view, with ``images`` on the icosphere, ``fisheye`` images and ground truth, and their loaders.
+
+    Raises:
+        ArgumentError: ``panel_frame`` is none of them.
+    """
+    data, frames = _rendered(config, view) if "rig" in config.data else _on_disk(config, view)
+    number = len(frames) if config.frames is None else min(config.frames, len(frames))  # type: ignore[arg-type]
+    if not 0 <= config.panel_frame < number:
+        raise ArgumentError(f"panel_frame: expected 0 to {number - 1}, got {config.panel_frame}")
+    return data, Subset(frames, range(number))
+
+
+def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
+    rig: CameraRig = build(config.scene_rig if view.inputs == "fisheye" else config.equirect_rig)
+    size = config.image_size if view.inputs == "fisheye" else config.equirect_size
+    if size is not None:
+        rig = rig.resized([int(side) for side in size])
+    node: dict[str, Any] = OmegaConf.to_container(config.data, resolve=True)  # type: ignore[assignment]
+    if "entries" not in node:
+        raise ArgumentError(
+            "data: expected data=fisheye_scenes, whose samples hold fisheye images, or a set on disk"
+        )
+    node |= {"entries": ["sphere", "fisheye", "panorama"], "augment": False}
+    node |= {"panorama_size": list(config.panorama_size)}
+    if config.frames is not None:
+        node["num_test"] = config.frames
+    del node["rig"]
+    data = build(node, rig=rig.rotated(tilt=math.radians(view.angle_deg)))
+    data.render("test")
+    return data, data.dataset("test")
+
+
+def _on_disk(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
+    data = build(config.data)
+    if not isinstance(data, OmniStereoDataModule):
+        raise ArgumentError("data: expected data=fisheye_scenes, or a set on disk such as data=omnihouse")
+    size = None if config.image_size is None else [int(side) for side in config.image_size]
+    turned = RotateFisheye(tilt=math.radians(view.angle_deg), image_size=size)
+    return data, data.read("test", turned, ChosenEntries(("sphere", "fisheye", "panorama"), data.level))
+
+
+def training_depths(training: DictConfig, level: int, most: int) -> tuple[Tensor, Tensor]:
+    """Inverse depth and validity ``(F, V_{level-2})`` of at most ``most`` frames that a training has, evenly chosen."""
+    data = build(training.data, level=level)
+    if isinstance(data, SceneDataModule):
+        number, first = data.scenes["train"]
+        scale = data.options["min_depth"] / NATURAL_MIN_DEPTH
+        frames: Dataset[Sample] = SceneDepths(data.rig, number, level, first, data.options["kind"], scale)
+    else:
+        frames = data.plain_train_dataset()
+    total = len(frames)  # type: ignore[arg-type]
+    chosen = range(0, total, max(1, -(-total // most)))
+    samples = [frames[index] for index in chosen]
+    return torch.stack([s["inverse_depth"] for s in samples]), torch.stack([s["valid"] for s in samples])

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One model, seed and view: errors by every protocol of the study, and what its pictures need."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sized
+from typing import Any, NamedTuple
+
+import torch
+from rich.progress import track
+from torch import Tensor
+
+from sphericalvision.cameras import seen_by
+from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.metrics import (
+    depth_error,
+    depth_index_error,
+    evaluation_mask,
+    omnimvs_error,
+    seam_mask,
+)
+from sphericalvision.recipes.evaluation.tables import Batch
+from sphericalvision.recipes.study.models import Lookup, Scale, StudyEstimator
+from sphericalvision.sweep import depth_from_index, index_from_inverse_depth, inverse_depth_from_index
+
+__all__ = ["Measured", "Truth", "Yardstick", "measure"]
+
+ZONE = math.radians(30)
+"""Latitude that divides what is around from what is above and below."""
+
+
+class Measured(NamedTuple):
+    """Means over frames (None where nothing counts), errors of each, and the estimate ``(V,)`` of the one drawn."""
+
+    errors: dict[str, dict[str, float | None]]
+    frames: dict[str, Any]
+    drawn: Tensor
+
+
+class Truth(NamedTuple):
+    """What is right for one batch, the same for all models.
+
+    Attributes:
+        indices: ``(B, V)`` in the hypotheses of the study, not rounded.
+        inverse_depth: ``(B, V)`` 1/m.
+        valid: ``(B, V)`` there is a truth.
+        counts: ``(B, V)`` and two or more cameras see the point.
+        cameras: ``(B, V)`` number of cameras that see the point.
+        left_out: ``(B,)`` share of the valid points that fewer than two see, 0 to 1.
+        panorama: ``(B, h, w)`` inverse depth, 1/m.
+        panorama_counts: ``(B, h, w)`` there is a truth that two or more cameras see.
+        panorama_directions: ``(h * w, 3)``.
+    """
+
+    indices: Tensor
+    inverse_depth: Tensor
+    valid: Tensor
+    counts: Tensor
+    cameras: Tensor
+    left_out: Tensor
+    panorama: Tensor
+    panorama_counts: Tensor
+    panorama_directions: Tensor
+
+
+class Yardstick:
+    """The protocols at the vertices of a study, and on panoramas.
+
+    Args:
+        scale: level, hypotheses and nearest depth of the study.
+        device: of the batches.
+    """
+
+    def __init__(self, scale: Scale, device: torch.device | str = "cpu") -> None:
+        grid = Icosphere(scale.level - 2, device=device)
+        self.scale, self.directions, self.solid_angles = scale, grid.vertices, grid.solid_angles
+        self.seam = seam_mask(grid.vertices)
+        height = -grid.vertices[:, 1]  # sine of the latitude; up is -y
+        self.zones = {
+            "above": height > math.sin(ZONE),
+            "around": height.abs() <= math.sin(ZONE),
+            "below": height < -math.sin(ZONE),
+        }
+
+    def truth(self, batch: Batch) -> Truth:
+        """Ground truth of a batch, and where it counts."""
+        inverse_depth, valid = batch["inverse_depth"], batch["valid"]
+        index = index_from_inverse_depth(inverse_depth, self.scale.num_hypotheses, self.scale.min_depth)
+        counts, left_out = evaluation_mask(batch["rig"], self.directions, inverse_depth, valid)
+        cameras = seen_by(batch["rig"], self.directions, inverse_depth.where(valid, 0.0))
+        panorama, panorama_valid = batch["panorama_inverse_depth"], batch["panorama_valid"]
+        around = panorama_directions(*panorama.shape[1:]).reshape(-1, 3).to(self.directions)
+        seen, _ = evaluation_mask(batch["rig"], around, panorama.flatten(1), panorama_valid.flatten(1))
+        shared = seen.view(panorama.shape)
+        return Truth(index, inverse_depth, valid, counts, cameras, left_out, panorama, shared, around)
+
+    def errors(self, estimate: Lookup, truth: Truth) -> dict[str, dict[str, Tensor]]:
+        """Errors ``(B,)`` of one batch, by protocol and name; NaN for frames where nothing counts.
+
+        * ``paper``: percent of N over the vertices that two or more cameras see, each with the same weight;
+        * ``all``: the same without leaving anything out;
+        * ``solid_angle``: as ``paper``, vertices weighted by the solid angle that they stand for;
+        * ``omnimvs``: the official protocol of OmniMVS, pixels of a panorama within 45° of the horizon, N = 192;
+        * ``seam``, ``off_seam``: as ``paper`` within 5° of the seams of charts and panorama, and elsewhere;
+        * ``above``, ``around``, ``below``: as ``paper``, over 30° above the horizon, within 30°, over 30° below;
+        * ``two``, ``three``, ``four``: as ``paper``, points that two, three, and four or more cameras see;
+        * ``depth``: AbsRel, RMSE in metres and the share within a factor 1.25, over the vertices of ``paper``;
+        * ``points``: percent of the valid vertices left out, and of the others that the model says nothing about.
+        """
+        number, nearest = self.scale.num_hypotheses, self.scale.min_depth
+        index, known = estimate(self.directions)
+        mask = truth.counts & known
+        zones = {name: mask & zone for name, zone in self.zones.items()}
+        zones |= {"two": mask & (truth.cameras == 2), "three": mask & (truth.cameras == 3)}
+        zones |= {"four": mask & (truth.cameras > 3)}
+        depth, true_depth = depth_from_index(index, number, nearest), truth.inverse_depth.reciprocal()
+        return {
+            "paper": depth_index_error(index, truth.indices, number, mask),
+            "all": depth_index_error(index, truth.indices, number, truth.valid & known),
+            "solid_angle": depth_index_error(index, truth.indices, number, mask, self.solid_angles),
+            "omnimvs": self._official(estimate, truth),
+            "seam": depth_index_error(index, truth.indices, number, mask & self.seam),
+            "off_seam": depth_index_error(index, truth.indices, number, mask & ~self.seam),
+            **{name: depth_index_error(index, truth.indices, number, zone) for name, zone in zones.items()},
+            "depth": depth_error(depth, true_depth, mask),
+            "points": {
+                "left_out": 100 * truth.left_out,
+                "unknown": 100 * (1 - mask.sum(1) / truth.counts.sum(1)),
+            },
+        }
+
+    def _official(self, estimate: Lookup, truth: Truth) -> dict[str, Tensor]:
+        index, known = estimate(truth.panorama_directions)
+        inverse_depth = inverse_depth_from_index(index, self.scale.num_hypotheses, self.scale.min_depth)
+        shape = truth.panorama.shape
+        mask = truth.panorama_counts & known.view(shape[1:])
+        return omnimvs_error(inverse_depth.view(shape), truth.panorama, self.scale.min_depth, mask)
+
+
+@torch.inference_mode()
+def measure(
+    estimators: Mapping[str, StudyEstimator],
+    loader: Iterable[Batch],
+    yardstick: Yardstick,
+    panel_frame: int,
+    label: str = "evaluating",
+) -> dict[str, Measured]:
+    """Evaluate several models on the same batches; shows its progress."""
+    device = yardstick.directions.device
+    collected: dict[str, Any] = {name: defaultdict(lambda: defaultdict(list)) for name in estimators}
+    drawn: dict[str, Tensor] = {}
+    names: list[str] = []
+    for batch in track(loader, label, total=len(loader) if isinstance(loader, Sized) else None):
+        batch = {key: value.to(device) if hasattr(value, "to") else value for key, value in batch.items()}
+        truth = yardstick.truth(batch)
+        for name, estimator in estimators.items():
+            estimate = estimator(batch)
+            for protocol, errors in yardstick.errors(estimate, truth).items():
+                for key, values in errors.items():
+                    collected[name][protocol][key] += values.tolist()
+            position = panel_frame - len(names)
+            if 0 <= position < len(truth.indices):
+                index, known = estimate(yardstick.directions)
+                drawn[name] = index[position].where(known, math.nan).float().cpu()
+        names += batch["frame"]
+    return {
+        name: Measured(
+            {p: {key: _mean(values) for key, values in errors.items()} for p, errors in protocols.items()},
+            {"names": names, **{key: protocols["paper"][key] for key in ("MAE", "RMS")}},
+            drawn[name],
+        )
+        for name, protocols in collected.items()
+    }
+
+
+def _mean(values: list[float]) -> float | None:
+    """Mean over the frames where something counts; None if there is none."""
+    known = [value for value in values if not math.isnan(value)]
+    return sum(known) / len(known) if known else None

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happens beside training: pictures of the validation set, progress, and regular checkpoints."""
+
+from __future__ import annotations
+
+import sys
+import time
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytorch_lightning as pl
+from pytorch_lightning.callbacks import Callback, LearningRateMonitor, ModelCheckpoint, RichProgressBar
+from pytorch_lightning.loggers import TensorBoardLogger
+from pytorch_lightning.utilities.exceptions import SIGTERMException
+
+from sphericalvision.io.images import write_image
+from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
+from sphericalvision.viz.panorama import depth_to_color, error_to_color
+
+__all__ = ["DepthPanels", "PlainProgress", "SaveOnInterrupt", "training_callbacks"]
+
+
+class DepthPanels(Callback):
+    """At each validation, write estimate, ground truth and error of the first frames, one above the other.
+
+    Pictures go to ``folder`` and, if there is one, to the TensorBoard logger.
+
+    Args:
+        folder: where ``<step>.png`` is written.
+        num_frames: frames of the first batch that are shown side by side.
+        height: pixel rows of each panorama.
+        max_error: percent of N at the bright end of the error's colours.
+    """
+
+    def __init__(
+        self, folder: str | Path, num_frames: int = 2, height: int = 128, max_error: float = 10.0
+    ) -> None:
+        self.folder, self.num_frames = Path(folder), num_frames
+        self.height, self.max_error = height, max_error
+
+    def on_validation_batch_end(
+        self,
+        trainer: pl.Trainer,
+        pl_module: Any,
+        outputs: Any,
+        batch: Any,
+        batch_idx: int,
+        dataloader_idx: int = 0,
+    ) -> None:
+        """Draw the first batch."""
+        if batch_idx or dataloader_idx or trainer.sanity_checking or not trainer.is_global_zero:
+            return
+        n = self.num_frames
+        panel = self.panel(pl_module, outputs[:n], pl_module.target(batch)[:n], pl_module.valid(batch)[:n])
+        write_image(self.folder / f"{trainer.global_step:06d}.png", panel)
+        for logger in trainer.loggers:
+            if isinstance(logger, TensorBoardLogger):
+                logger.experiment.add_image("val/depth", panel, trainer.global_step, dataformats="HWC")
+
+    def panel(self, module: Any, estimate: Any, target: Any, valid: Any) -> np.ndarray:
+        """Estimate, ground truth and error of some frames as one picture."""
+        number, nearest = module.hparams["num_hypotheses"], module.hparams["min_depth"]
+        columns = []
+        for index, truth, known in zip(estimate.float(), target.float(), valid, strict=True):
+            truth = truth.where(known, float("nan"))
+            error = (index - truth).abs() * (100 / number)
+            depths = [
+                1 / module.panorama(inverse_depth_from_index(x, number, nearest), self.height)
+                for x in (index, truth)
+            ]
+            farthest = float(depth_from_index(truth.new_zeros(()), number, nearest))
+            rows = [depth_to_color(depth.cpu(), nearest, farthest) for depth in depths]
+            rows.append(error_to_color(module.panorama(error, self.height).cpu(), self.max_error))
+            columns.append(np.concatenate(rows, axis=0))
+        return np.concatenate(columns, axis=1)
+
+
+class SaveOnInterrupt(Callback):
+    """Write ``path`` when training is interrupted from the keyboard or by a job queue (SIGINT, SIGTERM)."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def on_exception(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException
+    ) -> None:
+        """Save, unless nothing has been learned yet or the program is at fault."""
+        if isinstance(exception, (KeyboardInterrupt, SIGTERMException)) and trainer.global_step:
+            trainer.save_checkpoint(self.path)
+
+
+class TrainingBar(RichProgressBar):
+    """Lightning's bar without its count of epochs: training is counted in iterations."""
+
+    def _get_train_description(self, current_epoch: int) -> str:
+        return "training"
+
+
+class PlainProgress(Callback):
+    """A line of progress every few seconds where no terminal can draw a bar (log files, job queues)."""
+
+    def __init__(self, every_seconds: float = 15.0) -> None:
+        self.every_seconds = every_seconds
+        self.began = self.shown = 0.0
+        self.first_step = 0
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Start the clock."""
+        self.began = self.shown = time.monotonic()
+        self.first_step = trainer.global_step
+
+    def on_train_batch_end(self, trainer: pl.Trainer, *args: Any) -> None:
+        """Say where training stands, if it is time."""
+        now = time.monotonic()
+        if now - self.shown < self.every_seconds or not trainer.is_global_zero:
+            return
+        self.shown = now
+        per_step = (now - self.began) / max(1, trainer.global_step - self.first_step)
+        loss = trainer.callback_metrics.get("train/loss", float("nan"))
+        left = ""
+        if trainer.max_steps > 0:
+            seconds = int(per_step * (trainer.max_steps - trainer.global_step))
+            left = f" of {trainer.max_steps}, {timedelta(seconds=seconds)} left"
+        print(
+            f"step {trainer.global_step}{left}, {per_step:.2f} s a step, loss {float(loss):.3f}", flush=True
+        )
+
+    def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Say how validation went."""
+        if trainer.state.fn == "fit" and not trainer.sanity_checking and trainer.is_global_zero:
+            values = ", ".join(
+                f"{k} {float(v):.2f}" for k, v in trainer.callback_metrics.items() if "val/" in k
+            )
+            print(f"step {trainer.global_step} validation: {values}", flush=True)
+
+
+def training_callbacks(
+    folder: Path, checkpoint_minutes: float, panel_frames: int, monitor: tuple[str, str]
+) -> list[Callback]:
+    """Callbacks of a training run whose results go to ``folder``.
+
+    ``checkpoints/best.ckpt`` is the best by ``monitor``, a validated value and its best direction, "min" or "max";
+    ``checkpoints/last.ckpt`` is renewed every ``checkpoint_minutes`` and on interruption.
+    """
+    checkpoints = folder / "checkpoints"
+    value, mode = monitor
+    best = ModelCheckpoint(
+        checkpoints,
+        "best",
+        monitor=value,
+        mode=mode,
+        save_on_train_epoch_end=False,
+        enable_version_counter=False,
+    )
+    last = ModelCheckpoint(
+        checkpoints,
+        "last",
+        train_time_interval=timedelta(minutes=checkpoint_minutes),
+        enable_version_counter=False,
+    )
+    callbacks: list[Callback] = [
+        best,
+        last,
+        SaveOnInterrupt(checkpoints / "last.ckpt"),
+        LearningRateMonitor("step"),
+    ]
+    if panel_frames:
+        callbacks.append(DepthPanels(folder / "panels", panel_frames))
+    callbacks.append(TrainingBar() if sys.stdout.isatty() else PlainProgress())
+    return callbacks

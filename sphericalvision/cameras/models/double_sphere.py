@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The double sphere model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.geometry import components, is_greater, safe_sqrt
+
+__all__ = ["DoubleSphereCamera", "project_double_sphere", "unproject_double_sphere"]
+
+
+def project_double_sphere(
+    points: Tensor, focal_length: Tensor, principal_point: Tensor, xi: Tensor, alpha: Tensor
+) -> Projection:
+    """Pixels (*, 2) of ``points`` (*, 3) through two spheres and a pinhole.
+
+    Args:
+        points: (*, 3) in the camera's frame, any length.
+        focal_length: (*, 2) in pixels.
+        principal_point: (*, 2) as (u, v).
+        xi: (*), distance of the spheres' centres.
+        alpha: (*) in [0, 1].
+
+    References:
+        V. Usenko, N. Demmel, D. Cremers, "The double sphere camera model", 3DV 2018, eqs. 40-45.
+
+    Examples:
+        >>> intrinsics = [torch.tensor(x) for x in ([200.0, 200.0], [320.0, 240.0], -0.2, 0.6)]
+        >>> project_double_sphere(torch.tensor([0.0, 0.0, 1.0]), *intrinsics).pixels.tolist()
+        [320.0, 240.0]
+    """
+    check_last_dim("points", points, 3)
+    limits = torch.finfo(points.dtype)
+    x, y, z = components(points)
+    squared = (
+        torch.addcmul(x * x, y, y) + limits.tiny**0.5
+    )  # so that roots have derivatives at the camera's centre
+    first = torch.addcmul(squared, z, z).sqrt()
+    shifted = torch.addcmul(z, xi, first)
+    second = torch.addcmul(squared, shifted, shifted).sqrt()
+    denominator = torch.addcmul(alpha * second, 1 - alpha, shifted)
+    least = limits.eps * first
+    shrink = torch.maximum(denominator, least).reciprocal()
+    w1 = torch.where(alpha <= 0.5, alpha / (1 - alpha).clamp_min(1e-9), (1 - alpha) / alpha.clamp_min(1e-9))
+    w2 = (w1 + xi) / safe_sqrt(2 * w1 * xi + xi * xi + 1)
+    valid = is_greater(denominator, least) & is_greater(z, -w2 * first)
+    return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), valid)
+
+
+def unproject_double_sphere(
+    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, xi: Tensor, alpha: Tensor
+) -> Unprojection:
+    """Unit directions (*, 3) of ``pixels`` (*, 2): the closed inverse of ``project_double_sphere``, eqs. 46-50.
+
+    Examples:
+        >>> intrinsics = [torch.tensor(x) for x in ([200.0, 200.0], [320.0, 240.0], -0.2, 0.6)]
+        >>> unproject_double_sphere(torch.tensor([320.0, 240.0]), *intrinsics).directions.tolist()
+        [0.0, 0.0, 1.0]
+    """
+    check_last_dim("pixels", pixels, 2)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    squared = torch.addcmul(x * x, y, y)
+    under_root = 1 - (2 * alpha - 1) * squared
+    depth = (1 - alpha * alpha * squared) / (alpha * safe_sqrt(under_root) + 1 - alpha).clamp_min(1e-9)
+    length = depth * depth + squared
+    scale = (depth * xi + safe_sqrt(depth * depth + (1 - xi * xi) * squared)) / length
+    return Unprojection(unit_directions(x * scale, y * scale, scale * depth - xi), under_root >= 0)
+
+
+class DoubleSphereCamera(Camera):
+    """A double sphere camera, as calibrated by Basalt and Kalibr.
+
+    Args:
+        focal_length: (*b, 2) in pixels.
+        principal_point: (*b, 2) as (u, v).
+        xi: (*b,).
+        alpha: (*b,) in [0, 1].
+        image_size: (height, width).
+        max_angle: half the field of view in radians, a number or (*b,).
+
+    Raises:
+        ArgumentError: ``alpha`` outside [0, 1] or |``xi``| not below 1.
+
+    Examples:
+        >>> camera = DoubleSphereCamera([200.0, 200.0], [319.5, 239.5], -0.2, 0.6, (480, 640), 1.7)
+        >>> camera.unproject(camera.project(torch.tensor([0.0, 0.6, 0.8])).pixels).directions
+        tensor([0.0000, 0.6000, 0.8000])
+    """
+
+    model = "double_sphere"
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "xi", "alpha")
+
+    focal_length: Tensor
+    principal_point: Tensor
+    xi: Tensor
+    alpha: Tensor
+
+    def __init__(
+        self,
+        focal_length: Sequence[float] | Tensor,
+        principal_point: Sequence[float] | Tensor,
+        xi: float | Tensor,
+        alpha: float | Tensor,
+        image_size: Sequence[int],
+        max_angle: float | Tensor,
+    ) -> None:
+        super().__init__(
+            image_size,
+            max_angle,
+            focal_length=focal_length,
+            principal_point=principal_point,
+            xi=xi,
+            alpha=alpha,
+        )
+        check_last_dim("focal_length", self.focal_length, 2)
+        check_last_dim("principal_point", self.principal_point, 2)
+        if not bool(((self.alpha >= 0) & (self.alpha <= 1)).all()):
+            raise ArgumentError(f"alpha: expected numbers in [0, 1], got {self.alpha.tolist()}")
+        if not bool((self.xi.abs() < 1).all()):
+            raise ArgumentError(f"xi: expected numbers in (-1, 1), got {self.xi.tolist()}")
+        batch = self.principal_point.shape[:-1]
+        self.xi, self.alpha = self.xi.expand(batch), self.alpha.expand(batch)
+        self._set_batch(*batch)
+
+    def _project(self, points: Tensor) -> Projection:
+        return project_double_sphere(points, *self._aligned(points))
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        return unproject_double_sphere(pixels, *self._aligned(pixels))

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The four ideal fisheye projections."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import ClassVar, Literal, get_args
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels
+from sphericalvision.core import ArgumentError, check_choice, check_last_dim
+from sphericalvision.geometry import (
+    components,
+    cosine_and_lifted_sinc,
+    from_components,
+    lifted_radius,
+    normalize,
+    safe_sqrt,
+)
+
+__all__ = [
+    "FISHEYE_PROJECTIONS",
+    "FisheyeCamera",
+    "FisheyeProjection",
+    "project_fisheye",
+    "unproject_fisheye",
+]
+
+FisheyeProjection = Literal["equidistant", "equisolid", "stereographic", "orthographic"]
+FISHEYE_PROJECTIONS: tuple[str, ...] = get_args(FisheyeProjection)
+
+_RADIUS: dict[str, Callable[[float], float]] = {  # image radius over focal length, from the angle
+    "equidistant": lambda angle: angle,
+    "equisolid": lambda angle: 2 * math.sin(angle / 2),
+    "stereographic": lambda angle: 2 * math.tan(angle / 2),
+    "orthographic": math.sin,
+}
+_WIDEST = {
+    "equidistant": math.pi,
+    "equisolid": math.pi,
+    "stereographic": math.radians(179),  # at 180° its image is infinite
+    "orthographic": math.pi / 2,
+}
+
+
+def _length_plus_z(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """|p| and |p| + z, the latter without cancellation behind the camera, and whether it is clearly above 0.
+
+    It is not on the backward axis, where something small stands in for it. The camera's centre is moved
+    forward a little.
+    """
+    limits = torch.finfo(z.dtype)
+    squared = torch.addcmul(x * x, y, y)
+    least = limits.tiny**0.25
+    z = z + (least - torch.addcmul(squared, z, z) / least).clamp_min(0)
+    length = torch.addcmul(squared, z, z).sqrt()
+    twice_front = 2 * z.clamp_min(0)
+    total = squared / (length + (twice_front - z)) + twice_front  # z + |z| + (|p| − |z|)
+    least = limits.eps**1.5 * length
+    return length, torch.maximum(total, least), total > least
+
+
+def project_fisheye(
+    points: Tensor, focal_length: Tensor, principal_point: Tensor, projection: str = "equidistant"
+) -> Projection:
+    """Pixels (*, 2) of ``points`` (*, 3) through an ideal fisheye lens.
+
+    Args:
+        points: (*, 3) in the camera's frame, any length.
+        focal_length: (*, 1) or (*, 2) in pixels, broadcastable.
+        principal_point: (*, 2) as (u, v).
+        projection: the image radius as a function of the angle θ from the axis: ``"equidistant"`` f·θ, ``"equisolid"``
+            2f·sin(θ/2), ``"stereographic"`` 2f·tan(θ/2), ``"orthographic"`` f·sin θ (valid up to 90°).
+
+    Raises:
+        ArgumentError: unknown ``projection``.
+
+    References:
+        D. Schneider et al., "Validation of geometric models for fisheye lenses", ISPRS J. 64 (2009), eqs. 1-5.
+
+    Examples:
+        >>> right = torch.tensor([1.0, 0.0, 0.0])  # 90° from the axis
+        >>> pixels, valid = project_fisheye(right, torch.tensor([100.0]), torch.tensor([320.0, 240.0]))
+        >>> [round(value, 2) for value in pixels.tolist()], valid.item()
+        ([477.08, 240.0], True)
+    """
+    check_choice("projection", projection, FISHEYE_PROJECTIONS)
+    check_last_dim("points", points, 3)
+    x, y, z = components(points)
+    if projection == "equidistant":
+        radius = lifted_radius(x, y, z)
+        scale = torch.atan2(radius, z) / radius
+        valid = torch.maximum(radius, z) > 2 * torch.finfo(z.dtype).eps * z.abs()
+    else:
+        length, length_plus_z, valid = _length_plus_z(x, y, z)
+        if projection == "equisolid":
+            scale = (0.5 * length * length_plus_z).rsqrt()
+        elif projection == "stereographic":
+            scale = 2 / length_plus_z
+        else:
+            scale = 1 / length
+            valid = z >= 0
+    return Projection(pixels_from_plane(x * scale, y * scale, focal_length, principal_point), valid)
+
+
+def unproject_fisheye(
+    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, projection: str = "equidistant"
+) -> Unprojection:
+    """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_fisheye``, with the same arguments.
+
+    Examples:
+        >>> centre = torch.tensor([320.0, 240.0])
+        >>> unproject_fisheye(centre, torch.tensor([100.0]), centre).directions.tolist()
+        [0.0, 0.0, 1.0]
+    """
+    check_choice("projection", projection, FISHEYE_PROJECTIONS)
+    check_last_dim("pixels", pixels, 2)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    squared = torch.addcmul(x * x, y, y)
+    if projection == "equidistant":
+        cosine, scale = cosine_and_lifted_sinc(squared)
+        valid = squared <= math.pi**2
+    elif projection == "equisolid":
+        cosine, scale = 1 - squared / 2, safe_sqrt(1 - squared / 4)
+        valid = squared <= 4
+    elif projection == "stereographic":
+        scale = 1 / (1 + squared / 4)
+        cosine = (1 - squared / 4) * scale
+        valid = torch.isfinite(squared)
+    else:
+        cosine, scale = safe_sqrt(1 - squared), torch.ones_like(squared)
+        valid = squared <= 1
+    directions = from_components(x * scale, y * scale, cosine)
+    if projection in ("equisolid", "orthographic"):  # beyond the edge the formulas leave the sphere
+        directions = normalize(directions)
+    return Unprojection(directions, valid)
+
+
+class FisheyeCamera(Camera):
+    """An ideal fisheye camera.
+
+    Args:
+        projection: ``"equidistant"``, ``"equisolid"``, ``"stereographic"`` or ``"orthographic"``.
+        focal_length: (*b,), or (*b, 2) for different scales along u and v, in pixels.
+        principal_point: (*b, 2) as (u, v).
+        image_size: (height, width).
+        max_angle: half the field of view in radians, a number or (*b,).
+
+    Examples:
+        >>> camera = FisheyeCamera.from_field_of_view((800, 800), math.radians(220))
+        >>> pixels, valid = camera.project(torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
+        >>> valid.tolist(), pixels[0].tolist()
+        ([True, True, False], [399.5, 399.5])
+    """
+
+    model = "fisheye"
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point")
+    option_names: ClassVar[tuple[str, ...]] = ("projection",)
+
+    projection: str
+    focal_length: Tensor
+    principal_point: Tensor
+
+    def __init__(
+        self,
+        projection: str,
+        focal_length: float | Tensor,
+        principal_point: Sequence[float] | Tensor,
+        image_size: Sequence[int],
+        max_angle: float | Tensor,
+    ) -> None:
+        check_choice("projection", projection, FISHEYE_PROJECTIONS)
+        super().__init__(image_size, max_angle, focal_length=focal_length, principal_point=principal_point)
+        check_last_dim("principal_point", self.principal_point, 2)
+        self.projection = projection
+        batch = self.principal_point.shape[:-1]
+        if self.focal_length.ndim <= len(batch):  # one focal length for both directions
+            self.focal_length = self.focal_length.expand(batch).unsqueeze(-1)
+        self._set_batch(*batch)
+
+    @classmethod
+    def from_field_of_view(
+        cls,
+        image_size: Sequence[int],
+        field_of_view: float,
+        projection: str = "equidistant",
+        dtype: torch.dtype | None = None,
+    ) -> FisheyeCamera:
+        """The camera whose image circle of ``field_of_view`` radians touches the shorter sides of the image.
+
+        Raises:
+            ArgumentError: the projection cannot show such a field of view.
+
+        Examples:
+            >>> FisheyeCamera.from_field_of_view((768, 800), math.radians(220)).focal_length.item()
+            200.0...
+        """
+        check_choice("projection", projection, FISHEYE_PROJECTIONS)
+        widest = _WIDEST[projection]
+        if not 0 < field_of_view <= 2 * widest + 1e-9:
+            raise ArgumentError(
+                f"field_of_view: expected up to {math.degrees(2 * widest):.0f}° ({2 * widest:.4f} rad) for an "
+                f"{projection} lens, got {math.degrees(field_of_view):.1f}° ({field_of_view} rad)"
+            )
+        height, width = image_size
+        focal_length = min(height, width) / 2 / _RADIUS[projection](field_of_view / 2)
+        principal_point = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=dtype)
+        return cls(projection, focal_length, principal_point, image_size, min(field_of_view / 2, widest))
+
+    def _project(self, points: Tensor) -> Projection:
+        focal_length, principal_point = self._aligned(points)
+        return project_fisheye(points, focal_length, principal_point, self.projection)
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        focal_length, principal_point = self._aligned(pixels)
+        return unproject_fisheye(pixels, focal_length, principal_point, self.projection)

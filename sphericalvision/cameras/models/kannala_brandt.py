@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Kannala-Brandt model with four coefficients: OpenCV's fisheye, Kalibr's equidistant, Basalt's kb4."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.core import check_last_dim
+from sphericalvision.geometry import (
+    InverseTable,
+    components,
+    cosine_and_lifted_sinc,
+    increasing_limit,
+    lifted_radius,
+    polynomial,
+    polynomial_value,
+    polynomial_with_curvature,
+    refine_root,
+    samples_towards,
+    tabulate_inverse,
+)
+
+__all__ = ["KannalaBrandtCamera", "project_kannala_brandt", "unproject_kannala_brandt"]
+
+
+def _with_leading_one(distortion: Tensor) -> Tensor:
+    """Coefficients of g with radius = θ g(θ²)."""
+    return torch.cat((torch.ones_like(distortion[..., :1]), distortion), dim=-1)
+
+
+def _radius_slope(coefficients: Tensor, squared: Tensor) -> Tensor:
+    """Derivative of θ g(θ²) with respect to θ, from θ²."""
+    value, derivative = polynomial(coefficients, squared)
+    return value + 2 * squared * derivative
+
+
+def _squared_radius(coefficients: Tensor, squared: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The squared image radius s g(s)² of a squared angle s, and its first two derivatives with respect to s."""
+    g, slope, curvature = polynomial_with_curvature(coefficients, squared)
+    radius_slope = torch.addcmul(g, squared, slope, value=2)  # of θ g(θ²) with respect to θ
+    scaled = squared * g
+    further = slope * torch.add(radius_slope, g, alpha=3)
+    return scaled * g, g * radius_slope, torch.addcmul(further, scaled, curvature, value=2)
+
+
+def _widest_angle(coefficients: Tensor) -> Tensor:
+    """The angle (*) in [0, π] up to which the image radius grows."""
+    start = torch.full_like(coefficients[..., 0], math.pi)
+    return increasing_limit(
+        lambda angle: _radius_slope(coefficients.unsqueeze(-2), angle * angle), start, samples=256
+    )
+
+
+class _Inverse(NamedTuple):
+    """Squared angles of squared image radii q, to some digits, and the largest q (*)."""
+
+    table: InverseTable
+    most: Tensor
+
+    def lookup(self, squared_radius: Tensor) -> Tensor:
+        """The squared angle (*)."""
+        return self.table.lookup(_spread(squared_radius, self.most))
+
+
+def _spread(squared_radius: Tensor, most: Tensor) -> Tensor:
+    """Grows with q, half for q around 1 and half for larger ones: at π the radius may be hundreds of focal lengths."""
+    middle = (1 + most).sqrt()
+    return squared_radius / (1 + squared_radius) + squared_radius / (middle + squared_radius)
+
+
+def _tabulated(coefficients: Tensor, widest: Tensor) -> _Inverse:
+    with torch.no_grad():
+        angle = samples_towards(widest)
+        squared = angle * angle
+        squared_radius = squared * polynomial_value(coefficients.unsqueeze(-2), squared).square()
+        most = squared_radius[..., -1:]
+        return _Inverse(tabulate_inverse(squared, _spread(squared_radius, most)), most.squeeze(-1))
+
+
+def project_kannala_brandt(
+    points: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
+) -> Projection:
+    """Pixels (*, 2) of ``points`` (*, 3): the image radius is θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹ focal lengths.
+
+    θ is the angle from the axis, so the model reaches past 90°. Valid up to the angle where the radius stops growing.
+
+    Args:
+        points: (*, 3) in the camera's frame, any length.
+        focal_length: (*, 2) in pixels.
+        principal_point: (*, 2) as (u, v).
+        distortion: (*, 4) as (k1, k2, k3, k4), or any other number of coefficients.
+
+    References:
+        J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional, wide-angle, and fish-eye
+        lenses", PAMI 28 (2006), eq. 6.
+
+    Examples:
+        >>> ideal = [torch.tensor(x) for x in ([100.0, 100.0], [320.0, 240.0], [0.0, 0.0, 0.0, 0.0])]
+        >>> project_kannala_brandt(torch.tensor([0.0, 0.0, 1.0]), *ideal).pixels.tolist()
+        [320.0, 240.0]
+    """
+    check_last_dim("points", points, 3)
+    coefficients = _with_leading_one(distortion)
+    x, y, z = components(points)
+    radius = lifted_radius(x, y, z)
+    angle = torch.atan2(radius, z)
+    scale = angle * polynomial_value(coefficients, angle * angle) / radius
+    pixels = pixels_from_plane(x * scale, y * scale, focal_length, principal_point)
+    return Projection(pixels, angle <= _widest_angle(coefficients))
+
+
+def unproject_kannala_brandt(
+    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
+) -> Unprojection:
+    """Unit directions (*, 3) of ``pixels`` (*, 2), by Halley's method on the squared angle; past 90° too.
+
+    The squared radius is a polynomial of the squared angle, which keeps all derivatives exact at the principal point.
+    The arguments are those of ``project_kannala_brandt``.
+
+    Examples:
+        >>> ideal = [torch.tensor(x) for x in ([100.0, 100.0], [320.0, 240.0], [0.0, 0.0, 0.0, 0.0])]
+        >>> unproject_kannala_brandt(torch.tensor([320.0, 240.0]), *ideal).directions.tolist()
+        [0.0, 0.0, 1.0]
+    """
+    check_last_dim("pixels", pixels, 2)
+    coefficients = _with_leading_one(distortion)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    target = torch.addcmul(x * x, y, y)
+    widest = _widest_angle(coefficients)
+    inverse = _tabulated(coefficients, widest)
+    inside = target <= inverse.most * (1 + 16 * torch.finfo(target.dtype).eps)
+    target = torch.minimum(target, inverse.most)
+    squared, converged = refine_root(
+        lambda squared: _squared_radius(coefficients, squared),
+        target,
+        inverse.lookup(target.detach()),
+        widest * widest,
+    )
+    cosine, sinc = cosine_and_lifted_sinc(squared.clamp_min(0))
+    scale = sinc / polynomial_value(coefficients, squared)
+    return Unprojection(unit_directions(x * scale, y * scale, cosine), converged & inside)
+
+
+class KannalaBrandtCamera(Camera):
+    """A Kannala-Brandt camera with four coefficients, correct past 90°.
+
+    Args:
+        focal_length: (*b, 2) in pixels.
+        principal_point: (*b, 2) as (u, v).
+        distortion: (*b, 4) as (k1, k2, k3, k4), OpenCV's and Kalibr's order.
+        image_size: (height, width).
+        max_angle: half the field of view in radians, a number or (*b,).
+
+    Examples:
+        >>> camera = KannalaBrandtCamera([190.0, 190.0], [255.0, 257.0], [0.003, 0.0, -0.002, 0.0], (512, 512), 1.7)
+        >>> camera.unproject(camera.project(torch.tensor([0.6, 0.0, 0.8])).pixels).directions
+        tensor([0.6000, 0.0000, 0.8000])
+    """
+
+    model = "kannala_brandt"
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
+
+    focal_length: Tensor
+    principal_point: Tensor
+    distortion: Tensor
+
+    def __init__(
+        self,
+        focal_length: Sequence[float] | Tensor,
+        principal_point: Sequence[float] | Tensor,
+        distortion: Sequence[float] | Tensor,
+        image_size: Sequence[int],
+        max_angle: float | Tensor,
+    ) -> None:
+        super().__init__(
+            image_size,
+            max_angle,
+            focal_length=focal_length,
+            principal_point=principal_point,
+            distortion=distortion,
+        )
+        check_last_dim("focal_length", self.focal_length, 2)
+        check_last_dim("principal_point", self.principal_point, 2)
+        check_last_dim("distortion", self.distortion, 4)
+        self._set_batch(*self.principal_point.shape[:-1])
+
+    def _project(self, points: Tensor) -> Projection:
+        return project_kannala_brandt(points, *self._aligned(points))
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        return unproject_kannala_brandt(pixels, *self._aligned(pixels))

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pinhole camera without distortion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.core import check_last_dim
+from sphericalvision.geometry import components, is_greater
+
+__all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
+
+
+def project_pinhole(points: Tensor, focal_length: Tensor, principal_point: Tensor) -> Projection:
+    """Pixels (*, 2) of ``points`` (*, 3): (x, y)/z times ``focal_length`` (*, 2) plus ``principal_point`` (*, 2).
+
+    Valid in front of the camera only; points behind it are sent far out to their side.
+
+    Examples:
+        >>> project_pinhole(torch.tensor([1.0, 0.0, 2.0]), torch.tensor([100.0]), torch.tensor([320.0, 240.0])).pixels
+        tensor([370., 240.])
+    """
+    check_last_dim("points", points, 3)
+    x, y, z = components(points)
+    shrink = z.clamp_min(torch.finfo(z.dtype).tiny ** 0.4).reciprocal()
+    return Projection(
+        pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), is_greater(z, 0.0)
+    )
+
+
+def unproject_pinhole(pixels: Tensor, focal_length: Tensor, principal_point: Tensor) -> Unprojection:
+    """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_pinhole``.
+
+    Examples:
+        >>> center = torch.tensor([320.0, 240.0])
+        >>> unproject_pinhole(center, torch.tensor([100.0]), center).directions
+        tensor([0., 0., 1.])
+    """
+    check_last_dim("pixels", pixels, 2)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    return Unprojection(unit_directions(x, y, torch.ones_like(x)), torch.ones_like(x, dtype=torch.bool))
+
+
+class PinholeCamera(Camera):
+    """A pinhole camera; images must be undistorted before.
+
+    Args:
+        focal_length: (*b, 2) in pixels.
+        principal_point: (*b, 2) as (u, v).
+        image_size: (height, width).
+        max_angle: half the field of view in radians, below π/2; the image border is the limit by default.
+
+    Examples:
+        >>> camera = PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640))
+        >>> camera.project(torch.tensor([0.0, 0.0, 1.0])).pixels.tolist()
+        [319.5, 239.5]
+    """
+
+    model = "pinhole"
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point")
+
+    focal_length: Tensor
+    principal_point: Tensor
+
+    def __init__(
+        self,
+        focal_length: Sequence[float] | Tensor,
+        principal_point: Sequence[float] | Tensor,
+        image_size: Sequence[int],
+        max_angle: float | Tensor = math.pi / 2,
+    ) -> None:
+        super().__init__(image_size, max_angle, focal_length=focal_length, principal_point=principal_point)
+        check_last_dim("focal_length", self.focal_length, 2)
+        check_last_dim("principal_point", self.principal_point, 2)
+        self._set_batch(*self.principal_point.shape[:-1])
+
+    def _project(self, points: Tensor) -> Projection:
+        return project_pinhole(points, *self._aligned(points))
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        return unproject_pinhole(pixels, *self._aligned(pixels))

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The radial polynomial model: the image radius in pixels is any polynomial of the angle from the axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.models.image_plane import unit_directions
+from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.geometry import (
+    components,
+    cosine_and_lifted_sinc,
+    increasing_limit,
+    lifted_radius,
+    polynomial,
+    polynomial_value,
+    polynomial_with_curvature,
+    refine_root,
+    samples_towards,
+    tabulate_inverse,
+)
+
+__all__ = ["RadialPolynomialCamera", "project_radial_polynomial", "unproject_radial_polynomial"]
+
+_SAMPLES = 256
+
+
+def _radius(coefficients: Tensor, angle: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The radius θ (k1 + k2 θ + ...) and its first two derivatives."""
+    value, slope, curvature = polynomial_with_curvature(coefficients, angle)
+    return angle * value, torch.addcmul(value, angle, slope), torch.addcmul(2 * slope, angle, curvature)
+
+
+def _slope(coefficients: Tensor, angle: Tensor) -> Tensor:
+    value, slope = polynomial(coefficients, angle)
+    return torch.addcmul(value, angle, slope)
+
+
+def _widest_angle(coefficients: Tensor) -> Tensor:
+    """The angle (*) in [0, π] up to which the radius grows."""
+    end = torch.full_like(coefficients[..., 0], math.pi)
+    return increasing_limit(lambda angle: _slope(coefficients.unsqueeze(-2), angle), end, _SAMPLES)
+
+
+def _start(coefficients: Tensor, widest: Tensor, target: Tensor) -> Tensor:
+    """The angle (*) of the radius ``target`` (*), to some digits, from a table."""
+    with torch.no_grad():
+        angles = samples_towards(widest)
+        radii = angles * polynomial_value(coefficients.unsqueeze(-2), angles)
+        first = coefficients[..., 0]  # r / (k1 + r) keeps the table fine near the centre
+        return tabulate_inverse(angles, radii / (first.unsqueeze(-1) + radii)).lookup(
+            target / (first + target)
+        )
+
+
+def project_radial_polynomial(
+    points: Tensor, coefficients: Tensor, principal_point: Tensor, aspect_ratio: Tensor
+) -> Projection:
+    """Pixels (*, 2) of ``points`` (*, 3): the image radius is k1 θ + k2 θ² + ... pixels at the angle θ from the axis.
+
+    Valid up to the angle where the radius stops growing. The backward axis, which has no azimuth, is not valid.
+
+    Args:
+        points: (*, 3) in the camera's frame, any length.
+        coefficients: (*, k) as (k1, ..., kk) in pixels.
+        principal_point: (*, 2) as (u, v).
+        aspect_ratio: (*), the radius along v over that along u.
+
+    References:
+        S. Yogamani et al., "WoodScape: a multi-task, multi-camera fisheye dataset for autonomous driving", ICCV 2019,
+        section 3.1 (fourth degree).
+
+    Examples:
+        >>> lens = [torch.tensor(x) for x in ([200.0, 0.0, -10.0], [320.0, 240.0], 1.0)]
+        >>> project_radial_polynomial(torch.tensor([0.0, 0.0, 1.0]), *lens).pixels.tolist()
+        [320.0, 240.0]
+    """
+    check_last_dim("points", points, 3)
+    x, y, z = components(points)
+    radius = lifted_radius(x, y, z)
+    angle = torch.atan2(radius, z)
+    scale = angle * polynomial_value(coefficients, angle) / radius
+    u = x * scale + principal_point[..., 0]
+    v = y * scale * aspect_ratio + principal_point[..., 1]
+    valid = (angle <= _widest_angle(coefficients)) & (angle < math.pi)
+    return Projection(torch.stack((u, v), dim=-1), valid)
+
+
+def unproject_radial_polynomial(
+    pixels: Tensor, coefficients: Tensor, principal_point: Tensor, aspect_ratio: Tensor
+) -> Unprojection:
+    """Unit directions (*, 3) of ``pixels`` (*, 2), by Newton's method on the angle; past 90° too.
+
+    The arguments are those of ``project_radial_polynomial``.
+
+    Examples:
+        >>> lens = [torch.tensor(x) for x in ([200.0, 0.0, -10.0], [320.0, 240.0], 1.0)]
+        >>> unproject_radial_polynomial(torch.tensor([320.0, 240.0]), *lens).directions.tolist()
+        [0.0, 0.0, 1.0]
+    """
+    check_last_dim("pixels", pixels, 2)
+
+    u, v = components(pixels)
+    x, y = u - principal_point[..., 0], (v - principal_point[..., 1]) / aspect_ratio
+    target = torch.sqrt(torch.addcmul(x * x, y, y) + torch.finfo(x.dtype).eps ** 2)
+    widest = _widest_angle(coefficients)
+    largest = widest * polynomial_value(coefficients, widest)
+    inside = target <= largest * (1 + 16 * torch.finfo(target.dtype).eps)
+    target = torch.minimum(target, largest.detach())
+    start = _start(coefficients, widest, target.detach())
+    angle, converged = refine_root(lambda angle: _radius(coefficients, angle), target, start, widest)
+    cosine, sinc = cosine_and_lifted_sinc(angle * angle)
+    scale = sinc / polynomial_value(coefficients, angle)
+    return Unprojection(unit_directions(x * scale, y * scale, cosine), converged & inside)
+
+
+class RadialPolynomialCamera(Camera):
+    """A camera whose image radius is a polynomial of the angle from the axis: WoodScape, and Aria's radial part.
+
+    Args:
+        polynomial: (*b, k) as (k1, ..., kk), the radius in pixels being k1 θ + k2 θ² + ...
+        principal_point: (*b, 2) as (u, v).
+        aspect_ratio: (*b,), the radius along v over that along u.
+        image_size: (height, width).
+        max_angle: half the field of view in radians, a number or (*b,); by default where the radius stops growing.
+
+    Raises:
+        ArgumentError: a first coefficient or an aspect ratio that is not above 0.
+
+    Examples:
+        >>> camera = RadialPolynomialCamera([339.7, -32.0, 48.3, -7.2], [643.4, 479.1], 1.0, (966, 1280))
+        >>> camera.unproject(camera.project(torch.tensor([0.0, 0.96, -0.28])).pixels).directions
+        tensor([ 0.0000,  0.9600, -0.2800])
+    """
+
+    model = "radial_polynomial"
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("polynomial", "principal_point", "aspect_ratio")
+
+    polynomial: Tensor
+    principal_point: Tensor
+    aspect_ratio: Tensor
+
+    def __init__(
+        self,
+        polynomial: Sequence[float] | Tensor,
+        principal_point: Sequence[float] | Tensor,
+        aspect_ratio: float | Tensor,
+        image_size: Sequence[int],
+        max_angle: float | Tensor | None = None,
+    ) -> None:
+        super().__init__(
+            image_size,
+            math.pi if max_angle is None else max_angle,
+            polynomial=polynomial,
+            principal_point=principal_point,
+            aspect_ratio=aspect_ratio,
+        )
+        check_last_dim("principal_point", self.principal_point, 2)
+        if self.polynomial.ndim == 0 or not bool((self.polynomial[..., 0] > 0).all()):
+            raise ArgumentError(
+                "polynomial: expected coefficients (*, k) of θ, θ², ... in pixels, the first above 0, got "
+                f"{self.polynomial.tolist()}"
+            )
+        if not bool((self.aspect_ratio > 0).all()):
+            raise ArgumentError(f"aspect_ratio: expected numbers above 0, got {self.aspect_ratio.tolist()}")
+        pairs = self.polynomial, self.principal_point
+        batch = torch.broadcast_shapes(self.aspect_ratio.shape, *(tensor.shape[:-1] for tensor in pairs))
+        self.polynomial, self.principal_point = (tensor.expand(*batch, -1) for tensor in pairs)
+        self.aspect_ratio = self.aspect_ratio.expand(batch)
+        if max_angle is None:
+            self.max_angle = _widest_angle(self.polynomial)
+        self._set_batch(*batch)
+
+    def _project(self, points: Tensor) -> Projection:
+        return project_radial_polynomial(points, *self._aligned(points))
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        return unproject_radial_polynomial(pixels, *self._aligned(pixels))
+
+    def _on_pixels(
+        self, scale: tuple[float, float], offset: tuple[float, float], image_size: tuple[int, int]
+    ) -> RadialPolynomialCamera:
+        s, t = scale
+        return RadialPolynomialCamera(
+            self.polynomial * s,
+            self.principal_point * self.principal_point.new_tensor(scale)
+            + self.principal_point.new_tensor(offset),
+            self.aspect_ratio * (t / s),
+            image_size,
+            self.max_angle,
+        )

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unified model: one sphere and a pinhole; with distortion it is Mei's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.models.plane_distortion import distort_inside, fold_radius, undistort
+from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.geometry import components, is_greater, safe_sqrt
+
+__all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
+
+
+def _widest_cosine(xi: Tensor) -> Tensor:
+    """Cosine of the angle at which the model ends: −ξ where the denominator vanishes, −1/ξ where the radius turns."""
+    beyond = xi > 1
+    return -torch.where(beyond, 1 / torch.where(beyond, xi, 1.0), xi)
+
+
+def _lift(x: Tensor, y: Tensor, xi: Tensor) -> Unprojection:
+    """Directions of the undistorted plane's points."""
+    squared = torch.addcmul(x * x, y, y)
+    under_root = 1 + (1 - xi * xi) * squared
+    scale = (xi + safe_sqrt(under_root)) / (1 + squared)
+    return Unprojection(unit_directions(scale * x, scale * y, scale - xi), under_root >= 0)
+
+
+def project_unified(
+    points: Tensor,
+    focal_length: Tensor,
+    principal_point: Tensor,
+    xi: Tensor,
+    distortion: Tensor | None = None,
+) -> Projection:
+    """Pixels (*, 2) of ``points`` (*, 3) through a unit sphere and a pinhole ξ behind its centre.
+
+    The plane's point is (x, y) / (z + ξ |X|). Valid for z > −ξ |X| where ξ ≤ 1, which keeps the denominator positive,
+    and for z > −|X| / ξ where ξ > 1: there the radius sin θ / (cos θ + ξ), whose derivative has the sign of
+    1 + ξ cos θ, stops growing. With distortion the model also ends where that is no longer one-to-one.
+
+    Args:
+        points: (*, 3) in the camera's frame, any length.
+        focal_length: (*, 2) in pixels; Mei's γ, which is 1 + ξ times the focal length of the image centre.
+        principal_point: (*, 2) as (u, v).
+        xi: (*), above −1; 0 is a pinhole, 1 a stereographic lens.
+        distortion: (*, 5) as (k1, k2, p1, p2, k3), or (*, 4), of the plane's point, as in ``cv2.omnidir``; or None.
+
+    References:
+        C. Mei, P. Rives, "Single view point omnidirectional camera calibration from planar grids", ICRA 2007, section
+        II; the domain as V. Usenko, N. Demmel, D. Cremers, "The double sphere camera model", 3DV 2018, section II-B.
+
+    Examples:
+        >>> intrinsics = [torch.tensor(x) for x in ([200.0, 200.0], [320.0, 240.0], 1.0)]
+        >>> project_unified(torch.tensor([1.0, 0.0, 0.0]), *intrinsics).pixels.tolist()  # 90° to the right
+        [520.0, 240.0]
+    """
+    check_last_dim("points", points, 3)
+    x, y, z = components(points)
+    squared = torch.addcmul(torch.addcmul(x * x, y, y), z, z)
+    length = torch.sqrt(squared.clamp_min(torch.finfo(z.dtype).tiny))
+    valid = is_greater(z, _widest_cosine(xi) * length)
+    # Beyond the model's end points land far outside of the image, in place of a division by 0.
+    denominator = torch.maximum(torch.addcmul(z, xi, length), torch.finfo(z.dtype).eps * length)
+    x, y = x / denominator, y / denominator
+    if distortion is not None:
+        x, y, one_to_one = distort_inside(x, y, distortion)
+        valid = valid & one_to_one
+    return Projection(pixels_from_plane(x, y, focal_length, principal_point), valid)
+
+
+def unproject_unified(
+    pixels: Tensor,
+    focal_length: Tensor,
+    principal_point: Tensor,
+    xi: Tensor,
+    distortion: Tensor | None = None,
+) -> Unprojection:
+    """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_unified``, with the same arguments.
+
+    In closed form; the distortion is undone by Newton's method.
+
+    Examples:
+        >>> intrinsics = [torch.tensor(x) for x in ([200.0, 200.0], [320.0, 240.0], 1.0)]
+        >>> unproject_unified(torch.tensor([520.0, 240.0]), *intrinsics).directions.tolist()
+        [1.0, 0.0, 0.0]
+    """
+    check_last_dim("pixels", pixels, 2)
+    x, y = plane_from_pixels(pixels, focal_length, principal_point)
+    if distortion is None:
+        return _lift(x, y, xi)
+    x, y, converged = undistort(x, y, distortion)
+    directions, valid = _lift(x, y, xi)
+    return Unprojection(directions, valid & converged)
+
+
+class UnifiedCamera(Camera):
+    """A unified (UCM) or, with distortion, Mei camera: fisheyes and mirrors past 90°, as calibrated by ``cv2.omnidir``.
+
+    Args:
+        focal_length: (*b, 2) in pixels; Mei's γ.
+        principal_point: (*b, 2) as (u, v).
+        xi: (*b,), above −1.
+        distortion: (*b, 5) as (k1, k2, p1, p2, k3), (*b, 4) without k3, or None.
+        image_size: (height, width).
+        max_angle: half the field of view in radians, a number or (*b,); by default where the model ends.
+
+    Raises:
+        ArgumentError: ``xi`` not above −1.
+
+    Examples:
+        >>> camera = UnifiedCamera([400.0, 400.0], [319.5, 319.5], 1.2, [-0.1, 0.02, 1e-4, 0.0, 0.0], (640, 640))
+        >>> camera.unproject(camera.project(torch.tensor([0.0, 0.96, -0.28])).pixels).directions
+        tensor([ 0.0000,  0.9600, -0.2800])
+    """
+
+    model = "unified"
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "xi", "distortion")
+
+    focal_length: Tensor
+    principal_point: Tensor
+    xi: Tensor
+    distortion: Tensor | None
+
+    def __init__(
+        self,
+        focal_length: Sequence[float] | Tensor,
+        principal_point: Sequence[float] | Tensor,
+        xi: float | Tensor,
+        distortion: Sequence[float] | Tensor | None,
+        image_size: Sequence[int],
+        max_angle: float | Tensor | None = None,
+    ) -> None:
+        super().__init__(
+            image_size,
+            math.pi if max_angle is None else max_angle,
+            focal_length=focal_length,
+            principal_point=principal_point,
+            xi=xi,
+            distortion=distortion,
+        )
+        check_last_dim("focal_length", self.focal_length, 2)
+        check_last_dim("principal_point", self.principal_point, 2)
+        if self.distortion is not None and self.distortion.shape[-1:] not in ((4,), (5,)):
+            raise ArgumentError(
+                "distortion: expected (*, 5) coefficients k1 k2 p1 p2 k3, (*, 4) without k3, or None, got shape "
+                f"{tuple(self.distortion.shape)}"
+            )
+        if not bool((self.xi > -1).all()):
+            raise ArgumentError(f"xi: expected numbers above -1, got {self.xi.tolist()}")
+        pairs = [self.focal_length, self.principal_point]
+        pairs += [] if self.distortion is None else [self.distortion]
+        batch = torch.broadcast_shapes(self.xi.shape, *(tensor.shape[:-1] for tensor in pairs))
+        self.focal_length, self.principal_point, *rest = (tensor.expand(*batch, -1) for tensor in pairs)
+        self.xi, self.distortion = self.xi.expand(batch), rest[0] if rest else None
+        if max_angle is None:
+            self.max_angle = self._widest_angle()
+        self._set_batch(*batch)
+
+    @torch.no_grad()
+    def _widest_angle(self) -> Tensor:
+        """Where the denominator vanishes, the radius turns or the distortion folds."""
+        end = torch.acos(_widest_cosine(self.xi))
+        if self.distortion is None:
+            return end
+        radius = fold_radius(self.distortion)
+        direction, reached = _lift(radius, torch.zeros_like(radius), self.xi)
+        return torch.where(reached, torch.atan2(direction[..., 0], direction[..., 2]), end)
+
+    def _aligned(self, values: Tensor) -> list[Tensor]:
+        names = [name for name in self.intrinsic_names if getattr(self, name) is not None]
+        return [self._align(getattr(self, name), values) for name in names]
+
+    def _project(self, points: Tensor) -> Projection:
+        return project_unified(points, *self._aligned(points))
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        return unproject_unified(pixels, *self._aligned(pixels))

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Perspective pictures from wide images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.field_of_view import focal_length_on_axis
+from sphericalvision.cameras.models.pinhole import PinholeCamera
+from sphericalvision.cameras.remapping.remap import remap
+from sphericalvision.cameras.remapping.tables import Remapped
+from sphericalvision.core import ArgumentError
+
+__all__ = ["undistort", "undistorted_camera"]
+
+
+def undistort(
+    image: Tensor,
+    camera: Camera,
+    field_of_view: float | None = None,
+    focal_length: float | Tensor | None = None,
+    image_size: Sequence[int] | None = None,
+    rotation: Tensor | None = None,
+    mode: str = "bilinear",
+    mask: Tensor | None = None,
+    fill: float = 0.0,
+) -> Remapped:
+    """The perspective picture in a wide image: ``remap`` to ``undistorted_camera``.
+
+    Args:
+        image: ``(*b, c, h, w)`` as taken by ``camera``.
+        camera: camera that took the image.
+        field_of_view: of the picture from its left to its right edge, radians, below π.
+        focal_length: of the picture in pixels, in place of a field of view. With neither, the middle of the
+            picture has the scale of the image.
+        image_size: (height, width) of the picture; that of the image if not given.
+        rotation: ``(*b, 3, 3)``, from the camera to the view: what the image shows in direction d, the picture shows in
+            ``rotation @ d``.
+        mode: see ``remap``; ``"area"`` if the picture is smaller than the image.
+        mask: ``(*b, h, w)``, usable pixels of the image.
+        fill: value where the image shows nothing.
+
+    Returns:
+        Values ``(*b, c, h', w')`` and ``valid`` ``(*b, h', w')``.
+
+    Raises:
+        ArgumentError: both field of view and focal length are given, or one of them is out of range.
+        ShapeError: see ``remap``.
+
+    Examples:
+        >>> from sphericalvision.cameras import FisheyeCamera
+        >>> fisheye = FisheyeCamera.from_field_of_view((64, 64), math.radians(220))
+        >>> picture, valid = undistort(torch.ones(3, 64, 64), fisheye, math.radians(90), image_size=(48, 64))
+        >>> picture.shape
+        torch.Size([3, 48, 64])
+    """
+    target = undistorted_camera(camera, field_of_view, focal_length, image_size)
+    return remap(image, camera, target, rotation, mode, mask, fill)
+
+
+def undistorted_camera(
+    camera: Camera,
+    field_of_view: float | None = None,
+    focal_length: float | Tensor | None = None,
+    image_size: Sequence[int] | None = None,
+) -> PinholeCamera:
+    """The pinhole camera of the picture that ``undistort`` makes with the same arguments.
+
+    Its pixels are square and its principal point is the middle of the picture.
+
+    Raises:
+        ArgumentError: see ``undistort``.
+
+    Examples:
+        >>> from sphericalvision.cameras import FisheyeCamera
+        >>> fisheye = FisheyeCamera.from_field_of_view((64, 64), math.radians(220))
+        >>> undistorted_camera(fisheye, math.radians(90), image_size=(48, 64)).focal_length
+        tensor([32., 32.])
+    """
+    height, width = camera.image_size if image_size is None else image_size
+    if field_of_view is not None and focal_length is not None:
+        raise ArgumentError(
+            "field_of_view and focal_length: give one of them, the other follows from the width"
+        )
+    if field_of_view is not None:
+        if not 0 < field_of_view < math.pi:
+            raise ArgumentError(
+                f"field_of_view: expected radians in (0, π), got {field_of_view}; a perspective picture ends before "
+                "180°, remap to an EquirectangularCamera or FisheyeCamera shows more"
+            )
+        focal_length = width / 2 / math.tan(field_of_view / 2)
+    focal = _scale_on_axis(camera) if focal_length is None else torch.as_tensor(focal_length)
+    focal = focal.to(camera.device, camera.dtype)
+    if not bool((focal > 0).all()):
+        raise ArgumentError(
+            f"focal_length: expected positive pixels, got {focal_length}"
+            + ("; the camera's image has no scale on its axis to take over" if focal_length is None else "")
+        )
+    batch = torch.broadcast_shapes(focal.shape, camera.batch_shape)
+    middle = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=focal.dtype, device=focal.device)
+    return PinholeCamera(
+        focal.expand(batch).unsqueeze(-1).repeat_interleave(2, -1), middle.expand(*batch, 2), (height, width)
+    )
+
+
+def _scale_on_axis(camera: Camera) -> Tensor:
+    """Pixels a radian (*b,) around the optical axis: the geometric mean of both directions."""
+    if camera.batch_shape:
+        return torch.stack([_scale_on_axis(camera.select(index)) for index in range(camera.batch_shape[0])])
+    return focal_length_on_axis(camera).prod(-1).sqrt()

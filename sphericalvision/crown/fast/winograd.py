@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Volumes convolved 3 x 3 x 3 with a third of the multiplications: Winograd's F(4, 3) along the hypotheses.
+
+Four neighbouring outputs need six products in place of twelve, each of them a planar convolution, for which
+``winograd_rows`` has a short way of its own. What is left are convolutions with kernels of a single row, which run at
+the speed of the machine; the sums around them are a few passes over memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sphericalvision.crown.fast.winograd_rows import (
+    ALL_TAPS,
+    PlanarKernel,
+    Workspace,
+    add_gradient_of_rows,
+    convolve_rows,
+    of_rows,
+    planar_kernel,
+)
+
+__all__ = [
+    "adjoint_kernels",
+    "conv3d_replicate",
+    "conv3d_winograd",
+    "convolve_padded",
+    "convolve_padded_backward",
+    "of_taps",
+    "repeat_border",
+    "transformed_kernels",
+    "unpadded",
+    "winograd_pays",
+]
+
+MIN_CHANNELS = 32
+"""Below, the sums cost more than the products saved."""
+
+TRANSFORM_BYTES = 6 << 20
+"""Tiles are taken through the transforms a few at a time, each of which takes no more than this: they stay in cache."""
+
+# Of the transforms of a line of values: of six given ones, of three taps, and of six products to four results.
+_GIVEN = (
+    (4.0, 0.0, -5.0, 0.0, 1.0, 0.0),
+    (0.0, -4.0, -4.0, 1.0, 1.0, 0.0),
+    (0.0, 4.0, -4.0, -1.0, 1.0, 0.0),
+    (0.0, -2.0, -1.0, 2.0, 1.0, 0.0),
+    (0.0, 2.0, -1.0, -2.0, 1.0, 0.0),
+    (0.0, 4.0, 0.0, -5.0, 0.0, 1.0),
+)
+_TAPS = (
+    (1 / 4, 0.0, 0.0),
+    (-1 / 6, -1 / 6, -1 / 6),
+    (-1 / 6, 1 / 6, -1 / 6),
+    (1 / 24, 1 / 12, 1 / 6),
+    (1 / 24, -1 / 12, 1 / 6),
+    (0.0, 0.0, 1.0),
+)
+_RESULT = (
+    (1.0, 1.0, 1.0, 1.0, 1.0, 0.0),
+    (0.0, 1.0, -1.0, 2.0, -2.0, 0.0),
+    (0.0, 1.0, 1.0, 4.0, 4.0, 0.0),
+    (0.0, 1.0, -1.0, 8.0, -8.0, 1.0),
+)
+
+
+def winograd_pays(volumes: Tensor, kernel: Tensor) -> bool:
+    """Whether ``conv3d_winograd`` is the faster way: single precision on a CPU, and channels enough."""
+    wide = kernel.shape[1] >= MIN_CHANNELS and kernel.shape[0] >= MIN_CHANNELS
+    single = volumes.dtype == torch.float32 and not torch.is_autocast_enabled(volumes.device.type)
+    return wide and single and volumes.device.type == "cpu" and volumes.shape[2] >= 4
+
+
+def conv3d_replicate(
+    volumes: Tensor,
+    kernel: Tensor,
+    bias: Tensor | None = None,
+    stride: int = 1,
+    taps: Sequence[int] = ALL_TAPS,
+) -> Tensor:
+    """Convolve volumes ``(B, C, N, h, w)`` with ``(O, C, 3, 3, 3)``, continued by their own border values.
+
+    Args:
+        volumes: ``(B, C, N, h, w)``.
+        kernel: ``(O, C, 3, 3, 3)``.
+        bias: ``(O,)``.
+        stride: in the plane; along N it is 1.
+        taps: of the nine in the plane those that are not zero; others may be left without a gradient.
+
+    Examples:
+        >>> conv3d_replicate(torch.ones(1, 2, 4, 5, 3), torch.ones(1, 2, 3, 3, 3)).unique()
+        tensor([54.])
+    """
+    if stride == 1 and winograd_pays(volumes, kernel):
+        return conv3d_winograd(volumes, kernel, bias, taps)
+    padded = F.pad(volumes, (1, 1, 1, 1, 1, 1), mode="replicate")
+    return F.conv3d(padded, kernel, bias, (1, stride, stride))
+
+
+def conv3d_winograd(
+    volumes: Tensor, kernel: Tensor, bias: Tensor | None = None, taps: Sequence[int] = ALL_TAPS
+) -> Tensor:
+    """Do what ``conv3d_replicate`` does at stride 1, differentiable once.
+
+    Only the volumes are kept for the backward pass, not their transforms. In single precision the result is within
+    1e-5 of the largest value of the direct sum.
+
+    References:
+        Winograd (1980), "Arithmetic complexity of computations"; Lavin and Gray (2016), "Fast algorithms for
+        convolutional neural networks", for F(4, 3).
+
+    Examples:
+        >>> volumes, kernel = torch.rand(1, 2, 6, 5, 3).double(), torch.rand(4, 2, 3, 3, 3).double()
+        >>> torch.allclose(conv3d_winograd(volumes, kernel), conv3d_replicate(volumes, kernel))
+        True
+    """
+    result: Tensor = _Winograd.apply(volumes, kernel, bias, tuple(taps))
+    return result
+
+
+class _Winograd(torch.autograd.Function):
+    """Volumes, kernel and bias to convolved volumes."""
+
+    @staticmethod
+    def forward(volumes: Tensor, kernel: Tensor, bias: Tensor | None, taps: tuple[int, ...]) -> Tensor:
+        padded, (batch, _, count, height, width) = _padded(volumes), volumes.shape
+        result = volumes.new_empty(batch, count + -count % 4, height, width, len(kernel))
+        convolve_padded(padded, transformed_kernels(kernel, taps), bias, result, Workspace())
+        return result[:, :count].movedim(-1, 1)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+        ctx.save_for_backward(*inputs[:2])
+        ctx.taps = inputs[3]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        volumes, kernel = ctx.saved_tensors
+        want_volumes, want_kernel, want_bias, _ = ctx.needs_input_grad
+        count = volumes.shape[2]
+        of_result = F.pad(gradient.movedim(1, -1), (0, 0, 2, 2, 2, 2, 0, -count % 4))
+        padded = _padded(volumes, room=2)
+        batch, full, height, width, channels = padded.shape
+        of_padded = (
+            of_result.new_zeros(batch, full, height - 2, width - 2, channels) if want_volumes else None
+        )
+        of_kernels = kernel.new_zeros(6, 4, 3, *kernel.shape[:2]) if want_kernel else None
+        kernels = adjoint_kernels(kernel, ctx.taps)
+        convolve_padded_backward(of_result, padded, kernels, of_padded, of_kernels, Workspace(), ctx.taps)
+        of_volumes = None if of_padded is None else unpadded(of_padded, count).movedim(-1, 1)
+        of_kernel = None if of_kernels is None else of_taps(of_kernels).unflatten(-1, (3, 3))
+        return of_volumes, of_kernel, gradient.sum((0, 2, 3, 4)) if want_bias else None, None
+
+
+def convolve_padded(
+    padded: Tensor,
+    kernels: list[PlanarKernel],
+    bias: Tensor | None,
+    result: Tensor,
+    workspace: Workspace,
+    rectify: bool = False,
+) -> None:
+    """Convolve padded volumes ``(B, N + 2, h + 2, w + 2, C)``, N a multiple of four, into ``(B, N, h, w, O)``.
+
+    Args:
+        padded: with the values around that the result needs; contiguous.
+        kernels: ``transformed_kernels``.
+        bias: ``(O,)``.
+        result: overwritten; any strides.
+        workspace: of these convolutions.
+        rectify: whether a ReLU follows.
+    """
+    for given, some in _slabs(padded, result):
+        tiles = _transformed_tiles(given, workspace)
+        products = workspace.take("products", (len(tiles), 6, *some.shape[2:]), some)
+        for place, kernel in enumerate(kernels):  # the second product is part of every output, times one
+            convolve_rows(
+                tiles[:, place], kernel, bias if place == 1 else None, products[:, place], workspace
+            )
+        if some.is_contiguous():
+            _matmul(_RESULT, products, some.unflatten(1, (-1, 4)).flatten(0, 1))
+        else:
+            values = workspace.take("results", some.shape, some)
+            _matmul(_RESULT, products, values.unflatten(1, (-1, 4)).flatten(0, 1))
+            some.copy_(values)
+        if rectify:
+            some.relu_()
+
+
+def convolve_padded_backward(
+    of_result: Tensor,
+    padded: Tensor,
+    kernels: list[PlanarKernel],
+    of_padded: Tensor | None,
+    of_kernels: Tensor | None,
+    workspace: Workspace,
+    taps: Sequence[int] = ALL_TAPS,
+) -> None:
+    """The adjoint of ``convolve_padded``; adds to ``of_padded`` and ``of_kernels``, where they are given.
+
+    Both gradients are made of products that are fast on a CPU: planar convolutions of what is padded already, and
+    matrix products between two views of the same grid, shifted.
+
+    Args:
+        of_result: ``(B, N, h + 4, w + 4, O)``, zero on the two outermost places all around; contiguous.
+        padded: ``(B, N + 2, h + 4, w + 4, C)``, what was convolved and then two rows and columns that are finite;
+            contiguous.
+        kernels: ``adjoint_kernels``.
+        of_padded: ``(B, N + 2, h + 2, w + 2, C)``.
+        of_kernels: ``(6, 4, 3, O, C)``, of the transformed kernels; see ``of_taps``.
+        workspace: of these convolutions.
+        taps: of the nine in the plane those that are not zero, whose gradient is wanted.
+    """
+    to_products = tuple(zip(*_RESULT, strict=True))
+    first = 0
+    for given, some in _slabs(padded, of_result):
+        of_products = workspace.take(
+            "of_products", (some[:, ::4].flatten(0, 1).shape[0], 6, *some.shape[2:]), some
+        )
+        for place, group in enumerate(some):
+            sized = of_products.unflatten(0, (len(some), -1))[place]
+            _matmul(to_products, group.unflatten(0, (-1, 4)), sized)
+        if of_kernels is not None:
+            tiles = _transformed_tiles(given, workspace)
+            for place in range(6):
+                add_gradient_of_rows(
+                    of_products[:, place], tiles[:, place], taps, of_kernels[place], workspace
+                )
+        if of_padded is not None:
+            last = first + some.shape[1]
+            _add_gradient_of_tiles(of_products, kernels, of_padded[:, first : last + 2], workspace)
+            first = last
+
+
+def _slabs(padded: Tensor, result: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield volumes ``(B, 4 T + 2, *)`` and results ``(B, 4 T, *)``, so many tiles T at a time as stay in cache."""
+    count = result.shape[1]
+    at_most = max(1, TRANSFORM_BYTES // (padded[:, 0].numel() * padded.element_size()))
+    tiles = count // 4
+    together = -(-tiles // -(-tiles // at_most))  # as even as can be
+    for first in range(0, count, 4 * together):
+        last = min(first + 4 * together, count)
+        yield padded[:, first : last + 2], result[:, first:last]
+
+
+def _matmul(matrix: Sequence[Sequence[float]], values: Tensor, out: Tensor) -> None:
+    """Multiply a matrix ``(p, q)`` with values ``(B, q, *)`` into ``(B, p, *)``, contiguous in all but B."""
+    factor = values.new_tensor(matrix).expand(len(values), -1, -1)
+    if torch.compiler.is_compiling():
+        out.copy_((factor @ values.flatten(2)).view(out.shape))
+    else:
+        torch.bmm(factor, values.flatten(2), out=out.flatten(2))
+
+
+def _transformed_tiles(padded: Tensor, workspace: Workspace) -> Tensor:
+    """The six transforms of all tiles of ``(B, 4 T + 2, H, W, C)``: ``(B * T, 6, H, W, C)``."""
+    batch, length, *image = padded.shape
+    tiles = workspace.take("tiles", (batch, length // 4, 6, *image), padded)
+    for volume, transformed in zip(padded, tiles, strict=True):
+        overlapping = volume.flatten(1).unfold(0, 6, 4).mT
+        _matmul(_GIVEN, overlapping, transformed.flatten(2))
+    return tiles.flatten(0, 1)
+
+
+def _add_gradient_of_tiles(
+    of_products: Tensor, kernels: list[PlanarKernel], of_padded: Tensor, workspace: Workspace
+) -> None:
+    """Add to ``of_padded`` ``(B, 4 T + 2, h, w, C)`` what follows from ``(B * T, 6, h + 2, w + 2, O)``."""
+    batch, length, *image = of_padded.shape
+    of_tiles = workspace.take("of_tiles", (len(of_products), 6, *image), of_padded)
+    for place, kernel in enumerate(kernels):
+        convolve_rows(of_products[:, place], kernel, None, of_tiles[:, place], workspace)
+    summed = workspace.take("tiles", of_tiles.shape, of_padded)
+    _matmul(tuple(zip(*_GIVEN, strict=True)), of_tiles, summed)
+    of_given = summed.unflatten(0, (batch, -1)).unbind(2)
+    for place, values in enumerate(of_given):
+        of_padded[:, place : place + length - 2 : 4] += values
+
+
+def of_taps(of_kernels: Tensor) -> Tensor:
+    """Gradient ``(O, C, 3, 9)`` of a kernel from that of its transforms ``(6, 4, 3, O, C)``."""
+    return torch.einsum("kd,ktoc->ocdt", of_kernels.new_tensor(_TAPS), of_rows(of_kernels))
+
+
+def _padded(volumes: Tensor, room: int = 0) -> Tensor:
+    """Border values repeated all around, N filled up to a multiple of four: ``(B, N' + 2, h + 2, w + 2, C)``.
+
+    With ``room`` as many rows and columns of zeros after them.
+    """
+    batch, channels, count, height, width = volumes.shape
+    full = count + -count % 4
+    padded = volumes.new_empty(batch, full + 2, height + 2 + room, width + 2 + room, channels)
+    if room:
+        padded[:, :, -room:] = 0
+        padded[:, :, :, -room:] = 0
+    with_border = padded[:, :, : height + 2, : width + 2]
+    with_border[:, 1 : count + 1, 1:-1, 1:-1] = volumes.movedim(1, -1)
+    repeat_border(with_border, count)
+    return padded
+
+
+def repeat_border(padded: Tensor, count: int) -> None:
+    """Continue N = ``count`` volumes inside ``(B, N' + 2, h + 2, w + 2, C)`` by their own border values."""
+    inner = padded[:, 1 : count + 1]
+    inner[:, :, 0, 1:-1], inner[:, :, -1, 1:-1] = inner[:, :, 1, 1:-1], inner[:, :, -2, 1:-1]
+    inner[:, :, :, 0], inner[:, :, :, -1] = inner[:, :, :, 1], inner[:, :, :, -2]
+    padded[:, 0] = padded[:, 1]
+    padded[:, count + 1 :] = padded[:, count : count + 1]
+
+
+def unpadded(padded: Tensor, count: int) -> Tensor:
+    """The adjoint of ``repeat_border``: what was repeated is added to where it came from, ``(B, N, h, w, C)``."""
+    padded[:, 1] += padded[:, 0]
+    padded[:, count] += padded[:, count + 1 :].sum(1)
+    inner = padded[:, 1 : count + 1]
+    inner[:, :, :, 1] += inner[:, :, :, 0]
+    inner[:, :, :, -2] += inner[:, :, :, -1]
+    inner[:, :, 1] += inner[:, :, 0]
+    inner[:, :, -2] += inner[:, :, -1]
+    return inner[:, :, 1:-1, 1:-1]
+
+
+def transformed_kernels(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> list[PlanarKernel]:
+    """Six planar kernels ``(O, C, 3, 3)`` of one ``(O, C, 3, 3, 3)`` whose taps but those given are zero."""
+    transformed = torch.einsum("kd,ocdij->kocij", kernel.new_tensor(_TAPS), kernel)
+    return [planar_kernel(k, taps) for k in transformed]
+
+
+def adjoint_kernels(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> list[PlanarKernel]:
+    """The six for the gradient of what is convolved."""
+    return transformed_kernels(kernel.flip(3, 4).transpose(0, 1), [8 - tap for tap in taps])

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Transforms of samples: onto the icosphere, and the geometric augmentations of training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from kornia.geometry.transform import translate
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.sphere_images import sphere_lookups
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data.fast_lookup import FastLookup
+from sphericalvision.data.omnistereo.panorama_grid import nearest_pixels
+from sphericalvision.icosphere import Icosphere
+
+__all__ = ["Compose", "RandomShift", "ShuffleCameras", "ToSphere"]
+
+Sample = dict[str, Any]
+
+
+class Compose:
+    """Several transforms, one after the other.
+
+    Examples:
+        >>> both = Compose(lambda sample: sample + ["first"], lambda sample: sample + ["second"])
+        >>> both([])
+        ['first', 'second']
+    """
+
+    def __init__(self, *transforms: Callable[[Any], Any]) -> None:
+        self.transforms = transforms
+
+    def __call__(self, sample: Any) -> Any:
+        for transform in self.transforms:
+            sample = transform(sample)
+        return sample
+
+    def __repr__(self) -> str:
+        return f"Compose({', '.join(map(repr, self.transforms))})"
+
+
+class ToSphere:
+    """Bring a sample of images and a ground-truth panorama onto the icosphere.
+
+    Images are looked up bilinearly at the vertices, each camera turned into world orientation (its position
+    plays no part) and scaled to [-1, 1]; what lies outside a camera's field of view, image or mask is 0.
+    Ground truth is the nearest panorama pixel to each vertex, not interpolated, as in the paper's
+    evaluation; vertices beyond the latitudes of the urban sets are not valid.
+
+    The table of pixel positions is kept while samples come with one and the same rig object.
+
+    Args:
+        level: of the icosphere that carries the images.
+        depth_level: of the icosphere that carries inverse depth and validity; two below ``level`` when not
+            given.
+        antialias: average the image over the area between vertices first, for images much finer than the
+            icosphere; slower. The paper does without.
+
+    Returns:
+        The sample with ``images`` ``(n, 3, V)`` in the order of the rig's cameras, ``inverse_depth``
+        ``(V_depth,)`` in 1/m (0 where not valid), ``valid`` ``(V_depth,)``; the other entries as they were.
+
+    References:
+        Komatsu et al., 360 Depth Estimation from Multiple Fisheye Images with Origami Crown Representation of
+        Icosahedron, IROS 2020, section III.
+    """
+
+    def __init__(self, level: int, depth_level: int | None = None, antialias: bool = False) -> None:
+        self.level = level
+        self.depth_level = level - 2 if depth_level is None else depth_level
+        if self.depth_level < 0:
+            raise ArgumentError(
+                f"level: expected at least 2, so that depth_level = level - 2 exists, got {level}"
+            )
+        self.antialias = antialias
+        self._directions = Icosphere(level).vertices
+        self._depth_directions = Icosphere(self.depth_level, torch.float64).vertices
+        self._rig: CameraRig | None = None
+        self._lookups: list[FastLookup] = []
+
+    def __call__(self, sample: Sample) -> Sample:
+        inverse_depth, valid = self.ground_truth(sample["inverse_depth"], sample["valid"])
+        images = self.images(sample["images"], sample["rig"])
+        return {**sample, "images": images, "inverse_depth": inverse_depth, "valid": valid}
+
+    def images(self, images: Mapping[str, Tensor], rig: CameraRig) -> Tensor:
+        """Images on the icosphere, ``(n, 3, V)`` in [-1, 1], 0 where a camera does not look.
+
+        Args:
+            images: camera name -> ``(3, h, w)`` in [0, 1].
+            rig: unbatched.
+
+        Raises:
+            ShapeError: other cameras than the rig's, or another image size than the calibration's.
+        """
+        if set(images) != set(rig.names):
+            raise ShapeError(f"images: expected those of the cameras {list(rig.names)}, got {list(images)}")
+        for name in rig.names:
+            if tuple(images[name].shape[-2:]) != tuple(rig.cameras[name].image_size):
+                raise ShapeError(
+                    f"images[{name!r}]: expected (h, w) = {tuple(rig.cameras[name].image_size)} from the "
+                    f"calibration, got {tuple(images[name].shape[-2:])}"
+                )
+        if self._rig is not rig:
+            directions = self._directions.to(rig.world_from_camera)
+            self._rig = rig
+            self._lookups = [FastLookup.of(x) for x in sphere_lookups(rig, directions, self.antialias)]
+        return torch.stack([look(images[name]) for name, look in zip(rig.names, self._lookups, strict=True)])
+
+    def ground_truth(self, inverse_depth: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+        """Inverse depth and validity ``(V_depth,)`` at the vertices, of those of a panorama ``(H, W)``.
+
+        Raises:
+            ShapeError: no panorama (W = 2H or 4H), or validity of another shape.
+        """
+        if inverse_depth.ndim != 2 or valid.shape != inverse_depth.shape:
+            raise ShapeError(
+                f"inverse_depth, valid: expected (H, W) both, got {tuple(inverse_depth.shape)} and "
+                f"{tuple(valid.shape)}"
+            )
+        ids, inside = nearest_pixels(self._depth_directions.to(inverse_depth.device), *inverse_depth.shape)
+        known = inside & valid.flatten()[ids]
+        return torch.where(known, inverse_depth.flatten()[ids], 0.0), known
+
+    def __repr__(self) -> str:
+        return f"ToSphere(level={self.level}, depth_level={self.depth_level}, antialias={self.antialias})"
+
+
+class RandomShift:
+    """Move each camera's image by a random fraction of a pixel: "random shift" of the published training.
+
+    Stands for calibration that is a little wrong: the rig in the sample stays as it was, so each camera's
+    rays are off by a different small angle (half a pixel is 0.14 degrees for the published 220 degree
+    images). Both components of each shift are normal with mean 0. Belongs before ``ToSphere``. What enters
+    at the border repeats the border.
+
+    Args:
+        scale: standard deviation in pixels; 0.5 in the published training.
+        generator: source of randomness; torch's global one when not given, which data loaders seed in each
+            worker.
+
+    References:
+        Komatsu et al., IROS 2020, augmentation for real images.
+    """
+
+    def __init__(self, scale: float = 0.5, generator: torch.Generator | None = None) -> None:
+        if not scale >= 0:
+            raise ArgumentError(
+                f"scale: expected a standard deviation in pixels of at least 0, got {scale!r}"
+            )
+        self.scale = scale
+        self.generator = generator
+
+    def __call__(self, sample: Sample) -> Sample:
+        images = sample["images"]
+        if isinstance(images, Tensor):
+            raise ArgumentError("RandomShift: expected images by camera name; it belongs before ToSphere")
+        shifted = {}
+        for name, image in images.items():
+            shift = self.scale * torch.randn(1, 2, generator=self.generator)
+            shifted[name] = translate(image[None], shift.to(image), padding_mode="border")[0]
+        return {**sample, "images": shifted}
+
+    def __repr__(self) -> str:
+        return f"RandomShift(scale={self.scale})"
+
+
+class ShuffleCameras:
+    """Bring the cameras of images and rig into a random order, the same for both; belongs after ``ToSphere``.
+
+    Args:
+        generator: source of randomness; torch's global one when not given.
+    """
+
+    def __init__(self, generator: torch.Generator | None = None) -> None:
+        self.generator = generator
+
+    def __call__(self, sample: Sample) -> Sample:
+        images = sample["images"]
+        if not isinstance(images, Tensor):
+            raise ArgumentError(
+                "ShuffleCameras: expected images as one tensor (n, 3, V); it belongs after ToSphere"
+            )
+        order = torch.randperm(len(images), generator=self.generator)
+        return {**sample, "images": images[order], "rig": sample["rig"].permuted(order.tolist())}
+
+    def __repr__(self) -> str:
+        return "ShuffleCameras()"

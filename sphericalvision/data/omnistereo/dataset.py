@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The omnidirectional stereo sets (OmniThings, OmniHouse, Sunny, Cloudy, Sunset) and sets of one's own "
+"like them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from torch.utils.data import Dataset
+
+from sphericalvision.cameras import CameraRig, read_rig
+from sphericalvision.core import ArgumentError, MissingFileError, check_choice
+from sphericalvision.data.omnistereo.files import (
+    DESCRIBED_AT,
+    check_scale,
+    find_release,
+    index_frames,
+    read_min_depth,
+    split_frames,
+)
+from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
+from sphericalvision.io.images import read_image
+
+__all__ = ["OmniStereoDataset"]
+
+Sample = dict[str, Any]
+
+
+class OmniStereoDataset(Dataset[Sample]):
+    """Fisheye images, their rig and ground-truth inverse depth of one split of an omnidirectional stereo set.
+
+    The folder holds one of two releases, which are detected and never mixed, since they differ threefold in
+    scale::
+
+        <root>/cam1 .. cam4/00001.png      RGB fisheye images; four digits are found as well as five
+
+        PNG release                        TIFF release
+        <root>/ocam1.txt .. ocam4.txt      <root>/config.yaml
+        <root>/poses.txt
+        <root>/depth_train_640/00001.png   <root>/omnidepth_gt_640/00001.tiff
+        minimum depth 0.55 m               minimum depth 1.65 m
+        rig radius 0.20 m                  rig radius 0.60 m
+
+    A set of one's own needs the same layout, any number of cameras and frames, and one scale throughout.
+
+    Each sample is a dict: ``images`` (camera name -> float32 ``(3, h, w)`` in [0, 1]), ``inverse_depth``
+    (float32 ``(H, W)``, 1/m along the ray from the rig's centre, 0 is infinity; W = 2H for the full sphere,
+    W = 4H for the latitudes within 45 degrees of the urban sets), ``valid`` (bool ``(H, W)``), ``rig`` and
+    ``frame`` (its number as five digits); ``transform`` may make something else of it.
+
+    Args:
+        root: folder of the set.
+        frames: frame numbers to take instead of a split.
+        split: "train", "val" or "test" as far as the protocol has them, or "all" frames with ground truth
+            in ``root``.
+        protocol: whose splits: "paper" (IcoSweepNet) or "official"; see ``split_frames``.
+        dataset: "omnithings", "omnihouse", "sunny", "cloudy" or "sunset"; says which frames a split means.
+        release: "png" or "tiff"; needed only where one folder holds both.
+        min_depth: metres. The PNG release does not say it: 0.55 m unless given. The TIFF release says it in
+            config.yaml, 1.65 m; a value given here takes precedence.
+        translation_unit: of poses.txt: "cm" in the published sets, "mm" in real captures of the same group,
+            or "m".
+        max_angle: half the field of view in radians, where the calibration does not say it (the PNG
+            release; 220 degrees unless given).
+        missing: "error", or "skip" to go without frames of the split that are not there (a partial copy).
+        transform: callable that gets each sample and returns what the data set shall return.
+
+    Raises:
+        MissingFileError: folder, calibration, ground truth or frames are missing.
+        FileFormatError: releases are mixed, or a file is damaged or of the wrong size.
+        ArgumentError: an unknown choice.
+
+    References:
+        Won et al., SweepNet, ICRA 2019 and OmniMVS, ICCV 2019; http://cvlab.hanyang.ac.kr/project/omnistereo
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        frames: Iterable[int] | None = None,
+        split: str = "train",
+        protocol: str = "paper",
+        dataset: str = "omnithings",
+        release: str | None = None,
+        min_depth: float | None = None,
+        translation_unit: str = "cm",
+        max_angle: float | None = None,
+        missing: str = "error",
+        transform: Callable[[Sample], Any] | None = None,
+    ) -> None:
+        check_choice("missing", missing, ("error", "skip"))
+        self.root = Path(root)
+        self.transform = transform
+        self.release = find_release(root, release)
+        unit = translation_unit if self.release.name == "png" else None  # config.yaml is in metres
+        calibration = self.root / self.release.calibration
+        self.rig: CameraRig = read_rig(calibration, translation_unit=unit, max_angle=max_angle)
+        self.min_depth = self._choose_min_depth(min_depth)
+        check_scale(root, self.release, self.min_depth, float(self.rig.radius))
+        self._truths = index_frames(
+            self.root / self.release.ground_truth_folder, "ground truth", (self.release.suffix, ".tif")
+        )
+        self._images = {
+            name: index_frames(self.root / name, f"images of camera {name}") for name in self.rig.names
+        }
+        if frames is not None:
+            wanted = [int(frame) for frame in frames]
+        elif split == "all":
+            wanted = sorted(self._truths)
+        else:
+            wanted = split_frames(dataset, split, protocol)
+        self.frames = self._present(wanted, skip=missing == "skip")
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Any:
+        frame = self.frames[index]
+        images = {
+            name: read_image(files[frame], self.rig.cameras[name].image_size, f"frame {frame} of {name}")
+            for name, files in self._images.items()
+        }
+        inverse_depth, valid = read_ground_truth(self._truths[frame], self.min_depth)
+        sample: Sample = {
+            "images": images,
+            "inverse_depth": inverse_depth,
+            "valid": valid,
+            "rig": self.rig,
+            "frame": f"{frame:05d}",
+        }
+        return sample if self.transform is None else self.transform(sample)
+
+    def __repr__(self) -> str:
+        return f"OmniStereoDataset({str(self.root)!r}, {len(self)} frames, {self.release})"
+
+    def _choose_min_depth(self, given: float | None) -> float:
+        if given is not None:
+            if not 0 < given < math.inf:
+                raise ArgumentError(f"min_depth: expected a positive number of metres, got {given!r}")
+            return float(given)
+        config = self.root / self.release.calibration
+        stated = read_min_depth(config) if self.release.name == "tiff" else None
+        return self.release.min_depth if stated is None else stated
+
+    def _present(self, wanted: list[int], skip: bool) -> list[int]:
+        folders = {self.release.ground_truth_folder: self._truths, **self._images}
+        present = [frame for frame in wanted if all(frame in files for files in folders.values())]
+        if present and (skip or len(present) == len(wanted)):
+            return present
+        if not wanted:
+            raise MissingFileError(
+                f"{(self.root / self.release.ground_truth_folder).absolute()}: no frames asked for or "
+                f"found; ground truth is named 00001{self.release.suffix}. Described in {DESCRIBED_AT}."
+            )
+        lacking = {name: [frame for frame in wanted if frame not in files] for name, files in folders.items()}
+        counts = ", ".join(
+            f"{name}/ lacks {len(numbers)} (first {numbers[0]:05d})"
+            for name, numbers in lacking.items()
+            if numbers
+        )
+        raise MissingFileError(
+            f"{self.root.absolute()}: {len(wanted) - len(present)} of the {len(wanted)} frames asked for are "
+            f"incomplete: {counts}. Names have four or five digits. For a partial copy use missing='skip'; "
+            f"for a set of one's own use split='all' or frames=[...]. Described in {DESCRIBED_AT}."
+        )

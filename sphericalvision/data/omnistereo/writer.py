@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write a data set in the layout of the omnidirectional stereo sets, for this package's reader and other people's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+import yaml
+
+from sphericalvision.cameras import (
+    CameraRig,
+    EquirectangularCamera,
+    OCamCamera,
+    read_rig,
+    save_camera,
+    save_rig,
+)
+from sphericalvision.cameras.calibration.files import write_yaml
+from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.data.omnistereo.files import RELEASES, Release, check_scale, index_frames, read_min_depth
+from sphericalvision.data.omnistereo.ground_truth import write_ground_truth
+from sphericalvision.data.omnistereo.ocam_fit import ocam_from_camera
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.images import whole_file, write_image
+
+__all__ = ["write_omnistereo"]
+
+_SAME_PIXEL = 0.1  # pixels; fits of one lens made by different machines differ by less
+
+
+def write_omnistereo(
+    root: str | Path,
+    frames: Iterable[Mapping[str, Any]],
+    rig: CameraRig,
+    release: str = "png",
+    min_depth: float = 0.55,
+) -> list[str]:
+    """Write frames and calibration so that ``OmniStereoDataset(root, split="all")`` reads them back.
+
+    Lengths are written as they are: a scene of one's own has one scale, and both releases of it the same.
+    Images lose half a grey level, the PNG release's inverse depth half of 1 / (65500 * min_depth) 1/m, the
+    TIFF release's nothing. Cameras that are no ``OCamCamera`` are written as OCam fits (within 0.1 px); rigs with
+    panoramas, which have none, as this package's own YAML, in the TIFF release. Masks are part of the TIFF release
+    only. Files of the same name are replaced.
+
+    Args:
+        root: folder, made if need be; it must not hold the other release.
+        frames: samples as ``OmniStereoDataset`` gives them, consumed one by one: ``images`` (camera name ->
+            float ``(3, h, w)`` in [0, 1]), ``inverse_depth`` ``(H, W)`` in 1/m, optionally ``valid``, and
+            ``frame``, a number or its digits.
+        rig: its cameras become cam1, cam2, ... in their order.
+        release: "png" (ocam*.txt, poses.txt in cm, 16-bit ground truth) or "tiff" (config.yaml, float
+            ground truth).
+        min_depth: metres, at least the rig's radius; scales the PNG encoding and stands in config.yaml.
+
+    Returns:
+        Names of the frames written, five digits each.
+
+    Raises:
+        ArgumentError: ``root`` holds the other release or frames of another rig, a frame has other cameras than the
+            rig or is no number, or the PNG release cannot hold the cameras.
+        FileFormatError: ``min_depth`` and the rig are a mixture of the published scales, which no reader
+            may accept.
+    """
+    check_choice("release", release, tuple(RELEASES))
+    root, layout = Path(root), RELEASES[release]
+    for other in RELEASES.values():
+        if other is not layout and (
+            (root / other.calibration).exists() or (root / other.ground_truth_folder).exists()
+        ):
+            raise ArgumentError(
+                f"root: {root} holds a {other.name.upper()} release; write into another folder"
+            )
+    check_scale(root, layout, min_depth, float(rig.radius))
+    stored = _stored_rig(rig, layout)
+    _refuse_other_calibration(root, layout, stored, min_depth)
+    _write_calibration(root, _calibration(root, layout, stored, min_depth))
+    written = [_write_frame(root, layout, rig, sample, min_depth) for sample in frames]
+    _write_calibration(root, _calibration(root, layout, stored, min_depth))  # now it knows the last frame
+    return [f"{frame:05d}" for frame in written]
+
+
+def _write_frame(
+    root: Path, layout: Release, rig: CameraRig, sample: Mapping[str, Any], min_depth: float
+) -> int:
+    try:
+        frame = int(sample["frame"])
+    except ValueError:
+        raise ArgumentError(f"frame: expected a number or its digits, got {sample['frame']!r}") from None
+    images = sample["images"]
+    if set(images) != set(rig.names):
+        raise ArgumentError(f"frame {frame}: expected images of {list(rig.names)}, got {list(images)}")
+    for number, name in enumerate(rig.names, start=1):
+        size = tuple(images[name].shape[-2:])
+        if size != tuple(rig.cameras[name].image_size):
+            raise ArgumentError(
+                f"frame {frame}: image of {name}: expected (h, w) = {tuple(rig.cameras[name].image_size)}, "
+                f"got {size}"
+            )
+        write_image(root / f"cam{number}" / f"{frame:05d}.png", images[name])
+    truth = root / layout.ground_truth_folder / f"{frame:05d}{layout.suffix}"
+    write_ground_truth(truth, sample["inverse_depth"], min_depth, sample.get("valid"))
+    return frame
+
+
+def _stored_rig(rig: CameraRig, layout: Release) -> CameraRig:
+    """The rig as its files can hold it: cameras cam1, cam2, ..., all of them OCam or any.
+
+    Raises:
+        ArgumentError: cameras that no OCam model describes, which only config.yaml can hold.
+    """
+    masks = {f"cam{k}": rig.masks[name] for k, name in enumerate(rig.names, start=1) if name in rig.masks}
+    poses = rig.world_from_camera.detach().cpu().double()
+    if any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values()):
+        if layout.name == "png":
+            raise ArgumentError(
+                "release: panoramas have no OCam model, which ocam*.txt would hold; write release='tiff', whose "
+                "config.yaml holds any camera"
+            )
+        return CameraRig(list(rig.cameras.values()), poses, masks)
+    fitted = {id(camera): ocam_from_camera(camera) for camera in rig.cameras.values()}
+    return CameraRig([fitted[id(camera)] for camera in rig.cameras.values()], poses, masks)
+
+
+def _calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) -> dict[str, bytes]:
+    """Names and contents of the calibration files and masks; config.yaml names the range of the frames in ``root``."""
+    with TemporaryDirectory() as folder:
+        if layout.name == "png":
+            _write_ocam_files(Path(folder), layout, rig)
+        else:
+            config = Path(folder) / layout.calibration
+            ocam = all(isinstance(camera, OCamCamera) for camera in rig.cameras.values())
+            save_rig(rig, config, format="omnimvs" if ocam else "native")
+            write_yaml(
+                config, {**_description(root, layout, min_depth), **yaml.safe_load(config.read_text())}
+            )
+        return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+
+
+def _write_ocam_files(folder: Path, layout: Release, rig: CameraRig) -> None:
+    """``ocam1.txt``, ... and the poses in cm: axis-angle in radians and translation, camera to rig."""
+    lines = []
+    for number, (camera, pose) in enumerate(zip(rig.cameras.values(), rig.world_from_camera, strict=True), 1):
+        save_camera(camera, folder / f"ocam{number}.txt", format="ocamcalib")
+        numbers = [*axis_angle_from_rotation(pose[:3, :3]), *(100 * pose[:3, 3]).tolist()]
+        lines.append(" ".join(f"{value:.17g}" for value in numbers) + "\n")
+    (folder / layout.calibration).write_text("".join(lines))
+
+
+def _description(root: Path, layout: Release, min_depth: float) -> dict[str, Any]:
+    """What config.yaml says beside the cameras."""
+    dataset: dict[str, Any] = {"img_fmt": "cam%d/%05d.png"}
+    frames = _frames_in(root, layout)
+    if frames:
+        dataset.update(start=min(frames), step=1, end=max(frames))
+    return {"config": {"omnimvs_sweep_min_depth": float(min_depth)}, "dataset": dataset}
+
+
+def _write_calibration(root: Path, files: Mapping[str, bytes]) -> None:
+    for name, content in files.items():
+        with whole_file(root / name) as temporary:
+            temporary.write_bytes(content)
+
+
+def _refuse_other_calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) -> None:
+    """More frames may be added to a set, but not frames of another rig."""
+    path = root / layout.calibration
+    if not path.is_file() or not _frames_in(root, layout):
+        return
+    in_cm = "cm" if layout.name == "png" else None
+    there = read_rig(path, translation_unit=in_cm, dtype=torch.float64)
+    its_depth = read_min_depth(path) if layout.name == "tiff" else None
+    if not _alike(there, rig, layout) or its_depth not in (None, float(min_depth)):
+        raise ArgumentError(
+            f"root: {root} holds frames whose {layout.calibration} differs from the rig or min_depth given; to add "
+            "frames use the same, else write into another folder"
+        )
+
+
+def _alike(first: CameraRig, second: CameraRig, layout: Release) -> bool:
+    """Whether two rigs have the same names and poses, see the same in the same pixels, and have equal masks."""
+    sizes = [[camera.image_size for camera in rig.cameras.values()] for rig in (first, second)]
+    if first.names != second.names or sizes[0] != sizes[1]:
+        return False
+    if not torch.allclose(first.world_from_camera, second.world_from_camera, rtol=0, atol=1e-6):
+        return False
+    rays = Icosphere(3, torch.float64).vertices
+    for name in first.names:
+        (pixels, seen), (others, also) = (rig.cameras[name].project(rays) for rig in (first, second))
+        if layout.name == "tiff" and bool((seen != also).any()):  # ocam*.txt does not tell the field of view
+            return False
+        if bool(((pixels - others)[seen & also].abs() > _SAME_PIXEL).any()):
+            return False
+    masks = [{name: rig.masks.get(name) for name in rig.names} for rig in (first, second)]
+    same = (
+        a is b or (a is not None and b is not None and torch.equal(a, b))
+        for a, b in zip(*(m.values() for m in masks), strict=True)
+    )
+    return layout.name == "png" or all(same)
+
+
+def _frames_in(root: Path, layout: Release) -> list[int]:
+    folder = root / layout.ground_truth_folder
+    return list(index_frames(folder, "ground truth", (layout.suffix,))) if folder.is_dir() else []

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures and exact depth of a scene, through any camera.
+
+Light is Lambert shading by point lamps that cast shadows, plus ambient light; mirrors show one reflection.
+Colours are computed in linear light and become a picture by the scene's exposure and a display curve (power 1
+/ 2.2).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.data.rendering.ray_packets import RAYS, Bundles, bundled, coherent_order
+from sphericalvision.data.rendering.raycast import chunk_size, trace
+from sphericalvision.data.rendering.shading import Looks, radiance
+from sphericalvision.data.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import Camera, CameraRig
+
+__all__ = ["ray_depth", "render_camera", "render_directions", "render_rig"]
+
+
+@torch.no_grad()
+def ray_depth(scene: Scene, origin: Tensor, directions: Tensor) -> Tensor:
+    """Exact distances from a point along rays.
+
+    Args:
+        scene: the scene.
+        origin: ``(3,)`` metres, for example ``rig.center``.
+        directions: ``(*, 3)`` unit directions of any grid, for example ``Icosphere(5).vertices``.
+
+    Returns:
+        Metres along each ray ``(*)``; inf where the ray leaves the scene.
+
+    Examples:
+        >>> from sphericalvision.data.scenes.recipes import make_scene
+        >>> depth = ray_depth(make_scene("room", seed=0), torch.zeros(3), torch.tensor([[0.0, 1.0, 0.0]]))
+        >>> bool(depth > 0.5)
+        True
+    """
+    directions = directions.to(scene.device, torch.float32)
+    return trace(scene.primitives, origin.to(directions), directions).distance
+
+
+@torch.no_grad()
+def render_directions(
+    scene: Scene, origin: Tensor, directions: Tensor, spread: float | Tensor | None = None
+) -> Tensor:
+    """Colours seen from a point along rays.
+
+    Args:
+        scene: the scene.
+        origin: ``(3,)`` metres.
+        directions: ``(*, 3)`` unit directions.
+        spread: angle in radians between neighbouring rays, a number or ``(*)``: textures are averaged over
+            it.
+            None: as if the rays covered the sphere evenly.
+
+    Returns:
+        ``(3, *)`` in [0, 1].
+    """
+    check_last_dim("directions", directions, 3)
+    directions = directions.to(scene.device, torch.float32)
+    if spread is None:
+        spread = (4 * torch.pi / max(1, directions.numel() // 3)) ** 0.5
+    shape = directions.shape[:-1]
+    rays = directions.reshape(-1, 3).T.contiguous()
+    spread = torch.as_tensor(spread).to(directions).expand(shape).reshape(-1)
+    order = coherent_order(rays)
+    if order is None:
+        order = torch.arange(rays.shape[1], device=rays.device)
+    rays, spread = rays.index_select(1, order), spread.index_select(0, order)
+    light = torch.empty_like(rays)
+    if len(order):
+        bundles = _exposed(scene, origin.to(directions), bundled(rays), bundled(spread))
+        light[:, order] = bundles.flatten(1)[:, : len(order)]
+    return _develop(scene, light).view(3, *shape)
+
+
+@torch.no_grad()
+def render_camera(
+    scene: Scene, camera: Camera, world_from_camera: Tensor, samples_per_pixel: int = 1
+) -> Tensor:
+    """The picture that one camera takes.
+
+    Args:
+        scene: the scene.
+        camera: any camera (not batched).
+        world_from_camera: its pose ``(4, 4)``.
+        samples_per_pixel: stratified rays through each pixel; a pixel is the mean over those that the camera
+            sees.
+
+    Returns:
+        ``(3, h, w)`` in [0, 1]; 0 where the camera sees nothing.
+
+    Raises:
+        ArgumentError: ``samples_per_pixel`` below 1.
+    """
+    if samples_per_pixel < 1:
+        raise ArgumentError(f"samples_per_pixel: expected at least 1, got {samples_per_pixel}")
+    pose = world_from_camera.to(scene.device, torch.float32)
+    height, width = camera.image_size
+    down, across = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    centers = torch.stack([across, down], -1).float()
+    squares = _squares(height, width).to(scene.device)
+    total = torch.zeros(3, height * width, device=scene.device)
+    count = torch.zeros(height * width, device=scene.device)
+    sample = torch.zeros_like(total)
+    for offset in _stratified(samples_per_pixel):
+        seen = camera.unproject(centers + offset)
+        valid = seen.valid.flatten().to(scene.device)
+        local = seen.directions.to(scene.device, torch.float32)
+        pixels = _seen(squares, valid)
+        directions = pose[:3, :3] @ local.reshape(-1, 3).T.index_select(1, pixels.flatten())
+        spread = _spread(local).flatten()[pixels] / samples_per_pixel**0.5
+        light = _exposed(scene, pose[:3, 3], directions.view(3, *pixels.shape), spread).clamp_(max=4)
+        # Squares at edges hold pixels twice, with the same light.
+        sample[:, pixels.flatten()] = light.flatten(1)
+        total += sample
+        count += valid
+    picture = _develop(scene, total / count.clamp(min=1))
+    return picture.view(3, height, width)
+
+
+def render_rig(scene: Scene, rig: CameraRig, samples_per_pixel: int = 1) -> dict[str, Tensor]:
+    """The pictures that all cameras of a rig take: name -> ``(3, h, w)`` in [0, 1]; see `render_camera`."""
+    poses = zip(rig.cameras.items(), rig.world_from_camera, strict=True)
+    return {name: render_camera(scene, camera, pose, samples_per_pixel) for (name, camera), pose in poses}
+
+
+def _develop(scene: Scene, light: Tensor) -> Tensor:
+    return light.clamp(0, 1) ** (1 / 2.2)
+
+
+def _stratified(count: int) -> Tensor:
+    """Offsets ``(count, 2)`` in (-0.5, 0.5) pixels, one in each of ``count`` rows and columns; mean 0."""
+    order = sorted(range(count), key=lambda k: f"{k:032b}"[::-1])
+    ranks = torch.tensor([list(range(count)), order], dtype=torch.float32)
+    return ((ranks + 0.5) / count - 0.5).T
+
+
+def _spread(directions: Tensor) -> Tensor:
+    """Angle between neighbouring pixels' rays ``(h, w)``, at most twice the smaller of down and across."""
+    steps = []
+    for axis in (0, 1):
+        step = (directions.diff(dim=axis)).norm(dim=-1)
+        last = step.narrow(axis, step.shape[axis] - 1, 1)
+        steps.append(torch.cat([step, last], axis))
+    return torch.minimum(torch.maximum(*steps), 2 * torch.minimum(*steps))
+
+
+def _squares(height: int, width: int) -> Tensor:
+    """Numbers of the pixels in squares of `RAYS`, ``(s, RAYS)``; those at the edges hold the last pixels repeatedly."""
+    side = math.isqrt(RAYS)
+    rows, columns = (
+        torch.arange(-(-size // side) * side).clamp(max=size - 1).view(-1, side) for size in (height, width)
+    )
+    return (rows[:, None, :, None] * width + columns[None, :, None, :]).reshape(-1, RAYS)
+
+
+def _seen(squares: Tensor, valid: Tensor) -> Tensor:
+    """The squares with any valid pixel; in each the first of these stands in for the others."""
+    inside = valid[squares]
+    some = inside.any(1).nonzero()[:, 0]
+    squares, inside = squares[some], inside[some]
+    return torch.where(inside, squares, squares.gather(1, inside.int().argmax(1, keepdim=True)))
+
+
+def _exposed(scene: Scene, origin: Tensor, direction: Tensor, spread: Tensor) -> Tensor:
+    """Exposed linear light ``(3, b, RAYS)`` along bundled rays ``(3, b, RAYS)`` from one point."""
+    looks, size = Looks.of(scene), chunk_size(direction.device)
+    light = torch.empty_like(direction)
+    for start in range(0, direction.shape[1], size):
+        part = slice(start, start + size)
+        rays = Bundles(origin[:, None, None], direction[:, part].contiguous())
+        light[:, part] = radiance(scene, looks, rays, spread[part])
+    return light * scene.exposure

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Procedural scenes for training and tests: a seed makes a scene, any rig takes its pictures.
+
+Convention:
+    * A scene lives in the world frame of the rig (x right, y down, z forward, metres), centred on the rig.
+    * The same seed makes the same scene on every device.
+    * Nothing stands nearer than ``clear_radius`` (0.6 m) to the rig's centre.
+
+Examples:
+    >>> import torch
+    >>> scene = make_scene("room", seed=3)
+    >>> directions = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    >>> render_directions(scene, torch.zeros(3), directions).shape
+    torch.Size([3, 2])
+    >>> bool((ray_depth(scene, torch.zeros(3), directions) > 0.6).all())
+    True
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.data.rendering.render import ray_depth, render_camera, render_directions, render_rig
+from sphericalvision.data.scenes.floating import random_floating_objects
+from sphericalvision.data.scenes.rooms import random_room
+from sphericalvision.data.scenes.scene import Scene
+
+__all__ = [
+    "KINDS",
+    "Scene",
+    "make_scene",
+    "random_floating_objects",
+    "random_room",
+    "ray_depth",
+    "render_camera",
+    "render_directions",
+    "render_rig",
+]
+
+#: Recipes that `make_scene` knows.
+KINDS = ("room", "floating")
+
+
+def make_scene(
+    kind: str = "room",
+    seed: int = 0,
+    device: torch.device | str | None = None,
+    *,
+    center: Tensor | None = None,
+    scale: float = 1.0,
+    clear_radius: float = 0.6,
+) -> Scene:
+    """The scene of a seed, well exposed for a rig at its centre.
+
+    Args:
+        kind: ``"room"`` (furnished, lit by lamps) or ``"floating"`` (objects in mid-air before a far shell).
+        seed: the same seed makes the same scene.
+        device: where the scene lives; the CPU by default.
+        center: ``(3,)`` where the rig's centre is, metres; the origin by default.
+        scale: multiplies every length but ``center``; 3 suits a rig and a least depth three times as large.
+        clear_radius: free space around the rig before scaling, metres, below 1.
+
+    Raises:
+        ArgumentError: unknown kind, scale not positive, or a clear radius outside (0, 1).
+    """
+    check_choice("kind", kind, KINDS)
+    if not scale > 0:
+        raise ArgumentError(f"scale: expected a positive factor, got {scale}")
+    if not 0 < clear_radius < 1:
+        raise ArgumentError(
+            f"clear_radius: expected metres in (0, 1), got {clear_radius}; use scale for larger rigs"
+        )
+    generator = torch.Generator().manual_seed(seed)
+    recipe = random_room if kind == "room" else random_floating_objects
+    scene = recipe(generator, clear_radius)
+    yaw = 2 * math.pi * torch.rand((), generator=generator).item()
+    sin, cos = math.sin(yaw), math.cos(yaw)
+    scene = scene.transformed(torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]))
+    brightness = 0.38 + 0.17 * torch.rand((), generator=generator).item()
+    scene = (
+        _expose(scene, brightness)
+        .scaled(scale)
+        .transformed(translation=center.cpu().float() if center is not None else None)
+    )
+    return scene if device is None else scene.to(device)
+
+
+def _expose(scene: Scene, brightness: float, probes: int = 1000) -> Scene:
+    """Choose the exposure at which the view from the origin has the given mean brightness on a display."""
+    k = torch.arange(probes) + 0.5
+    height, angle = 1 - 2 * k / probes, k * math.pi * (3 - 5**0.5)
+    across = (1 - height.square()).sqrt()
+    directions = torch.stack([across * angle.cos(), height, across * angle.sin()], -1)
+    dim = 0.1
+    seen = render_directions(replace(scene, exposure=torch.tensor(dim)), torch.zeros(3), directions)
+    return replace(scene, exposure=dim * (brightness / seen.mean().clamp(min=1e-3)) ** 2.2)

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Triangles of an icosphere made ready for rays: weights as matrices, neighbours, and where to begin to look.
+
+A ray is a combination of the corners of a triangle, and a 3 x 3 matrix gives its coefficients. Divided by their sum
+they are the weights; where all are positive the ray goes through the triangle, and where one is not, through a
+triangle beyond the edge opposite to that corner. Vectors are columns ``(3, m)``, so that every operation runs over
+contiguous memory.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.icosphere.descent import descend
+from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
+from sphericalvision.icosphere.mesh import icosphere_vertices
+from sphericalvision.icosphere.topology import icosphere_faces
+
+__all__ = ["TriangleTable", "coefficients", "find_triangles", "triangle_table"]
+
+#: Cells along an edge of the octahedron: six for each triangle, within reason.
+CELLS, MOST_CELLS = 8, 512
+#: Steps across edges before the way down is taken after all.
+STEPS = 16
+#: Level up to which cells are looked up by the way down.
+FIRST = 1
+
+
+class TriangleTable(NamedTuple):
+    """What does not depend on the rays, for the T triangles of ``icosphere_faces``."""
+
+    level: int
+    ids: Tensor  # (T, 3) vertices
+    matrices: Tensor  # (3, 3, T): component of a ray, corner, triangle
+    neighbors: Tensor  # (3 * T,) triangles opposite to the corners 0, 1, 2 of each
+    cells: Tensor  # (2 * resolution²,) triangle in the middle of each cell
+    resolution: int
+
+
+@lru_cache(maxsize=4)
+def triangle_table(level: int, dtype: torch.dtype, device: torch.device) -> TriangleTable:
+    """Return the table of a level; matrices are exact in float64 and kept in ``dtype``.
+
+    Examples:
+        >>> table = triangle_table(1, torch.float32, torch.device("cpu"))
+        >>> triangles, shares = find_triangles(torch.tensor([[0.0], [-2.0], [0.0]]), table)
+        >>> table.ids[triangles[0], shares[:, 0].argmax()].item()  # straight up is the north pole
+        0
+    """
+    table = _without_cells(level, dtype)
+    cells = _cells(_without_cells(level, torch.float32) if dtype != torch.float32 else table)
+    ids, matrices, neighbors, cells = (
+        tensor.to(device) for tensor in (table.ids, table.matrices, table.neighbors, cells)
+    )
+    return TriangleTable(level, ids, matrices, neighbors, cells, _resolution(level))
+
+
+def find_triangles(rays: Tensor, table: TriangleTable, guess: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Return the triangles ``(m,)``, int32, that rays ``(3, m)`` pierce, and their coefficients ``(3, m)``.
+
+    Args:
+        rays: of any length; one of zero length or with a NaN gets some triangle.
+        table: in the dtype and on the device of the rays.
+        guess: triangles ``(m,)`` to begin with, changed in place; those of the rays' cells when not given.
+    """
+    if guess is None:
+        guess = table.cells.index_select(0, cell_numbers(rays, table.resolution))
+    triangles, shares = guess, coefficients(rays, guess, table)
+    away = _outside(shares, table.level)
+    where, astray, now, parts = away, rays, triangles, shares
+    for _ in range(STEPS):
+        if not len(away):
+            return triangles, shares
+        astray, parts = astray.index_select(1, away), parts.index_select(1, away)
+        # Across the edge opposite to the corner of the least coefficient.
+        a, b, c = parts
+        least = ((b < a) | (c < a)).int().mul_((c < b).int().add_(1))
+        step = now.index_select(0, away).mul_(3).add_(least)
+        now = table.neighbors.index_select(0, step)
+        parts = coefficients(astray, now, table)
+        triangles.index_copy_(0, where, now)
+        for share, part in zip(shares, parts, strict=True):
+            share.index_copy_(0, where, part)
+        away = _outside(parts, table.level)
+        where = where.index_select(0, away)
+    unit = F.normalize(rays.index_select(1, where).T, dim=-1)
+    triangles[where] = descend(unit, table.level).numbers(table.level).int()
+    shares[:, where] = coefficients(rays[:, where], triangles[where], table)
+    return triangles, shares
+
+
+def coefficients(rays: Tensor, triangles: Tensor, table: TriangleTable) -> Tensor:
+    """Return coefficients ``(3, m)`` with which the corners of triangles ``(m,)`` add up to rays ``(3, m)``."""
+    x, y, z = table.matrices.view(9, -1).index_select(1, triangles).view(3, 3, -1)
+    return (x * rays[0]).addcmul_(y, rays[1]).addcmul_(z, rays[2])
+
+
+def _outside(shares: Tensor, level: int) -> Tensor:
+    """Numbers of the columns with a weight below zero by more than rounding; a NaN is none."""
+    a, b, c = shares
+    slack = (a + b).add_(c).mul_(8 * 2**level * torch.finfo(shares.dtype).eps)
+    return slack.add_(shares.amin(0)).lt(0).nonzero()[:, 0]
+
+
+def _resolution(level: int) -> int:
+    return min(CELLS * 2**level, MOST_CELLS)
+
+
+def _without_cells(level: int, dtype: torch.dtype) -> TriangleTable:
+    ids = icosphere_faces(level)
+    vertices = icosphere_vertices(level, torch.float64).T.contiguous()
+    x, y, z = corners = vertices.index_select(1, ids.T.flatten()).view(3, 3, -1)
+    matrices = torch.empty(3, 3, len(ids), dtype=dtype)
+    for corner in range(3):
+        b, c = (corner + 1) % 3, (corner + 2) % 3
+        # Products with differences, which are accurate: b x c = b x (c - b), and a . (b x c) = (a - b) . (b x c).
+        u, v, w = corners[:, c] - corners[:, b]
+        normal = y[b] * w - z[b] * v, z[b] * u - x[b] * w, x[b] * v - y[b] * u
+        u, v, w = corners[:, corner] - corners[:, b]
+        volume = normal[0] * u + normal[1] * v + normal[2] * w
+        for component in range(3):
+            matrices[component, corner] = normal[component] / volume
+    return TriangleTable(level, ids, matrices, _neighbors(level), ids.new_empty(0), 0)
+
+
+def _neighbors(level: int) -> Tensor:
+    """Triangles ``(3 * T,)`` opposite to the corners: in the chart, and across its borders in the charts beside it.
+
+    In the order of ``icosphere_faces`` the corners are north-west, north-east, south-west for the first triangle of a
+    cell and south-east, south-west, north-east for the second.
+    """
+    n = 2**level
+    own = torch.arange(20 * n * n, dtype=torch.int32).view(5, 2 * n, n, 2)
+    first, second = own.unbind(-1)
+    east, west = own.roll(-1, 0), own.roll(1, 0)
+    beside = own.new_empty(5, 2 * n, n, 2, 3)
+    beside[..., 0, 0], beside[..., 1, 0] = second, first
+    to_west, to_north = beside[..., 0, 1], beside[..., 0, 2]
+    to_east, to_south = beside[..., 1, 1], beside[..., 1, 2]
+    to_west[:, :, 1:], to_east[:, :, :-1] = second[:, :, :-1], first[:, :, 1:]
+    to_north[:, 1:], to_south[:, :-1] = second[:, :-1], first[:, 1:]
+    # As in ``vertex_at``: the north edge is the upper left edge of the next chart; the east edge is its lower left
+    # edge, then its last row.
+    to_north[:, 0], to_west[:, :n, 0] = east[:, :n, 0, 0], west[:, 0, :, 0]
+    to_east[:, :n, -1], to_west[:, n:, 0] = east[:, n:, 0, 0], west[:, :n, -1, 1]
+    to_east[:, n:, -1], to_south[:, -1] = east[:, -1, :, 1], west[:, n:, -1, 1]
+    return beside.flatten()
+
+
+def _cells(table: TriangleTable) -> Tensor:
+    """Triangles in the middle of the cells, found from those of the coarser level."""
+    level, resolution = table.level, _resolution(table.level)
+    centers = cell_centers(resolution)
+    if level <= FIRST:
+        return descend(F.normalize(centers.T, dim=-1), level).numbers(level).int()
+    coarser = _without_cells(level - 1, torch.float32)
+    rows = _resolution(level - 1)
+    parents = _cells(coarser).view(2, rows, 1, rows, 1)
+    repeats = resolution // rows
+    parents = parents.expand(-1, -1, repeats, -1, repeats).flatten()
+    return find_triangles(centers, table, _children(centers, parents, coarser))[0]
+
+
+def _children(rays: Tensor, parents: Tensor, table: TriangleTable) -> Tensor:
+    """Triangles of the next level about where rays ``(3, m)`` pierce their parents, triangles ``(m,)`` of a table."""
+    shares = coefficients(rays, parents, table)
+    # The corner that has more than half of the weight (outside, two may have); else the middle, which is turned.
+    first, second, third = shares.gt(shares.sum(0).div_(2)).int()
+    second -= first * second
+    third -= (first + second) * third
+    n, half, place = 2**table.level, parents & 1, parents >> 1
+    sign = 1 - 2 * half
+    row = (place >> table.level).mul_(2).add_(half).addcmul_(sign, third)
+    column = (place & n - 1).mul_(2).add_(half).addcmul_(sign, second)
+    middle = 1 - first.add_(second).add_(third)
+    return row.mul_(2 * n).add_(column).mul_(2).add_(half).addcmul_(sign, middle)

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Convolution of equirectangular images whose kernel lies in the tangent plane of each pixel."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry import bilinear_sample
+from sphericalvision.sphere.convolutions.tangent_taps import sphere_taps, sums_of_taps
+from sphericalvision.sphere.fast.row_sums import conv_of_row_sums
+
+__all__ = ["SphereConv2d", "sphere_conv2d"]
+
+
+def sphere_conv2d(
+    images: Tensor,
+    weight: Tensor,
+    bias: Tensor | None = None,
+    stride: int | tuple[int, int] = 1,
+    dilation: int | tuple[int, int] = 1,
+    groups: int = 1,
+) -> Tensor:
+    """Convolve equirectangular images with kernels in the tangent plane, across the seam and over the poles.
+
+    Args:
+        images: ``(B, in, H, W)``, full panoramas.
+        weight: ``(out, in / groups, kernel height, kernel width)``, as that of a planar convolution.
+        bias: ``(out,)``.
+        stride: centres are the pixels 0, stride, 2 * stride and so on, as in a planar convolution.
+        dilation: steps of taps, in pixels at the equator.
+        groups: of channels that are convolved apart.
+
+    Returns:
+        ``(B, out, ceil(H / stride), ceil(W / stride))``.
+
+    Raises:
+        ShapeError: if images and weight do not fit.
+        ArgumentError: as by ``sphere_taps``.
+
+    References:
+        Coors, Condurache and Geiger (2018), "SphereNet".
+
+    Examples:
+        >>> sphere_conv2d(torch.ones(1, 3, 16, 32), torch.ones(8, 3, 3, 3), stride=2).shape
+        torch.Size([1, 8, 8, 16])
+    """
+    if images.ndim != 4 or weight.ndim != 4 or images.shape[1] != weight.shape[1] * groups:
+        raise ShapeError(
+            f"images and weight: expected shapes (B, in, H, W) and (out, in / {groups}, h, w), "
+            f"got {tuple(images.shape)} and {tuple(weight.shape)}"
+        )
+    height, width = images.shape[-2:]
+    rows, columns = weight.shape[-2:]
+    stride, dilation = _pair(stride), _pair(dilation)
+    if _in_rows(images, weight, stride):
+        forward, backward = sums_of_taps((height, width), (rows, columns), stride, dilation)
+        phases = images.unflatten(-1, (-1, stride[1])).transpose(-1, -2).flatten(2, 3)
+        result = conv_of_row_sums(phases, weight.flatten(2), forward, backward, groups)
+        return result if bias is None else result + bias[:, None, None]
+    taps = sphere_taps((height, width), (rows, columns), stride, dilation, images.dtype, images.device)
+    shift = torch.arange(0, width, stride[1], dtype=taps.dtype, device=taps.device)
+    # One tap of one kernel beside the other, as in a picture, for a planar convolution that steps by the kernel.
+    u = taps[..., 0].flatten(0, 1)[:, None] + shift[:, None]
+    v = taps[..., 1].flatten(0, 1)[:, None].expand_as(u)
+    read = bilinear_sample(images, torch.stack((u, v), -1).view(-1, 2), wrap_longitude=True)
+    picture = read.view(*images.shape[:2], len(taps) * rows, len(shift) * columns)
+    return F.conv2d(picture, weight, bias, (rows, columns), groups=groups)
+
+
+def _in_rows(images: Tensor, weight: Tensor, stride: tuple[int, int]) -> bool:
+    """Whether sums of rows are the way to go: on a CPU, several times faster; not in graphs for other machines."""
+    return (
+        images.device.type == weight.device.type == "cpu"
+        and images.dtype == weight.dtype
+        and images.dtype in (torch.float32, torch.float64)
+        and min(stride) > 0
+        and images.shape[-1] % stride[1] == 0
+        and images.numel() > 0
+        and not torch.compiler.is_compiling()
+        and not torch.jit.is_tracing()
+        and not torch.is_autocast_enabled("cpu")
+    )
+
+
+class SphereConv2d(nn.Conv2d):
+    """Convolution of equirectangular images ``(B, C, H, W)`` in tangent planes; see ``sphere_conv2d``.
+
+    It is an ``nn.Conv2d`` in its weights: either loads the ``state_dict`` of the other. Padding is not asked for, as
+    a sphere has no border.
+
+    Args:
+        in_channels: channels of the images given.
+        out_channels: channels of the images returned.
+        kernel_size: odd.
+        stride: centres are the pixels 0, stride, 2 * stride and so on.
+        dilation: steps of taps, in pixels at the equator.
+        groups: of channels that are convolved apart.
+        bias: whether to add a learned bias.
+
+    Raises:
+        ArgumentError: if the kernel's size is even.
+
+    Examples:
+        >>> layer = SphereConv2d(3, 8)
+        >>> layer.load_state_dict(nn.Conv2d(3, 8, 3).state_dict())
+        <All keys matched successfully>
+        >>> layer
+        SphereConv2d(3, 8, kernel_size=(3, 3), stride=(1, 1))
+    """
+
+    def __init__(
+        self,
+        in_channels: int,
+        out_channels: int,
+        kernel_size: int | tuple[int, int] = 3,
+        stride: int | tuple[int, int] = 1,
+        dilation: int | tuple[int, int] = 1,
+        groups: int = 1,
+        bias: bool = True,
+    ) -> None:
+        if any(size % 2 == 0 for size in _pair(kernel_size)):
+            raise ArgumentError(f"kernel_size: expected odd sizes, which have a centre, got {kernel_size}")
+        super().__init__(
+            in_channels, out_channels, kernel_size, stride, dilation=dilation, groups=groups, bias=bias
+        )
+
+    def forward(self, input: Tensor) -> Tensor:
+        return sphere_conv2d(
+            input, self.weight, self.bias, _pair(self.stride), _pair(self.dilation), self.groups
+        )
+
+
+def _pair(size: int | tuple[int, ...]) -> tuple[int, int]:
+    return (size, size) if isinstance(size, int) else (size[0], size[1])

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cube map: six square perspective images of 90°, interpolated across edges and corners."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.core import check_last_dim
+from sphericalvision.geometry import bilinear_sample, normalize, safe_sqrt
+from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES
+from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
+from sphericalvision.sphere.grids.values import check_positive, check_values
+
+__all__ = ["Cubemap", "world_from_cube_face"]
+
+_RIGHT_DOWN_FORWARD = (
+    ((1, 0, 0), (0, 1, 0), (0, 0, 1)),  # front
+    ((0, 0, -1), (0, 1, 0), (1, 0, 0)),  # right
+    ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),  # back
+    ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),  # left
+    ((1, 0, 0), (0, 0, 1), (0, -1, 0)),  # up: its lower edge meets the front face
+    ((1, 0, 0), (0, 0, -1), (0, 1, 0)),  # down: its upper edge meets the front face
+)
+
+
+def world_from_cube_face(
+    dtype: torch.dtype | None = None, device: torch.device | str | None = None
+) -> Tensor:
+    """Rotations ``(6, 3, 3)`` whose columns are the right, down and forward axes of each face.
+
+    Examples:
+        >>> world_from_cube_face()[1] @ torch.tensor([0.0, 0.0, 1.0])  # the right face looks along +x
+        tensor([1., 0., 0.])
+    """
+    axes = torch.tensor(_RIGHT_DOWN_FORWARD, dtype=dtype or torch.get_default_dtype(), device=device)
+    return axes.transpose(1, 2)
+
+
+class Cubemap(nn.Module):
+    """Six faces of ``size`` x ``size`` pixels, each a perspective image of 90° seen from the centre.
+
+    Convention:
+        Values are ``(*b, c, 6, size, size)``, faces in the order front (+z), right (+x), back (-z), left (-x), up
+        (-y), down (+y). Rows grow downwards; the lower edge of the upper face and the upper edge of the lower face
+        meet the front face. Pixel centres are half a pixel away from the edges: the centre of column i lies at the
+        tangent (2i + 1) / size - 1.
+
+    Interpolation continues across edges and corners. Near an edge it is bilinear in the plane across the edge, in
+    which the outermost pixels of both faces form one rectangular lattice; where three faces meet it is linear in the
+    triangle of their corner pixels. So it is continuous and second order everywhere.
+
+    Args:
+        size: pixels along an edge.
+        dtype: of the directions; the default dtype of torch when not given.
+        device: of all tables.
+
+    Raises:
+        ArgumentError: if the size is not a positive integer.
+
+    Examples:
+        >>> grid = Cubemap(3)
+        >>> grid
+        Cubemap(size=3)
+        >>> grid.directions[1, 1, 1]  # the middle of the right face
+        tensor([1., 0., 0.])
+    """
+
+    directions: Tensor
+    padded_ids: Tensor
+
+    def __init__(
+        self, size: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
+    ) -> None:
+        super().__init__()
+        check_positive(size=size)
+        self.size = size
+        directions = self.cell_samples(1, torch.float64, device)[0].view(*self.shape, 3)
+        self.register_buffer(
+            "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
+        )
+        self.register_buffer("padded_ids", _padded_ids(size, device), persistent=False)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of values on this grid, ``(6, size, size)``."""
+        return (6, self.size, self.size)
+
+    @property
+    def faces(self) -> tuple[str, ...]:
+        """Names of the faces in their order."""
+        return CUBE_FACES
+
+    @property
+    def solid_angles(self) -> Tensor:
+        """Exact solid angle of each pixel ``(6, size, size)`` in steradians."""
+        edge = torch.linspace(-1, 1, self.size + 1, dtype=torch.float64)
+        x, y = torch.meshgrid(edge, edge, indexing="ij")
+        from_center = torch.atan2(x * y, (x * x + y * y + 1).sqrt())  # of the rectangle (0, 0) to (x, y)
+        face = from_center.diff(dim=0).diff(dim=1)
+        return face.to(self.directions).expand(self.shape)
+
+    def cell_samples(
+        self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Directions ``(6 * size**2, samples**2, 3)`` spread over each pixel, and their shares of its solid angle."""
+        count = self.size * samples
+        tangent = (2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count) / count
+        y, x = torch.meshgrid(tangent, tangent, indexing="ij")
+        rays = torch.stack((x, y, torch.ones_like(x)), -1) @ world_from_cube_face(
+            torch.float64, device
+        ).mT.unsqueeze(1)
+        lengths = rays.norm(dim=-1, keepdim=True)
+        rays = torch.cat((rays / lengths, lengths**-3), -1)  # a step in the plane is so much of solid angle
+        rays = rays.view(6, self.size, samples, self.size, samples, 4).transpose(2, 3)
+        rays = rays.reshape(-1, samples**2, 4)
+        shares = rays[..., 3] / rays[..., 3].sum(-1, keepdim=True)
+        dtype = dtype or self.directions.dtype
+        return rays[..., :3].to(dtype), shares.to(dtype)
+
+    def face_coordinates(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Face ``(*)`` that each direction ``(*, 3)`` goes through, and its tangents (x, y) ``(*, 2)`` there, -1 to 1.
+
+        Examples:
+            >>> face, tangents = Cubemap(4).face_coordinates(torch.tensor([3.0, 1.5, 0.0]))
+            >>> face.item(), tangents
+            (1, tensor([0.0000, 0.5000]))
+        """
+        check_last_dim("directions", directions, 3)
+        world_from_face = world_from_cube_face(directions.dtype, directions.device)
+        face = (directions.detach() @ world_from_face[..., 2].T).argmax(-1)
+        local = (directions.unsqueeze(-2) @ world_from_face[face]).squeeze(-2)
+        return face, local[..., :2] / local[..., 2:]
+
+    def nearest(self, directions: Tensor) -> Tensor:
+        """Return the index ``(*)`` of the pixel that contains each direction ``(*, 3)``.
+
+        Examples:
+            >>> Cubemap(1).nearest(torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.1]])).tolist()
+            [0, 5]
+        """
+        face, tangents = self.face_coordinates(directions)
+        column, row = ((tangents + 1) * (self.size / 2)).floor().long().clamp(0, self.size - 1).unbind(-1)
+        return (face * self.size + row) * self.size + column
+
+    def padded(self, values: Tensor) -> Tensor:
+        """Faces with a ring of the pixels across their edges, ``(*b, c, 6, size + 2, size + 2)``.
+
+        In the four corners of the ring, where no pixel is, stands the mean of the two next to it.
+        """
+        check_values(values, self.shape)
+        side = self.size + 2
+        ring = (
+            values.flatten(-3)
+            .index_select(-1, self.padded_ids.flatten().to(values.device))
+            .unflatten(-1, (6, side, side))
+        )
+        top, bottom = ring[..., :1, :], ring[..., -1:, :]
+        rows = []
+        for edge, inner in ((top, ring[..., 1:2, :]), (bottom, ring[..., -2:-1, :])):
+            left = (edge[..., 1:2] + inner[..., :1]) / 2
+            right = (edge[..., -2:-1] + inner[..., -1:]) / 2
+            rows.append(torch.cat((left, edge[..., 1:-1], right), -1))
+        return torch.cat((rows[0], ring[..., 1:-1, :], rows[1]), -2)
+
+    def image(self, values: Tensor) -> Tensor:
+        """One image ``(*b, c, h, w)`` of the padded faces, in which ``image_pixels`` are meant."""
+        return mosaic(self.padded(values))
+
+    def image_pixels(self, directions: Tensor) -> Tensor:
+        """Pixels (u, v) ``(*, 2)`` of ``image`` at which bilinear interpolation gives the value of each direction.
+
+        Differentiable in the directions ``(*, 3)``.
+        """
+        face, tangents = self.face_coordinates(normalize(directions))
+        pixels = _lattice(tangents, self.size)
+        return mosaic_pixels(face, pixels + 1, 6, self.size + 2)
+
+    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+        """Interpolate values linearly between the nearest pixels, across edges and corners.
+
+        Args:
+            values: ``(*b, c, 6, size, size)``, floating point.
+            directions: ``(*b, n, 3)``, or ``(n, 3)`` for all of the batch.
+
+        Returns:
+            ``(*b, c, n)``, differentiable in both arguments.
+
+        Raises:
+            ShapeError: if the values are not on this grid.
+        """
+        return bilinear_sample(self.image(values), self.image_pixels(directions))
+
+    def extra_repr(self) -> str:
+        return f"size={self.size}"
+
+
+def _lattice(tangents: Tensor, size: int) -> Tensor:
+    """Pixel coordinates (*, 2) on a face and the ring around it, from tangents (*, 2).
+
+    Across the edge x = 1 the ring's pixels are the mirror images of the face's own. In the plane x + z = 2 both lie
+    on a rectangular lattice: there a point of this face is at 2 y / (x + 1) along the edge.
+    """
+    half = 1 / size  # a pixel
+    limit = 1 - half
+    x, y = tangents.unbind(-1)
+
+    def strip(across: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        outward = across.abs()
+        share = 0.5 + (outward - 1) * ((2 - half) / (2 * half)) / (outward + 1)
+        along = along * (2 - half) / (outward + 1)
+        beyond = torch.where(across < 0, -share, size - 1 + share)
+        return (outward > limit) & (along.abs() <= limit), beyond, (along + 1) * (size / 2) - 0.5
+
+    u, v = ((tangents + 1) * (size / 2) - 0.5).unbind(-1)
+    beside, u_beside, v_beside = strip(x, y)
+    below, v_below, u_below = strip(y, x)
+    corner = (x.abs() > limit) & (y.abs() > limit) & ~beside & ~below
+    a, b = _corner_shares(x.abs(), y.abs(), limit)
+    u_corner = torch.where(x < 0, -a, size - 1 + a)
+    v_corner = torch.where(y < 0, -b, size - 1 + b)
+    u = torch.where(corner, u_corner, torch.where(beside, u_beside, torch.where(below, u_below, u)))
+    v = torch.where(corner, v_corner, torch.where(beside, v_beside, torch.where(below, v_below, v)))
+    return torch.stack((u, v), -1)
+
+
+def _corner_shares(x: Tensor, y: Tensor, limit: float) -> tuple[Tensor, Tensor]:
+    """Steps (a, b) from a face's corner pixel that give the weights of the triangle of three corner pixels.
+
+    The triangle's corners are (l, l, 1), (1, l, l) and (l, 1, l). With the mean of the latter two in the ring's
+    corner, their bilinear weights are (1 - a)(1 - b), a - ab/2 and b - ab/2.
+    """
+    # Solve p = f (l, l, 1) + g (1, l, l) + h (l, 1, l), then scale so that f + g + h = 1.
+    total = (x + y + 1) / (1 + 2 * limit)
+    own, right, below = ((value / total - limit) / (1 - limit) for value in (torch.ones_like(x), x, y))
+    difference = right - below
+    middle = (difference + safe_sqrt(difference * difference + 4 * own)) / 2
+    return 1 - middle + difference, 1 - middle
+
+
+def _padded_ids(size: int, device: torch.device | str | None) -> Tensor:
+    """Index of the pixel at each place of the padded faces, (6, size + 2, size + 2); 0 in the corners."""
+    side = torch.arange(size, dtype=torch.float64, device=device)
+    tangent = (2 * side + 1 - size) / size
+    one = torch.ones_like(tangent)
+    inward = (1 - 1 / size) * one
+    inner = slice(1, -1)
+    ring = (  # places, and the mirror images of the outermost pixels there, in the frame of the face
+        (inner, 0, torch.stack((-one, tangent, inward), -1)),
+        (inner, -1, torch.stack((one, tangent, inward), -1)),
+        (0, inner, torch.stack((tangent, -one, inward), -1)),
+        (-1, inner, torch.stack((tangent, one, inward), -1)),
+    )
+    ids = torch.zeros(6, size + 2, size + 2, dtype=torch.long, device=device)
+    ids[:, 1:-1, 1:-1] = torch.arange(6 * size * size, device=device).view(6, size, size)
+    world_from_face = world_from_cube_face(torch.float64, device)
+    for row, column, local in ring:
+        world = local @ world_from_face.mT
+        face = (world @ world_from_face[..., 2].T).argmax(-1)
+        there = (world.unsqueeze(-2) @ world_from_face[face]).squeeze(-2)
+        there = (there[..., :2] / there[..., 2:] + 1) * (size / 2)
+        x, y = there.floor().long().clamp(0, size - 1).unbind(-1)
+        ids[:, row, column] = (face * size + y) * size + x
+    return ids

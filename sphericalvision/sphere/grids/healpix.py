@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The HEALPix grid: pixels of equal area on rings of equal latitude."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.core import check_choice, check_last_dim
+from sphericalvision.geometry import longitude_latitude_from_directions, normalize, safe_hypot
+from sphericalvision.sphere.grids.healpix_pixels import (
+    direction_of_place,
+    nested_from_place,
+    nested_from_ring,
+    place_from_nested,
+    place_from_ring,
+    place_of_direction,
+    ring_from_place,
+    ring_start_count_shift,
+    ring_theta,
+)
+from sphericalvision.sphere.grids.values import check_positive, check_values, sum_of_taps
+
+__all__ = ["Healpix"]
+
+
+class Healpix(nn.Module):
+    """``12 * nside**2`` pixels of one area, numbered ring by ring or nested.
+
+    Convention:
+        The numbers are healpy's, with its angle θ measured from up (-y) and its longitude φ equal to ours: zero
+        forward (+z), growing to the right (+x). Seen from outside, as astronomers draw maps of the sky from inside,
+        east is where they expect it. In the nested order pixel p of ``nside`` contains the pixels 4p to 4p + 3 of
+        ``2 * nside``.
+
+    Args:
+        nside: pixels along the edge of each of the twelve base faces; a power of two for the nested order.
+        nested: whether pixels are numbered nested; ring by ring, north first, otherwise.
+        dtype: of the directions; the default dtype of torch when not given.
+        device: of all tables.
+
+    Raises:
+        ArgumentError: if nside is not a positive integer, or for the nested order no power of two.
+
+    References:
+        K. M. Górski et al. (2005), "HEALPix: a framework for high-resolution discretization and fast analysis of
+        data distributed on the sphere".
+
+    Examples:
+        >>> grid = Healpix(2)
+        >>> grid
+        Healpix(nside=2, nested=False, pixels=48)
+        >>> grid.nearest(torch.tensor([[0.1, -1.0, 0.1], [0.1, 1.0, 0.1]])).tolist()  # up and down
+        [0, 44]
+    """
+
+    directions: Tensor
+
+    def __init__(
+        self,
+        nside: int,
+        nested: bool = False,
+        dtype: torch.dtype | None = None,
+        device: torch.device | str | None = None,
+    ) -> None:
+        super().__init__()
+        check_positive(nside=nside)
+        self.nside = nside
+        self.nested = bool(nested)
+        self.num_pixels = 12 * nside**2
+        directions = self.cell_samples(1, torch.float64, device)[0].squeeze(1)
+        self.register_buffer(
+            "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
+        )
+
+    @property
+    def shape(self) -> tuple[int]:
+        """Shape of values on this grid, ``(12 * nside**2,)``."""
+        return (self.num_pixels,)
+
+    @property
+    def solid_angles(self) -> Tensor:
+        """Solid angle of each pixel ``(12 * nside**2,)`` in steradians, all the same."""
+        return self.directions.new_full(self.shape, 4 * math.pi / self.num_pixels)
+
+    def cell_samples(
+        self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Directions ``(n, samples**2, 3)`` spread over each pixel, and their equal shares of its solid angle."""
+        ids = torch.arange(self.num_pixels, device=device)
+        of = place_from_nested if self.nested else place_from_ring
+        face, column, row = (part[:, None] for part in of(ids, self.nside))
+        inside = (torch.arange(samples, dtype=torch.float64, device=device) + 0.5) / samples
+        x = (column + inside.repeat(samples)) / self.nside
+        y = (row + inside.repeat_interleave(samples)) / self.nside
+        directions = direction_of_place(face.expand_as(x), x, y).to(dtype or self.directions.dtype)
+        return directions, torch.full_like(directions[..., 0], 1 / samples**2)
+
+    def nearest(self, directions: Tensor) -> Tensor:
+        """Return the number ``(*)`` of the pixel that contains each direction ``(*, 3)``.
+
+        Examples:
+            >>> Healpix(1).nearest(torch.tensor([0.0, 0.0, 1.0])).item()
+            4
+        """
+        check_last_dim("directions", directions, 3)
+        face, x, y = place_of_direction(normalize(directions.detach()))
+        column, row = ((side * self.nside).floor().long().clamp(0, self.nside - 1) for side in (x, y))
+        number = nested_from_place if self.nested else ring_from_place
+        return number(face, column, row, self.nside)
+
+    def locate(self, directions: Tensor, interpolation: str = "healpy") -> tuple[Tensor, Tensor]:
+        """Return four pixels ``(*, 4)`` around each direction and their weights ``(*, 4)``, which sum to one.
+
+        Two neighbours on the ring above and two on the ring below. Beyond the first and the last ring the mean of its
+        four pixels stands for the pole. Weights are differentiable in the directions.
+
+        Args:
+            directions: ``(*, 3)`` of any length but zero.
+            interpolation: ``"healpy"``, linear in longitude on each ring and in latitude between them, the numbers of
+                ``healpy.get_interp_weights``. Close to the poles that takes values on the chord between two pixels
+                for values on the circle, an error of first order. ``"chords"`` is linear between the points of both
+                chords at the direction's longitude, and of second order everywhere; ``resample`` uses it.
+
+        Raises:
+            ArgumentError: if the interpolation is unknown.
+
+        Examples:
+            >>> ids, weights = Healpix(1).locate(torch.tensor([0.0, -1.0, 0.0]))  # straight up
+            >>> weights
+            tensor([0.2500, 0.2500, 0.2500, 0.2500])
+        """
+        check_last_dim("directions", directions, 3)
+        check_choice("interpolation", interpolation, ("healpy", "chords"))
+        unit = normalize(directions)
+        longitude, _ = longitude_latitude_from_directions(unit)
+        theta = torch.atan2(safe_hypot(unit[..., 0], unit[..., 2]), -unit[..., 1])
+        chords = interpolation == "chords"
+        last = 4 * self.nside - 1
+        above = self._ring_above(theta.detach())
+        if chords:  # a ring's polygon lies on the pole's side of its circle
+            with torch.no_grad():
+                into_next = theta >= self._on_ring(above + 1, longitude, chords)[2]
+                into_previous = theta < self._on_ring(above, longitude, chords)[2]
+            above = (above + into_next.long() - into_previous.long()).clamp(0, last)
+        ids_above, weights_above, theta_above = self._on_ring(above, longitude, chords)
+        ids_below, weights_below, theta_below = self._on_ring(above + 1, longitude, chords)
+        below = ((theta - theta_above) / (theta_below - theta_above)).unsqueeze(-1)
+
+        # The pole's share goes to all four pixels of its ring: the two found, and the two opposite.
+        north, south = (above == 0).unsqueeze(-1), (above == last).unsqueeze(-1)
+        first = self.num_pixels - 4
+        quarter = torch.full_like(weights_above, 0.25)
+        opposite_above = torch.where(north, (ids_below + 2) % 4, ids_above)
+        opposite_below = torch.where(south, first + (ids_above - first + 2) % 4, ids_below)
+        weights_above = torch.where(north, quarter, weights_above)
+        weights_below = torch.where(south, quarter, weights_below)
+        ids = torch.cat((opposite_above, opposite_below), -1)
+        weights_above = weights_above * (1 - below) + torch.where(south, below / 4, 0.0)
+        weights_below = weights_below * below + torch.where(north, (1 - below) / 4, 0.0)
+        weights = torch.cat((weights_above, weights_below), -1)
+        return nested_from_ring(ids, self.nside) if self.nested else ids, weights
+
+    def taps(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Pixels and weights that ``resample`` uses: ``locate`` between chords."""
+        return self.locate(directions, "chords")
+
+    def _ring_above(self, theta: Tensor) -> Tensor:
+        """The last ring, 0 (the pole) to ``4 * nside - 1``, whose angle is not more than theta."""
+        rings = torch.arange(1, 4 * self.nside, device=theta.device)
+        return torch.searchsorted(ring_theta(rings, self.nside, theta.dtype), theta.contiguous(), right=True)
+
+    def _on_ring(self, ring: Tensor, longitude: Tensor, chords: bool) -> tuple[Tensor, Tensor, Tensor]:
+        """Two pixels of a ring beside a longitude, their weights ``(*, 2)``, and the angle ``(*)`` from the north pole.
+
+        For a pole (ring 0 and ``4 * nside``) only the angle is meant.
+        """
+        inner = ring.clamp(1, 4 * self.nside - 1)
+        start, count, shift = ring_start_count_shift(inner, self.nside)
+        step = (2 * math.pi) / count.to(longitude.dtype)
+        position = longitude / step - 0.5 * shift
+        first = position.detach().floor()
+        share = position - first
+        theta = ring_theta(ring, self.nside, longitude.dtype)
+        if chords:
+            before, after = (share * step).sin(), ((1 - share) * step).sin()
+            radius = theta.sin() * (step / 2).cos() / ((share - 0.5) * step).cos()
+            theta = torch.where(ring == inner, torch.atan2(radius, theta.cos()), theta)
+            share = before / (before + after)
+        first = first.long()
+        ids = torch.stack((start + first % count, start + (first + 1) % count), -1)
+        return ids, torch.stack((1 - share, share), -1), theta
+
+    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+        """Interpolate values between the four pixels of ``locate``.
+
+        Args:
+            values: ``(*b, c, 12 * nside**2)``, floating point.
+            directions: ``(*b, n, 3)``, or ``(n, 3)`` for all of the batch.
+
+        Returns:
+            ``(*b, c, n)``, differentiable in both arguments.
+
+        Raises:
+            ShapeError: if the values are not on this grid.
+        """
+        check_values(values, self.shape)
+        return sum_of_taps(values, *self.locate(directions))
+
+    def extra_repr(self) -> str:
+        return f"nside={self.nside}, nested={self.nested}, pixels={self.num_pixels}"

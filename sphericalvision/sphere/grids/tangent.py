@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tangent images: a perspective patch on every face of a coarse icosphere."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from sphericalvision.cameras import PinholeCamera
+from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.geometry import bilinear_sample
+from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
+from sphericalvision.sphere.grids.clipping import solid_angles_in_triangle
+from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
+from sphericalvision.sphere.grids.values import check_positive, check_values
+
+__all__ = ["TangentImages"]
+
+
+class TangentImages(nn.Module):
+    """Gnomonic images that touch the sphere at the middle of each face of an icosphere.
+
+    Within a patch the distortion stays small, so a network for ordinary images can look at one patch after the other.
+
+    Convention:
+        Values are ``(*b, c, patches, size, size)``, patches in the order of ``icosphere_faces(base_level)``. Columns
+        grow to the right (east), rows downwards (south); all patches have the same scale. The outermost pixel centres
+        lie ``margin`` pixels beyond the bounding box of the largest face.
+
+    Patches overlap. A direction belongs to the face that contains it, and is read from this face's patch alone: so each
+    value of ``sample`` comes from one perspective image, and constants stay constants. The solid angle of a pixel is
+    that of its part inside its own face: zero in the margins, and 4π in sum.
+
+    Args:
+        base_level: level of the icosphere; 0 has 20 patches, 1 has 80, 2 has 320.
+        size: pixels along a side of a patch, 2 or more.
+        margin: pixels between a face and the outermost pixel centres; for filters that look beyond the face.
+        dtype: of the directions; the default dtype of torch when not given.
+        device: of all tables.
+
+    Raises:
+        ArgumentError: if the patches are too small for a face and its margin, or the level is negative.
+
+    References:
+        M. Eder et al. (2020), "Tangent images for mitigating spherical distortion", CVPR.
+
+    Examples:
+        >>> grid = TangentImages(0, 16)
+        >>> grid
+        TangentImages(base_level=0, size=16, margin=0, patches=20)
+        >>> grid.sample(torch.ones(3, 20, 16, 16), torch.tensor([[0.0, -1.0, 0.0]])).shape
+        torch.Size([3, 1])
+    """
+
+    directions: Tensor
+
+    def __init__(
+        self,
+        base_level: int,
+        size: int,
+        margin: float = 0.0,
+        dtype: torch.dtype | None = None,
+        device: torch.device | str | None = None,
+    ) -> None:
+        super().__init__()
+        check_positive(size=size)
+        if margin < 0 or size - 1 <= 2 * margin:
+            raise ArgumentError(
+                f"size: expected more than {1 + 2 * margin:g} pixels for a face and its margin of {margin:g} on either "
+                f"side, got {size}"
+            )
+        self.base_level = base_level
+        self.size = size
+        self.margin = margin
+        self.num_patches = len(icosphere_faces(base_level))
+        reach = _corners_in_plane(base_level, device)[0].abs().max().item()
+        self.pixel_size = 2 * reach / (size - 1 - 2 * margin)
+        directions = self.cell_samples(1, torch.float64, device)[0].view(*self.shape, 3)
+        self.register_buffer(
+            "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
+        )
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of values on this grid, ``(patches, size, size)``."""
+        return (self.num_patches, self.size, self.size)
+
+    @property
+    def world_from_patch(self) -> Tensor:
+        """Rotations ``(patches, 3, 3)`` whose columns are the right, down and forward axes of each patch."""
+        return _frames(self.base_level, self.directions.device).to(self.directions)
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The camera of which every patch is an image, in the frame of ``world_from_patch``."""
+        focal_length = torch.tensor([1 / self.pixel_size] * 2, dtype=torch.float64)
+        center = torch.full((2,), (self.size - 1) / 2, dtype=torch.float64)
+        return PinholeCamera(focal_length, center, (self.size, self.size)).to(self.directions)
+
+    @property
+    def solid_angles(self) -> Tensor:
+        """Solid angle ``(patches, size, size)`` of each pixel's part inside its own face, in steradians."""
+        corners, _ = _corners_in_plane(self.base_level, self.directions.device)
+        edges = torch.arange(self.size + 1, dtype=torch.float64, device=corners.device) - self.size / 2
+        # Lines of pixels that run along an edge of a face are moved off it by a billionth of a pixel.
+        edges = edges + 1e-9
+        return solid_angles_in_triangle(edges * self.pixel_size, corners).to(self.directions)
+
+    @property
+    def cell_widths(self) -> Tensor:
+        """Square root of each whole pixel's solid angle ``(patches, size, size)``, in radians."""
+        x, y = self._plane(self.size, self.directions.device)
+        return (self.pixel_size * (1 + x * x + y * y) ** -0.75).to(self.directions).expand(self.shape)
+
+    def cell_samples(
+        self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Directions ``(n, samples**2, 3)`` spread over each whole pixel, and their shares of its solid angle."""
+        x, y = self._plane(self.size * samples, device)
+        rays = torch.stack((x, y, torch.ones_like(x)), -1)
+        shares = rays.norm(dim=-1) ** -3  # a step in the plane is so much of solid angle
+        rays = F.normalize(rays, dim=-1) @ _frames(self.base_level, device).mT.unsqueeze(1)
+        shape = (self.size, samples, self.size, samples)
+        shares = shares.view(shape).transpose(1, 2).reshape(-1, samples**2)
+        shares = (shares / shares.sum(-1, keepdim=True)).repeat(self.num_patches, 1)
+        rays = rays.view(-1, *shape, 3).transpose(2, 3).reshape(-1, samples**2, 3)
+        dtype = dtype or self.directions.dtype
+        return rays.to(dtype), shares.to(dtype)
+
+    def face_coordinates(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Patch ``(*)`` whose face contains each direction ``(*, 3)``, and the pixel (u, v) ``(*, 2)`` there.
+
+        Examples:
+            >>> grid = TangentImages(0, 9)
+            >>> patch, pixel = grid.face_coordinates(grid.directions[3, 4, 4])
+            >>> patch.item(), pixel
+            (3, tensor([4., 4.]))
+        """
+        check_last_dim("directions", directions, 3)
+        patch = _face_containing(directions.detach(), self.base_level)
+        frames = _frames(self.base_level, directions.device).to(directions)
+        x, y, z = (directions.unsqueeze(-2) @ frames[patch]).squeeze(-2).unbind(-1)
+        # A direction lies in front of its own patch; the rest is for zero vectors.
+        plane = torch.stack((x, y), -1) / torch.where(z > 0, z, 1.0).unsqueeze(-1)
+        return patch, plane / self.pixel_size + (self.size - 1) / 2
+
+    def nearest(self, directions: Tensor) -> Tensor:
+        """Return the index ``(*)`` of the pixel, in the patch of the containing face, that each direction falls on."""
+        patch, pixels = self.face_coordinates(directions)
+        column, row = (pixels + 0.5).floor().long().clamp(0, self.size - 1).unbind(-1)
+        return (patch * self.size + row) * self.size + column
+
+    def image(self, values: Tensor) -> Tensor:
+        """One image ``(*b, c, h, w)`` of all patches, in which ``image_pixels`` are meant."""
+        check_values(values, self.shape)
+        return mosaic(values)
+
+    def image_pixels(self, directions: Tensor) -> Tensor:
+        """Pixels (u, v) ``(*, 2)`` of ``image`` at which bilinear interpolation gives the value of each direction.
+
+        Differentiable in the directions ``(*, 3)``.
+        """
+        patch, pixels = self.face_coordinates(directions)
+        return mosaic_pixels(patch, pixels, self.num_patches, self.size)
+
+    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+        """Interpolate bilinearly in the patch whose face contains the direction.
+
+        Args:
+            values: ``(*b, c, patches, size, size)``, floating point.
+            directions: ``(*b, n, 3)``, or ``(n, 3)`` for all of the batch.
+
+        Returns:
+            ``(*b, c, n)``, differentiable in both arguments.
+
+        Raises:
+            ShapeError: if the values are not on this grid.
+        """
+        return bilinear_sample(self.image(values), self.image_pixels(directions))
+
+    def extra_repr(self) -> str:
+        return f"base_level={self.base_level}, size={self.size}, margin={self.margin:g}, patches={self.num_patches}"
+
+    def _plane(self, count: int, device: torch.device | str | None) -> tuple[Tensor, Tensor]:
+        """Coordinates (x, y), each (count, count), of ``count`` places a side in the tangent plane."""
+        place = (2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count) / (2 * count)
+        y, x = torch.meshgrid(place, place, indexing="ij")
+        return x * (self.size * self.pixel_size), y * (self.size * self.pixel_size)
+
+
+def _frames(base_level: int, device: torch.device | str | None) -> Tensor:
+    """Axes right, down, forward of each face as columns, (faces, 3, 3)."""
+    corners = icosphere_vertices(base_level, torch.float64, device)[icosphere_faces(base_level, device)]
+    forward = F.normalize(corners.sum(1), dim=-1)
+    down = forward.new_tensor([0.0, 1.0, 0.0])  # never along the axis: the poles are vertices
+    down = F.normalize(down - forward * forward[:, 1:2], dim=-1)
+    return torch.stack((torch.linalg.cross(down, forward), down, forward), -1)
+
+
+def _corners_in_plane(base_level: int, device: torch.device | str | None) -> tuple[Tensor, Tensor]:
+    """Corners of each face in its tangent plane (faces, 3, 2), and the frames (faces, 3, 3)."""
+    frames = _frames(base_level, device)
+    corners = icosphere_vertices(base_level, torch.float64, device)[icosphere_faces(base_level, device)]
+    local = corners @ frames
+    return local[..., :2] / local[..., 2:], frames
+
+
+def _face_containing(directions: Tensor, level: int) -> Tensor:
+    """Index (*) of the icosphere's face that each direction (*, 3) pierces."""
+    faces = icosphere_faces(level, directions.device)
+    base = num_icosphere_vertices(level)
+    digits = torch.tensor([base * base, base, 1], device=directions.device)
+    known, order = (faces.sort(-1).values * digits).sum(-1).sort()
+    ids, _ = locate(directions, level)
+    return order[torch.searchsorted(known, (ids.sort(-1).values * digits).sum(-1))]

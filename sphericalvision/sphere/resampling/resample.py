@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Resampling between any two grids or cameras, with a rotation in between."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.cameras import Camera
+from sphericalvision.sphere.grids.base import SphereGrid
+from sphericalvision.sphere.grids.values import check_values
+from sphericalvision.sphere.resampling.supersampling import grid_shape
+from sphericalvision.sphere.resampling.tables import RESAMPLE_MODES, ResampleTables
+
+__all__ = ["RESAMPLE_MODES", "Resample", "resample", "resample_mask"]
+
+
+def resample(
+    values: Tensor,
+    source: SphereGrid | Camera,
+    target: SphereGrid | Camera,
+    rotation: Tensor | None = None,
+    mode: str = "bilinear",
+    fill: float = 0.0,
+    mask: Tensor | None = None,
+) -> Tensor:
+    """Resample values from one grid or camera to another.
+
+    Depth along the rays stays what it is: all grids and cameras are seen from the same centre. For many values on one
+    pair ``Resample`` is faster: it computes where to look once.
+
+    Args:
+        values: ``(*b, c, *source_shape)``; the shape of a camera is its ``image_size``.
+        source: where the values are given.
+        target: where they are wanted.
+        rotation: ``(3, 3)``, or ``(*b, 3, 3)`` for one a sample, target_from_source: what was seen in direction d is
+            then seen in ``rotation @ d``.
+        mode: ``"bilinear"`` interpolates between the nearest values (linear in each triangle of an icosphere), and
+            aliases where the target is coarser. ``"area"`` is bilinear where it is not, and the mean over each cell of
+            the target where it is. ``"nearest"`` makes up no values: for labels, of any dtype.
+        fill: value where the source or the target sees nothing, see ``resample_mask``.
+        mask: ``(*b, *source_shape)``, values that may be used (bool, or nonzero). Results are means over usable values.
+
+    Returns:
+        ``(*b, c, *target_shape)`` of the values' dtype; differentiable in values and, but for ``"nearest"``, in the
+        rotation and a camera's intrinsics.
+
+    Raises:
+        ShapeError: if values or mask do not lie on the source, or the rotation is no 3 x 3 matrix.
+        ArgumentError: if source or target is neither a grid nor a camera, the mode is unknown, or integers are to be
+            interpolated.
+
+    Examples:
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> from sphericalvision.sphere import Equirectangular
+        >>> ico = Icosphere(4)
+        >>> height = resample(-ico.vertices[None, :, 1], ico, Equirectangular(8, 16))
+        >>> height.shape, bool(height[0, 0].min() > 0.97)
+        (torch.Size([1, 8, 16]), True)
+    """
+    check_values(values, grid_shape(source, "source"))
+    return ResampleTables(source, target, rotation, mode, fill, values.device)(values, mask)
+
+
+def resample_mask(
+    source: SphereGrid | Camera,
+    target: SphereGrid | Camera,
+    rotation: Tensor | None = None,
+    mode: str = "bilinear",
+    mask: Tensor | None = None,
+) -> Tensor:
+    """Return where ``resample`` finds values, bool ``(*b, *target_shape)``: all but what a camera cannot see, and what
+    depends on masked values alone.
+
+    Raises:
+        ArgumentError: if source or target is neither a grid nor a camera.
+
+    Examples:
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> from sphericalvision.sphere import Equirectangular
+        >>> resample_mask(Icosphere(2), Equirectangular(8, 16)).all()
+        tensor(True)
+    """
+    device = next((t.device for t in (mask, rotation) if t is not None), _like(target).device)
+    with torch.no_grad():
+        return ResampleTables(source, target, rotation, mode, 0.0, device).mask(mask)
+
+
+class Resample(ResampleTables):
+    """``resample`` between two fixed grids or cameras, its tables made once.
+
+    The tables are buffers that move with the module and are not saved. They hold no gradients by rotation or
+    intrinsics: for these use ``resample``.
+
+    Args:
+        source: where values are given.
+        target: where they are wanted.
+        rotation: ``(3, 3)`` or ``(*b, 3, 3)``, target_from_source.
+        mode: ``"bilinear"``, ``"nearest"`` or ``"area"``.
+        fill: value where nothing is seen.
+        dtype: of the tables; by default that of the grids' directions and the cameras' intrinsics.
+        device: of the tables; by default the target's.
+
+    Examples:
+        >>> from sphericalvision.sphere import Cubemap, Equirectangular
+        >>> to_cube = Resample(Equirectangular(32, 64), Cubemap(16), mode="area")
+        >>> to_cube
+        Resample((32, 64) -> (6, 16, 16), mode='area')
+        >>> to_cube(torch.rand(2, 3, 32, 64)).shape
+        torch.Size([2, 3, 6, 16, 16])
+    """
+
+    @torch.no_grad()
+    def __init__(
+        self,
+        source: SphereGrid | Camera,
+        target: SphereGrid | Camera,
+        rotation: Tensor | None = None,
+        mode: str = "bilinear",
+        fill: float = 0.0,
+        dtype: torch.dtype | None = None,
+        device: torch.device | str | None = None,
+    ) -> None:
+        grid_shape(source, "source")
+        grid_shape(target, "target")
+        if isinstance(source, nn.Module):
+            source = copy.deepcopy(source)  # its tables move with this module, the caller's stay
+        device = _like(target).device if device is None else torch.device(device)
+        if dtype is None:
+            dtype = torch.promote_types(_like(source).dtype, _like(target).dtype)
+        super().__init__(source, target, rotation, mode, fill, device)
+        self.to(dtype)
+
+    def __repr__(self) -> str:
+        return f"Resample({self.source_shape} -> {self.target_shape}, mode={self.mode!r})"
+
+
+def _like(grid: SphereGrid | Camera) -> Tensor:
+    """A tensor of the grid's dtype and on its device."""
+    return grid.max_angle if isinstance(grid, Camera) else grid.directions

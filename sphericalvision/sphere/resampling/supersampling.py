@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The part of the sphere that each value of a grid or pixel of a camera stands for."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.cameras import Camera
+from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere import Icosphere, icosphere_neighbors, icosphere_vertices
+from sphericalvision.sphere.grids.base import SphereGrid
+
+__all__ = ["CellSamples", "cell_samples", "cell_widths", "grid_shape"]
+
+
+class CellSamples(NamedTuple):
+    """Directions spread over each cell of a grid, in the order of its flattened values."""
+
+    directions: Tensor
+    """Unit vectors ``(n, s, 3)``."""
+    shares: Tensor
+    """Of the cell, ``(n, s)``; they sum to one."""
+    valid: Tensor | None
+    """Whether a camera looks there, bool ``(n, s)``; None for a grid, which covers the sphere."""
+
+
+def grid_shape(grid: SphereGrid | Camera, name: str) -> tuple[int, ...]:
+    """Shape of values on a grid or of a camera's image.
+
+    Raises:
+        ArgumentError: if it is neither, or a batch of cameras.
+    """
+    if isinstance(grid, Camera):
+        if grid.batch_shape:
+            raise ArgumentError(
+                f"{name}: expected a single camera, got a batch of shape {grid.batch_shape}; "
+                "take one with Camera.select"
+            )
+        return grid.image_size
+    if not isinstance(grid, SphereGrid):
+        raise ArgumentError(
+            f"{name}: expected a SphereGrid (Icosphere, Equirectangular, Cubemap, Healpix, TangentImages) or a Camera, "
+            f"got {type(grid).__name__}"
+        )
+    return tuple(grid.shape)
+
+
+def cell_samples(
+    grid: SphereGrid | Camera, samples: int, dtype: torch.dtype, device: torch.device
+) -> CellSamples:
+    """``samples`` directions along each side of every cell; for one, the grid's own directions.
+
+    Computed in the precision asked for, not in that of ``grid.directions``.
+
+    Raises:
+        ArgumentError: if more than one sample is asked of a grid that has no ``cell_samples``.
+    """
+    if isinstance(grid, Camera):
+        return _pixel_samples(grid, samples, dtype, device)
+    if isinstance(grid, Icosphere):
+        directions, shares = _vertex_samples(grid.level, samples, dtype, device)
+        return CellSamples(directions, shares, None)
+    if hasattr(grid, "cell_samples"):
+        directions, shares = grid.cell_samples(samples, dtype, device)
+        return CellSamples(directions, shares, None)
+    if samples > 1:
+        raise ArgumentError(
+            f"target: mode 'area' needs a method cell_samples(samples, dtype, device), which {type(grid).__name__} "
+            "lacks; see Equirectangular.cell_samples"
+        )
+    directions = grid.directions.reshape(-1, 1, 3).to(device=device, dtype=dtype)
+    return CellSamples(directions, torch.ones_like(directions[..., 0]), None)
+
+
+def cell_widths(grid: SphereGrid | Camera) -> Tensor:
+    """How wide each cell is, in radians ``(n,)``: the square root of its solid angle.
+
+    Rows of a panorama hold more pixels near the poles than content, so there a width at the equator counts.
+    """
+    if isinstance(grid, Camera):
+        corners = _pixel_samples(grid, 2, torch.float64, grid.device).directions.detach()
+        across, down = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        return 2 * torch.linalg.cross(across, down).norm(dim=-1).sqrt()
+    widths = getattr(grid, "cell_widths", None)
+    return (grid.solid_angles.sqrt() if widths is None else widths).flatten()
+
+
+def _pixel_samples(camera: Camera, samples: int, dtype: torch.dtype, device: torch.device) -> CellSamples:
+    inside = (torch.arange(samples, dtype=dtype, device=device) + 0.5) / samples - 0.5
+    v, u = torch.meshgrid(inside, inside, indexing="ij")
+    centers = camera.pixel_grid(dtype).to(device).reshape(-1, 1, 2)
+    directions, valid = camera.unproject(centers + torch.stack((u, v), -1).view(-1, 2))
+    return CellSamples(directions, torch.full_like(directions[..., 0], 1 / samples**2).detach(), valid)
+
+
+def _vertex_samples(
+    level: int, samples: int, dtype: torch.dtype, device: torch.device
+) -> tuple[Tensor, Tensor]:
+    """Samples over six (five) kites around each vertex: between it, two edge midpoints and a face's middle."""
+    center = icosphere_vertices(level, torch.float64, device)
+    if samples == 1:
+        return center.unsqueeze(1).to(dtype), center.new_ones(len(center), 1, dtype=dtype)
+    neighbors = icosphere_neighbors(level, device)
+    following = neighbors.roll(-1, 1)
+    five = neighbors[:, 5] < 0
+    following[five, 4] = neighbors[five, 0]
+    a, b, o = center[neighbors], center[following], center.unsqueeze(1)  # entry -1 has no share, see below
+    corners = (o.expand_as(a), (o + a) / 2, (o + a + b) / 3, (o + b) / 2)
+    count = -(-samples // 2)
+    side = (torch.arange(count, dtype=torch.float64, device=device) + 0.5) / count
+    s, t = side.repeat(count)[:, None], side.repeat_interleave(count)[:, None]
+    p, q, r, u = (corner.unsqueeze(2) for corner in corners)
+    points = (1 - s) * (1 - t) * p + s * (1 - t) * q + s * t * r + (1 - s) * t * u
+    along_s = (1 - t) * (q - p) + t * (r - u)
+    along_t = (1 - s) * (u - p) + s * (r - q)
+    volume = (points * torch.linalg.cross(along_s, along_t, dim=-1)).sum(-1).abs()
+    shares = volume / points.norm(dim=-1) ** 3
+    shares[five, 5] = 0
+    shares = shares.flatten(1)
+    shares = shares / shares.sum(-1, keepdim=True)
+    return F.normalize(points, dim=-1).flatten(1, 2).to(dtype), shares.to(dtype)

@@ -7,6 +7,8 @@ expect, so ``except ValueError`` and ``except SphericalVisionError`` both work.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
@@ -25,6 +27,8 @@ __all__ = [
     "check_choice",
     "check_file",
     "check_last_dim",
+    "reference_kernels",
+    "uses_reference_kernels",
 ]
 
 
@@ -82,3 +86,31 @@ def check_file(path: str | Path, what: str) -> Path:
         near = f"looked in {folder}" if folder.exists() else f"the folder {folder} does not exist either"
         raise MissingFileError(f"{path}: no such file ({what} expected; {near})")
     return path
+
+
+_reference_blocks = 0
+
+
+@contextmanager
+def reference_kernels() -> Iterator[None]:
+    """Compute everything inside by the readable formulas, without the faster ways to the same numbers.
+
+    For comparison, and for gradients of gradients, which the reference convolutions have. Counts for the whole
+    process, all threads included; blocks may be nested.
+
+    Examples:
+        >>> with reference_kernels():
+        ...     uses_reference_kernels()
+        True
+    """
+    global _reference_blocks
+    _reference_blocks += 1
+    try:
+        yield
+    finally:
+        _reference_blocks -= 1
+
+
+def uses_reference_kernels() -> bool:
+    """Whether a ``reference_kernels`` block is open."""
+    return _reference_blocks > 0

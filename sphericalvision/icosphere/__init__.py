@@ -35,6 +35,8 @@ from sphericalvision.icosphere.subdivision import (
     to_subdivision_order,
 )
 from sphericalvision.icosphere.topology import (
+    MAX_LEVEL,
+    check_level,
     chart_vertex_ids,
     coarse_vertex_ids,
     icosphere_faces,
@@ -44,6 +46,8 @@ from sphericalvision.icosphere.topology import (
 )
 
 __all__ = [
+    "MAX_LEVEL",
+    "check_level",
     "Icosphere",
     "IcosphereLines",
     "IcospherePool",

@@ -21,6 +21,8 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError
 
 __all__ = [
+    "MAX_LEVEL",
+    "check_level",
     "chart_vertex_ids",
     "coarse_vertex_ids",
     "icosphere_faces",
@@ -30,10 +32,21 @@ __all__ = [
 ]
 
 
+MAX_LEVEL = 10
+"""The finest icosphere: ten million vertices, three arc minutes apart. One level more takes four times the memory."""
+
+
 def check_level(level: int) -> int:
-    """Return ``level`` or raise ``ArgumentError`` unless it is an integer of 0 or more."""
-    if isinstance(level, bool) or not isinstance(level, int) or level < 0:
-        raise ArgumentError(f"level: expected an integer of 0 (icosahedron) or more, got {level!r}")
+    """Return ``level`` or raise ``ArgumentError`` unless it is an integer from 0 to ``MAX_LEVEL``.
+
+    Examples:
+        >>> check_level(7)
+        7
+    """
+    if isinstance(level, bool) or not isinstance(level, int) or not 0 <= level <= MAX_LEVEL:
+        raise ArgumentError(
+            f"level: expected an integer from 0 (icosahedron) to {MAX_LEVEL} (ten million vertices), got {level!r}"
+        )
     return level
 
 

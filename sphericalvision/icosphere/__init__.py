@@ -36,8 +36,8 @@ from sphericalvision.icosphere.subdivision import (
 )
 from sphericalvision.icosphere.topology import (
     MAX_LEVEL,
-    check_level,
     chart_vertex_ids,
+    check_level,
     coarse_vertex_ids,
     icosphere_faces,
     level_from_num_vertices,
@@ -47,12 +47,12 @@ from sphericalvision.icosphere.topology import (
 
 __all__ = [
     "MAX_LEVEL",
-    "check_level",
     "Icosphere",
     "IcosphereLines",
     "IcospherePool",
     "IcosphereUpsample",
     "chart_vertex_ids",
+    "check_level",
     "coarse_vertex_ids",
     "from_subdivision_order",
     "icosphere_edges",

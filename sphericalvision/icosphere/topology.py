@@ -22,8 +22,8 @@ from sphericalvision.core import ArgumentError, ShapeError
 
 __all__ = [
     "MAX_LEVEL",
-    "check_level",
     "chart_vertex_ids",
+    "check_level",
     "coarse_vertex_ids",
     "icosphere_faces",
     "level_from_num_vertices",

@@ -10,9 +10,9 @@ from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.data.scenes.recipes import make_scene, ray_depth, render_rig
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Equirectangular
 
 __all__ = ["RenderedFrames", "SceneDepths", "kind_of"]
 
@@ -64,7 +64,7 @@ class RenderedFrames(Dataset[dict[str, Any]]):
         frame = self.frames[index]
         seed = self.first_seed + frame - 1
         scene = make_scene(kind_of(self.kind, seed), seed, scale=self.scale, center=self.rig.center)
-        depth = ray_depth(scene, self.rig.center, panorama_directions(self.height, 2 * self.height))
+        depth = ray_depth(scene, self.rig.center, Equirectangular(self.height, 2 * self.height).directions)
         return {
             "images": render_rig(scene, self.rig, self.samples_per_pixel),
             "inverse_depth": depth.reciprocal(),

@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.io.images import whole_file, write_image
 from sphericalvision.models import IcoSweepNet, OmniMVS
 from sphericalvision.recipes.evaluation.training_free import SemiGlobalSweep
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama, save_depth_panorama
 from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_cloud
@@ -61,8 +61,8 @@ def estimate_depth(
     number, min_depth = net.num_hypotheses, net.min_depth
     inverse_depth = inverse_depth_from_index(index, number, min_depth)
     if isinstance(net, OmniMVS):
-        view, grid = panorama_directions(height, 2 * height), net.grid.cpu()
-        panorama = grid.sample(inverse_depth, view.flatten(0, 1)).view(height, 2 * height)
+        view, grid = Equirectangular(height, 2 * height).directions, net.grid.cpu()
+        panorama = grid.sample(inverse_depth[None], view.flatten(0, 1)).view(height, 2 * height)
         panorama = panorama.where(grid.contains(view), math.nan)
         directions = grid.directions.flatten(0, 1)
     else:

@@ -13,7 +13,6 @@ from rich.progress import track
 from torch import Tensor
 
 from sphericalvision.cameras import seen_by
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.metrics import (
     depth_error,
@@ -24,6 +23,7 @@ from sphericalvision.metrics import (
 )
 from sphericalvision.recipes.evaluation.tables import Batch
 from sphericalvision.recipes.study.models import Lookup, Scale, StudyEstimator
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth, inverse_depth_from_index
 
 __all__ = ["Measured", "Truth", "Yardstick", "measure"]
@@ -92,7 +92,8 @@ class Yardstick:
         counts, left_out = evaluation_mask(batch["rig"], self.directions, inverse_depth, valid)
         cameras = seen_by(batch["rig"], self.directions, inverse_depth.where(valid, 0.0))
         panorama, panorama_valid = batch["panorama_inverse_depth"], batch["panorama_valid"]
-        around = panorama_directions(*panorama.shape[1:]).reshape(-1, 3).to(self.directions)
+        around = Equirectangular.with_square_pixels(*panorama.shape[1:]).directions
+        around = around.reshape(-1, 3).to(self.directions)
         seen, _ = evaluation_mask(batch["rig"], around, panorama.flatten(1), panorama_valid.flatten(1))
         shared = seen.view(panorama.shape)
         return Truth(index, inverse_depth, valid, counts, cameras, left_out, panorama, shared, around)

@@ -14,7 +14,6 @@ from omegaconf import DictConfig, OmegaConf
 from sphericalvision.cameras import seen_by
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import collate_samples
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.io.images import whole_file, write_image
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import print_table
@@ -33,6 +32,7 @@ from sphericalvision.recipes.study.tables import (
     zone_table,
 )
 from sphericalvision.recipes.study.training import Training, write_json
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama
 
 __all__ = ["model_table", "panel_column", "report"]
@@ -131,7 +131,7 @@ def panel_column(config: DictConfig, view: View, estimates: dict[str, Any]) -> P
         (colors.where(seen, torch.tensor(0.6)).clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()
     )
     index = truth.indices[0].where(truth.valid[0], math.nan).float()
-    around = panorama_directions(height, 2 * height).reshape(-1, 3)
+    around = Equirectangular(height, 2 * height).directions.reshape(-1, 3)
     shared = seen_by(rig, around, depth.reciprocal().reshape(-1)).view(height, 2 * height) >= 2
     return PanelColumn(f"{view.angle_deg:g}°", picture, index, truth.counts[0], shared, estimates)
 

@@ -15,12 +15,13 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.augmentation.transforms import ToSphere
-from sphericalvision.data.omnistereo.panorama_grid import latitude_limit, panorama_directions
+from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.data.scene_cache import SceneCache, decode, encode, parameter_digest, rounded
 from sphericalvision.data.scenes.recipes import ray_depth, render_rig
 from sphericalvision.data.scenes.scene import Scene
 from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, SeededScenes
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Equirectangular
 
 __all__ = ["ENTRIES", "FisheyeSceneDataset"]
 
@@ -104,7 +105,7 @@ class FisheyeSceneDataset(SeededScenes):
         if level < 2:
             raise ArgumentError(f"level: expected at least 2, got {level}")
         self.level, self.panorama = level, (int(panorama[0]), int(panorama[1]))
-        latitude_limit(*self.panorama)
+        check_panorama_size(*self.panorama)
         self.to_sphere = ToSphere(level, antialias=antialias)
         root = None if cache_dir is None else Path(cache_dir)
         self._images = _cache(root, "fisheye", (samples_per_pixel, min_depth), rig)
@@ -135,7 +136,7 @@ class FisheyeSceneDataset(SeededScenes):
     def _directions(self, key: str) -> Tensor:
         if key == "inverse_depth":
             return Icosphere(self.level - 2).vertices
-        return panorama_directions(*self.panorama)
+        return Equirectangular.with_square_pixels(*self.panorama).directions
 
     def _sample(self, seed: int) -> dict[str, Any]:
         frame = self._frame(seed)

@@ -17,7 +17,7 @@ from sphericalvision.geometry.directions import (
     safe_hypot,
     safe_sqrt,
 )
-from sphericalvision.geometry.interpolation import bilinear_sample
+from sphericalvision.geometry.interpolation import bilinear_sample, wrap_panorama
 from sphericalvision.geometry.inverse_table import InverseTable, samples_towards, tabulate_inverse
 from sphericalvision.geometry.least_squares import LeastSquares, solve_least_squares
 from sphericalvision.geometry.rootfinding import (
@@ -70,4 +70,5 @@ __all__ = [
     "transform_from_axis_angle",
     "transform_from_quaternion",
     "transform_points",
+    "wrap_panorama",
 ]

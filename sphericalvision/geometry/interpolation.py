@@ -13,18 +13,28 @@ from torch.nn import functional as F
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_last_dim
 
-__all__ = ["bilinear_sample"]
+__all__ = ["bilinear_sample", "wrap_panorama"]
 
 
-def _wrap_panorama(image: Tensor) -> Tensor:
-    """One more column on either side and, beyond each pole, one more row: the pole's row seen from behind."""
+def wrap_panorama(image: Tensor, poles: bool = True) -> Tensor:
+    """A panorama ``(*, h, w)`` with one more column on either side and one more row above and below.
+
+    Args:
+        image: equirectangular, all around.
+        poles: whether it reaches up to the poles; then beyond a pole stands its row as seen from behind, else the
+            row is repeated.
+
+    Examples:
+        >>> wrap_panorama(torch.tensor([[1, 2, 3, 4]]).float())[0]
+        tensor([2., 3., 4., 1., 2., 3.])
+    """
     width = image.shape[-1]
 
-    def behind(row: Tensor) -> Tensor:  # an odd width has no pixel exactly behind, hence the mean of its two
-        return (row.roll(width // 2, -1) + row.roll((width + 1) // 2, -1)) / 2
+    def beyond(row: Tensor) -> Tensor:  # an odd width has no pixel exactly behind, hence the mean of its two
+        return (row.roll(width // 2, -1) + row.roll((width + 1) // 2, -1)) / 2 if poles else row
 
-    image = torch.cat((behind(image[..., :1, :]), image, behind(image[..., -1:, :])), dim=-2)
-    return torch.cat((image[..., -1:], image, image[..., :1]), dim=-1)
+    image = torch.cat((beyond(image[..., :1, :]), image, beyond(image[..., -1:, :])), -2)
+    return torch.cat((image[..., -1:], image, image[..., :1]), -1)
 
 
 def bilinear_sample(
@@ -65,7 +75,7 @@ def bilinear_sample(
     if wrap_longitude:
         u = torch.remainder(pixels[..., 0] + 0.5, width) - 0.5
         pixels = torch.stack((u, pixels[..., 1]), dim=-1) + 1
-        image, size = _wrap_panorama(image), size + 2
+        image, size = wrap_panorama(image), size + 2
     batch = torch.broadcast_shapes(image.shape[:-3], pixels.shape[:-2])
     flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
     # grid_sample(align_corners=False) puts the centre of pixel i at (2 i + 1) / size - 1.

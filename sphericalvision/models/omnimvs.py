@@ -28,7 +28,7 @@ from sphericalvision.sweep import (
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
-    from sphericalvision.sphere import EquirectangularBand
+    from sphericalvision.sphere import Equirectangular
 
 __all__ = ["OmniMVS"]
 
@@ -123,7 +123,7 @@ class OmniMVS(nn.Module):
         )
 
     @property
-    def grid(self) -> EquirectangularBand:
+    def grid(self) -> Equirectangular:
         """The panorama on which depth is estimated."""
         return self.sweep.grid
 
@@ -193,7 +193,8 @@ class OmniMVS(nn.Module):
             >>> net.index_at(torch.full((1, 32, 128), 3.0), up_and_forward)
             (tensor([[3., 3.]]), tensor([False,  True]))
         """
-        return self.grid.sample(index, directions), self.grid.contains(directions)
+        values = self.grid.sample(index.unsqueeze(1), directions.to(index.device)).squeeze(1)
+        return values, self.grid.contains(directions)
 
     def logits(self, images: Tensor, rig: CameraRig | PanoramaTables) -> Tensor:
         """Return the score of every hypothesis ``(B, N, h, w)``; arguments as for ``forward``."""

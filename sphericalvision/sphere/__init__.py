@@ -11,7 +11,6 @@ from sphericalvision.sphere.convolutions.padding import (
 from sphericalvision.sphere.convolutions.seamless import PaddedConv2d, make_circular
 from sphericalvision.sphere.convolutions.sphere_conv import SphereConv2d, sphere_conv2d
 from sphericalvision.sphere.convolutions.tangent_taps import sphere_taps
-from sphericalvision.sphere.grids.band import EquirectangularBand
 from sphericalvision.sphere.grids.base import SphereGrid
 from sphericalvision.sphere.grids.cube_layouts import (
     CUBE_FACES,
@@ -33,7 +32,6 @@ __all__ = [
     "CubePad2d",
     "Cubemap",
     "Equirectangular",
-    "EquirectangularBand",
     "EquirectangularPad2d",
     "Healpix",
     "Icosphere",

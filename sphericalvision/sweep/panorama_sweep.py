@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import bilinear_sample
-from sphericalvision.sphere import EquirectangularBand
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class PanoramaSweep(nn.Module):
         constant, and out of view zero.
 
     Args:
-        output_size: (height, width) of the panorama, see ``EquirectangularBand``.
+        output_size: (height, width) of the panorama, see ``Equirectangular.with_square_pixels``.
         num_hypotheses: N.
         min_depth: radius of the smallest sphere in metres.
         stride: pixels of the images between those of the maps.
@@ -95,11 +95,11 @@ class PanoramaSweep(nn.Module):
     ) -> None:
         super().__init__()
         check_hypotheses(num_hypotheses, min_depth)
-        self.grid = EquirectangularBand(*output_size)
+        self.grid = Equirectangular.with_square_pixels(*output_size)
         self.num_hypotheses, self.min_depth = num_hypotheses, min_depth
         self.stride, self.every = stride, every
         # Exact in float64, cast to the dtype of the rig in use.
-        directions = EquirectangularBand(*output_size, torch.float64).directions
+        directions = Equirectangular.with_square_pixels(*output_size, torch.float64).directions
         self.register_buffer("directions", directions.reshape(-1, 3), persistent=False)
         hypotheses = inverse_depth_hypotheses(num_hypotheses, min_depth, torch.float64)[::every]
         self.register_buffer("inverse_depths", hypotheses, persistent=False)

@@ -14,9 +14,9 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ShapeError
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.io.images import write_image
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color
 from sphericalvision.viz.figure import add_scale_bar, sheet
 
@@ -109,7 +109,7 @@ def icosphere_to_panorama(values: Tensor, height: int) -> Tensor:
         torch.Size([3, 10, 20])
     """
     level = level_from_num_vertices(values.shape[-1])
-    directions = panorama_directions(height, 2 * height, dtype=torch.float64).to(values.device)
+    directions = Equirectangular(height, 2 * height, torch.float64, values.device).directions
     grid = Icosphere(level, torch.float64, values.device)
     samples = grid.sample(values.reshape(-1, values.shape[-1]), directions.reshape(-1, 3))
     return samples.reshape(*values.shape[:-1], height, 2 * height)
@@ -144,7 +144,7 @@ def rgb_panorama(
     if set(images) != set(rig.names):
         raise ShapeError(f"images: expected those of the cameras {list(rig.names)}, got {list(images)}")
     dtype, device = rig.world_from_camera.dtype, rig.world_from_camera.device
-    directions = panorama_directions(height, 2 * height, dtype).to(device).reshape(-1, 3)
+    directions = Equirectangular(height, 2 * height, dtype, device).directions.reshape(-1, 3)
     far = torch.as_tensor(depth, dtype=dtype, device=device).reshape(-1, 1)
     if far.numel() not in (1, len(directions)):
         raise ShapeError(

@@ -12,8 +12,8 @@ import trimesh
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.io.images import whole_file
+from sphericalvision.sphere import Equirectangular
 
 __all__ = ["PointCloud", "panorama_point_cloud", "save_point_cloud"]
 
@@ -53,7 +53,8 @@ def panorama_point_cloud(
     if tuple(colors.shape) != (3, *depth.shape):
         raise ShapeError(f"colors: expected {(3, *depth.shape)} to go with depth, got {tuple(colors.shape)}")
     known = (depth > 0) & depth.isfinite() & (depth <= max_depth)
-    rays = panorama_directions(depth.shape[0], depth.shape[1], depth.dtype).to(depth.device)
+    height, width = depth.shape
+    rays = Equirectangular.with_square_pixels(height, width, depth.dtype, depth.device).directions
     points = rays[known] * depth[known][:, None]
     if center is not None:
         points = points + center.to(points)

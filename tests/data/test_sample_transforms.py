@@ -18,8 +18,8 @@ from sphericalvision.cameras import CameraRig, EquirectangularCamera, read_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Equirectangular
 
 Sample = dict[str, Any]
 Make = Callable[..., Any]
@@ -96,7 +96,7 @@ def test_another_rig_gets_another_table(make_rig: Make, with_truth: Make) -> Non
 def test_ground_truth_is_the_nearest_pixel_not_a_mixture(rig: CameraRig, with_truth: Make) -> None:
     sample = with_truth(rig, height=32, width=64)
     result = ToSphere(4)(sample)
-    pixels = panorama_directions(32, 64).reshape(-1, 3)
+    pixels = Equirectangular(32, 64).directions.reshape(-1, 3)
     for vertex, value in zip(Icosphere(2).vertices, result["inverse_depth"], strict=True):
         place = (sample["inverse_depth"].flatten() == value).nonzero().flatten()
         angle = torch.rad2deg((pixels[place] @ vertex).clamp(-1, 1).acos()).min()

@@ -17,7 +17,6 @@ from hydra import compose, initialize_config_module
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import save_weights
@@ -38,6 +37,7 @@ from sphericalvision.recipes.study.tables import (
     zone_table,
 )
 from sphericalvision.recipes.study.training import training_config, training_words
+from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run
 
 ANGLES = (0.0, 45.0)
@@ -229,7 +229,7 @@ def test_nothing_is_counted_where_a_model_says_nothing() -> None:
 def test_pictures_show_and_fade() -> None:
     vertices = Icosphere(2).vertices
     truth = 4 + 2 * vertices[:, 1]
-    up = panorama_directions(40, 80)[..., 1] < 0
+    up = Equirectangular(40, 80).directions[..., 1] < 0
     column = PanelColumn(
         "45°", np.full((40, 80, 3), 200, np.uint8), truth, vertices[:, 1] >= 0, ~up, {"a": truth + 1}
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The panorama grid against its definition, brute force, and the published implementation's samples."""
+"""Panoramas of all latitudes and of those near the horizon, and the pixel that is taken for a direction."""
 
 from __future__ import annotations
 
@@ -11,66 +11,143 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.core import ShapeError
-from sphericalvision.data.omnistereo.panorama_grid import latitude_limit, nearest_pixels, panorama_directions
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Cubemap, Equirectangular, resample, resample_mask
+
+square = Equirectangular.with_square_pixels
+DOUBLE = torch.float64
+
+
+def test_square_pixels_over_the_whole_sphere_are_the_ordinary_grid() -> None:
+    grid, same = square(6, 12), Equirectangular(6, 12)
+    assert torch.equal(grid.directions, same.directions)
+    assert torch.equal(grid.solid_angles, same.solid_angles)
+    assert grid.whole_sphere
+    assert repr(grid) == repr(same)
 
 
 def test_convention_forward_is_the_middle_and_up_the_top() -> None:
-    directions = panorama_directions(320, 640)
+    directions = Equirectangular(320, 640).directions
     half = math.pi / 640
-    torch.testing.assert_close(
-        directions[0, 0, 1], torch.tensor(-math.cos(half))
-    )  # half a pixel from straight up
-    # pixel 319.5 would look forward; its neighbour to the right looks a little to the right
+    # Half a pixel from straight up.
+    torch.testing.assert_close(directions[0, 0, 1], torch.tensor(-math.cos(half)))
+    # Pixel 319.5 would look forward; its neighbour to the right looks a little to the right.
     assert directions[160, 320].tolist() == pytest.approx(
         [math.sin(half) * math.cos(half), math.sin(half), math.cos(half) ** 2], abs=1e-6
     )
 
 
-def test_urban_panoramas_are_the_middle_rows_of_full_ones() -> None:
-    torch.testing.assert_close(panorama_directions(16, 64), panorama_directions(32, 64)[8:24])
+def test_rows_near_the_horizon_are_the_middle_rows_of_the_whole_sphere() -> None:
+    part, whole = square(16, 64), Equirectangular(32, 64)
+    torch.testing.assert_close(part.directions, whole.directions[8:24])
+    torch.testing.assert_close(part.solid_angles, whole.solid_angles[8:24])
+    rows = torch.arange(32)[:, None].expand(32, 64)
+    assert torch.equal(part.rows_of(rows), rows[8:24])
+    assert torch.equal(part.rows_of(rows[8:24]), rows[8:24])
+    assert part.max_latitude == math.pi / 4
+    assert not part.whole_sphere
+    assert part.solid_angles.sum().item() == pytest.approx(4 * math.pi * math.sin(math.pi / 4))
+
+
+def test_latitudes_decide_what_is_inside() -> None:
+    latitude = torch.deg2rad(torch.tensor([-90.0, -45.1, -44.9, 0.0, 44.9, 45.1, 90.0]))
+    directions = torch.stack((torch.zeros(7), -latitude.sin(), latitude.cos()), -1)
+    assert square(160, 640).contains(directions).tolist() == [False, False, True, True, True, False, False]
+    assert Equirectangular(8, 16).contains(directions).all()
+    assert Equirectangular(10, 16, max_latitude=0.1).contains(directions).tolist() == [
+        i == 3 for i in range(7)
+    ]
+
+
+@pytest.mark.parametrize("grid", [square(4, 16, DOUBLE), square(8, 16, DOUBLE)], ids=repr)
+def test_values_are_linear_between_centres_and_continue_around(grid: Equirectangular) -> None:
+    values = torch.randn(2, 3, *grid.shape, generator=torch.Generator().manual_seed(0), dtype=DOUBLE)
+    centres = grid.sample(values, grid.directions.flatten(0, 1))
+    torch.testing.assert_close(centres.unflatten(-1, grid.shape), values, rtol=0, atol=1e-12)
+    behind = torch.tensor([[0.0, 0.0, -1.0]], dtype=DOUBLE)  # between the last column and the first, two rows
+    middle = values[..., grid.height // 2 - 1 : grid.height // 2 + 1, :]
+    expected = middle[..., [0, -1]].mean((-2, -1))
+    torch.testing.assert_close(grid.sample(values, behind)[..., 0], expected)
+
+
+def test_the_outermost_rows_are_repeated_beyond_the_latitudes() -> None:
+    """What is on the other side of the sphere has no part in the half pixel up to the edge, nor beyond it."""
+    grid = square(4, 16, DOUBLE)
+    values = torch.rand(1, 4, 16, dtype=DOUBLE)
+    latitude = torch.tensor([44.9, 60.0], dtype=DOUBLE).deg2rad()
+    longitude = torch.atan2(grid.directions[0, 3, 0], grid.directions[0, 3, 2])
+    level = latitude.cos()
+    above = torch.stack((level * longitude.sin(), -latitude.sin(), level * longitude.cos()), -1)
+    torch.testing.assert_close(grid.sample(values, above)[0], values[0, 0, 3].expand(2))
+
+
+def test_resampling_tells_what_a_part_of_the_sphere_does_not_show() -> None:
+    part, whole, cube = square(16, 64, DOUBLE), Equirectangular(32, 64, DOUBLE), Cubemap(8, DOUBLE)
+    values = torch.rand(2, 32, 64, dtype=DOUBLE)
+    for mode in ("bilinear", "nearest", "area"):
+        valid = resample_mask(part, cube, mode=mode)
+        inside = part.contains(cube.directions)
+        assert valid[inside].all()
+        assert torch.equal(valid, inside) or mode == "area"  # the mean over what is seen of a cell
+        assert 0.5 < valid.double().mean() < 1
+        found = resample(part.rows_of(values), part, cube, mode=mode, fill=-1.0)
+        assert (found[:, ~valid] == -1).all()
+        inner = cube.directions[..., 1].abs() < 0.5
+        expected = resample(values, whole, cube, mode=mode)
+        torch.testing.assert_close(found[:, inner], expected[:, inner], rtol=0, atol=1e-12)
+    assert resample_mask(whole, part).all()
+    onto = resample(values, whole, part)
+    torch.testing.assert_close(onto, part.rows_of(values), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("height", [32, 16])
 def test_pixel_centres_find_themselves(height: int) -> None:
-    ids, valid = nearest_pixels(panorama_directions(height, 64, torch.float64), height, 64)
-    assert torch.equal(ids.flatten(), torch.arange(height * 64))
-    assert valid.all()
+    grid = square(height, 64, DOUBLE)
+    assert torch.equal(grid.nearest(grid.directions).flatten(), torch.arange(height * 64))
+    assert grid.contains(grid.directions).all()
 
 
-def test_nearest_in_angle_by_brute_force(generator: torch.Generator) -> None:
-    """Away from the poles the nearest pixel on the grid is within half a step in longitude and latitude."""
-    directions = torch.nn.functional.normalize(
-        torch.randn(500, 3, generator=generator, dtype=torch.float64), dim=-1
-    )
-    pixels = panorama_directions(32, 64, torch.float64)
-    ids, _ = nearest_pixels(directions, 32, 64)
-    longitudes = torch.atan2(pixels[0, :, 0], pixels[0, :, 2])
-    latitudes = torch.asin(-pixels[:, 0, 1])
+def test_nearest_in_longitude_and_latitude_by_brute_force(generator: torch.Generator) -> None:
+    directions = torch.nn.functional.normalize(torch.randn(500, 3, generator=generator, dtype=DOUBLE), dim=-1)
+    grid = Equirectangular(32, 64, DOUBLE)
+    longitudes = torch.atan2(grid.directions[0, :, 0], grid.directions[0, :, 2])
+    latitudes = torch.asin(-grid.directions[:, 0, 1])
     around = (torch.atan2(directions[:, 0], directions[:, 2])[:, None] - longitudes).abs()
     column = torch.minimum(around, 2 * math.pi - around).argmin(-1)
     row = (torch.asin(-directions[:, 1])[:, None] - latitudes).abs().argmin(-1)
-    assert torch.equal(ids, row * 64 + column)
+    assert torch.equal(grid.nearest(directions), row * 64 + column)
 
 
-def test_directions_beyond_45_degrees_are_outside_of_urban_panoramas() -> None:
-    latitude = torch.tensor([44.9, 45.1, -44.9, -45.1]) * math.pi / 180
-    directions = torch.stack((torch.zeros(4), -latitude.sin(), latitude.cos()), dim=-1)
-    assert nearest_pixels(directions, 160, 640).valid.tolist() == [True, False, True, False]
-    assert nearest_pixels(directions, 320, 640).valid.all()
-
-
-def test_other_proportions_are_refused() -> None:
-    with pytest.raises(ShapeError, match=r"height 3, width 7"):
-        latitude_limit(3, 7)
+def test_midway_between_columns_the_even_one_is_taken() -> None:
+    """Whatever the last bit of a direction says: whole meridians of an icosphere lie there."""
+    grid = Equirectangular(4, 8)
+    longitude = torch.arange(-4, 5, dtype=DOUBLE) * (math.pi / 4)
+    for error in (-1e-9, 0.0, 1e-9):
+        turned = longitude.clamp(-math.pi + 1e-8, math.pi - 1e-8) + error
+        directions = torch.stack((turned.sin(), torch.full_like(turned, -0.3), turned.cos()), -1)
+        assert (grid.nearest(directions) % 8).tolist() == [0, 0, 2, 2, 4, 4, 6, 6, 7]
 
 
 def test_same_samples_as_the_published_implementation(golden: Path) -> None:
     numbers = np.load(golden / "image_io.npz")
     panorama = cv2.resize(numbers["idepth_lowres"], (640, 320), interpolation=cv2.INTER_LINEAR)
-    grid = Icosphere(2, torch.float64)
-    ids, _ = nearest_pixels(grid.vertices, 320, 640)
+    grid = Icosphere(2, DOUBLE)
+    ids = Equirectangular(320, 640).nearest(grid.vertices)
     expected = numbers["ico_idepth"][grid.subdivision_order.numpy()]
     # At a pole every column is nearest; there the published choice is a matter of rounding.
     np.testing.assert_allclose(panorama.flatten()[ids][1:-1], expected[1:-1], atol=1e-12)
+
+
+def test_wrong_sizes_are_named() -> None:
+    with pytest.raises(ArgumentError, match="at most half the width"):
+        square(5, 8)
+    with pytest.raises(ArgumentError, match="max_latitude: expected radians"):
+        Equirectangular(4, 8, max_latitude=45.0)
+    with pytest.raises(ShapeError, match=r"\(2, 8\) or \(4, 8\) for the whole sphere, got \(3, 8\)"):
+        square(2, 8).rows_of(torch.zeros(3, 8))
+    with pytest.raises(ShapeError, match=r"values: expected shape \(\*b, c, 2, 8\)"):
+        square(2, 8).sample(torch.zeros(1, 8, 2), torch.ones(1, 3))
+    with pytest.raises(ShapeError, match=r"height 3, width 7"):
+        check_panorama_size(3, 7)

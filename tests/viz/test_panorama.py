@@ -14,9 +14,9 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera
 from sphericalvision.core import ShapeError
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz import (
     depth_to_color,
     error_to_color,
@@ -66,11 +66,13 @@ def test_a_linear_function_stays_nearly_linear_on_the_way_to_a_panorama() -> Non
     panorama = icosphere_to_panorama(values, height=64)
     assert panorama.shape == (3, 64, 128)
     assert panorama.dtype == values.dtype
-    torch.testing.assert_close(panorama, panorama_directions(64, 128).movedim(-1, 0), rtol=0, atol=1e-3)
+    torch.testing.assert_close(
+        panorama, Equirectangular(64, 128).directions.movedim(-1, 0), rtol=0, atol=1e-3
+    )
 
 
 def test_at_the_right_depth_all_cameras_agree_on_the_colours(rig: CameraRig) -> None:
-    directions = panorama_directions(64, 128)
+    directions = Equirectangular(64, 128).directions
     depth = box_depth(torch.zeros(3), directions)
     expected = wall_color(depth[..., None] * directions).movedim(-1, 0)
     colors, seen = rgb_panorama(rig, paint(rig), 64, depth)
@@ -83,15 +85,14 @@ def test_at_the_right_depth_all_cameras_agree_on_the_colours(rig: CameraRig) -> 
 def test_what_no_camera_sees_is_black_and_marked(rig: CameraRig) -> None:
     front = CameraRig({"cam1": rig.cameras["cam1"]}, rig.world_from_camera[:1])
     colors, seen = rgb_panorama(front, {"cam1": paint(rig)["cam1"]}, 32)
-    angle = torch.atan2(
-        panorama_directions(32, 64)[..., :2].norm(dim=-1), panorama_directions(32, 64)[..., 2]
-    )
+    directions = Equirectangular(32, 64).directions
+    angle = torch.atan2(directions[..., :2].norm(dim=-1), directions[..., 2])
     assert torch.equal(seen, angle <= math.radians(110))
     assert (colors[:, ~seen] == 0).all()
 
 
 def test_pictures_on_disk_hold_the_colours(tmp_path: Path) -> None:
-    depth = box_depth(torch.zeros(3), panorama_directions(320, 640))
+    depth = box_depth(torch.zeros(3), Equirectangular(320, 640).directions)
     for path, colors in (
         (save_depth_panorama(tmp_path / "depth.png", depth, 0.55), depth_to_color(depth, 0.55)),
         (

@@ -12,14 +12,14 @@ import torch
 import trimesh
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data.omnistereo.panorama_grid import panorama_directions
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz import panorama_point_cloud, save_point_cloud
 
 
 @pytest.mark.parametrize("height", [16, 8])
 def test_points_of_a_box_room_lie_on_its_walls(height: int) -> None:
     half = torch.tensor([2.0, 1.2, 4.0])
-    directions = panorama_directions(height, 32)
+    directions = Equirectangular.with_square_pixels(height, 32).directions
     depth = (half / directions.abs()).amin(-1)
     points, colors = panorama_point_cloud(depth)
     torch.testing.assert_close((points.abs() / half).amax(-1), torch.ones(height * 32))

@@ -14,8 +14,9 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.sphere_images import sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data.fast_lookup import FastLookup
-from sphericalvision.data.omnistereo.panorama_grid import nearest_pixels
+from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Equirectangular
 
 __all__ = ["Compose", "RandomShift", "ShuffleCameras", "ToSphere"]
 
@@ -79,6 +80,7 @@ class ToSphere:
         self.antialias = antialias
         self._directions = Icosphere(level).vertices
         self._depth_directions = Icosphere(self.depth_level, torch.float64).vertices
+        self._panorama: Equirectangular | None = None
         self._rig: CameraRig | None = None
         self._lookups: list[FastLookup] = []
 
@@ -122,7 +124,11 @@ class ToSphere:
                 f"inverse_depth, valid: expected (H, W) both, got {tuple(inverse_depth.shape)} and "
                 f"{tuple(valid.shape)}"
             )
-        ids, inside = nearest_pixels(self._depth_directions.to(inverse_depth.device), *inverse_depth.shape)
+        if self._panorama is None or self._panorama.shape != inverse_depth.shape:
+            check_panorama_size(*inverse_depth.shape)
+            self._panorama = Equirectangular.with_square_pixels(*inverse_depth.shape)
+        directions = self._depth_directions.to(inverse_depth.device)
+        ids, inside = self._panorama.nearest(directions), self._panorama.contains(directions)
         known = inside & valid.flatten()[ids]
         return torch.where(known, inverse_depth.flatten()[ids], 0.0), known
 

@@ -17,12 +17,12 @@ import numpy as np
 import torch
 
 from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
-from sphericalvision.data.omnistereo.panorama_grid import latitude_limit
 from sphericalvision.io.images import read_pages, write_pages
 
 __all__ = [
     "PNG_SCALE",
     "GroundTruth",
+    "check_panorama_size",
     "inverse_depth_from_png",
     "png_from_inverse_depth",
     "read_ground_truth",
@@ -38,6 +38,22 @@ class GroundTruth(NamedTuple):
 
     inverse_depth: torch.Tensor
     valid: torch.Tensor
+
+
+def check_panorama_size(height: int, width: int) -> None:
+    """Raise ``ShapeError`` unless a panorama has width = 2 · height, or 4 · height as in the urban sets.
+
+    Pixels are square and columns go once around, so the former shows the whole sphere and the latter latitudes within
+    45°: ``Equirectangular.with_square_pixels``.
+
+    Examples:
+        >>> check_panorama_size(160, 640)
+    """
+    if height < 1 or width not in (2 * height, 4 * height):
+        raise ShapeError(
+            f"panorama: expected width = 2 x height (full sphere) or 4 x height (latitudes within "
+            f"45 degrees), got height {height}, width {width}"
+        )
 
 
 def inverse_depth_from_png(values: torch.Tensor, min_depth: float) -> torch.Tensor:
@@ -84,7 +100,7 @@ def read_ground_truth(path: str | Path, min_depth: float) -> GroundTruth:
             f"another program: take the original file."
         )
     try:
-        latitude_limit(*page.shape)
+        check_panorama_size(*page.shape)
     except ShapeError as error:
         raise FileFormatError(f"{path}: {error}") from None
     if page.dtype == np.uint16:
@@ -104,13 +120,13 @@ def write_ground_truth(
     points nearer than ``min_depth`` are clipped there with a warning.
 
     Raises:
-        ShapeError: no panorama (see ``latitude_limit``).
+        ShapeError: no panorama (see ``check_panorama_size``).
         ArgumentError: another suffix, or unknown depth somewhere while the encoding is PNG.
     """
     path = Path(path)
     if inverse_depth.ndim != 2:
         raise ShapeError(f"inverse_depth: expected (H, W), got {tuple(inverse_depth.shape)}")
-    latitude_limit(*inverse_depth.shape)
+    check_panorama_size(*inverse_depth.shape)
     values = inverse_depth.detach().to("cpu", torch.float32)
     known = values.isfinite() & (values >= 0)
     if valid is not None:

@@ -12,14 +12,15 @@ __all__ = ["SphereGrid"]
 
 @runtime_checkable
 class SphereGrid(Protocol):
-    """A grid of directions that covers the sphere, with values interpolated between them.
+    """A grid of directions that covers the sphere or a part of it, with values interpolated between them.
 
     ``Equirectangular``, ``Cubemap``, ``Healpix``, ``Icosphere`` and ``TangentImages`` are such grids; a class with
     these members is one too, without inheriting.
 
     ``resample`` uses more of a grid that has it: ``image`` and ``image_pixels`` (values as an image in which to
     interpolate) or ``locate`` (ids and weights) to make tables once, ``cell_samples`` to average over cells, and
-    ``cell_widths`` where solid angles do not tell how dense the values are.
+    ``cell_widths`` where solid angles do not tell how dense the values are. A grid that does not cover the sphere says
+    where it has values: ``contains(directions)``.
 
     Examples:
         >>> from sphericalvision.icosphere import Icosphere
@@ -37,7 +38,7 @@ class SphereGrid(Protocol):
 
     @property
     def solid_angles(self) -> Tensor:
-        """Solid angles ``(*shape)`` in steradians, which sum to 4π."""
+        """Solid angles ``(*shape)`` in steradians, which sum to 4π where the grid covers the sphere."""
 
     def sample(self, values: Tensor, directions: Tensor) -> Tensor:
         """Interpolate ``(*b, c, *shape)`` at ``(*b, n, 3)`` or ``(n, 3)``, giving ``(*b, c, n)``."""

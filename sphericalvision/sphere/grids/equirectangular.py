@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The equirectangular grid: rows of equal latitude, columns of equal longitude."""
+"""The equirectangular grid: rows of equal latitude, columns of equal longitude, up to the poles or less far."""
 
 from __future__ import annotations
 
@@ -8,55 +8,37 @@ import math
 import torch
 from torch import Tensor, nn
 
-from sphericalvision.core import check_last_dim
+from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import (
     bilinear_sample,
     directions_from_longitude_latitude,
     longitude_latitude_from_directions,
+    wrap_panorama,
 )
 from sphericalvision.sphere.grids.values import check_positive, check_values
 
-__all__ = ["Equirectangular", "wrap_panorama"]
-
-
-def wrap_panorama(image: Tensor, poles: bool = True) -> Tensor:
-    """A panorama ``(*, h, w)`` with one more column on either side and one more row above and below.
-
-    Args:
-        image: equirectangular, all around.
-        poles: whether it reaches up to the poles; then beyond a pole stands its row as seen from behind, else the
-            row is repeated.
-
-    Examples:
-        >>> wrap_panorama(torch.tensor([[1, 2, 3, 4]]).float())[0]
-        tensor([2., 3., 4., 1., 2., 3.])
-    """
-    width = image.shape[-1]
-
-    def beyond(row: Tensor) -> Tensor:  # an odd width has no pixel exactly behind, hence the mean of its two
-        return (row.roll(width // 2, -1) + row.roll((width + 1) // 2, -1)) / 2 if poles else row
-
-    image = torch.cat((beyond(image[..., :1, :]), image, beyond(image[..., -1:, :])), -2)
-    return torch.cat((image[..., -1:], image, image[..., :1]), -1)
+__all__ = ["Equirectangular"]
 
 
 class Equirectangular(nn.Module):
-    """A full panorama of ``height`` rows and ``width`` columns as a grid of directions.
+    """A panorama of ``height`` rows and ``width`` columns as a grid of directions.
 
     Convention:
-        Forward (+z) is the middle of the picture, longitude grows to the right (+x), latitude is +π/2 (up,
-        -y) above the top row. Pixel centre i of width W has longitude (i + 0.5)·2π/W - π, and row j of
-        height H latitude π/2 - (j + 0.5)·π/H. Interpolation continues across the left and right edges and
-        over the poles.
+        Forward (+z) is the middle of the picture, longitude grows to the right (+x), latitude is ``max_latitude``
+        at the upper edge of the top row: +π/2 (up, -y), or less for a panorama without the poles. Pixel centre i of
+        width W has longitude (i + 0.5)·2π/W - π, and row j of height H latitude L - (j + 0.5)·2L/H with
+        L = ``max_latitude``. Interpolation continues across the left and right edges and over the poles; beyond the
+        latitudes of a panorama without them its outermost rows are repeated, see ``contains``.
 
     Args:
-        height: number of rows, over 180° of latitude.
+        height: number of rows, from ``max_latitude`` to ``-max_latitude``.
         width: number of columns, over 360° of longitude.
         dtype: of the directions; the default dtype of torch when not given.
         device: of all tables.
+        max_latitude: in radians, of the upper edge; π/2, the whole sphere, if not given.
 
     Raises:
-        ArgumentError: if a size is not a positive integer.
+        ArgumentError: if a size is not a positive integer, or the latitude is not in (0, π/2].
 
     Examples:
         >>> grid = Equirectangular(3, 5)
@@ -64,6 +46,9 @@ class Equirectangular(nn.Module):
         Equirectangular(height=3, width=5)
         >>> grid.directions[1, 2]  # the middle of the picture looks forward
         tensor([0., -0., 1.])
+        >>> horizon = Equirectangular(160, 640, max_latitude=math.pi / 4)
+        >>> round(horizon.solid_angles.sum().item() / (4 * math.pi), 3)  # of the sphere
+        0.707
     """
 
     directions: Tensor
@@ -74,15 +59,43 @@ class Equirectangular(nn.Module):
         width: int,
         dtype: torch.dtype | None = None,
         device: torch.device | str | None = None,
+        max_latitude: float = math.pi / 2,
     ) -> None:
         super().__init__()
         check_positive(height=height, width=width)
-        self.height = height
-        self.width = width
+        if not 0 < max_latitude <= math.pi / 2 + 1e-9:
+            raise ArgumentError(f"max_latitude: expected radians in (0, π/2], got {max_latitude!r}")
+        self.height, self.width = height, width
+        self.max_latitude = min(float(max_latitude), math.pi / 2)
         directions = self.cell_samples(1, torch.float64, device)[0].view(height, width, 3)
         self.register_buffer(
             "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
         )
+
+    @classmethod
+    def with_square_pixels(
+        cls,
+        height: int,
+        width: int,
+        dtype: torch.dtype | None = None,
+        device: torch.device | str | None = None,
+    ) -> Equirectangular:
+        """The rows nearest to the horizon whose pixels are as high as wide: ``max_latitude`` is π · height / width.
+
+        Raises:
+            ArgumentError: if there are rows beyond the poles.
+
+        Examples:
+            >>> Equirectangular.with_square_pixels(160, 640)
+            Equirectangular(height=160, width=640, latitudes within 45.0°)
+        """
+        check_positive(height=height, width=width)
+        if 2 * height > width:
+            raise ArgumentError(
+                f"height, width: expected a height of at most half the width (pixels are square, and columns go "
+                f"once around), got {height} and {width}"
+            )
+        return cls(height, width, dtype, device, math.pi * height / width)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -90,16 +103,22 @@ class Equirectangular(nn.Module):
         return (self.height, self.width)
 
     @property
+    def whole_sphere(self) -> bool:
+        """Whether the panorama reaches up to the poles."""
+        return self.max_latitude > math.pi / 2 - 1e-9
+
+    @property
     def solid_angles(self) -> Tensor:
         """Exact solid angle of each pixel ``(height, width)`` in steradians."""
-        edges = torch.linspace(math.pi / 2, -math.pi / 2, self.height + 1, dtype=torch.float64)
+        top = self.max_latitude
+        edges = torch.linspace(top, -top, self.height + 1, dtype=torch.float64)
         rows = (edges[:-1].sin() - edges[1:].sin()) * (2 * math.pi / self.width)
         return rows.to(self.directions)[:, None].expand(self.shape)
 
     @property
     def cell_widths(self) -> Tensor:
         """Width ``(height, width)`` in radians at the equator: near the poles a row has more pixels than content."""
-        width = math.sqrt(2 * math.pi / self.width * math.pi / self.height)
+        width = math.sqrt(2 * math.pi / self.width * 2 * self.max_latitude / self.height)
         return self.directions.new_full(self.shape, width)
 
     def cell_samples(
@@ -111,7 +130,7 @@ class Equirectangular(nn.Module):
         row = torch.arange(height, dtype=torch.float64, device=device)
         # (2i + 1 - W) / W keeps the middle column of an odd width at longitude zero to the last bit.
         longitude = (2 * column + 1 - width) * (math.pi / width)
-        latitude = (height - 1 - 2 * row) * (math.pi / 2 / height)
+        latitude = (height - 1 - 2 * row) * (self.max_latitude / height)
         directions = directions_from_longitude_latitude(longitude, latitude[:, None])
         directions = directions.view(self.height, samples, self.width, samples, 3).transpose(1, 2)
         shares = latitude.cos().view(-1, 1, samples, 1).expand(-1, self.width, -1, samples)
@@ -131,24 +150,61 @@ class Equirectangular(nn.Module):
         """
         longitude, latitude = longitude_latitude_from_directions(directions)
         u = longitude * (self.width / (2 * math.pi)) + (self.width - 1) / 2
-        v = (self.height - 1) / 2 - latitude * (self.height / math.pi)
+        v = (self.height - 1) / 2 - latitude * (self.height / (2 * self.max_latitude))
         return torch.stack((u, v), -1)
+
+    def contains(self, directions: Tensor) -> Tensor:
+        """Whether directions ``(*, 3)`` are within the panorama's latitudes, its edges included ``(*)``.
+
+        Examples:
+            >>> up_and_forward = torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+            >>> Equirectangular.with_square_pixels(4, 16).contains(up_and_forward)
+            tensor([False,  True])
+        """
+        check_last_dim("directions", directions, 3)
+        if self.whole_sphere:
+            return torch.ones_like(directions[..., 0], dtype=torch.bool)
+        latitude = longitude_latitude_from_directions(directions.double())[1]
+        return latitude.abs() <= self.max_latitude + 4 * torch.finfo(directions.dtype).eps
 
     def nearest(self, directions: Tensor) -> Tensor:
         """Return the index ``(*)``, ``row * width + column``, of the pixel that contains each direction ``(*, 3)``.
+
+        A direction midway between two columns or rows, as whole meridians of an icosphere are, goes to the even one.
 
         Examples:
             >>> Equirectangular(3, 5).nearest(torch.tensor([0.0, 0.0, 1.0]))
             tensor(7)
         """
         check_last_dim("directions", directions, 3)
-        column, row = (self.pixels(directions) + 0.5).floor().long().unbind(-1)
-        return row.clamp(0, self.height - 1) * self.width + column % self.width
+        # Single precision makes ties of what differs from one by rounding only.
+        column, row = self.pixels(directions.detach().double()).float().round().long().unbind(-1)
+        return row.clamp(0, self.height - 1) * self.width + column.clamp(0, self.width - 1)
+
+    def rows_of(self, panorama: Tensor) -> Tensor:
+        """Return this grid's rows ``(*, height, width)`` of a panorama of its own or of the whole sphere.
+
+        Raises:
+            ShapeError: if the panorama's pixels are not those of this grid.
+
+        Examples:
+            >>> grid = Equirectangular.with_square_pixels(2, 8)
+            >>> grid.rows_of(torch.arange(4)[:, None].expand(4, 8))[:, 0]
+            tensor([1, 2])
+        """
+        whole = round(self.height * math.pi / 2 / self.max_latitude)
+        if tuple(panorama.shape[-2:]) not in (self.shape, (whole, self.width)):
+            larger = "" if self.whole_sphere else f" or {(whole, self.width)} for the whole sphere"
+            raise ShapeError(
+                f"panorama: expected height and width {self.shape}{larger}, got {tuple(panorama.shape[-2:])}"
+            )
+        first = (panorama.shape[-2] - self.height) // 2
+        return panorama[..., first : first + self.height, :]
 
     def image(self, values: Tensor) -> Tensor:
         """The panorama with a border ``(*b, c, height + 2, width + 2)``, in which ``image_pixels`` are meant."""
         check_values(values, self.shape)
-        return wrap_panorama(values)
+        return wrap_panorama(values, poles=self.whole_sphere)
 
     def image_pixels(self, directions: Tensor) -> Tensor:
         """Pixels (u, v) ``(*, 2)`` of ``image`` at which bilinear interpolation gives the value of each direction.
@@ -157,7 +213,7 @@ class Equirectangular(nn.Module):
         """
         x, y, z = directions.unbind(-1)
         # At a pole the longitude turns without end, though the picture hardly does: there its derivative is left out.
-        at_pole = torch.hypot(x, z).detach() < (1e-3 * math.pi / self.height) * y.detach().abs()
+        at_pole = torch.hypot(x, z).detach() < (2e-3 * self.max_latitude / self.height) * y.detach().abs()
         x, z = (torch.where(at_pole, side.detach(), side) for side in (x, z))
         u = self.pixels(torch.stack((x, y, z), -1))[..., 0]
         v = self.pixels(directions)[..., 1]
@@ -165,6 +221,8 @@ class Equirectangular(nn.Module):
 
     def sample(self, values: Tensor, directions: Tensor) -> Tensor:
         """Interpolate values bilinearly in longitude and latitude, across the seam and over the poles.
+
+        Beyond the latitudes of a panorama without poles its outermost rows are repeated, see ``contains``.
 
         Args:
             values: ``(*b, c, height, width)``, floating point.
@@ -179,4 +237,5 @@ class Equirectangular(nn.Module):
         return bilinear_sample(self.image(values), self.image_pixels(directions))
 
     def extra_repr(self) -> str:
-        return f"height={self.height}, width={self.width}"
+        latitudes = "" if self.whole_sphere else f", latitudes within {math.degrees(self.max_latitude):.1f}°"
+        return f"height={self.height}, width={self.width}{latitudes}"

@@ -12,8 +12,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera, EquirectangularCamera
+from sphericalvision.geometry import wrap_panorama
 from sphericalvision.sphere.grids.base import SphereGrid
-from sphericalvision.sphere.grids.equirectangular import wrap_panorama
 from sphericalvision.sphere.grids.values import sum_of_taps
 
 __all__ = ["IndexLookup", "make_lookup", "nearest_index"]

@@ -161,9 +161,13 @@ def _looks(
         cells.valid is not None and in_view is not None
     ):  # a pixel out of view stays so, though a corner may be in it
         shares = torch.where(cells.valid & in_view, shares, 0.0)
-    if isinstance(source, Camera):
-        shares = torch.where(source.project(directions).valid, shares, 0.0)
-    return _Looks(directions, shares, cells.valid is None and not isinstance(source, Camera))
+    inside = source.project(directions).valid if isinstance(source, Camera) else None
+    if hasattr(source, "contains") and not isinstance(source, Camera):
+        inside = source.contains(directions)
+        inside = None if bool(inside.all()) else inside
+    if inside is not None:
+        shares = torch.where(inside, shares, 0.0)
+    return _Looks(directions, shares, cells.valid is None and inside is None)
 
 
 def _turned(directions: Tensor, rotation: Tensor | None) -> Tensor:

@@ -21,6 +21,7 @@ from sphericalvision.icosphere.hierarchy import (
 from sphericalvision.icosphere.icosphere import Icosphere
 from sphericalvision.icosphere.lines import IcosphereLines, icosphere_lines
 from sphericalvision.icosphere.locate import locate
+from sphericalvision.icosphere.locator import TriangleLocator
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.patches import icosphere_rings, icosphere_within
 from sphericalvision.icosphere.pooling import (
@@ -51,6 +52,7 @@ __all__ = [
     "IcosphereLines",
     "IcospherePool",
     "IcosphereUpsample",
+    "TriangleLocator",
     "chart_vertex_ids",
     "check_level",
     "coarse_vertex_ids",

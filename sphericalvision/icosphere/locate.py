@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.icosphere.descent import barycentric_weights, descend
-from sphericalvision.icosphere.fast.locate_many import locate_many
+from sphericalvision.icosphere.locator import TriangleLocator, fast_wing_open
 from sphericalvision.icosphere.topology import check_level, num_icosphere_vertices
 
 __all__ = ["locate"]
@@ -28,7 +28,7 @@ def locate(directions: Tensor, level: int) -> tuple[Tensor, Tensor]:
     an edge or a vertex get one of the triangles that share it.
 
     Args:
-        directions: ``(*, 3)`` of any length but zero, floating point.
+        directions: ``(*, 3)`` of any length but zero, floating point; half precision is located in float32.
         level: subdivision level of the icosphere.
 
     Returns:
@@ -55,13 +55,33 @@ def locate(directions: Tensor, level: int) -> tuple[Tensor, Tensor]:
             f"directions: expected a floating point tensor, got {directions.dtype}; use .float()"
         )
     check_level(level)
-    flat = directions.reshape(-1, 3)
-    if len(flat) >= 2 * num_icosphere_vertices(level):
-        ids, weights = locate_many(flat, level)
+    flat = directions.reshape(-1, 3).to(torch.promote_types(directions.dtype, torch.float32))
+    # A table of all triangles pays for many directions; fewer of them descend.
+    if len(flat) >= 2 * num_icosphere_vertices(level) and fast_wing_open():
+        ids, weights = _locate_in_chunks(flat, level)
     else:
         unit = F.normalize(flat, dim=-1)
         with torch.no_grad():
             triangles = descend(unit.detach(), level)
             ids = triangles.vertex_ids(level)
         weights = barycentric_weights(unit, triangles.corners)
-    return ids.view(directions.shape), weights.view(directions.shape)
+    return ids.view(directions.shape), weights.view(directions.shape).to(directions.dtype)
+
+
+def _locate_in_chunks(directions: Tensor, level: int) -> tuple[Tensor, Tensor]:
+    """``locate`` for directions ``(M, 3)`` by a ``TriangleLocator``."""
+    locator = TriangleLocator(level, directions.dtype, directions.device)
+    triangles = torch.empty(len(directions), dtype=torch.int32, device=directions.device)
+    weights = torch.empty_like(directions)
+    with torch.no_grad():
+        for start in range(0, len(directions), locator.chunk_size):
+            part = slice(start, start + locator.chunk_size)
+            triangles[part], found = locator.find(
+                torch.stack(directions[part].unbind(1))
+            )  # columns, contiguous
+            for corner, weight in enumerate(found):
+                weights[part, corner] = weight
+    ids = locator.faces.index_select(0, triangles)
+    if directions.requires_grad and torch.is_grad_enabled():
+        weights = locator.weights(directions.T, triangles).T.contiguous()
+    return ids, weights

@@ -71,9 +71,9 @@ def level_from_num_vertices(num_vertices: int) -> int:
         3
     """
     level = max((max(int(num_vertices), 2) - 2) // 10, 1).bit_length() // 2
-    if num_icosphere_vertices(level) != num_vertices:
+    if level > MAX_LEVEL or num_icosphere_vertices(level) != num_vertices:
         raise ShapeError(
-            f"number of vertices: expected 2 + 10 * 4**level (12, 42, 162, 642, 2562, ...), "
+            f"number of vertices: expected 2 + 10 * 4**level (12, 42, 162, 642, 2562, ..., level {MAX_LEVEL} at most), "
             f"got {num_vertices}; values on an icosphere keep their vertices in the last dimension"
         )
     return level

@@ -12,13 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from sphericalvision.icosphere.fast.locate_many import chunk_size
-from sphericalvision.icosphere.fast.triangle_table import (
-    TriangleTable,
-    coefficients,
-    find_triangles,
-    triangle_table,
-)
+from sphericalvision.icosphere import TriangleLocator
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
@@ -89,11 +83,11 @@ def sweep_tables(
     )
     offsets = center[..., None, :] - poses[..., :3, 3]
     axes, limits = axes.detach(), _limits(max_angles.detach())
-    table = triangle_table(feature_level, poses.dtype, poses.device)
+    locator = TriangleLocator(feature_level, poses.dtype, poses.device)
     points, inverse_depths = directions.to(poses), inverse_depths.to(poses)
     batch = poses.shape[:-3]
     rigs = [
-        _tables_of_one_rig(points, inverse_depths, offsets[index], axes[index], limits[index], table)
+        _tables_of_one_rig(points, inverse_depths, offsets[index], axes[index], limits[index], locator)
         for index in product(*map(range, batch))
     ]
     if not batch:
@@ -107,7 +101,7 @@ def _tables_of_one_rig(
     offsets: Tensor,
     axes: Tensor,
     limits: Tensor,
-    table: TriangleTable,
+    locator: TriangleLocator,
 ) -> SweepTables:
     """Tables of directions ``(V, 3)`` and n cameras by offset ``(n, 3)``, axis ``(n, 3)`` and limit ``(n,)``."""
     shape = len(inverse_depths), len(points), len(offsets)
@@ -121,24 +115,24 @@ def _tables_of_one_rig(
     ids = torch.empty(*shape, 3, dtype=torch.long, device=points.device)
     mask = torch.empty(shape, dtype=torch.bool, device=points.device)
     weights, all_found = points.new_zeros(*shape, 3), []
-    corners = F.pad(table.ids, (0, 0, 1, 0))  # the first row is for what is not in view
-    for hypotheses, vertices in _blocks(*shape, chunk_size(points.device)):
+    corners = F.pad(locator.faces, (0, 0, 1, 0))  # the first row is for what is not in view
+    for hypotheses, vertices in _blocks(*shape, locator.chunk_size):
         with torch.no_grad():
             block = hypotheses, vertices
             rays = points[:, None, vertices] + inverse_depths[hypotheses] * offsets[:, None, vertices]
             _in_view(rays, axes[:, vertices], limits[vertices], out=mask[block])
             # Only points in view are located: the weights of others are zero, and no NaN may reach a gradient.
             seen = mask[block].flatten().nonzero()[:, 0]
-            found, shares = find_triangles(rays.flatten(1).index_select(1, seen), table)
+            found, shares = locator.find(rays.flatten(1).index_select(1, seen))
             rows = found.new_zeros(mask[block].numel()).index_copy_(0, seen, found + 1)
             torch.index_select(corners, 0, rows, out=ids[block].view(-1, 3))
-            weights[block].view(-1, 3).index_copy_(0, seen, shares.div_(shares.sum(0)).T)
+            weights[block].view(-1, 3).index_copy_(0, seen, shares.T)
             all_found.append(found)
     if torch.is_grad_enabled() and any(values.requires_grad for values in (points, inverse_depths, offsets)):
         seen = mask.flatten().nonzero()[:, 0]
         rays = (points[:, None] + inverse_depths * offsets[:, None]).flatten(1).index_select(1, seen)
-        shares = coefficients(rays, torch.cat(all_found), table)
-        weights = torch.zeros_like(weights).view(-1, 3).index_copy(0, seen, (shares / shares.sum(0)).T)
+        shares = locator.weights(rays, torch.cat(all_found))
+        weights = torch.zeros_like(weights).view(-1, 3).index_copy(0, seen, shares.T)
     return SweepTables(ids, weights.view(*shape, 3), mask)
 
 

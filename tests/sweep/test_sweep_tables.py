@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 
 import pytest
@@ -79,10 +78,7 @@ def test_blocks_change_nothing(
     """162 vertices of three cameras: by a few vertices, by one hypothesis, by several."""
     rig, sweep = shaken_rig(generator, 3.8), SphereSweep(2, 7, 0.5)
     expected = sweep.tables(rig)
-    module = importlib.import_module(
-        "sphericalvision.sweep.sweep_tables"
-    )  # the package names the function so, too
-    monkeypatch.setattr(module, "chunk_size", lambda device: size)
+    monkeypatch.setattr("sphericalvision.icosphere.locator.chunk_size", lambda device: size)
     for mine, whole in zip(sweep.tables(rig), expected, strict=True):
         assert torch.equal(mine, whole)
 
@@ -100,6 +96,24 @@ def test_weights_are_the_same_with_gradients(generator: torch.Generator) -> None
     assert poses.grad is not None
     assert poses.grad.isfinite().all()
     assert poses.grad[..., :3, 3].abs().min() > 0
+
+
+class TablesOfOneRig(torch.nn.Module):
+    """The tables of a rig that is part of the program, and where they look."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rig, self.sweep = ring_rig(2, field_of_view=3.8), SphereSweep(1, 2, 0.5)
+
+    def forward(self, offset: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        ids, weights, mask = self.sweep.tables(self.rig)
+        return (self.sweep.directions[ids] * weights[..., None]).sum(-2) + offset, mask
+
+
+def test_a_program_with_a_rig_inside_can_be_exported() -> None:
+    module, offset = TablesOfOneRig(), torch.ones(3)
+    program = torch.export.export(module, (offset,))
+    torch.testing.assert_close(program.module()(offset), module(offset), rtol=0, atol=1e-6)
 
 
 def test_nothing_in_view() -> None:

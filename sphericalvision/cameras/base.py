@@ -150,8 +150,15 @@ class Camera(ABC):
             )
         pixels, valid = self.project(points)
         pixels = torch.where(valid.unsqueeze(-1), pixels, 0.0)
-        values = self._interpolate(image, pixels)
+        values = self.interpolate(image, pixels)
         return torch.where(valid.unsqueeze(-2), values, 0.0), valid
+
+    def interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
+        """Values (*b, c, n) of ``image`` (*b, c, h, w) at ``pixels`` (*b, n, 2), bilinear; a panorama's seam is closed.
+
+        The image may have another size than the camera's, for instance that of a feature map; the pixels are its own.
+        """
+        return bilinear_sample(image, pixels)
 
     def pixel_grid(self, dtype: torch.dtype | None = None) -> Tensor:
         """All pixel centres (h, w, 2) as (u, v)."""
@@ -272,9 +279,6 @@ class Camera(ABC):
             image_size=image_size,
         )
         return changed
-
-    def _interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
-        return bilinear_sample(image, pixels)
 
     def _aligned(self, values: Tensor) -> list[Tensor]:
         """Intrinsics shaped to broadcast with ``values`` (*b, *, k), in its dtype and on its device."""

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
-from sphericalvision.geometry import bilinear_sample
+from sphericalvision.core import ArgumentError, ShapeError
 
 __all__ = ["Overlap", "coverage", "overlap", "seen_by"]
 
@@ -51,7 +50,7 @@ def coverage(rig: CameraRig, directions: Tensor, depths: Sequence[float] | Tenso
     far = torch.as_tensor(depths, dtype=directions.dtype, device=directions.device).reshape(-1)
     if not bool((far > 0).all()):
         raise ArgumentError(f"depths: expected metres above 0, got {far.tolist()}")
-    return _count(rig, directions, far.reciprocal()[:, None])
+    return rig.points_seen(directions, far.reciprocal()).sum(-3)
 
 
 def seen_by(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor:
@@ -85,30 +84,7 @@ def seen_by(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor
         raise ArgumentError(
             f"inverse_depth: expected 1/m, 0 or more, got {inverse_depth.min().item():g}; leave unknown points at 0"
         )
-    return _count(rig, directions, inverse_depth.to(directions).unsqueeze(-2)).squeeze(-2)
-
-
-def _count(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor:
-    """Number of cameras (*b, d, V) that see the points at inverse depths (*b, d, V or 1)."""
-    check_last_dim("directions", directions, 3)
-    if directions.ndim != 2:
-        raise ShapeError(
-            f"directions: expected (V, 3), got {tuple(directions.shape)}; flatten the grid first"
-        )
-    poses = rig.world_from_camera.to(directions)
-    # The point is seen along d + (center - position) / depth, which has no infinities at infinite depth.
-    offset = rig.center.to(directions).unsqueeze(-2) - poses[..., :3, 3]
-    counts = torch.zeros((), dtype=torch.long, device=directions.device)
-    for index, (name, camera) in enumerate(rig.cameras.items()):
-        points = directions + offset[..., index, None, None, :] * inverse_depth.unsqueeze(-1)
-        turned = points.flatten(-3, -2) @ poses[..., index, :3, :3]
-        pixels, seen = camera.project(turned)
-        if name in rig.masks:
-            usable = rig.masks[name].to(pixels).unsqueeze(-3)
-            inside = torch.where(seen.unsqueeze(-1), pixels, 0.0)
-            seen = seen & (bilinear_sample(usable, inside).squeeze(-2) > 0.999)
-        counts = counts + seen.unflatten(-1, points.shape[-3:-1]).long()
-    return counts
+    return rig.points_seen(directions, inverse_depth.unsqueeze(-2)).sum(-3).squeeze(-2)
 
 
 def overlap(counts: Tensor, solid_angles: Tensor) -> Overlap:

@@ -15,10 +15,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.base import Camera, Projection
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.cameras.sphere_images import sample_sphere
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import (
     directions_from_longitude_latitude,
     invert_transform,
@@ -250,6 +250,94 @@ class CameraRig:
         poses = torch.stack([rig.world_from_camera for rig in rigs])
         return CameraRig(cameras, poses, _stack_masks(rigs))
 
+    def project(self, points: Tensor) -> Projection:
+        """Pixels ``(*b, n, P, 2)`` of points ``(P, 3)`` of the world, in metres, and which cameras see them.
+
+        Valid ``(*b, n, P)`` means: within the field of view, on the image, and all the pixels around are usable by the
+        mask. What stands in the way is not known. Points of a batch of rigs may be ``(*b, P, 3)``.
+
+        Raises:
+            ShapeError: ``points`` is not (*b, P, 3).
+
+        Examples:
+            >>> pixels, valid = ring_rig(4).project(torch.tensor([[0.0, 0.0, 2.0]]))  # in front of the first camera
+            >>> pixels[0, 0].tolist(), valid[:, 0].tolist()
+            ([399.5, 383.5], [True, True, False, True])
+        """
+        check_last_dim("points", points, 3)
+        if points.ndim < 2:
+            raise ShapeError(f"points: expected (P, 3) or (*b, P, 3), got {tuple(points.shape)}")
+        positions = self.positions.to(points)
+        return self._project_rays([points - positions[..., i, None, :] for i in range(len(self))])
+
+    def project_along(self, directions: Tensor, inverse_depths: Tensor) -> Projection:
+        """Pixels ``(*b, n, N, V, 2)`` of the points at ``inverse_depths`` ``(N,)`` along ``directions`` ``(V, 3)``.
+
+        As ``project`` of ``rig.center + directions / inverse_depths``, but exact out to infinity, where the inverse
+        depth is 0: a camera at c sees the point in the direction d + w · (center − c).
+
+        Args:
+            directions: unit vectors in the world.
+            inverse_depths: 1/m; ``(*b, N, V)`` for inverse depths of each direction's own.
+
+        Raises:
+            ShapeError: the shapes are not as above.
+        """
+        check_last_dim("directions", directions, 3)
+        if directions.ndim != 2:
+            raise ShapeError(
+                f"directions: expected (V, 3), got {tuple(directions.shape)}; flatten the grid first"
+            )
+        near = inverse_depths.to(directions)
+        near = near[:, None] if near.ndim == 1 else near
+        if near.ndim < 2 or near.shape[-1] not in (1, len(directions)):
+            raise ShapeError(
+                f"inverse_depths: expected (N,) or (*b, N, {len(directions)}), got {tuple(inverse_depths.shape)}"
+            )
+        offsets = (self.center.unsqueeze(-2) - self.positions).to(directions)
+        rays = [directions + near.unsqueeze(-1) * offsets[..., i, None, None, :] for i in range(len(self))]
+        pixels, valid = self._project_rays([ray.flatten(-3, -2) for ray in rays])
+        shape = rays[0].shape[-3:-1]
+        return Projection(pixels.unflatten(-2, shape), valid.unflatten(-1, shape))
+
+    def points_seen(self, directions: Tensor, inverse_depths: Tensor) -> Tensor:
+        """Which cameras see the points at ``inverse_depths`` along ``directions``: bool ``(*b, n, N, V)``.
+
+        Fields of view, image borders and masks count; what stands in the way is not known.
+
+        Args:
+            directions: ``(V, 3)`` unit vectors in the world, from the rig's centre.
+            inverse_depths: ``(N,)`` in 1/m, 0 is infinity; ``(*b, N, V)`` for those of each direction's own.
+
+        Raises:
+            ShapeError: the shapes are not as above.
+            ArgumentError: an inverse depth is negative or NaN.
+
+        Examples:
+            >>> seen = ring_rig(4).points_seen(torch.tensor([[0.0, 0.0, 1.0]]), torch.tensor([0.0, 1.0]))
+            >>> seen[..., 0].tolist()  # the cameras that look forward, right, back and left; far away and at 1 m
+            [[True, True], [True, True], [False, False], [True, True]]
+        """
+        if not bool((inverse_depths >= 0).all()):
+            raise ArgumentError(
+                f"inverse_depths: expected 1/m, 0 (infinity) or more, got {inverse_depths.min().item():g}"
+            )
+        return self.project_along(directions, inverse_depths).valid
+
+    def _project_rays(self, rays: Sequence[Tensor]) -> Projection:
+        """Pixels of the rays ``(*b, P, 3)`` from each camera, whose coordinates are turned like the world's."""
+        pixels, valid = [], []
+        for index, (name, camera) in enumerate(self.cameras.items()):
+            world_from_camera = self.world_from_camera[..., index, :3, :3].to(rays[index])
+            found, seen = camera.project(rays[index] @ world_from_camera)
+            if name in self.masks:
+                seen = seen & _is_usable(
+                    camera, self.masks[name], torch.where(seen.unsqueeze(-1), found, 0.0)
+                )
+            pixels.append(found)
+            valid.append(seen)
+        return Projection(torch.stack(pixels, -3), torch.stack(valid, -2))
+
     def sample_sphere(
         self,
         images: Mapping[str, Tensor] | Sequence[Tensor],
@@ -319,6 +407,12 @@ def ring_rig(
     poses = transform_from_axis_angle(torch.stack((zero, longitude, zero), -1), position)
     exact = poses.round(decimals=12) + 0.0  # quarter turns without rounding, and no negative zeros
     return CameraRig([camera] * num_cameras, exact.to(torch.get_default_dtype()))
+
+
+def _is_usable(camera: Camera, mask: Tensor, pixels: Tensor) -> Tensor:
+    """Whether interpolation at pixels (*b, P, 2) takes usable pixels of the mask (*b, h, w) only, (*b, P)."""
+    share = camera.interpolate(mask.to(pixels).unsqueeze(-3), pixels).squeeze(-2)
+    return share > 0.999  # one, but for rounding
 
 
 def _resized_mask(mask: Tensor, image_size: tuple[int, int]) -> Tensor:

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
-from sphericalvision.geometry import bilinear_sample
+from sphericalvision.core import ArgumentError, ShapeError
 
 if TYPE_CHECKING:
     from sphericalvision.cameras.rig import CameraRig
@@ -35,7 +34,7 @@ class SphereLookup(NamedTuple):
 
     def __call__(self, image: Tensor, fill: float = 0.5) -> Tensor:
         """Values ``(*b, c, V)`` of an image ``(*b, c, h, w)``, ``fill`` where nothing is seen."""
-        values = self.camera._interpolate(self.shrunk(image), self.shrunk_pixels())
+        values = self.camera.interpolate(self.shrunk(image), self.shrunk_pixels())
         return torch.where(self.seen.unsqueeze(-2), values, fill)
 
     def shrunk(self, image: Tensor) -> Tensor:
@@ -59,15 +58,13 @@ def sphere_lookups(rig: CameraRig, directions: Tensor, antialias: bool = False) 
         >>> front.pixels, front(torch.ones(3, 64, 64)).shape
         (tensor([[31.5000, 31.5000]]), torch.Size([3, 1]))
     """
-    check_last_dim("directions", directions, 3)
+    seen_from = rig.project_along(
+        directions, directions.new_zeros(1)
+    )  # from its own position: infinitely far away
     lookups = []
-    for index, (name, camera) in enumerate(rig.cameras.items()):
-        world_from_camera = rig.world_from_camera[..., index, :3, :3].to(directions)
-        pixels, seen = camera.project(directions @ world_from_camera)
+    for index, camera in enumerate(rig.cameras.values()):
+        pixels, seen = seen_from.pixels[..., index, 0, :, :], seen_from.valid[..., index, 0, :]
         pixels = torch.where(seen.unsqueeze(-1), pixels, 0.0)
-        if name in rig.masks:
-            usable = rig.masks[name].to(pixels).unsqueeze(-3)
-            seen = seen & (bilinear_sample(usable, pixels).squeeze(-2) > 0.999)
         lookups.append(SphereLookup(camera, pixels, seen, _shrinking(camera, directions) if antialias else 1))
     return lookups
 

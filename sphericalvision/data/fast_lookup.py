@@ -33,7 +33,7 @@ class FastLookup(NamedTuple):
     def of(lookup: SphereLookup) -> FastLookup:
         """Prepare the table of a look-up."""
         pixels = lookup.shrunk_pixels()
-        if type(lookup.camera)._interpolate is not Camera._interpolate or pixels.shape[-2] % PARTS:
+        if type(lookup.camera).interpolate is not Camera.interpolate or pixels.shape[-2] % PARTS:
             return FastLookup(lookup, None)
         height, width = (-(-side // lookup.shrink) for side in lookup.camera.image_size)
         size = pixels.new_tensor([width, height])

@@ -10,7 +10,6 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.geometry import bilinear_sample
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 
@@ -117,22 +116,11 @@ class PanoramaSweep(nn.Module):
                 "bring images and rig to one size with rig.resized"
             )
         (size,) = sizes
-        poses = rig.world_from_camera.to(self.directions.device)
-        offsets = rig.center.to(poses)[..., None, :] - poses[..., :3, 3]
-        shape = (len(self.inverse_depths), *self.grid.shape)
-        grids, masks = [], []
-        for index, (name, camera) in enumerate(rig.cameras.items()):
-            near = self.inverse_depths.to(poses)[:, None] * offsets[..., index, None, :]
-            rays = self.directions.to(poses) + near[..., None, :]  # (*b, D, h * w, 3)
-            local = (rays @ poses[..., None, index, :3, :3]).flatten(-3, -2)
-            pixels, seen = camera.project(local)
-            if name in rig.masks:
-                usable = rig.masks[name].to(pixels).unsqueeze(-3)
-                inside = torch.where(seen.unsqueeze(-1), pixels, 0.0)
-                seen = seen & (bilinear_sample(usable, inside).squeeze(-2) > 0.999)
-            grids.append(self._normalized(pixels, seen, size).unflatten(-2, shape))
-            masks.append(seen.unflatten(-1, shape))
-        return PanoramaTables(torch.stack(grids, -5), torch.stack(masks, -4), size)
+        rig = rig.to(self.directions.device)
+        dtype = rig.world_from_camera.dtype
+        pixels, seen = rig.project_along(self.directions.to(dtype), self.inverse_depths.to(dtype))
+        grid = self._normalized(pixels, seen, size)
+        return PanoramaTables(grid.unflatten(-2, self.grid.shape), seen.unflatten(-1, self.grid.shape), size)
 
     def _normalized(self, pixels: Tensor, seen: Tensor, image_size: tuple[int, int]) -> Tensor:
         """Places (*, 2) on the maps, as grid_sample counts them."""

@@ -152,16 +152,15 @@ def rgb_panorama(
         )
     far = torch.where((far > 0) & (far < _FAR), far, _FAR)
     points = rig.center + far * directions
+    projection = rig.project(points)
     total: Tensor | float = 0.0
     weights = points.new_zeros(len(points))
-    for name, world_from_camera in zip(rig.names, rig.world_from_camera, strict=True):
-        camera, image = rig.cameras[name], images[name].to(device, dtype)
-        local = (points - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
-        colors, seen = camera.sample(image, local)
-        if name in rig.masks:
-            usable, _ = camera.sample(rig.masks[name].to(image)[None], local)
-            seen = seen & (usable[0] > 0.999)
-        forward = (local[:, 2] / local.norm(dim=-1) + 1) / 2
+    for index, (name, camera) in enumerate(rig.cameras.items()):
+        seen = projection.valid[index]
+        pixels = torch.where(seen.unsqueeze(-1), projection.pixels[index], 0.0)
+        colors = camera.interpolate(images[name].to(device, dtype), pixels)
+        ray = points - rig.positions[index]
+        forward = (ray @ rig.axes[index] / ray.norm(dim=-1) + 1) / 2
         weight = seen * forward.clamp(min=1e-3) ** 8
         total = total + weight * torch.where(seen, colors, 0.0)
         weights = weights + weight

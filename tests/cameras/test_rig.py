@@ -189,3 +189,112 @@ def test_to_moves_everything() -> None:
     assert rig.world_from_camera.dtype == torch.float64
     assert rig.cameras["cam1"].dtype == torch.float64
     assert rig.to("cpu").center.dtype == torch.float64
+
+
+def masked_ring(*tilts: float) -> CameraRig:
+    """Three fisheyes, the second with a mask; one rig for each tilt, stacked if there are several."""
+    rig = ring_rig(3, radius=0.3, image_size=(64, 80))
+    mask = torch.ones(64, 80, dtype=torch.bool)
+    mask[:, :30] = mask[45:, :] = False
+    rig = CameraRig(rig.cameras, rig.world_from_camera, {"cam2": mask}).to(torch.float64)
+    return CameraRig.stack([rig.rotated(tilt=tilt) for tilt in tilts]) if len(tilts) > 1 else rig
+
+
+def seen_by_hand(rig: CameraRig, name: str, local: torch.Tensor) -> tuple[torch.Tensor, bool]:
+    """The pixel of a point in a camera's frame, and whether it is seen: on the mask by the four pixels around it."""
+    pixel, seen = rig.cameras[name].project(local)
+    if not seen or name not in rig.masks:
+        return pixel, bool(seen)
+    height, width = rig.cameras[name].image_size
+    u, v = pixel.tolist()
+    rows = {min(max(place, 0), height - 1) for place in (math.floor(v), math.ceil(v))}
+    columns = {min(max(place, 0), width - 1) for place in (math.floor(u), math.ceil(u))}
+    return pixel, all(bool(rig.masks[name][i, j]) for i in rows for j in columns)
+
+
+def test_project_asks_each_camera_for_each_point_by_hand(generator: torch.Generator) -> None:
+    rig = masked_ring()
+    points = torch.randn(150, 3, generator=generator, dtype=torch.float64)
+    pixels, valid = rig.project(points)
+    assert pixels.shape == (3, 150, 2)
+    assert valid.shape == (3, 150)
+    for index, (name, pose) in enumerate(zip(rig.names, rig.world_from_camera, strict=True)):
+        for number, point in enumerate(points):
+            pixel, seen = seen_by_hand(rig, name, pose[:3, :3].T @ (point - pose[:3, 3]))
+            torch.testing.assert_close(pixels[index, number], pixel)
+            assert bool(valid[index, number]) == seen
+    unmasked = CameraRig(rig.cameras, rig.world_from_camera).project(points).valid
+    assert (unmasked & ~valid)[1].sum() > 10, "the mask hides a part of what the second camera sees"
+    assert torch.equal(unmasked[[0, 2]], valid[[0, 2]])
+
+
+def test_points_seen_asks_each_camera_for_each_point_by_hand(generator: torch.Generator) -> None:
+    rig = masked_ring()
+    directions = torch.nn.functional.normalize(
+        torch.randn(60, 3, generator=generator, dtype=torch.float64), dim=-1
+    )
+    inverse_depths = torch.tensor([0.0, 0.5, 2.0], dtype=torch.float64)
+    seen = rig.points_seen(directions, inverse_depths)
+    assert seen.shape == (3, 3, 60)
+    for index, (name, pose) in enumerate(zip(rig.names, rig.world_from_camera, strict=True)):
+        for number, inverse_depth in enumerate(inverse_depths.tolist()):
+            for place, direction in enumerate(directions):
+                ray = (
+                    direction if inverse_depth == 0 else rig.center + direction / inverse_depth - pose[:3, 3]
+                )
+                expected = seen_by_hand(rig, name, pose[:3, :3].T @ ray)[1]
+                assert bool(seen[index, number, place]) == expected, (name, inverse_depth, direction)
+
+
+def test_project_along_is_exact_far_away_and_equals_project_near_by(generator: torch.Generator) -> None:
+    rig = masked_ring()
+    directions = torch.nn.functional.normalize(
+        torch.randn(40, 3, generator=generator, dtype=torch.float64), dim=-1
+    )
+    pixels, valid = rig.project_along(directions, torch.tensor([0.0, 0.8]))
+    torch.testing.assert_close(
+        pixels[:, 1], rig.project(rig.center + directions / 0.8).pixels, rtol=1e-6, atol=1e-6
+    )
+    for index, camera in enumerate(rig.cameras.values()):
+        turned = directions @ rig.world_from_camera[index, :3, :3]
+        assert torch.equal(pixels[index, 0], camera.project(turned).pixels)
+    own = torch.tensor([0.0, 0.8]).double()[:, None].expand(2, 40)
+    assert torch.equal(rig.project_along(directions, own).valid, valid)
+
+
+def test_rigs_of_a_batch_project_as_their_members(generator: torch.Generator) -> None:
+    batch = masked_ring(0.0, 0.4)
+    points = torch.randn(2, 30, 3, generator=generator, dtype=torch.float64)
+    directions = torch.nn.functional.normalize(points[0], dim=-1)
+    together, apart = batch.project(points), batch.project(points[0])
+    seen = batch.points_seen(directions, torch.tensor([0.0, 1.0, 3.0]))
+    assert together.pixels.shape == (2, 3, 30, 2)
+    assert seen.shape == (2, 3, 3, 30)
+    for index in range(2):
+        rig = batch.select(index)
+        torch.testing.assert_close(together.pixels[index], rig.project(points[index]).pixels)
+        assert torch.equal(together.valid[index], rig.project(points[index]).valid)
+        torch.testing.assert_close(apart.pixels[index], rig.project(points[0]).pixels)
+        assert torch.equal(seen[index], rig.points_seen(directions, torch.tensor([0.0, 1.0, 3.0])))
+
+
+def test_gradients_reach_poses_and_points() -> None:
+    poses = masked_ring().world_from_camera.requires_grad_()
+    rig = CameraRig(masked_ring().cameras, poses)
+    points = torch.tensor([[0.3, 0.2, 2.0]], dtype=torch.float64, requires_grad=True)
+    torch.autograd.grad(rig.project(points).pixels.sum(), (poses, points))
+    rig.project_along(points.detach(), torch.ones(1)).pixels.sum().backward()
+    assert poses.grad is not None
+    assert poses.grad[:, :3, 3].abs().sum() > 1
+
+
+def test_wrong_points_are_refused_by_name() -> None:
+    rig = small_ring()
+    with pytest.raises(ValueError, match=r"points: expected \(P, 3\)"):
+        rig.project(FORWARD)
+    with pytest.raises(ValueError, match="flatten the grid"):
+        rig.points_seen(torch.ones(2, 2, 3), torch.zeros(1))
+    with pytest.raises(ValueError, match=r"inverse_depths: expected \(N,\) or \(\*b, N, 1\)"):
+        rig.points_seen(FORWARD[None], torch.zeros(2, 5))
+    with pytest.raises(ValueError, match="inverse_depths: expected 1/m, 0"):
+        rig.points_seen(FORWARD[None], torch.tensor([1.0, -1.0]))

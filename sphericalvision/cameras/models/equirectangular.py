@@ -122,7 +122,8 @@ class EquirectangularCamera(Camera):
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_equirectangular(pixels, self.image_size, self.vertical_field_of_view)
 
-    def _interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
+    def interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
+        """As for any camera, across the seam."""
         if (
             self.vertical_field_of_view < math.pi - 1e-9
         ):  # what lies beyond the outermost rows is not in the image

@@ -97,24 +97,8 @@ def load_network(
         MissingFileError: no such file.
         FileFormatError: the file holds no network of this package.
     """
-    net = _read(checkpoint)
-    changes = {"level": level, "min_depth": min_depth}
-    if level is not None and "level" not in net.hyperparameters:
-        raise ArgumentError(
-            f"level: {checkpoint} is {type(net).__name__}, whose images are not on an icosphere; leave it out"
-        )
-    wanted = {**net.hyperparameters, **{key: value for key, value in changes.items() if value is not None}}
-    if wanted != net.hyperparameters:
-        state = net.state_dict()
-        net = type(net)(**wanted)
-        net.load_state_dict(state)
-    if native and not isinstance(net, IcoSweepNet):
-        raise ArgumentError(
-            f"native: {checkpoint} is {type(net).__name__}, which has no operators in C++; leave it out"
-        )
-    if native:
-        net.native = True
-    return net.eval()
+    net = _read(checkpoint).with_changes(level=level, min_depth=min_depth)
+    return net.configure(native=native).eval()
 
 
 def initialize(net: IcoSweepNet | OmniMVS, weights: str | Path) -> None:

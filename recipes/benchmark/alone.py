@@ -76,7 +76,7 @@ def _run(
             torch.cuda.synchronize()
         return time.perf_counter() - start
     net = IcoSweepNet(level, num_hypotheses, feature_channels=feature_channels).to(place)
-    net.recompute, net.native = way == WAYS[2], way == WAYS[3]
+    net.configure(recompute=way == WAYS[2], native=way == WAYS[3])
     run = PlainNetwork(net) if way == WAYS[0] else net
     images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=place) - 1
     tables = net.sweep.tables(rig)

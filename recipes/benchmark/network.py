@@ -219,11 +219,11 @@ def _native(net: IcoSweepNet, run: Run, options: list[str]) -> dict[str, Run]:
     """What a network does, with its operators in C++, if that is among the options."""
 
     def with_operators() -> Any:
-        net.native = True
+        net.configure(native=True)
         try:
             return run()
         finally:
-            net.native = False
+            net.configure(native=False)
 
     return {WAYS[3]: _inference(with_operators)} if "native" in options else {}
 
@@ -238,7 +238,7 @@ def _step(
     """Forward and backward pass in training mode."""
     net.train()
     if isinstance(net, IcoSweepNet):
-        net.recompute = recompute
+        net.configure(recompute=recompute)
     with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
         index = net(images, tables)
     index.sum().backward()

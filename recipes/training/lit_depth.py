@@ -75,7 +75,7 @@ class DepthModule(IndexModule):
             feature_coarsening=feature_coarsening,
             volume_channels=volume_channels,
         )
-        net.recompute = recompute
+        net.configure(recompute=recompute)
         super().__init__(net, schedule, schedule_steps)
         self.save_hyperparameters()
 

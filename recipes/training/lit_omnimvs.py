@@ -81,7 +81,7 @@ class OmniMVSModule(IndexModule):
             circular,
             num_scales,
         )
-        net.recompute = recompute
+        net.configure(recompute=recompute)
         super().__init__(net, schedule, schedule_steps)
         self.save_hyperparameters()
 

@@ -2,6 +2,7 @@
 """Networks, composed of the rooms below, and their weights."""
 
 from sphericalvision.models.aggregation import concatenate_cameras, mean_and_variance
+from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
 from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.icosweepnet import IcoSweepNet
@@ -21,6 +22,7 @@ __all__ = [
     "CLASSIFIER_NETWORKS",
     "CostHourglass",
     "CostRegularizer",
+    "DepthNetwork",
     "FeatureExtractor",
     "FisheyeFeatures",
     "IcoSweepNet",

@@ -5,30 +5,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.crown import native_operators
-from sphericalvision.icosphere import coarse_vertex_ids, num_icosphere_vertices
+from sphericalvision.icosphere import Icosphere, check_level, coarse_vertex_ids, num_icosphere_vertices
 from sphericalvision.models.aggregation import (
     aggregated_channels,
     concatenate_cameras,
     mean_and_variance,
 )
+from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.recompute import recomputed
 from sphericalvision.models.regularization import CostRegularizer
 from sphericalvision.sweep import (
-    DepthIndex,
+    DepthEstimate,
     SphereSweep,
     SweepTables,
     SweepVolume,
-    depth_from_index,
-    soft_argmax,
-    soft_argmax_confidence,
+    depth_estimate,
 )
 
 if TYPE_CHECKING:
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 __all__ = ["IcoSweepNet"]
 
 
-class IcoSweepNet(nn.Module):
+class IcoSweepNet(DepthNetwork):
     """Depth all around from the images of any rig, projected onto icospheres.
 
     The weights depend neither on the level nor on the number of hypotheses or the rig: all three may be
@@ -88,25 +86,25 @@ class IcoSweepNet(nn.Module):
         feature_coarsening: int = 2,
         volume_channels: int | None = None,
     ) -> None:
-        super().__init__()
-        if not isinstance(level, int) or level < 2:
+        super().__init__(num_hypotheses, min_depth, num_cameras, any_cameras=aggregation == "variance")
+        if check_level(level) < 2:
             raise ArgumentError(
                 f"level: expected 2 or more (the result is two levels coarser), got {level!r}"
             )
         volume_channels = feature_channels if volume_channels is None else volume_channels
-        if min(num_cameras, feature_channels, volume_channels) < 1:
+        if min(feature_channels, volume_channels) < 1:
             raise ArgumentError(
-                "num_cameras, feature_channels, volume_channels: expected positive numbers, "
-                f"got {num_cameras!r}, {feature_channels!r} and {volume_channels!r}"
+                "feature_channels, volume_channels: expected positive numbers, "
+                f"got {feature_channels!r} and {volume_channels!r}"
             )
         self.level = level
         self.feature_channels = feature_channels
-        self.num_cameras = num_cameras
         self.shuffle_cameras = shuffle_cameras
         self.norm = norm
         self.aggregation = aggregation
         self.feature_coarsening = feature_coarsening
         self.volume_channels = volume_channels
+        self.grid = Icosphere(level - 2)
         self.features = FeatureExtractor(feature_channels, norm=norm, coarsening=feature_coarsening)
         self.sweep = SphereSweep(level - 2, num_hypotheses, min_depth, level - feature_coarsening)
         self.regularizer = CostRegularizer(
@@ -116,71 +114,16 @@ class IcoSweepNet(nn.Module):
             None if aggregation == "concatenation" else 2 * volume_channels,
         )
 
-    @property
-    def recompute(self) -> bool:
-        """Whether training saves memory by computing the inside of blocks twice: the same results, a third more work.
-
-        May be set at any time.
-        """
-        return self.regularizer.recompute
-
-    @recompute.setter
-    def recompute(self, value: bool) -> None:
-        self.regularizer.recompute = value
-
-    @property
-    def native(self) -> bool:
-        """Whether wide 3D convolutions in single precision on a CPU use operators in C++: the same results, faster.
-
-        They do so in inference and in the forward pass of training. May be set at any time. The operators are compiled
-        when they are first used on a machine.
-
-        Raises:
-            MissingCompilerError: when set, if they could not be compiled.
-        """
-        return self.regularizer.native
-
-    @native.setter
-    def native(self, value: bool) -> None:
-        if value:
-            native_operators()
-        self.regularizer.native = value
-
-    @property
-    def any_cameras(self) -> bool:
-        """Whether rigs of any number of cameras are taken, in any order, with the same weights."""
-        return self.aggregation == "variance"
-
-    @property
-    def num_hypotheses(self) -> int:
-        """N, the number of hypotheses."""
-        return self.sweep.num_hypotheses
-
-    @property
-    def min_depth(self) -> float:
-        """The smallest depth in metres."""
-        return self.sweep.min_depth
-
-    @property
-    def hyperparameters(self) -> dict[str, Any]:
-        """Plain scalars that rebuild this network: ``IcoSweepNet(**net.hyperparameters)``."""
-        return {
-            "level": self.level,
-            "num_hypotheses": self.num_hypotheses,
-            "min_depth": self.min_depth,
-            "feature_channels": self.feature_channels,
-            "num_cameras": self.num_cameras,
-            "shuffle_cameras": self.shuffle_cameras,
-            "norm": self.norm,
-            "aggregation": self.aggregation,
-            "feature_coarsening": self.feature_coarsening,
-            "volume_channels": self.volume_channels,
-        }
+    def tables(self, rig: CameraRig) -> SweepTables:
+        """Return where each camera sees every point of the sweep, to be passed in place of the rig."""
+        return self.sweep.tables(rig)
 
     def forward(
         self,
         images: Tensor,
         rig: CameraRig | SweepTables,
+        seen: Tensor | None = None,
+        *,
         camera_order: Sequence[int] | None = None,
         generator: torch.Generator | None = None,
     ) -> Tensor:
@@ -188,7 +131,8 @@ class IcoSweepNet(nn.Module):
 
         Args:
             images: ``(B, n, 3, V_level)``.
-            rig: of all samples or, with batched poses, a rig a sample; or the ``sweep.tables`` of either.
+            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
+            seen: ``([B,] n, V_level)``, True where the images show something.
             camera_order: order in which the cameras are concatenated; when not given, that of the rig, or in
                 training mode with ``shuffle_cameras`` a random one.
             generator: of the random order; the global generator of torch when not given.
@@ -196,25 +140,36 @@ class IcoSweepNet(nn.Module):
         Raises:
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
-        return soft_argmax(self.logits(images, rig, camera_order, generator))
+        return self._estimate(images, rig, seen, camera_order, generator).index
 
-    def predict(self, images: Tensor, rig: CameraRig | SweepTables) -> DepthIndex:
-        """Return the hypothesis index and the confidence in it; arguments as for ``forward``."""
-        logits = self.logits(images, rig)
-        return DepthIndex(soft_argmax(logits), soft_argmax_confidence(logits))
+    def predict(
+        self, images: Tensor, rig: CameraRig | SweepTables, seen: Tensor | None = None
+    ) -> DepthEstimate:
+        """Return index, confidence and whether two cameras saw it, each ``(B, V_{level-2})``; as for ``forward``."""
+        return self._estimate(images, rig, seen)
 
-    def depth(self, index: Tensor) -> Tensor:
-        """Return depths in metres of hypothesis indices ``(*)``."""
-        return depth_from_index(index, self.num_hypotheses, self.min_depth)
+    def logits(self, images: Tensor, rig: CameraRig | SweepTables, seen: Tensor | None = None) -> Tensor:
+        """Return the score of every hypothesis ``(B, N, V_{level-2})``; arguments as for ``forward``."""
+        return self._logits(images, rig, seen)[0]
 
-    def logits(
+    def _estimate(
         self,
         images: Tensor,
         rig: CameraRig | SweepTables,
+        seen: Tensor | None = None,
         camera_order: Sequence[int] | None = None,
         generator: torch.Generator | None = None,
-    ) -> Tensor:
-        """Return the score of every hypothesis ``(B, N, V_{level-2})``; arguments as for ``forward``."""
+    ) -> DepthEstimate:
+        return depth_estimate(*self._logits(images, rig, seen, camera_order, generator))
+
+    def _logits(
+        self,
+        images: Tensor,
+        rig: CameraRig | SweepTables,
+        seen: Tensor | None = None,
+        camera_order: Sequence[int] | None = None,
+        generator: torch.Generator | None = None,
+    ) -> tuple[Tensor, Tensor]:
         self._check_images(images)
         features = self.extract_features(images)
         tables = rig if isinstance(rig, SweepTables) else self.sweep.tables(rig)
@@ -222,18 +177,21 @@ class IcoSweepNet(nn.Module):
             raise ShapeError(
                 f"rig: expected {images.shape[1]} cameras, as the images have, got {tables.num_cameras}"
             )
+        points_seen = self._seen(images, tables, seen)
         order = self._camera_order(images.shape[1], camera_order, generator)
         if order is not None:
             order = order.to(images.device)
             features, tables = features[:, order], tables.permuted(order)
         # In one expression, so that nothing keeps the cost volume while what follows from it is refined.
-        return self.regularizer.refine(self.regularizer.fuse(self._cost_volume(images, features, tables)))
+        return (
+            self.regularizer.refine(self.regularizer.fuse(self._cost_volume(features, tables, points_seen))),
+            points_seen,
+        )
 
-    def _cost_volume(self, images: Tensor, features: Tensor, tables: SweepTables) -> Tensor:
+    def _cost_volume(self, features: Tensor, tables: SweepTables, seen: Tensor) -> Tensor:
         volume = self.sweep(features, tables)
         if self.aggregation == "concatenation":
             return concatenate_cameras(volume)
-        seen = volume.mask & self._not_blank(images, tables)
         return mean_and_variance(SweepVolume(volume.values, seen))
 
     def extract_features(self, images: Tensor) -> Tensor:
@@ -247,12 +205,13 @@ class IcoSweepNet(nn.Module):
             return torch.stack([run(camera_images) for camera_images in images.unbind(1)], 1)
         return self.features(images.flatten(0, 1)).unflatten(0, images.shape[:2])
 
-    def _not_blank(self, images: Tensor, tables: SweepTables) -> Tensor:
-        """Whether the images are not 0, as where a mask covers them, at the points of the sweep ``(B, n, N, V)``."""
-        seen = (images != 0).any(2, keepdim=True)
+    def _seen(self, images: Tensor, tables: SweepTables, seen: Tensor | None) -> Tensor:
+        """Whether the images show something at the points of the sweep ``(B, n, N, V)``."""
+        usable = ((images != 0).any(2) if seen is None else seen.expand_as(images[:, :, 0]))[:, :, None]
         for finer in range(self.level, self.level - self.feature_coarsening, -1):
-            seen = seen[..., coarse_vertex_ids(finer, images.device)]
-        return self.sweep(seen.to(images), tables).values.squeeze(2) > 0.5
+            usable = usable[..., coarse_vertex_ids(finer, images.device)]
+        volume = self.sweep(usable.to(images), tables)
+        return volume.mask & (volume.values.squeeze(2) > 0.5)
 
     def _camera_order(
         self, num_cameras: int, camera_order: Sequence[int] | None, generator: torch.Generator | None
@@ -277,6 +236,3 @@ class IcoSweepNet(nn.Module):
                 f"images: expected shape (B, {cameras}, 3, {vertices}) for {cameras} cameras "
                 f"on icospheres of level {self.level}, got {tuple(images.shape)}"
             )
-
-    def extra_repr(self) -> str:
-        return ", ".join(f"{name}={value}" for name, value in self.hyperparameters.items())

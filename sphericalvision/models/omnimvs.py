@@ -5,23 +5,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.models.aggregation import aggregated_channels, mean_and_variance
+from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.omnimvs_layers import SphereConv
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
 from sphericalvision.models.recompute import recomputed
 from sphericalvision.sweep import (
-    DepthIndex,
+    DepthEstimate,
     PanoramaSweep,
     PanoramaTables,
     SweepVolume,
-    depth_from_index,
     soft_argmax,
     soft_argmax_confidence,
 )
@@ -36,7 +36,7 @@ LUMINANCE = (0.299, 0.587, 0.114)
 """Shares of red, green and blue in grey (Rec. 601)."""
 
 
-class OmniMVS(nn.Module):
+class OmniMVS(DepthNetwork):
     """Depth on a panorama from the images of any rig of fisheye cameras.
 
     The rig is given at each call. The weights depend neither on it nor on the size of the images, the panorama or the
@@ -81,6 +81,9 @@ class OmniMVS(nn.Module):
         torch.Size([1, 8, 16])
     """
 
+    images = "camera"
+    grid: Equirectangular
+
     def __init__(
         self,
         num_hypotheses: int = 192,
@@ -94,11 +97,11 @@ class OmniMVS(nn.Module):
         circular: bool = False,
         num_scales: int = 4,
     ) -> None:
-        super().__init__()
-        if min(num_cameras, feature_channels, num_scales) < 1:
+        super().__init__(num_hypotheses, min_depth, num_cameras, any_cameras=aggregation == "variance")
+        if min(feature_channels, num_scales) < 1:
             raise ArgumentError(
-                "num_cameras, feature_channels, num_scales: expected positive numbers, "
-                f"got {num_cameras!r}, {feature_channels!r} and {num_scales!r}"
+                "feature_channels, num_scales: expected positive numbers, "
+                f"got {feature_channels!r} and {num_scales!r}"
             )
         if in_channels not in (1, 3):
             raise ArgumentError(f"in_channels: expected 1 (grey) or 3 (colour), got {in_channels!r}")
@@ -107,12 +110,12 @@ class OmniMVS(nn.Module):
             raise ArgumentError(
                 f"num_hypotheses: expected an even number, as every second sphere is swept, got {num_hypotheses}"
             )
-        self.feature_channels, self.in_channels, self.num_cameras = feature_channels, in_channels, num_cameras
+        self.feature_channels, self.in_channels = feature_channels, in_channels
         self.norm, self.aggregation = norm, aggregation
         self.circular, self.num_scales = circular, num_scales
-        self.recompute = False
         self.features = FisheyeFeatures(feature_channels, in_channels, norm)
         self.sweep = PanoramaSweep(size, num_hypotheses, min_depth)
+        self.grid = self.sweep.grid
         self.transference = SphereConv(feature_channels, feature_channels, circular)
         self.hourglass = CostHourglass(
             aggregated_channels(aggregation, feature_channels, num_cameras),
@@ -122,63 +125,28 @@ class OmniMVS(nn.Module):
             circular,
         )
 
-    @property
-    def grid(self) -> Equirectangular:
-        """The panorama on which depth is estimated."""
-        return self.sweep.grid
+    def tables(self, rig: CameraRig) -> PanoramaTables:
+        """Return where each camera sees every point of the sweep, to be passed in place of the rig."""
+        return self.sweep.tables(rig)
 
-    @property
-    def any_cameras(self) -> bool:
-        """Whether rigs of any number of cameras are taken, in any order, with the same weights."""
-        return self.aggregation == "variance"
-
-    @property
-    def num_hypotheses(self) -> int:
-        """N, the number of hypotheses."""
-        return self.sweep.num_hypotheses
-
-    @property
-    def min_depth(self) -> float:
-        """The smallest depth in metres."""
-        return self.sweep.min_depth
-
-    @property
-    def hyperparameters(self) -> dict[str, Any]:
-        """Plain values that rebuild this network: ``OmniMVS(**net.hyperparameters)``."""
-        return {
-            "num_hypotheses": self.num_hypotheses,
-            "min_depth": self.min_depth,
-            "feature_channels": self.feature_channels,
-            "num_cameras": self.num_cameras,
-            "output_size": list(self.grid.shape),
-            "in_channels": self.in_channels,
-            "norm": self.norm,
-            "aggregation": self.aggregation,
-            "circular": self.circular,
-            "num_scales": self.num_scales,
-        }
-
-    def forward(self, images: Tensor, rig: CameraRig | PanoramaTables) -> Tensor:
-        """Return the hypothesis index ``(B, h, w)``, 0 to N - 1, on ``grid``.
+    def predict(
+        self, images: Tensor, rig: CameraRig | PanoramaTables, seen: Tensor | None = None
+    ) -> DepthEstimate:
+        """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``.
 
         Args:
             images: ``(B, n, 1 or 3, H, W)`` of the size that the cameras are calibrated for.
-            rig: of all samples or, with batched poses, a rig a sample; or the ``sweep.tables`` of either.
+            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
+            seen: ``([B,] n, H, W)``, True where the images show something.
 
         Raises:
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
-        return self._expected(self.logits(images, rig))
-
-    def predict(self, images: Tensor, rig: CameraRig | PanoramaTables) -> DepthIndex:
-        """Return the hypothesis index and the confidence in it, each ``(B, h, w)``; arguments as for ``forward``."""
-        logits = self.logits(images, rig)
+        tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
+        logits = self.logits(images, tables, seen)
+        index = soft_argmax(logits.flatten(2)).unflatten(1, self.grid.shape)
         confidence = soft_argmax_confidence(logits.flatten(2)).unflatten(1, self.grid.shape)
-        return DepthIndex(self._expected(logits), confidence)
-
-    def depth(self, index: Tensor) -> Tensor:
-        """Return depths in metres of hypothesis indices ``(*)``."""
-        return depth_from_index(index, self.num_hypotheses, self.min_depth)
+        return DepthEstimate(index, confidence, self._seen_at(index.detach(), images, tables, seen))
 
     def index_at(self, index: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
         """Return the index ``(B, V)`` in directions ``(V, 3)``, and whether the panorama reaches there ``(V,)``.
@@ -196,8 +164,8 @@ class OmniMVS(nn.Module):
         values = self.grid.sample(index.unsqueeze(1), directions.to(index.device)).squeeze(1)
         return values, self.grid.contains(directions)
 
-    def logits(self, images: Tensor, rig: CameraRig | PanoramaTables) -> Tensor:
-        """Return the score of every hypothesis ``(B, N, h, w)``; arguments as for ``forward``."""
+    def logits(self, images: Tensor, rig: CameraRig | PanoramaTables, seen: Tensor | None = None) -> Tensor:
+        """Return the score of every hypothesis ``(B, N, h, w)``; arguments as for ``predict``."""
         self._check_images(images)
         tables = rig if isinstance(rig, PanoramaTables) else self.sweep.tables(rig)
         if tuple(images.shape[-2:]) != tables.image_size:
@@ -217,8 +185,7 @@ class OmniMVS(nn.Module):
         if self.aggregation == "concatenation":
             volume = torch.cat(volumes, 1)
         else:
-            volume = mean_and_variance(SweepVolume(torch.stack(volumes, 1), self._seen(images, tables)))
-        self.hourglass.recompute = self.recompute
+            volume = mean_and_variance(SweepVolume(torch.stack(volumes, 1), self._seen(images, tables, seen)))
         return self.hourglass(volume.contiguous(memory_format=torch.channels_last_3d))  # type: ignore[no-any-return]
 
     def extract_features(self, images: Tensor) -> Tensor:
@@ -241,14 +208,27 @@ class OmniMVS(nn.Module):
     def _recomputes(self) -> bool:
         return self.recompute and self.training and torch.is_grad_enabled()
 
-    def _seen(self, images: Tensor, tables: PanoramaTables) -> Tensor:
-        """Whether a camera sees the points of the volume, and its image is not 0 there ``(B, n, N/2, h/2, w/2)``."""
+    def _seen(self, images: Tensor, tables: PanoramaTables, seen: Tensor | None) -> Tensor:
+        """Whether a camera sees the points of the volume, and its image shows something ``(B, n, N/2, h/2, w/2)``."""
         tables = tables._replace(grid=tables.grid[..., ::2, ::2, :], mask=tables.mask[..., ::2, ::2])
-        usable = (images != 0).any(2, keepdim=True)[..., ::2, ::2].to(images)
+        usable = self._usable(images, seen)
         return tables.mask & (self.sweep(usable, tables).squeeze(2) > 0.5)
 
-    def _expected(self, logits: Tensor) -> Tensor:
-        return soft_argmax(logits.flatten(2)).unflatten(1, self.grid.shape)
+    def _seen_at(self, index: Tensor, images: Tensor, tables: PanoramaTables, seen: Tensor | None) -> Tensor:
+        """Whether two cameras see the points of hypotheses ``(B, h, w)``, at the nearest sphere that is swept."""
+        sphere = (index / self.sweep.every).round().long().clamp(max=tables.mask.shape[-3] - 1)
+        batch, cameras = len(images), tables.num_cameras
+        chosen = sphere[:, None, None].expand(batch, cameras, 1, *self.grid.shape)
+        mask = tables.mask.expand(batch, *tables.mask.shape[-4:]).gather(2, chosen)
+        grid = tables.grid.expand(batch, *tables.grid.shape[-5:])
+        grid = grid.gather(2, chosen.unsqueeze(-1).expand(*chosen.shape, 2))
+        values = self.sweep(self._usable(images, seen), tables._replace(grid=grid, mask=mask))
+        return (mask & (values.squeeze(2) > 0.5)).squeeze(2).sum(1) >= 2
+
+    def _usable(self, images: Tensor, seen: Tensor | None) -> Tensor:
+        """Where the images show something, at the pixels of the features ``(B, n, 1, h_f, w_f)``."""
+        usable = (images != 0).any(2) if seen is None else seen.expand_as(images[:, :, 0])
+        return usable[:, :, None, ::2, ::2].to(images)
 
     def _check_images(self, images: Tensor) -> None:
         cameras = "n" if self.any_cameras else self.num_cameras
@@ -260,9 +240,6 @@ class OmniMVS(nn.Module):
                 f"images: expected shape (B, {cameras}, {names}, H, W) for {cameras} cameras, "
                 f"got {tuple(images.shape)}"
             )
-
-    def extra_repr(self) -> str:
-        return ", ".join(f"{name}={value}" for name, value in self.hyperparameters.items())
 
 
 def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int]:

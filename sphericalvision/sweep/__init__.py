@@ -11,7 +11,13 @@ from sphericalvision.sweep.hypotheses import (
 )
 from sphericalvision.sweep.matching import best_pairs_cost
 from sphericalvision.sweep.panorama_sweep import PanoramaSweep, PanoramaTables
-from sphericalvision.sweep.regression import DepthIndex, soft_argmax, soft_argmax_confidence
+from sphericalvision.sweep.regression import (
+    DepthEstimate,
+    DepthIndex,
+    depth_estimate,
+    soft_argmax,
+    soft_argmax_confidence,
+)
 from sphericalvision.sweep.semi_global import semi_global_sweep
 from sphericalvision.sweep.smoothing import semi_global_smoothing
 from sphericalvision.sweep.sphere_sweep import (
@@ -23,6 +29,7 @@ from sphericalvision.sweep.sphere_sweep import (
 )
 
 __all__ = [
+    "DepthEstimate",
     "DepthIndex",
     "PanoramaSweep",
     "PanoramaTables",
@@ -30,6 +37,7 @@ __all__ = [
     "SweepTables",
     "SweepVolume",
     "best_pairs_cost",
+    "depth_estimate",
     "depth_from_index",
     "index_from_depth",
     "index_from_inverse_depth",

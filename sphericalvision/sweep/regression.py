@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sphericalvision.core import ShapeError
 
-__all__ = ["DepthIndex", "soft_argmax", "soft_argmax_confidence"]
+__all__ = ["DepthEstimate", "DepthIndex", "depth_estimate", "soft_argmax", "soft_argmax_confidence"]
 
 
 class DepthIndex(NamedTuple):
@@ -18,6 +18,38 @@ class DepthIndex(NamedTuple):
 
     index: Tensor  # type: ignore[assignment]  # hides tuple.index, which nobody needs here
     confidence: Tensor
+
+
+class DepthEstimate(NamedTuple):
+    """What a network says: a hypothesis index, the confidence in it (0 to 1), and whether two cameras saw that point.
+
+    All three have the shape of the network's grid, ``(B, V)`` or ``(B, h, w)``. Where ``seen`` is False the index is a
+    guess from the surroundings.
+    """
+
+    index: Tensor  # type: ignore[assignment]  # hides tuple.index, which nobody needs here
+    confidence: Tensor
+    seen: Tensor
+
+
+def depth_estimate(logits: Tensor, seen: Tensor) -> DepthEstimate:
+    """Return the expected index, its confidence and whether two cameras saw it, each ``(B, V)``.
+
+    Args:
+        logits: ``(B, N, V)``, the score of each hypothesis; higher is more likely.
+        seen: ``(B, n, N, V)``, True where camera n saw the point of hypothesis N, as in ``SweepVolume``.
+
+    Examples:
+        >>> logits = torch.tensor([[[0.0], [20.0], [0.0]]])
+        >>> seen = torch.tensor([True, True, False]).view(1, 1, 3, 1).expand(1, 2, 3, 1)
+        >>> depth_estimate(logits, seen)
+        DepthEstimate(index=tensor([[1.]]), confidence=tensor([[1.]]), seen=tensor([[True]]))
+    """
+    index = soft_argmax(logits)
+    nearest = index.detach().round().long()[:, None, None].expand(-1, seen.shape[1], 1, -1)
+    return DepthEstimate(
+        index, soft_argmax_confidence(logits), seen.gather(2, nearest).squeeze(2).sum(1) >= 2
+    )
 
 
 def _check_logits(logits: Tensor) -> None:

@@ -44,8 +44,8 @@ def lived_in(net: IcoSweepNet, generator: torch.Generator) -> IcoSweepNet:
 
 def test_index_is_in_range_and_depth_in_metres(generator: torch.Generator) -> None:
     net = lived_in(small_net(), generator)
-    index, confidence = net.predict(images(generator), ring_rig(3))
-    assert index.shape == confidence.shape == (2, DEPTH_VERTICES)
+    index, confidence, seen = net.predict(images(generator), ring_rig(3))
+    assert index.shape == confidence.shape == seen.shape == (2, DEPTH_VERTICES)
     assert index.min() >= 0
     assert index.max() <= 3
     torch.testing.assert_close(net.depth(index), depth_from_index(index, 4, 0.55))
@@ -136,7 +136,7 @@ def test_every_parameter_learns(generator: torch.Generator) -> None:
 @pytest.mark.parametrize("norm", ["batch", "instance"])
 def test_recomputing_changes_neither_gradients_nor_statistics(generator: torch.Generator, norm: str) -> None:
     nets = small_net(norm=norm).double().train(), small_net(norm=norm).double().train()
-    nets[1].recompute = True
+    nets[1].configure(recompute=True)
     batch, rig = images(generator).double(), ring_rig(3).to(torch.float64)
     for net in nets:
         net(batch, rig, camera_order=range(3)).square().sum().backward()
@@ -156,12 +156,12 @@ def test_native_is_for_every_layer_of_the_regulariser(
         return crown_conv3d_chain(values, layers)
 
     monkeypatch.setattr("sphericalvision.models.regularization.convolve_chain", chain)
-    monkeypatch.setattr("sphericalvision.models.icosweepnet.native_operators", lambda: None)
+    monkeypatch.setattr("sphericalvision.models.base.native_operators", lambda: None)
     net, batch = small_net().eval(), images(generator)
     with torch.no_grad():
         net(batch, ring_rig(3))
         assert asked == [False] * 6
-        net.native = True
+        net.configure(native=True)
         net(batch, ring_rig(3))
     assert asked[6:] == [True] * 6
 
@@ -170,10 +170,10 @@ def test_native_stays_off_without_a_compiler(monkeypatch: pytest.MonkeyPatch) ->
     def missing() -> None:
         raise MissingCompilerError("no compiler")
 
-    monkeypatch.setattr("sphericalvision.models.icosweepnet.native_operators", missing)
+    monkeypatch.setattr("sphericalvision.models.base.native_operators", missing)
     net = small_net()
     with pytest.raises(MissingCompilerError):
-        net.native = True
+        net.configure(native=True)
     assert not net.native
 
 
@@ -221,7 +221,9 @@ def test_hyperparameters_rebuild_the_network() -> None:
     net = small_net(min_depth=0.3, shuffle_cameras=False)
     again = IcoSweepNet(**net.hyperparameters)
     assert again.hyperparameters == net.hyperparameters
-    assert all(isinstance(value, int | float | str) for value in net.hyperparameters.values())
+    assert all(
+        value is None or isinstance(value, int | float | str) for value in net.hyperparameters.values()
+    )
 
 
 def test_errors_name_the_argument() -> None:

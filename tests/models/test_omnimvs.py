@@ -69,8 +69,8 @@ def test_index_is_in_range_on_the_grid(
     generator: torch.Generator, aggregation: str, circular: bool, size: tuple[int, int]
 ) -> None:
     net = small_net(aggregation=aggregation, circular=circular, output_size=size, norm="instance").eval()
-    index, confidence = net.predict(images(generator), small_rig())
-    assert index.shape == confidence.shape == (2, *size) == (2, *net.grid.shape)
+    index, confidence, seen = net.predict(images(generator), small_rig())
+    assert index.shape == confidence.shape == seen.shape == (2, *size) == (2, *net.grid.shape)
     assert index.min() >= 0
     assert index.max() <= 7
     assert confidence.max() <= 1 + 1e-5
@@ -191,7 +191,7 @@ def test_variance_takes_any_cameras_in_any_order(generator: torch.Generator) -> 
     blank = torch.cat((photographs, torch.zeros_like(photographs[:, :1])), 1)  # all covered by a mask
     cameras = [*rig.cameras.values(), rig.cameras["cam1"]]
     four = CameraRig(cameras, torch.cat((rig.world_from_camera, rig.world_from_camera[:1])))
-    volume = net._seen(blank, net.sweep.tables(four))
+    volume = net._seen(blank, net.sweep.tables(four), None)
     assert not volume[:, 3].any()
     assert volume[:, :3].any()
 
@@ -205,7 +205,7 @@ def test_gradients_reach_every_parameter_and_recomputing_changes_nothing(
     gradients = []
     for recompute in (False, True):
         net = small_net(norm=norm, aggregation=aggregation, num_scales=1)
-        net.recompute = recompute
+        net.configure(recompute=recompute)
         depth_index_huber(net(photographs, small_rig()), truth).backward()
         gradients.append({name: parameter.grad for name, parameter in net.named_parameters()})
     for name, gradient in gradients[0].items():

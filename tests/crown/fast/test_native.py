@@ -243,7 +243,7 @@ def test_a_network_estimates_the_same(generator: torch.Generator, spy: Spy, norm
     with torch.inference_mode():
         expected = net(images, rig)
         assert expected.std() > 0.1
-        net.native = True
+        net.configure(native=True)
         result = net(images, rig)
     assert spy.calls
     torch.testing.assert_close(result, expected, atol=1e-4, rtol=0)

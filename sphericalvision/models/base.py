@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``DepthNetwork``: what training, evaluation, prediction and files ask of a network of depth all around."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from itertools import chain
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.crown import native_operators
+from sphericalvision.sweep import DepthEstimate, depth_from_index
+from sphericalvision.sweep.hypotheses import check_hypotheses
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import CameraRig
+    from sphericalvision.icosphere import Icosphere
+    from sphericalvision.sphere import Equirectangular
+
+__all__ = ["DepthNetwork"]
+
+
+class DepthNetwork(nn.Module):
+    """Depth around a rig as hypothesis indices on a grid of directions: the base of all networks that estimate it.
+
+    A subclass says in ``images`` what images it wants, sets ``grid``, and writes ``predict``. Whatever else is here
+    follows from these, and may be overridden. Nothing in the package asks which class a network is.
+
+    Convention:
+        Images are in [-1, 1], in the order of ``rig.names``. ``seen`` tells where they show anything: True inside the
+        field of view and off the masks; without it, everything inside the cameras' fields of view was seen. The
+        result is a hypothesis index seen from ``rig.center``, in directions of the world: 0 is infinity, N - 1 is
+        ``min_depth``; ``depth`` turns it into metres along the ray. Arguments of the constructor are plain values
+        (numbers, texts, None, lists of them), which makes ``hyperparameters`` complete by themselves.
+
+    Args:
+        num_hypotheses: N, two or more.
+        min_depth: radius of the nearest hypothesis in metres.
+        num_cameras: number of cameras of the rigs.
+        any_cameras: whether rigs of any other number of cameras, in any order, are taken as well.
+
+    Attributes:
+        images: ``"sphere"`` for images ``(B, n, 3, V_level)`` on icospheres aligned with the world, or ``"camera"`` for
+            images ``(B, n, 3, H, W)`` as the cameras took them.
+        grid: where the result lies: an ``Icosphere``, or a panorama.
+        level: of the icospheres that hold the images; only where ``images`` is ``"sphere"``.
+
+    Raises:
+        ArgumentError: fewer than two hypotheses or less than one camera, or a depth that is not positive.
+
+    Examples:
+        A network whose depth is the same everywhere, and is learned:
+
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> class Constant(DepthNetwork):
+        ...     def __init__(self, level=3, num_hypotheses=8, min_depth=0.5):
+        ...         super().__init__(num_hypotheses, min_depth, num_cameras=1, any_cameras=True)
+        ...         self.level, self.grid = level, Icosphere(level)
+        ...         self.index = nn.Parameter(torch.tensor(3.0))
+        ...     def predict(self, images, rig, seen=None):
+        ...         index = self.index.expand(len(images), *self.grid.shape)
+        ...         return DepthEstimate(index, torch.ones_like(index), torch.ones_like(index, dtype=torch.bool))
+        >>> net = Constant(level=2)
+        >>> net(torch.zeros(1, 4, 3, 162), ring_rig(4)).shape
+        torch.Size([1, 162])
+        >>> net.with_changes(level=3)
+        Constant(
+          level=3, num_hypotheses=8, min_depth=0.5
+          (grid): Icosphere(level=3, vertices=642, faces=1280)
+        )
+    """
+
+    images: ClassVar[Literal["sphere", "camera"]] = "sphere"
+    grid: Icosphere | Equirectangular
+    level: int
+
+    _arguments: dict[str, Any]
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Note the constructor's arguments, before the constructors of the class and its bases run."""
+        net = super().__new__(cls)
+        try:
+            bound = inspect.signature(cls.__init__).bind(net, *args, **kwargs)
+        except (
+            TypeError
+        ):  # a copy is made without arguments and gets these with its state; or __init__ will raise
+            return net
+        bound.apply_defaults()
+        arguments = dict(list(bound.arguments.items())[1:])
+        for parameter in inspect.signature(cls.__init__).parameters.values():
+            if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+                arguments |= arguments.pop(parameter.name)
+        object.__setattr__(net, "_arguments", arguments)
+        return net
+
+    def __init__(
+        self, num_hypotheses: int, min_depth: float, num_cameras: int, any_cameras: bool = False
+    ) -> None:
+        super().__init__()
+        check_hypotheses(num_hypotheses, min_depth)
+        if isinstance(num_cameras, bool) or not isinstance(num_cameras, int) or num_cameras < 1:
+            raise ArgumentError(f"num_cameras: expected an integer of 1 or more, got {num_cameras!r}")
+        self.num_hypotheses, self.min_depth = num_hypotheses, min_depth
+        self.num_cameras, self.any_cameras = num_cameras, any_cameras
+
+    def predict(self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None = None) -> DepthEstimate:
+        """Return the hypothesis index, the confidence in it, and whether two cameras saw it, each ``(B, *grid.shape)``.
+
+        Args:
+            images: ``(B, n, 3, V_level)`` on icospheres or ``(B, n, 3, H, W)`` of cameras, as ``self.images`` says.
+            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
+            seen: ``(B, n, V_level)`` or ``(B, n, H, W)``, True where the images show something; without a batch
+                dimension it is for all samples. When not given, all that is inside the fields of view was seen.
+
+        Raises:
+            ShapeError: if the images have another shape than the network or the rig asks for.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.predict")
+
+    def forward(self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None = None) -> Tensor:
+        """Return the hypothesis index ``(B, *grid.shape)``, 0 to N - 1; arguments as for ``predict``."""
+        return self.predict(images, rig, seen).index
+
+    def tables(self, rig: CameraRig) -> Any:
+        """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""
+        return rig
+
+    def depth(self, index: Tensor) -> Tensor:
+        """Return depths in metres of hypothesis indices ``(*)``."""
+        return depth_from_index(index, self.num_hypotheses, self.min_depth)
+
+    def index_at(self, index: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the index ``(B, V)`` in other directions of the world, and whether the grid reaches there ``(V,)``.
+
+        Args:
+            index: ``(B, *grid.shape)`` as ``forward`` returns it; linear between the grid's points.
+            directions: ``(V, 3)``.
+        """
+        reached = torch.ones(len(directions), dtype=torch.bool, device=directions.device)
+        return self.grid.sample(index, directions), reached
+
+    @property
+    def device(self) -> torch.device:
+        """Where the network is."""
+        return next(chain(self.parameters(), self.buffers())).device
+
+    @property
+    def hyperparameters(self) -> dict[str, Any]:
+        """Plain values that rebuild this network, ``type(net)(**net.hyperparameters)``: what it was constructed with.
+
+        Raises:
+            ArgumentError: if it was constructed with something else than plain values.
+        """
+        return {name: _plain(name, value) for name, value in self._arguments.items()}
+
+    def with_changes(self, **changes: Any) -> Self:
+        """Return a network with the same weights and other hyper-parameters; ``None`` leaves one as it is.
+
+        The level of the images and the nearest hypothesis, for instance, on which weights do not depend.
+
+        Raises:
+            ArgumentError: for a hyper-parameter that this network has not, or one that the shapes of the weights
+                depend on.
+
+        Examples:
+            >>> from sphericalvision.models import pretrained
+            >>> net = pretrained()
+            >>> net.level, net.with_changes(level=5, min_depth=0.2).level
+            (6, 5)
+        """
+        before = self.hyperparameters
+        changes = {name: value for name, value in changes.items() if value is not None}
+        for name in changes:
+            if name not in before:
+                raise ArgumentError(
+                    f"{name}: {type(self).__name__} has no such hyper-parameter, leave it out; "
+                    f"it has {', '.join(before)}"
+                )
+        net = type(self)(**{**before, **changes})
+        state, expected = self.state_dict(), net.state_dict()
+        for name, tensor in expected.items():
+            if name not in state or state[name].shape != tensor.shape:
+                raise ArgumentError(
+                    f"{', '.join(changes)}: cannot be changed after training, the weights of {type(self).__name__} "
+                    f"depend on it ('{name}')"
+                )
+        net.load_state_dict(state)
+        like = next(chain(self.parameters(), self.buffers()), None)
+        if like is not None:
+            net.to(device=like.device, dtype=like.dtype if like.is_floating_point() else None)
+        return net.configure(native=self.native, recompute=self.recompute).train(self.training)
+
+    def configure(self, native: bool | None = None, recompute: bool | None = None) -> Self:
+        """Choose between ways to compute the same results, at any time; returns the network. ``None`` changes nothing.
+
+        Parts that offer a choice have an attribute of its name.
+
+        Args:
+            native: whether wide 3D convolutions in single precision on a CPU use operators in C++, which is faster.
+                They are compiled when first used on a machine.
+            recompute: whether training saves memory by computing the inside of blocks twice, a third more work.
+
+        Raises:
+            ArgumentError: if no part of this network has such a choice.
+            MissingCompilerError: if the operators could not be compiled.
+        """
+        if native:
+            self._parts("native")
+            native_operators()
+        for name, value in (("native", native), ("recompute", recompute)):
+            if value or (value is not None and getattr(self, name)):
+                for part in self._parts(name):
+                    setattr(part, name, value)
+        return self
+
+    @property
+    def native(self) -> bool:
+        """Whether operators in C++ are used; see ``configure``."""
+        return any(getattr(part, "native", False) for part in self._others())
+
+    @property
+    def recompute(self) -> bool:
+        """Whether training computes the inside of blocks twice; see ``configure``."""
+        return any(getattr(part, "recompute", False) for part in self._others())
+
+    def _others(self) -> list[nn.Module]:
+        return [part for part in self.modules() if part is not self]
+
+    def _parts(self, choice: str) -> list[nn.Module]:
+        parts = [part for part in self._others() if hasattr(part, choice)]
+        if not parts:
+            raise ArgumentError(f"{choice}: {type(self).__name__} has nothing to choose there; leave it out")
+        return parts
+
+    def extra_repr(self) -> str:
+        return ", ".join(f"{name}={value}" for name, value in self._arguments.items())
+
+
+def _plain(name: str, value: Any) -> Any:
+    """The value of a hyper-parameter as a file can hold it."""
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): _plain(name, item) for key, item in value.items()}
+    if isinstance(value, Sequence):
+        return [_plain(name, item) for item in value]
+    raise ArgumentError(
+        f"{name}: expected plain values (numbers, text, None, lists of them), which files can hold, "
+        f"got {type(value).__name__}"
+    )

@@ -13,6 +13,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift, ToSphere
 from sphericalvision.data.augmentation.transforms import Compose
+from sphericalvision.data.seen import pixels_seen
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 
 __all__ = ["ChosenEntries", "OmniStereoDataModule"]
@@ -116,8 +117,8 @@ class ChosenEntries:
         level: icosphere level of the images of "sphere".
 
     Returns:
-        The sample with ``images``, ``inverse_depth`` and ``valid`` of ``ToSphere`` for "sphere"; ``fisheye``
-        ``(n, 3, H, W)`` in [-1, 1], 0 where a camera does not look or a mask covers; ``panorama_inverse_depth`` and
+        The sample with ``images``, ``seen``, ``inverse_depth`` and ``valid`` of ``ToSphere`` for "sphere"; ``fisheye``
+        ``(n, 3, H, W)`` in [-1, 1], 0 where not ``fisheye_seen`` ``(n, H, W)``; ``panorama_inverse_depth`` and
         ``panorama_valid`` ``(h, w)`` for "panorama". Entries not asked for are gone.
 
     Raises:
@@ -136,12 +137,15 @@ class ChosenEntries:
 
     def __call__(self, sample: Sample) -> Sample:
         chosen = {
-            key: value for key, value in sample.items() if key not in ("images", "inverse_depth", "valid")
+            key: value
+            for key, value in sample.items()
+            if key not in ("images", "seen", "inverse_depth", "valid")
         }
         if self.to_sphere is not None:
             chosen = self.to_sphere(sample)
         if "fisheye" in self.entries:
             chosen["fisheye"] = self._stacked(sample["images"], sample["rig"])
+            chosen["fisheye_seen"] = self._seen
         if "panorama" in self.entries:
             chosen |= {"panorama_inverse_depth": sample["inverse_depth"], "panorama_valid": sample["valid"]}
         return chosen
@@ -151,14 +155,5 @@ class ChosenEntries:
         if len(sizes) > 1:
             raise ArgumentError(f"data: images of one size are wanted for the entry 'fisheye', got {sizes}")
         if self._rig is not rig:
-            self._rig, self._seen = rig, torch.stack([_visible(rig, name) for name in rig.names])
+            self._rig, self._seen = rig, torch.stack(list(pixels_seen(rig).values()))
         return (torch.stack([images[name] for name in rig.names]) * 2 - 1) * self._seen[:, None]
-
-
-def _visible(rig: CameraRig, name: str) -> Tensor:
-    """Pixels ``(h, w)`` that look somewhere and are not masked."""
-    camera = rig.cameras[name]
-    height, width = camera.image_size
-    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    seen = camera.unproject(torch.stack((columns, rows), -1).to(rig.world_from_camera)).valid
-    return seen & rig.masks[name] if name in rig.masks else seen

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import Camera, CameraRig
+from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.augmentation.transforms import ToSphere
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
@@ -20,6 +20,7 @@ from sphericalvision.data.scene_cache import SceneCache, decode, encode, paramet
 from sphericalvision.data.scenes.recipes import ray_depth, render_rig
 from sphericalvision.data.scenes.scene import Scene
 from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, SeededScenes
+from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
 
@@ -28,6 +29,12 @@ __all__ = ["ENTRIES", "FisheyeSceneDataset"]
 ENTRIES = ("sphere", "depth", "fisheye", "panorama")
 """What a sample may be asked to hold."""
 
+KEYS = (
+    *("images", "seen", "inverse_depth", "valid", "fisheye", "fisheye_seen"),
+    *("panorama_inverse_depth", "panorama_valid"),
+)
+"""The tensors of a sample that holds everything, in order."""
+
 
 class FisheyeSceneDataset(SeededScenes):
     """Scenes of consecutive seeds as images of the cameras, of which each network takes what it wants.
@@ -35,10 +42,10 @@ class FisheyeSceneDataset(SeededScenes):
     The same scenes serve networks on the icosphere and networks on panoramas. ``entries`` says what a sample
     holds, and nothing else is computed:
 
-    * ``"sphere"``: ``images`` ``(n, 3, V_level)`` in [-1, 1], 0 outside the field of view, and ``"depth"``;
+    * ``"sphere"``: ``images`` ``(n, 3, V_level)`` in [-1, 1], 0 where not ``seen`` ``(n, V_level)``, and ``"depth"``;
     * ``"depth"``: ``inverse_depth`` ``(V_{level-2},)`` in 1/m, exact along the rays from the rig's centre, 0 at
       infinity, and ``valid`` ``(V_{level-2},)``;
-    * ``"fisheye"``: ``fisheye`` ``(n, 3, H, W)`` in [-1, 1], 0 outside the field of view;
+    * ``"fisheye"``: ``fisheye`` ``(n, 3, H, W)`` in [-1, 1], 0 where not ``fisheye_seen`` ``(n, H, W)``;
     * ``"panorama"``: ``panorama_inverse_depth`` ``(h, w)`` and ``panorama_valid`` ``(h, w)``, exact as well.
 
     Every sample has ``rig`` and ``frame``. Sample ``i`` is the scene of seed ``first_seed + i``: the scene that
@@ -69,11 +76,12 @@ class FisheyeSceneDataset(SeededScenes):
         >>> scenes = FisheyeSceneDataset(1, ring_rig(2, image_size=(24, 24)), level=3, panorama=(8, 16))
         >>> {key: tuple(value.shape) for key, value in scenes[0].items() if isinstance(value, torch.Tensor)}
         ... # doctest: +NORMALIZE_WHITESPACE
-        {'images': (2, 3, 642), 'inverse_depth': (42,), 'valid': (42,), 'fisheye': (2, 3, 24, 24),
+        {'images': (2, 3, 642), 'seen': (2, 642), 'inverse_depth': (42,), 'valid': (42,),
+         'fisheye': (2, 3, 24, 24), 'fisheye_seen': (2, 24, 24),
          'panorama_inverse_depth': (8, 16), 'panorama_valid': (8, 16)}
         >>> only = FisheyeSceneDataset(1, ring_rig(2, image_size=(24, 24)), entries=("fisheye",))
         >>> sorted(only[0])
-        ['fisheye', 'frame', 'rig']
+        ['fisheye', 'fisheye_seen', 'frame', 'rig']
     """
 
     def __init__(
@@ -107,6 +115,8 @@ class FisheyeSceneDataset(SeededScenes):
         self.level, self.panorama = level, (int(panorama[0]), int(panorama[1]))
         check_panorama_size(*self.panorama)
         self.to_sphere = ToSphere(level, antialias=antialias)
+        if "fisheye" in self.entries:
+            self._fisheye_seen = torch.stack(list(pixels_seen(rig).values()))
         root = None if cache_dir is None else Path(cache_dir)
         self._images = _cache(root, "fisheye", (samples_per_pixel, min_depth), rig)
         self._depths = {
@@ -146,23 +156,21 @@ class FisheyeSceneDataset(SeededScenes):
             images = self._images.get(frame, lambda: self._render(scene()))
             if "sphere" in self.entries:
                 sample["images"] = self.to_sphere.images({n: _light(i) for n, i in images.items()}, self.rig)
+                sample["seen"] = self.to_sphere.seen(self.rig)
         for key, cache in self._depths.items():
             stored = cache.get(frame, functools.partial(self._depth, scene, key))
             sample[key] = stored["inverse_depth"]
             sample[key.replace("inverse_depth", "valid")] = stored["inverse_depth"] <= 1 / self.min_depth
         if "fisheye" in self.entries:
-            sample["fisheye"] = decode(torch.stack([images[name] for name in self.rig.names]))
-        order = ("images", "inverse_depth", "valid", "fisheye", "panorama_inverse_depth", "panorama_valid")
-        return {key: sample[key] for key in order if key in sample} | {"rig": self.rig, "frame": frame}
+            seen = self._fisheye_seen
+            sample["fisheye"] = decode(torch.stack([images[name] for name in self.rig.names]), seen)
+            sample["fisheye_seen"] = seen
+        return {key: sample[key] for key in KEYS if key in sample} | {"rig": self.rig, "frame": frame}
 
     def _render(self, scene: Scene) -> dict[str, Tensor]:
         """Images as bytes, by camera."""
         pictures = render_rig(scene, self.rig, self.samples_per_pixel)
-        seen = {
-            name: _looked_at(self.rig.cameras[name], picture, self.rig.masks.get(name))
-            for name, picture in pictures.items()
-        }
-        return {name: encode(picture * 2 - 1, seen[name]) for name, picture in pictures.items()}
+        return {name: encode(picture * 2 - 1) for name, picture in pictures.items()}
 
     def _depth(self, scene: Callable[[], Scene], key: str) -> dict[str, Tensor]:
         return {"inverse_depth": ray_depth(scene(), self.rig.center, self._directions(key)).reciprocal()}
@@ -180,11 +188,5 @@ def _depth_cache(root: Path | None, name: str, min_depth: float, rig: CameraRig)
 
 
 def _light(image: Tensor) -> Tensor:
-    """Bytes as [0, 1], 0 (black) where nothing is seen, as the renderer gives them."""
+    """Bytes as [0, 1], as the renderer gives them."""
     return ((image.float() - 1) / 254).clamp(min=0)
-
-
-def _looked_at(camera: Camera, picture: Tensor, mask: Tensor | None) -> Tensor:
-    """Pixels ``(h, w)`` that the camera sees at their centres or in part, and that the mask leaves."""
-    seen = camera.unproject(camera.pixel_grid()).valid | (picture > 0).any(0)
-    return seen if mask is None else seen & mask.bool()

@@ -59,14 +59,14 @@ class SceneCache:
         return folder / f"{name}.npz"
 
 
-def encode(images: Tensor, seen: Tensor) -> Tensor:
-    """[-1, 1] as bytes 1..255; byte 0 stands for "not seen"."""
-    return torch.where(seen, (images * 127 + 128).round().clamp(1, 255), 0).to(torch.uint8)
+def encode(images: Tensor) -> Tensor:
+    """[-1, 1] as bytes 1..255."""
+    return (images * 127 + 128).round().clamp(1, 255).to(torch.uint8)
 
 
-def decode(images: Tensor) -> Tensor:
-    """Bytes of ``encode`` as [-1, 1], 0 where not seen."""
-    return torch.where(images > 0, (images.float() - 128) / 127, 0.0)
+def decode(images: Tensor, seen: Tensor) -> Tensor:
+    """Bytes ``(n, 3, *)`` of ``encode`` as [-1, 1], 0 where not ``seen`` ``(n, *)``."""
+    return torch.where(seen[:, None], (images.float() - 128) / 127, 0.0)
 
 
 def parameter_digest(numbers: tuple[object, ...], rig: CameraRig) -> str:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
+from sphericalvision.data.augmentation.transforms import ToSphere
 from sphericalvision.data.scene_cache import SceneCache, decode, encode, parameter_digest
 from sphericalvision.data.scenes.recipes import ray_depth, render_rig
 from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, SeededScenes
@@ -23,7 +24,8 @@ class SceneDataset(SeededScenes):
     """Scenes of consecutive seeds, seen by a rig and brought onto the icosphere.
 
     Sample ``i`` is the scene of seed ``first_seed + i``, so data sets with disjoint seeds are disjoint.
-    Its entries: ``images`` ``(n, 3, V_level)`` in [-1, 1], 0 outside the field of view; ``inverse_depth``
+    Its entries: ``images`` ``(n, 3, V_level)`` in [-1, 1], 0 where not seen; ``seen`` ``(n, V_level)``, in the field of
+    view and in the mask; ``inverse_depth``
     ``(V_{level-2},)`` in 1/m, exact along the rays from the rig's centre, 0 at infinity; ``valid``
     ``(V_{level-2},)``; ``rig``; ``frame``.
 
@@ -71,6 +73,7 @@ class SceneDataset(SeededScenes):
         self.level, self.antialias = level, antialias
         self._image_directions = Icosphere(level).vertices
         self._depth_directions = Icosphere(level - 2).vertices
+        self._seen = ToSphere(level).seen(rig)
         self.cache_folder = Path(cache_dir) / self._key() if cache_dir is not None else None
         self._cache = SceneCache(self.cache_folder)
 
@@ -81,7 +84,8 @@ class SceneDataset(SeededScenes):
     def _sample(self, seed: int) -> dict[str, Any]:
         stored = self._cache.get(self._frame(seed), lambda: self._render(seed))
         return {
-            "images": decode(stored["images"]),
+            "images": decode(stored["images"], self._seen),
+            "seen": self._seen,
             "inverse_depth": stored["inverse_depth"],
             "valid": stored["inverse_depth"] <= 1 / self.min_depth,
             "rig": self.rig,
@@ -92,9 +96,9 @@ class SceneDataset(SeededScenes):
         """Images as bytes, and inverse depth."""
         scene = self._scene(seed)
         pictures = render_rig(scene, self.rig, self.samples_per_pixel)
-        values, seen = self.rig.sample_sphere(pictures, self._image_directions, antialias=self.antialias)
+        values, _ = self.rig.sample_sphere(pictures, self._image_directions, antialias=self.antialias)
         inverse_depth = ray_depth(scene, self.rig.center, self._depth_directions).reciprocal()
-        return {"images": encode(values * 2 - 1, seen[:, None]), "inverse_depth": inverse_depth}
+        return {"images": encode(values * 2 - 1), "inverse_depth": inverse_depth}
 
     def _key(self) -> str:
         """Folder name that stands for everything a sample depends on."""

@@ -86,7 +86,8 @@ def test_one_data_module_serves_both_networks() -> None:
     first, second = (fisheye_scenes(*words).dataset("val")[1] for words in (sphere, panorama))
     assert first["frame"] == second["frame"] == "floating-01000001"
     assert first["images"].shape == (4, 3, 642)
-    assert set(second) == {"fisheye", "panorama_inverse_depth", "panorama_valid", "rig", "frame"}
+    expected = {"fisheye", "fisheye_seen", "panorama_inverse_depth", "panorama_valid", "rig", "frame"}
+    assert set(second) == expected
     assert second["fisheye"].shape == (4, 3, 32, 32)
     assert second["panorama_inverse_depth"].shape == (10, 20)
 

@@ -15,7 +15,7 @@ from sphericalvision.data.augmentation.sphere_rotation import yaw_angle, yaw_rot
 
 __all__ = ["RotateFivefold", "rotate_fivefold"]
 
-ON_ICOSPHERE = ("images", "inverse_depth", "valid")
+ON_ICOSPHERE = ("images", "seen", "inverse_depth", "valid")
 ON_PANORAMA = ("panorama_inverse_depth", "panorama_valid")
 
 
@@ -49,10 +49,10 @@ def rotate_fivefold(values: Tensor, steps: int) -> Tensor:
 class RotateFivefold:
     """Augmentation of a sample: the world, rig included, turned by a multiple of 72 degrees about the vertical.
 
-    Nothing is interpolated: values on the icosphere (``images``, ``inverse_depth``, ``valid``) move from chart to
-    chart, panoramas (``panorama_inverse_depth``, ``panorama_valid``) by whole columns, and what the cameras saw
-    (``fisheye``) stays, since they turn with the world. Whichever of these a sample has, all networks see the same
-    turns.
+    Nothing is interpolated: values on the icosphere (``images``, ``seen``, ``inverse_depth``, ``valid``) move from
+    chart to chart, panoramas (``panorama_inverse_depth``, ``panorama_valid``) by whole columns, and the cameras' own
+    images (``fisheye``, ``fisheye_seen``) stay, since they turn with the world. Whichever of these a sample has, all
+    networks see the same turns.
 
     Args:
         generator: source of the random choice; torch's own when not given.

@@ -17,6 +17,9 @@ __all__ = ["PhotometricAugmentation"]
 
 Sample = dict[str, Any]
 
+SEEN = {"images": "seen", "fisheye": "fisheye_seen"}
+"""Entries with colours, and the entries that say what of them was seen."""
+
 
 class PhotometricAugmentation(nn.Module):
     """Change brightness, contrast, colour and noise of a sample's images as different sensors would.
@@ -24,7 +27,8 @@ class PhotometricAugmentation(nn.Module):
     The defaults follow the published training for real images: brightness by up to 0.1 (25 of 255),
     contrast by up to a fifth, noise of up to a hundredth, for each camera on its own. Works before
     ``ToSphere`` (images by camera name), after it (one tensor) and on ``fisheye`` images ``(n, 3, h, w)`` in
-    [-1, 1]; in tensors, points outside the field of view stay 0.
+    [-1, 1]. In tensors, what was not seen (False in ``seen`` or ``fisheye_seen``) stays as it was; without such an
+    entry everything was seen.
 
     Args:
         brightness: largest amount added or taken away, of the range [0, 1].
@@ -78,14 +82,16 @@ class PhotometricAugmentation(nn.Module):
     def forward(self, sample: Sample) -> Sample:
         """The sample with augmented ``images`` and ``fisheye``, whichever it has: both in the same way."""
         seed = int(torch.randint(2**62, (), generator=self.generator))
-        entries = (key for key in ("images", "fisheye") if key in sample)
-        return sample | {key: self._changed(sample[key], seed) for key in entries}
+        entries = (key for key in SEEN if key in sample)
+        return sample | {key: self._changed(sample[key], sample.get(SEEN[key]), seed) for key in entries}
 
-    def _changed(self, images: Tensor | Mapping[str, Tensor], seed: int) -> Tensor | dict[str, Tensor]:
+    def _changed(
+        self, images: Tensor | Mapping[str, Tensor], seen: Tensor | None, seed: int
+    ) -> Tensor | dict[str, Tensor]:
         if isinstance(images, Tensor):
             flat = images if images.ndim == 4 else images[:, :, None]
-            colored = self.apply_to((flat + 1) / 2, seed) * 2 - 1
-            return torch.where((images != 0).any(1, keepdim=True), colored.view(images.shape), 0.0)
+            colored = (self.apply_to((flat + 1) / 2, seed) * 2 - 1).view(images.shape)
+            return colored if seen is None else torch.where(seen[:, None], colored, images)
         height, width = (max(image.shape[axis] for image in images.values()) for axis in (-2, -1))
         padded = [
             pad(image, (0, width - image.shape[-1], 0, height - image.shape[-2])) for image in images.values()

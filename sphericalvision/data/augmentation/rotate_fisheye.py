@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Remap
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data.seen import pixels_seen
 
 __all__ = ["RotateFisheye"]
 
@@ -21,9 +22,9 @@ class RotateFisheye:
     """Turn the cameras of a sample where they stand, and make the images that they would have taken.
 
     For images that cannot be rendered anew, such as OmniHouse's: what a turned camera sees outside the field of view,
-    the image or the mask of the original is not known; there images are 0 and the masks of the sample's new rig are
-    False. Positions stay, so depth from the rig's centre stays true, and ground truth is passed on as it is. Belongs
-    before ``ToSphere``. Where images shrink they are averaged.
+    the image or the mask of the original is not known; there images are 0, and ``seen`` (camera name -> ``(h, w)``)
+    and the masks of the sample's new rig are False. Positions stay, so depth from the rig's centre stays true, and
+    ground truth is passed on as it is. Belongs before ``ToSphere``. Where images shrink they are averaged.
 
     Tables are kept while samples come with one and the same rig object; the new rig is one object, too.
 
@@ -67,6 +68,7 @@ class RotateFisheye:
         self.tilt, self.rotation, self.image_size, self.mode = tilt, rotation, image_size, mode
         self._before: CameraRig | None = None
         self._after: CameraRig | None = None
+        self._seen: dict[str, Tensor] = {}
         self._remaps: dict[str, Remap] = {}
 
     def __call__(self, sample: Sample) -> Sample:
@@ -78,8 +80,9 @@ class RotateFisheye:
         if self._before is not rig:
             self._before, self._remaps = rig, self._make_remaps(rig)
             self._after = self._masked(self.turned(rig))
+            self._seen = pixels_seen(self._after)
         turned = {name: self._remaps[name](images[name]).values for name in rig.names}
-        return {**sample, "images": turned, "rig": self._after}
+        return {**sample, "images": turned, "seen": dict(self._seen), "rig": self._after}
 
     def turned(self, rig: CameraRig) -> CameraRig:
         """The rig with its cameras turned, and their images of the new size; without masks."""

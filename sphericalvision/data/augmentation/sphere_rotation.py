@@ -21,7 +21,10 @@ from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
 
 __all__ = ["num_yaw_steps", "random_rotations", "rotate_on_sphere", "yaw_on_sphere", "yaw_rotation"]
 
-KINDS = ("image", "depth", "normals", "labels")
+KINDS = ("image", "depth", "normals", "labels", "seen")
+
+#: Of the weights with which an interpolated value is made, what must come from places that were seen.
+SEEN_SHARE = 0.999
 
 
 def rotate_on_sphere(values: Tensor, grid: SphereGrid, rotation: Tensor, kind: str = "image") -> Tensor:
@@ -33,7 +36,8 @@ def rotate_on_sphere(values: Tensor, grid: SphereGrid, rotation: Tensor, kind: s
         rotation: ``(3, 3)``, or ``(B, 3, 3)`` for values whose first dimension is B.
         kind: ``"image"`` is interpolated; ``"labels"``, of any dtype, and ``"depth"``, along the ray and therefore
             as long as before, are taken from the nearest place, so that no label and no depth is invented;
-            ``"normals"`` are interpolated, turned, and of unit length again (zero stays zero).
+            ``"normals"`` are interpolated, turned, and of unit length again (zero stays zero); ``"seen"``, bool, is
+            True where every place that an image would be interpolated from was seen.
 
     Returns:
         As the values; differentiable in values and rotation for images and normals.
@@ -56,6 +60,9 @@ def rotate_on_sphere(values: Tensor, grid: SphereGrid, rotation: Tensor, kind: s
     looked_at = directions @ rotation.to(directions)  # its transpose, on rows
     if kind in ("depth", "labels"):
         return _gathered(flat, grid.nearest(looked_at)).view(values.shape)
+    if kind == "seen":
+        share = grid.sample(flat.to(directions).unflatten(-1, grid.shape), looked_at)
+        return (share > SEEN_SHARE).view(values.shape)
     sampled = grid.sample(flat.unflatten(-1, grid.shape), looked_at)
     if kind == "image":
         return sampled.reshape(values.shape)
@@ -69,7 +76,8 @@ def yaw_on_sphere(values: Tensor, grid: SphereGrid, steps: Tensor | int, kind: s
         values: ``(*, *grid.shape)``, with the three components in the dimension before the grid's for normals.
         grid: ``Equirectangular`` (a step is a column), ``Icosphere`` (72°), ``Cubemap`` or ``Healpix`` (90°).
         steps: any whole number, or ``(B,)`` of them for values whose first dimension is B.
-        kind: ``"image"``, ``"depth"``, ``"normals"`` (which are turned, too) or ``"labels"``, of any dtype.
+        kind: ``"image"``, ``"depth"``, ``"normals"`` (which are turned, too), ``"labels"``, of any dtype, or
+            ``"seen"``.
 
     Raises:
         ShapeError: if values, grid and steps do not fit.

@@ -40,6 +40,7 @@ USUAL_KINDS = {
     "labels": "labels",
     "mask": "labels",
     "valid": "labels",
+    "seen": "seen",
     "rig": "rig",
 }
 """What the entries of a sample are, by their names."""
@@ -113,10 +114,16 @@ class _SphereAugmentation(nn.Module):
     def _applied(self, data: Any, params: Parameters) -> Any:
         if isinstance(data, Tensor):
             return self._entry("input", data, "image", params)
-        return {
+        turned = {
             key: self._entry(key, value, self.kinds[key], params) if key in self.kinds else value
             for key, value in data.items()
         }
+        images, seen = turned.get("images"), turned.get("seen")
+        if isinstance(images, Tensor) and isinstance(
+            seen, Tensor
+        ):  # no mixture with what was not seen is shown
+            turned["images"] = torch.where(seen.unsqueeze(-len(self.grid.shape) - 1), images, 0.0)
+        return turned
 
     def _entry(self, key: str, value: Any, kind: str, params: Parameters) -> Any:
         one_for_all = len(params["batch_prob"]) == 1
@@ -156,16 +163,17 @@ class RandomSphereRotation(_SphereAugmentation):
 
     Args:
         grid: on which everything lies.
-        kinds: what entries of a sample are, by name: ``"image"``, ``"depth"``, ``"normals"``, ``"labels"`` (see
-            ``rotate_on_sphere``) or ``"rig"``. The usual names are known when not given: image, images, depth,
-            inverse_depth, normals, labels, mask, valid, rig. Entries of other names stay as they are.
+        kinds: what entries of a sample are, by name: ``"image"``, ``"depth"``, ``"normals"``, ``"labels"``,
+            ``"seen"`` (see ``rotate_on_sphere``) or ``"rig"``. The usual names are known when not given: image, images,
+            depth, inverse_depth, normals, labels, mask, valid, seen, rig. Entries of other names stay as they are.
         max_angle: largest angle in radians; π draws evenly from all rotations.
         p: probability with which a sample is rotated.
         same_on_batch: one rotation for all samples of a batch, or for a sample without a batch dimension.
         generator: source of randomness; torch's global one when not given.
 
     Entries are ``(B, c, *grid.shape)``, or ``(B, *grid.shape)`` for depth and labels; a tensor instead of a sample is
-    an image. Images by camera's name, as they are before ``ToSphere``, stay: the cameras turn with the world.
+    an image. Where a sample has ``seen``, its ``images`` are 0 wherever that is False. Images by camera's name, as they
+    are before ``ToSphere``, stay, and so does what was seen of them: the cameras turn with the world.
 
     Raises:
         ArgumentError: if an argument is out of range, or a sample has nothing to turn.

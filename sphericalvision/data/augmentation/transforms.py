@@ -62,8 +62,9 @@ class ToSphere:
             icosphere; slower. The paper does without.
 
     Returns:
-        The sample with ``images`` ``(n, 3, V)`` in the order of the rig's cameras, ``inverse_depth``
-        ``(V_depth,)`` in 1/m (0 where not valid), ``valid`` ``(V_depth,)``; the other entries as they were.
+        The sample with ``images`` ``(n, 3, V)`` in the order of the rig's cameras and ``seen`` ``(n, V)``,
+        ``inverse_depth`` ``(V_depth,)`` in 1/m (0 where not valid), ``valid`` ``(V_depth,)``; the other entries as
+        they were.
 
     References:
         Komatsu et al., 360 Depth Estimation from Multiple Fisheye Images with Origami Crown Representation of
@@ -86,8 +87,8 @@ class ToSphere:
 
     def __call__(self, sample: Sample) -> Sample:
         inverse_depth, valid = self.ground_truth(sample["inverse_depth"], sample["valid"])
-        images = self.images(sample["images"], sample["rig"])
-        return {**sample, "images": images, "inverse_depth": inverse_depth, "valid": valid}
+        images, seen = self.images(sample["images"], sample["rig"]), self.seen(sample["rig"])
+        return {**sample, "images": images, "seen": seen, "inverse_depth": inverse_depth, "valid": valid}
 
     def images(self, images: Mapping[str, Tensor], rig: CameraRig) -> Tensor:
         """Images on the icosphere, ``(n, 3, V)`` in [-1, 1], 0 where a camera does not look.
@@ -107,11 +108,33 @@ class ToSphere:
                     f"images[{name!r}]: expected (h, w) = {tuple(rig.cameras[name].image_size)} from the "
                     f"calibration, got {tuple(images[name].shape[-2:])}"
                 )
+        lookups = self._tables(rig)
+        return torch.stack([look(images[name]) for name, look in zip(rig.names, lookups, strict=True)])
+
+    def seen(self, rig: CameraRig) -> Tensor:
+        """Tell what of ``images`` was seen.
+
+        Args:
+            rig: unbatched.
+
+        Returns:
+            Bool ``(n, V)``: the vertex lies in the camera's field of view, its image and its mask.
+
+        Examples:
+            >>> from sphericalvision.cameras import ring_rig
+            >>> seen = ToSphere(3).seen(ring_rig(4, image_size=(32, 32)))
+            >>> seen.shape, bool(seen.any(0).all()), bool(seen.all())
+            (torch.Size([4, 642]), True, False)
+        """
+        return torch.stack([look.lookup.seen for look in self._tables(rig)])
+
+    def _tables(self, rig: CameraRig) -> list[FastLookup]:
+        """The tables of a rig, kept until another one comes."""
         if self._rig is not rig:
             directions = self._directions.to(rig.world_from_camera)
-            self._rig = rig
             self._lookups = [FastLookup.of(x) for x in sphere_lookups(rig, directions, self.antialias)]
-        return torch.stack([look(images[name]) for name, look in zip(rig.names, self._lookups, strict=True)])
+            self._rig = rig
+        return self._lookups
 
     def ground_truth(self, inverse_depth: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
         """Inverse depth and validity ``(V_depth,)`` at the vertices, of those of a panorama ``(H, W)``.
@@ -178,9 +201,13 @@ class RandomShift:
 class ShuffleCameras:
     """Bring the cameras of images and rig into a random order, the same for both; belongs after ``ToSphere``.
 
+    What each camera saw moves with its images: ``images`` with ``seen``, ``fisheye`` with ``fisheye_seen``.
+
     Args:
         generator: source of randomness; torch's global one when not given.
     """
+
+    by_camera = ("images", "seen", "fisheye", "fisheye_seen")
 
     def __init__(self, generator: torch.Generator | None = None) -> None:
         self.generator = generator
@@ -192,7 +219,8 @@ class ShuffleCameras:
                 "ShuffleCameras: expected images as one tensor (n, 3, V); it belongs after ToSphere"
             )
         order = torch.randperm(len(images), generator=self.generator)
-        return {**sample, "images": images[order], "rig": sample["rig"].permuted(order.tolist())}
+        ordered = {key: sample[key][order] for key in self.by_camera if key in sample}
+        return {**sample, **ordered, "rig": sample["rig"].permuted(order.tolist())}
 
     def __repr__(self) -> str:
         return "ShuffleCameras()"

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The omnidirectional stereo sets (OmniThings, OmniHouse, Sunny, Cloudy, Sunset) and sets of one's own "
-"like them."""
+"""The omnidirectional stereo sets (OmniThings, OmniHouse, Sunny, Cloudy, Sunset) and sets of one's own like them."""
 
 from __future__ import annotations
 
@@ -22,6 +21,7 @@ from sphericalvision.data.omnistereo.files import (
     split_frames,
 )
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
+from sphericalvision.data.seen import pixels_seen
 from sphericalvision.io.images import read_image
 
 __all__ = ["OmniStereoDataset"]
@@ -46,7 +46,8 @@ class OmniStereoDataset(Dataset[Sample]):
 
     A set of one's own needs the same layout, any number of cameras and frames, and one scale throughout.
 
-    Each sample is a dict: ``images`` (camera name -> float32 ``(3, h, w)`` in [0, 1]), ``inverse_depth``
+    Each sample is a dict: ``images`` (camera name -> float32 ``(3, h, w)`` in [0, 1]), ``seen`` (camera name ->
+    bool ``(h, w)``, in the field of view and in the mask), ``inverse_depth``
     (float32 ``(H, W)``, 1/m along the ray from the rig's centre, 0 is infinity; W = 2H for the full sphere,
     W = 4H for the latitudes within 45 degrees of the urban sets), ``valid`` (bool ``(H, W)``), ``rig`` and
     ``frame`` (its number as five digits); ``transform`` may make something else of it.
@@ -98,6 +99,7 @@ class OmniStereoDataset(Dataset[Sample]):
         unit = translation_unit if self.release.name == "png" else None  # config.yaml is in metres
         calibration = self.root / self.release.calibration
         self.rig: CameraRig = read_rig(calibration, translation_unit=unit, max_angle=max_angle)
+        self._seen = pixels_seen(self.rig)
         self.min_depth = self._choose_min_depth(min_depth)
         check_scale(root, self.release, self.min_depth, float(self.rig.radius))
         self._truths = index_frames(
@@ -126,6 +128,7 @@ class OmniStereoDataset(Dataset[Sample]):
         inverse_depth, valid = read_ground_truth(self._truths[frame], self.min_depth)
         sample: Sample = {
             "images": images,
+            "seen": dict(self._seen),
             "inverse_depth": inverse_depth,
             "valid": valid,
             "rig": self.rig,

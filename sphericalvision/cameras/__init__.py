@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Camera models that work on directions, beyond 180° where the lens does, rigs of them, and calibration files."""
 
-from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras import sphere_images as _sphere_images  # noqa: F401  # CameraRig.sample_sphere
+from sphericalvision.cameras.base import Camera, Conversion, Projection, Unprojection
 from sphericalvision.cameras.calibration import (
     read_camera,
     read_cameras,
@@ -16,7 +17,7 @@ from sphericalvision.cameras.calibration import (
     write_omnimvs,
     write_opencv,
 )
-from sphericalvision.cameras.conversion.convert import Conversion, InverseFit, convert, fit_inverse_polynomial
+from sphericalvision.cameras.conversion.convert import InverseFit, convert, fit_inverse_polynomial
 from sphericalvision.cameras.coverage import Overlap, coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, z_from_depth
 from sphericalvision.cameras.field_of_view import (
@@ -59,6 +60,7 @@ from sphericalvision.cameras.models.radial_polynomial import (
     unproject_radial_polynomial,
 )
 from sphericalvision.cameras.models.unified import UnifiedCamera, project_unified, unproject_unified
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.cameras.remapping.remap import REMAP_MODES, Remap, remap
 from sphericalvision.cameras.remapping.tables import Remapped
 from sphericalvision.cameras.remapping.undistort import undistort, undistorted_camera
@@ -106,6 +108,7 @@ __all__ = [
     "read_camera",
     "read_cameras",
     "read_rig",
+    "register_camera",
     "remap",
     "ring_rig",
     "save_camera",

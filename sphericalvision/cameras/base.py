@@ -7,18 +7,16 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
+from sphericalvision.cameras.verbs import verb
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import bilinear_sample, components, is_at_least, is_greater
 
-if TYPE_CHECKING:
-    from sphericalvision.cameras.conversion.convert import Conversion
-
-__all__ = ["Camera", "Projection", "Unprojection"]
+__all__ = ["Camera", "Conversion", "Projection", "Unprojection"]
 
 AnyCamera = TypeVar("AnyCamera", bound="Camera")
 
@@ -41,6 +39,20 @@ class Unprojection(NamedTuple):
     """bool (*)."""
 
 
+class Conversion(NamedTuple):
+    """A camera of another model, and how well it stands in for the original."""
+
+    camera: Camera
+    """The new camera; its ``max_angle`` is ``covered_angle``."""
+    max_error: float
+    """Largest distance in pixels between the projections of the two, over directions that were not fitted."""
+    rms_error: float
+    """Root mean square of these distances over the solid angle."""
+    covered_angle: float
+    """The angle from the axis, in radians, out to which the model was fitted and the errors hold; less than the
+    original's view where the new model cannot reach as far."""
+
+
 class Camera(ABC):
     """A central camera: it maps points or directions, never the plane z = 1, and so reaches beyond 180°.
 
@@ -54,7 +66,7 @@ class Camera(ABC):
         half the field of view.
 
     A model is one subclass with two methods, ``_project`` and ``_unproject``, that know nothing about the image borders
-    and ``max_angle``.
+    and ``max_angle``. ``register_camera`` makes it known to files.
     """
 
     model: ClassVar[str]
@@ -63,6 +75,8 @@ class Camera(ABC):
     """The tensor attributes, in the constructor's order."""
     option_names: ClassVar[tuple[str, ...]] = ()
     """Constructor arguments that are not tensors."""
+    optional_names: ClassVar[tuple[str, ...]] = ()
+    """Those of ``intrinsic_names`` that may be ``None``."""
 
     image_size: tuple[int, int]
     max_angle: Tensor
@@ -223,9 +237,8 @@ class Camera(ABC):
             >>> fisheye.convert(to=KannalaBrandtCamera).max_error < 0.01
             True
         """
-        from sphericalvision.cameras.conversion.convert import convert  # which knows all the models
-
-        return convert(self, to, **options)
+        conversion: Conversion = verb("Camera.convert")(self, to, **options)
+        return conversion
 
     def select(self: AnyCamera, index: int) -> AnyCamera:
         """One camera of a batch."""

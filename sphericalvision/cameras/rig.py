@@ -17,7 +17,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
-from sphericalvision.cameras.sphere_images import sample_sphere
+from sphericalvision.cameras.verbs import verb
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry import (
     directions_from_longitude_latitude,
@@ -360,13 +360,18 @@ class CameraRig:
             ArgumentError: if the number or the names of the images are not those of the rig.
             ShapeError: if an image has another size than its camera.
         """
-        return sample_sphere(self, images, directions, fill, antialias)
+        looked_up: tuple[Tensor, Tensor] = verb("CameraRig.sample_sphere")(
+            self, images, directions, fill, antialias
+        )
+        return looked_up
 
     def to_yaml(self, path: str | Path) -> None:
-        """Write the rig as this package's own YAML, which ``read_rig`` reads; masks become images beside it."""
-        from sphericalvision.cameras.calibration.native import write_rig  # the reader needs this module
+        """Write the rig as this package's own YAML, which ``read_rig`` reads; masks become images beside it.
 
-        write_rig(self, path)
+        Raises:
+            ArgumentError: a camera of one's own model is not registered, so that it could not be read back.
+        """
+        verb("CameraRig.to_yaml")(self, path)
 
     def __repr__(self) -> str:
         kinds = {type(camera).__name__ for camera in self.cameras.values()}

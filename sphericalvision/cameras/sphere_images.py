@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -13,10 +13,9 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.cameras.verbs import implements
 from sphericalvision.core import ArgumentError, ShapeError
-
-if TYPE_CHECKING:
-    from sphericalvision.cameras.rig import CameraRig
 
 __all__ = ["SphereLookup", "sample_sphere", "sphere_lookups"]
 
@@ -69,6 +68,7 @@ def sphere_lookups(rig: CameraRig, directions: Tensor, antialias: bool = False) 
     return lookups
 
 
+@implements("CameraRig.sample_sphere")
 def sample_sphere(
     rig: CameraRig,
     images: Mapping[str, Tensor] | Sequence[Tensor],

@@ -10,6 +10,7 @@ where pixels are usable. A single camera is the same mapping without name and po
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +29,9 @@ from sphericalvision.cameras.calibration.parsing import (
     size_from_width_height,
     write_mask,
 )
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.models.double_sphere import DoubleSphereCamera
-from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.cameras.models.extended_unified import ExtendedUnifiedCamera
-from sphericalvision.cameras.models.fisheye import FisheyeCamera
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.ocam import OCamCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
-from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
-from sphericalvision.cameras.models.unified import UnifiedCamera
+from sphericalvision.cameras.registry import camera_model, camera_model_names, check_registered
 from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.cameras.verbs import implements
 from sphericalvision.core import FileFormatError
 
 __all__ = [
@@ -56,39 +49,25 @@ CAMERA_FORMAT = "sphericalvision-camera"
 RIG_FORMAT = "sphericalvision-rig"
 VERSION = 1
 
-_MODELS: dict[str, type[Camera]] = {
-    model.model: model
-    for model in (
-        BrownConradyCamera,
-        DoubleSphereCamera,
-        EquirectangularCamera,
-        ExtendedUnifiedCamera,
-        FisheyeCamera,
-        KannalaBrandtCamera,
-        OCamCamera,
-        PinholeCamera,
-        RadialPolynomialCamera,
-        UnifiedCamera,
-    )
-}
-
-_OPTIONAL = {("ocam", "inverse_polynomial"), ("unified", "distortion")}
-"""Parameters of a model that a file may give as ``null``."""
-
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
     """Plain numbers and strings that ``camera_from_dict`` turns back into an equal camera.
 
+    Raises:
+        ArgumentError: the camera is a batch, or its class is not registered.
+
     Examples:
+        >>> from sphericalvision.cameras import EquirectangularCamera
         >>> camera_to_dict(EquirectangularCamera((160, 320)))["image_size"]
         [160, 320]
     """
     check_single(camera)
+    check_registered(camera)
     result: dict[str, Any] = {"model": camera.model, "image_size": list(camera.image_size)}
     result |= {name: getattr(camera, name) for name in camera.option_names}
     tensors = {name: getattr(camera, name) for name in camera.intrinsic_names}
     result |= {name: None if tensor is None else tensor.tolist() for name, tensor in tensors.items()}
-    if not isinstance(camera, EquirectangularCamera):
+    if _takes_max_angle(type(camera)):
         result["max_angle"] = camera.max_angle.item()
     return result
 
@@ -97,13 +76,16 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
     """The camera of such a mapping; ``where`` names file and place in errors.
 
     Examples:
+        >>> from sphericalvision.cameras import EquirectangularCamera
         >>> camera_from_dict(camera_to_dict(EquirectangularCamera((160, 320))), "here").image_size
         (160, 320)
     """
     name = entry(values, "model", where)
-    if not isinstance(name, str) or name not in _MODELS:
-        raise FileFormatError(f"{where}, model: expected one of {', '.join(_MODELS)}, got {name!r}")
-    model = _MODELS[name]
+    model = camera_model(name) if isinstance(name, str) else None
+    if model is None:
+        raise FileFormatError(
+            f"{where}, model: expected one of {', '.join(camera_model_names())}, got {name!s:.80}"
+        )
     dtype = dtype or torch.get_default_dtype()
     height, width = numbers(entry(values, "image_size", where), f"{where}, image_size", 2)
     arguments: dict[str, Any] = {
@@ -112,11 +94,11 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
     arguments |= {key: entry(values, key, where) for key in model.option_names}
     for key in model.intrinsic_names:
         value = entry(values, key, where)
-        if value is not None or (name, key) not in _OPTIONAL:
+        if value is not None or key not in model.optional_names:
             parsed = numbers(value, f"{where}, {key}")
             value = torch.tensor(parsed if isinstance(value, list) else parsed[0], dtype=dtype)
         arguments[key] = value
-    if model is not EquirectangularCamera:
+    if _takes_max_angle(model):
         arguments["max_angle"] = numbers(entry(values, "max_angle", where), f"{where}, max_angle", 1)[0]
     try:
         with as_told(where):
@@ -131,14 +113,17 @@ def write_camera(camera: Camera, path: str | Path) -> None:
     write_yaml(path, content)
 
 
+@implements("CameraRig.to_yaml")
 def write_rig(rig: CameraRig, path: str | Path) -> None:
     """Write a rig as YAML, which ``read_rig`` reads, and its masks as ``<stem>_<name>_mask.png`` beside it.
 
     Raises:
-        ArgumentError: the rig is a batch.
+        ArgumentError: the rig is a batch, or a camera's class is not registered.
     """
     check_single(rig)
     path = Path(path)
+    for camera in rig.cameras.values():  # before a mask is written
+        check_registered(camera)
     cameras = []
     for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
         values = {"name": name, **camera_to_dict(camera), "world_from_camera": pose.tolist()}
@@ -183,6 +168,11 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         if values.get("mask"):
             masks[name] = read_mask(path.parent / str(values["mask"]), cameras[name].image_size)
     return Contents(cameras, torch.tensor(poses, dtype=torch.float64).reshape(-1, 4, 4), masks)
+
+
+def _takes_max_angle(model: type[Camera]) -> bool:
+    """Whether the field of view is a choice: a panorama sees everything."""
+    return "max_angle" in inspect.signature(model).parameters
 
 
 def _limited(camera: Camera, options: Options) -> Camera:

@@ -4,42 +4,30 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.conversion.fit import ROUNDS, FittedModel, cap, fit_model
-from sphericalvision.cameras.conversion.targets import MODELS
+from sphericalvision.cameras.base import Camera, Conversion
+from sphericalvision.cameras.conversion.fit import ROUNDS, cap, fit_model
 from sphericalvision.cameras.field_of_view import check_single, directions_around_axis, visible_angle
+from sphericalvision.cameras.fitting.model import FittedModel, fit_choices, fitted_classes
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.models.ocam_polynomials import InverseFit, fit_direct, fit_inverse_polynomial
 from sphericalvision.cameras.models.pinhole import PinholeCamera
+from sphericalvision.cameras.registry import camera_model, camera_model_names
+from sphericalvision.cameras.verbs import implements
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.geometry import angle_from_axis, polynomial
 
-__all__ = ["Conversion", "InverseFit", "convert", "fit_inverse_polynomial"]
+__all__ = ["InverseFit", "convert", "fit_inverse_polynomial"]
 
 _HELD_OUT = 12_000  # directions in the cap of the field of view; fewer are on the image
 
 
-class Conversion(NamedTuple):
-    """A camera of another model, and how well it stands in for the original."""
-
-    camera: Camera
-    """The new camera; its ``max_angle`` is ``covered_angle``."""
-    max_error: float
-    """Largest distance in pixels between the projections of the two, over directions that were not fitted."""
-    rms_error: float
-    """Root mean square of these distances over the solid angle."""
-    covered_angle: float
-    """The angle from the axis, in radians, out to which the model was fitted and the errors hold; less than the
-    original's view where the new model cannot reach as far."""
-
-
+@implements("Camera.convert")
 @torch.no_grad()
 def convert(
     camera: Camera,
@@ -122,21 +110,29 @@ def convert(
 
 
 def _model(to: type[Camera] | str) -> type[Camera]:
-    models: list[type[Camera]] = [*MODELS, EquirectangularCamera]
-    known = {model.model: model for model in models}
     if isinstance(to, str):
-        check_choice("to", to, tuple(known))
-        return known[to]
-    if to not in known.values():
-        names = ", ".join(model.__name__ for model in known.values())
-        raise ArgumentError(f"to: expected one of {names}, got {to!r}")
+        model = camera_model(to)
+        if model is None:
+            check_choice("to", to, camera_model_names())
+            raise AssertionError(to)  # a name that is known has a model
+        return model
+    if not (isinstance(to, type) and issubclass(to, Camera)):
+        raise ArgumentError(
+            f"to: expected a camera class, or one of {', '.join(camera_model_names())}, got {to!r}"
+        )
     return to
 
 
 def _candidates(
     camera: Camera, to: type[Camera], num_coefficients: int | None, projection: str | None
 ) -> list[FittedModel]:
-    choices = MODELS[to]
+    choices = fit_choices(to)
+    if choices is None:
+        known = ", ".join(kind.__name__ for kind in fitted_classes())
+        raise ArgumentError(
+            f"to: expected one of {known}; {to.__name__} does not say how it is fitted "
+            "(sphericalvision.cameras.fitting.model.fitted)"
+        )
     if num_coefficients is not None and num_coefficients not in choices.num_coefficients:
         allowed = ", ".join(map(str, sorted(choices.num_coefficients)))
         raise ArgumentError(

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, Samples, fitted
+from sphericalvision.cameras.fitting.starts import PLANE_REACH, solve_linear, with_shapes
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.cameras.models.plane_distortion import (
     distort_inside,
@@ -18,6 +20,7 @@ from sphericalvision.cameras.models.plane_distortion import (
     radius_limit,
     undistort,
 )
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components, is_greater
 
@@ -141,6 +144,7 @@ def unproject_brown_conrady(
     return Unprojection(directions, valid if meets is None else valid & meets)
 
 
+@register_camera
 class BrownConradyCamera(Camera):
     """A pinhole camera with distortion, as calibrated by OpenCV, COLMAP, ROS and many others; up to 89.99°.
 
@@ -220,3 +224,29 @@ class BrownConradyCamera(Camera):
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_brown_conrady(pixels, *self._aligned(pixels))
+
+
+def _plane_start(model: FittedModel, samples: Samples) -> list[Tensor]:
+    """Brown-Conrady: radius (1 + k4 r² + ...) = r (1 + k1 r² + ...) is linear, weighted by the last denominator."""
+    size = model.sizes["distortion"] or 0
+    r = samples.angle.tan()
+    above = [r**3, r**5, r**7][: 2 if size == 4 else 3]
+    below = [-samples.radius * r**power for power in (2, 4, 6)] if size >= 8 else []
+    columns = torch.stack([*above, *below], dim=-1)
+    weight = torch.ones_like(r)
+    for _ in range(4 if below else 1):
+        solution = solve_linear(columns * weight.unsqueeze(-1), (samples.radius - r) * weight)
+        distortion = r.new_zeros(size)
+        distortion[[0, 1, 4][: len(above)]] = solution[: len(above)]
+        distortion[5 : 5 + len(below)] = solution[len(above) :]
+        denominator = 1 + sum(
+            (k * r**power for k, power in zip(solution[len(above) :], (2, 4, 6), strict=False)), 0 * r
+        )
+        weight = 1 / denominator.abs().clamp_min(1e-3)
+    return with_shapes(model, samples, [distortion.tolist(), [0.0] * size])
+
+
+@fitted(BrownConradyCamera, num_coefficients=(8, 4, 5, 12, 14))
+def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
+    sizes = FOCAL | {"distortion": num_coefficients}
+    return FittedModel(BrownConradyCamera, project_brown_conrady, sizes, _plane_start, reach=PLANE_REACH)

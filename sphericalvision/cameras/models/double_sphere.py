@@ -10,7 +10,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components, is_greater, safe_sqrt
 
@@ -75,6 +78,7 @@ def unproject_double_sphere(
     return Unprojection(unit_directions(x * scale, y * scale, scale * depth - xi), under_root >= 0)
 
 
+@register_camera
 class DoubleSphereCamera(Camera):
     """A double sphere camera, as calibrated by Basalt and Kalibr.
 
@@ -135,3 +139,11 @@ class DoubleSphereCamera(Camera):
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_double_sphere(pixels, *self._aligned(pixels))
+
+
+@fitted(DoubleSphereCamera)
+def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
+    starts = shape_grid((-0.4, -0.2, 0.0, 0.2, 0.5, 0.8), (0.0, 0.3, 0.5, 0.6, 0.7, 0.8))
+    bounds = {"xi": (-0.999, 0.999), "alpha": (0.0, 1.0)}
+    sizes = FOCAL | {"xi": None, "alpha": None}
+    return FittedModel(DoubleSphereCamera, project_double_sphere, sizes, starts, bounds)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import (
     bilinear_sample,
@@ -62,6 +63,7 @@ def unproject_equirectangular(
     return Unprojection(directions, latitude.abs() <= math.pi / 2 + 8 * torch.finfo(pixels.dtype).eps)
 
 
+@register_camera
 class EquirectangularCamera(Camera):
     """An equirectangular panorama; it sees everything, and its left and right edges meet.
 

@@ -11,7 +11,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components, is_greater, safe_sqrt
 
@@ -80,6 +83,7 @@ def unproject_extended_unified(
     return Unprojection(unit_directions(x, y, depth), under_root >= 0)
 
 
+@register_camera
 class ExtendedUnifiedCamera(Camera):
     """An extended unified (EUCM) camera, as calibrated by Basalt and Kalibr.
 
@@ -152,3 +156,11 @@ class ExtendedUnifiedCamera(Camera):
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_extended_unified(pixels, *self._aligned(pixels))
+
+
+@fitted(ExtendedUnifiedCamera)
+def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
+    starts = shape_grid((0.0, 0.3, 0.5, 0.6, 0.7, 0.8), (0.5, 0.8, 1.0, 1.3, 2.0, 4.0))
+    bounds = {"alpha": (0.0, 1.0), "beta": (1e-3, 1e3)}
+    sizes = FOCAL | {"alpha": None, "beta": None}
+    return FittedModel(ExtendedUnifiedCamera, project_extended_unified, sizes, starts, bounds)

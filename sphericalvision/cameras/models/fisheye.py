@@ -5,13 +5,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import ClassVar, Literal, get_args
 
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_choice, check_last_dim
 from sphericalvision.geometry import (
     components,
@@ -140,6 +144,7 @@ def unproject_fisheye(
     return Unprojection(directions, valid)
 
 
+@register_camera
 class FisheyeCamera(Camera):
     """An ideal fisheye camera.
 
@@ -218,3 +223,16 @@ class FisheyeCamera(Camera):
     def _unproject(self, pixels: Tensor) -> Unprojection:
         focal_length, principal_point = self._aligned(pixels)
         return unproject_fisheye(pixels, focal_length, principal_point, self.projection)
+
+
+@fitted(FisheyeCamera, projections=FISHEYE_PROJECTIONS)
+def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
+    reach = {"orthographic": math.pi / 2, "stereographic": math.radians(179)}.get(projection, math.pi)
+    return FittedModel(
+        FisheyeCamera,
+        partial(project_fisheye, projection=projection),
+        FOCAL,
+        shape_grid(),
+        reach=reach,
+        constants={"projection": projection},
+    )

@@ -11,7 +11,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, Samples, fitted
+from sphericalvision.cameras.fitting.starts import solve_linear, with_shapes
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import check_last_dim
 from sphericalvision.geometry import (
     InverseTable,
@@ -148,6 +151,7 @@ def unproject_kannala_brandt(
     return Unprojection(unit_directions(x * scale, y * scale, cosine), converged & inside)
 
 
+@register_camera
 class KannalaBrandtCamera(Camera):
     """A Kannala-Brandt camera with four coefficients, correct past 90°.
 
@@ -196,3 +200,19 @@ class KannalaBrandtCamera(Camera):
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_kannala_brandt(pixels, *self._aligned(pixels))
+
+
+def _radial_start(model: FittedModel, samples: Samples) -> list[Tensor]:
+    """Kannala-Brandt: radius − θ = k1 θ³ + k2 θ⁵ + ... is linear."""
+    angle = samples.angle
+    powers = torch.stack([angle ** (2 * k + 3) for k in range(4)], dim=-1)
+    solution = solve_linear(powers, samples.radius - angle)
+    return [
+        torch.cat((samples.focal_length, samples.center, solution)),
+        *with_shapes(model, samples, [[0.0] * 4]),
+    ]
+
+
+@fitted(KannalaBrandtCamera)
+def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
+    return FittedModel(KannalaBrandtCamera, project_kannala_brandt, FOCAL | {"distortion": 4}, _radial_start)

@@ -9,13 +9,17 @@ Convention:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
+from sphericalvision.cameras.fitting.starts import solve_linear
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import (
     InverseTable,
@@ -167,6 +171,7 @@ def unproject_ocam(
     return Unprojection(directions, radius * slope - value > 0)
 
 
+@register_camera
 class OCamCamera(Camera):
     """A camera of the OCamCalib toolbox, with the inverse polynomial of its file or the exact inverse.
 
@@ -199,6 +204,7 @@ class OCamCamera(Camera):
         "principal_point",
         "affine",
     )
+    optional_names: ClassVar[tuple[str, ...]] = ("inverse_polynomial",)
 
     polynomial: Tensor
     inverse_polynomial: Tensor | None
@@ -273,3 +279,35 @@ class OCamCamera(Camera):
     def _unproject(self, pixels: Tensor) -> Unprojection:
         tensors = (self.polynomial, self.principal_point, self.affine)
         return unproject_ocam(pixels, *(self._align(tensor, pixels) for tensor in tensors))
+
+
+def _ocam_start(model: FittedModel, samples: Samples) -> list[Tensor]:
+    """OCam: so is the inverse polynomial."""
+    theta = samples.angle - math.pi / 2
+    powers = torch.stack([theta**power for power in range(model.sizes["inverse_polynomial"] or 0)], dim=-1)
+    coefficients = solve_linear(powers, samples.radius * samples.focal_length[0])
+    aspect = samples.focal_length[1] / samples.focal_length[0]
+    affine = torch.stack((aspect, 0 * aspect, 0 * aspect))
+    parts = {"inverse_polynomial": coefficients, "principal_point": samples.center, "affine": affine}
+    return [model.vector(parts)]
+
+
+def _project_inverse(
+    directions: Tensor, inverse_polynomial: Tensor, principal_point: Tensor, affine: Tensor
+) -> Projection:
+    return project_ocam(directions, inverse_polynomial[:1], inverse_polynomial, principal_point, affine)
+
+
+def _before_direct_fit(intrinsics: dict[str, Any]) -> dict[str, Any]:
+    """A direct polynomial that stands there until it is fitted to the inverse one."""
+    return intrinsics | {"polynomial": -intrinsics["inverse_polynomial"].new_ones(1)}
+
+
+@fitted(OCamCamera, num_coefficients=(12, *range(2, 12), *range(13, 19)))
+def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
+    sizes: dict[str, int | None] = {
+        "inverse_polynomial": num_coefficients,
+        "principal_point": 2,
+        "affine": 3,
+    }
+    return FittedModel(OCamCamera, _project_inverse, sizes, _ocam_start, complete=_before_direct_fit)

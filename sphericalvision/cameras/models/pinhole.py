@@ -11,7 +11,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.fitting.starts import PLANE_REACH, shape_grid
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import check_last_dim
 from sphericalvision.geometry import components, is_greater
 
@@ -48,6 +51,7 @@ def unproject_pinhole(pixels: Tensor, focal_length: Tensor, principal_point: Ten
     return Unprojection(unit_directions(x, y, torch.ones_like(x)), torch.ones_like(x, dtype=torch.bool))
 
 
+@register_camera
 class PinholeCamera(Camera):
     """A pinhole camera; images must be undistorted before.
 
@@ -86,3 +90,8 @@ class PinholeCamera(Camera):
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_pinhole(pixels, *self._aligned(pixels))
+
+
+@fitted(PinholeCamera)
+def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
+    return FittedModel(PinholeCamera, project_pinhole, FOCAL, shape_grid(), reach=PLANE_REACH)

@@ -11,7 +11,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
+from sphericalvision.cameras.fitting.starts import solve_linear
 from sphericalvision.cameras.models.image_plane import unit_directions
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import (
     components,
@@ -120,6 +123,7 @@ def unproject_radial_polynomial(
     return Unprojection(unit_directions(x * scale, y * scale, cosine), converged & inside)
 
 
+@register_camera
 class RadialPolynomialCamera(Camera):
     """A camera whose image radius is a polynomial of the angle from the axis: WoodScape, and Aria's radial part.
 
@@ -195,3 +199,19 @@ class RadialPolynomialCamera(Camera):
             image_size,
             self.max_angle,
         )
+
+
+def _power_start(model: FittedModel, samples: Samples) -> list[Tensor]:
+    """Radial polynomial: the radius in pixels along u is linear in the coefficients."""
+    angle = samples.angle
+    powers = torch.stack([angle**power for power in range(1, (model.sizes["polynomial"] or 0) + 1)], dim=-1)
+    coefficients = solve_linear(powers, samples.radius * samples.focal_length[0])
+    aspect = samples.focal_length[1:] / samples.focal_length[:1]
+    parts = {"polynomial": coefficients, "principal_point": samples.center, "aspect_ratio": aspect}
+    return [model.vector(parts)]
+
+
+@fitted(RadialPolynomialCamera, num_coefficients=(4, 1, 2, 3, *range(5, 13)))
+def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
+    sizes = {"polynomial": num_coefficients, "principal_point": 2, "aspect_ratio": None}
+    return FittedModel(RadialPolynomialCamera, project_radial_polynomial, sizes, _power_start)

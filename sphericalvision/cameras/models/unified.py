@@ -11,8 +11,11 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
 from sphericalvision.cameras.models.plane_distortion import distort_inside, fold_radius, undistort
+from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components, is_greater, safe_sqrt
 
@@ -101,6 +104,7 @@ def unproject_unified(
     return Unprojection(directions, valid & converged)
 
 
+@register_camera
 class UnifiedCamera(Camera):
     """A unified (UCM) or, with distortion, Mei camera: fisheyes and mirrors past 90°, as calibrated by ``cv2.omnidir``.
 
@@ -123,6 +127,7 @@ class UnifiedCamera(Camera):
 
     model = "unified"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "xi", "distortion")
+    optional_names: ClassVar[tuple[str, ...]] = ("distortion",)
 
     focal_length: Tensor
     principal_point: Tensor
@@ -183,3 +188,15 @@ class UnifiedCamera(Camera):
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_unified(pixels, *self._aligned(pixels))
+
+
+@fitted(UnifiedCamera, num_coefficients=(4, 0, 5))
+def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
+    sizes = FOCAL | {"xi": None}
+    if num_coefficients:
+        sizes |= {"distortion": num_coefficients}
+    starts = shape_grid((0.0, 0.25, 0.5, 0.75, 1.0, 1.3, 1.7, 2.2, 3.0), then=num_coefficients)
+    constants = {} if num_coefficients else {"distortion": None}
+    return FittedModel(
+        UnifiedCamera, project_unified, sizes, starts, {"xi": (0.0, 50.0)}, constants=constants
+    )

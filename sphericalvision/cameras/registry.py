@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera models by their names in files: the package's own, registered ones, and those of installed packages."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from typing import TypeVar
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.core import ArgumentError
+
+__all__ = ["ENTRY_POINTS", "camera_model", "camera_model_names", "check_registered", "register_camera"]
+
+ENTRY_POINTS = "sphericalvision.cameras"
+"""Group of entry points, name -> subclass of ``Camera``, in which other packages offer theirs."""
+
+AnyModel = TypeVar("AnyModel", bound=type[Camera])
+
+_MODELS: dict[str, type[Camera]] = {}
+
+
+def register_camera(model: AnyModel) -> AnyModel:
+    """Make a camera model known by its name, so that ``read_rig``, ``to_yaml`` and ``convert`` find it.
+
+    A package that others install names its models as entry points of the group ``sphericalvision.cameras`` instead,
+    and they are found without being imported.
+
+    Args:
+        model: a subclass of ``Camera`` whose ``model`` is its name; also as a decorator.
+
+    Raises:
+        ArgumentError: it has no name, or one that another model has.
+
+    Examples:
+        >>> from sphericalvision.cameras import PinholeCamera
+        >>> @register_camera
+        ... class Periscope(PinholeCamera):
+        ...     model = "periscope"
+        >>> camera_model("periscope").__name__
+        'Periscope'
+    """
+    name = getattr(model, "model", None)
+    if not isinstance(name, str) or not name:
+        raise ArgumentError(f"model: expected {model.__name__}.model to be its name in files, got {name!r}")
+    known = _MODELS.get(name)
+    if known is not None and (known.__module__, known.__qualname__) != (model.__module__, model.__qualname__):
+        raise ArgumentError(
+            f"model: {known.__name__} is named {name!r} already; give {model.__name__}.model another name"
+        )
+    _MODELS[name] = model
+    return model
+
+
+def camera_model(name: str) -> type[Camera] | None:
+    """The camera model of a name, or None."""
+    if name not in _MODELS:
+        for entry in metadata.entry_points(group=ENTRY_POINTS, name=name):
+            model = entry.load()
+            if not (isinstance(model, type) and issubclass(model, Camera) and model.model == name):
+                raise ArgumentError(
+                    f"model: the entry point {name!r} of {ENTRY_POINTS} ({entry.value}) is no subclass of Camera "
+                    f"whose model is {name!r}"
+                )
+            register_camera(model)
+    return _MODELS.get(name)
+
+
+def camera_model_names() -> tuple[str, ...]:
+    """The names of all models, in alphabetical order."""
+    return tuple(sorted({*_MODELS, *metadata.entry_points(group=ENTRY_POINTS).names}))
+
+
+def check_registered(camera: Camera) -> None:
+    """Raise ``ArgumentError`` unless the camera's class is found by its name."""
+    found = camera_model(camera.model)
+    if found is not type(camera):
+        kind = type(camera).__name__
+        problem = f"is {found.__name__}'s name" if found else "is not known"
+        raise ArgumentError(
+            f"camera: {kind} could not be read back: its model {camera.model!r} {problem}. Register the class with "
+            f"sphericalvision.cameras.register_camera, or as an entry point of {ENTRY_POINTS!r}"
+        )

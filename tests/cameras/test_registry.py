@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera model of one's own: written once, known to files, rigs and conversions by its name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import (
+    Camera,
+    CameraRig,
+    FisheyeCamera,
+    PinholeCamera,
+    Projection,
+    Unprojection,
+    convert,
+    read_camera,
+    read_rig,
+    register_camera,
+    save_camera,
+)
+from sphericalvision.cameras import registry as registry_module
+from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.fitting.starts import shape_grid
+from sphericalvision.core import ArgumentError, FileFormatError
+
+
+def project_parabolic(
+    points: Tensor, focal_length: Tensor, principal_point: Tensor, bend: Tensor
+) -> Projection:
+    """A camera that nobody built: a stereographic mirror, stretched by ``bend``."""
+    x, y, z = points.unbind(-1)
+    total = points.norm(dim=-1) * bend + z
+    shrink = 1 / total.clamp_min(1e-6)
+    pixels = torch.stack((x * shrink, y * shrink), -1) * focal_length + principal_point
+    return Projection(pixels, total > 1e-6)
+
+
+class ParabolicCamera(Camera):
+    """The camera of ``project_parabolic``."""
+
+    model = "parabolic mirror"
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "bend")
+
+    focal_length: Tensor
+    principal_point: Tensor
+    bend: Tensor
+
+    def __init__(
+        self,
+        focal_length: Sequence[float] | Tensor,
+        principal_point: Sequence[float] | Tensor,
+        bend: float | Tensor,
+        image_size: Sequence[int],
+        max_angle: float | Tensor,
+    ) -> None:
+        super().__init__(
+            image_size, max_angle, focal_length=focal_length, principal_point=principal_point, bend=bend
+        )
+
+    def _project(self, points: Tensor) -> Projection:
+        return project_parabolic(points, *self._aligned(points))
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        raise NotImplementedError
+
+
+@fitted(ParabolicCamera)
+def _fitted_parabolic(num_coefficients: int, projection: str) -> FittedModel:
+    return FittedModel(
+        ParabolicCamera, project_parabolic, FOCAL | {"bend": None}, shape_grid((0.8, 1.0, 1.2))
+    )
+
+
+@pytest.fixture
+def unregistered() -> Iterator[None]:
+    """The registry as it was, afterwards."""
+    before = dict(registry_module._MODELS)
+    yield
+    registry_module._MODELS.clear()
+    registry_module._MODELS.update(before)
+
+
+def own_camera() -> ParabolicCamera:
+    return ParabolicCamera([90.0, 91.0], [99.5, 79.5], 1.1, (160, 200), 1.4)
+
+
+@pytest.mark.usefixtures("unregistered")
+def test_a_registered_camera_is_written_read_back_and_converted_to(tmp_path: Path) -> None:
+    assert register_camera(ParabolicCamera) is ParabolicCamera
+    assert register_camera(ParabolicCamera) is ParabolicCamera, "twice is no mistake"
+    rig = CameraRig(
+        [own_camera(), PinholeCamera([50.0, 50.0], [9.5, 9.5], (20, 20))], torch.eye(4).repeat(2, 1, 1)
+    )
+    rig.to_yaml(tmp_path / "rig.yaml")
+    again = read_rig(tmp_path / "rig.yaml")
+    for name, camera in rig.cameras.items():
+        assert again.cameras[name].equals(camera)
+    save_camera(own_camera(), tmp_path / "camera.yaml")
+    assert read_camera(tmp_path / "camera.yaml").equals(own_camera())
+    stereographic = FisheyeCamera("stereographic", [45.0, 45.0], [99.5, 79.5], (160, 200), 1.4).to(
+        torch.float64
+    )
+    conversion = stereographic.convert(to="parabolic mirror")
+    assert conversion.max_error < 1e-6
+    assert conversion.camera.bend.item() == pytest.approx(1.0)
+
+
+def test_an_unregistered_camera_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    rig = CameraRig([own_camera()], torch.eye(4)[None])
+    with pytest.raises(ArgumentError, match=r"ParabolicCamera could not be read back.*register_camera"):
+        rig.to_yaml(tmp_path / "rig.yaml")
+    with pytest.raises(ArgumentError, match="'parabolic mirror' is not known"):
+        save_camera(own_camera(), tmp_path / "camera.yaml")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "camera.yaml").write_text(
+        "format: sphericalvision-camera\nversion: 1\nmodel: parabolic mirror\n"
+    )
+    with pytest.raises(
+        FileFormatError, match=r"model: expected one of brown_conrady, .*got parabolic mirror"
+    ):
+        read_camera(tmp_path / "camera.yaml")
+    with pytest.raises(
+        ArgumentError, match=r"to: expected one of .*'brown_conrady'.* got 'parabolic mirror'"
+    ):
+        convert(own_camera(), "parabolic mirror")
+
+
+def test_a_subclass_that_keeps_its_parents_name_is_refused(tmp_path: Path) -> None:
+    class Periscope(PinholeCamera):
+        """A pinhole of its own."""
+
+    with pytest.raises(ArgumentError, match=r"Periscope.*'pinhole' is PinholeCamera's name"):
+        save_camera(Periscope([1.0, 1.0], [0.0, 0.0], (4, 4)), tmp_path / "camera.yaml")
+    with pytest.raises(ArgumentError, match="PinholeCamera is named 'pinhole' already"):
+        register_camera(Periscope)
+
+
+@pytest.mark.usefixtures("unregistered")
+def test_installed_packages_offer_cameras_as_entry_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "mirrors-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mirrors\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        f"[sphericalvision.cameras]\nparabolic mirror = {__name__}:ParabolicCamera\nwrong = math:pi\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert "parabolic mirror" in metadata.entry_points(group="sphericalvision.cameras").names
+    save_camera(own_camera(), tmp_path / "camera.yaml")
+    assert read_camera(tmp_path / "camera.yaml").equals(own_camera())
+    with pytest.raises(ArgumentError, match=r"entry point 'wrong'.*math:pi.*no subclass of Camera"):
+        convert(own_camera(), "wrong")
+    assert math.isclose(convert(own_camera(), ParabolicCamera).max_error, 0.0, abs_tol=1e-3)
+
+
+@pytest.mark.parametrize("make", [lambda: 1, lambda: "pinhole hole", lambda: dict])
+def test_what_is_no_camera_cannot_be_converted_to(make) -> None:
+    with pytest.raises(ArgumentError, match="to: expected"):
+        convert(PinholeCamera([50.0, 50.0], [9.5, 9.5], (20, 20)), make())
+
+
+def test_a_camera_that_does_not_say_how_it_is_fitted_is_no_target() -> None:
+    class Silent(PinholeCamera):
+        """A pinhole that says nothing."""
+
+        model = "silent"
+
+    with pytest.raises(ArgumentError, match="Silent does not say how it is fitted"):
+        convert(PinholeCamera([50.0, 50.0], [9.5, 9.5], (20, 20)), Silent)

@@ -1,98 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras as another model or file: ``sphericalvision-convert calibration=a.yaml to=kannala_brandt output=b.yaml``."""
+"""Cameras as another model or file: ``sphericalvision-convert calibration=a.yaml to=kannala_brandt output=b.yaml``.
+
+What it does is in ``recipes/commands/convert.py``, imported once the command line has been read.
+"""
 
 from __future__ import annotations
 
-import math
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import torch
-from omegaconf import DictConfig
+from sphericalvision.recipes.app.command import command
 
-from sphericalvision.cameras import Camera, CameraRig, Conversion, field_of_view, save_camera, save_rig
-from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
-from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.recipes.app.cli import command, console, print_table
-from sphericalvision.recipes.app.rigs import radians, read_calibration
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
-__all__ = ["convert", "main"]
-
-
-def convert(config: DictConfig) -> dict[str, Conversion]:
-    """Convert the cameras of ``config.calibration``, print how well that went, and write ``config.output``.
-
-    Raises:
-        ArgumentError: an unknown model, format, camera or option; the message names the key.
-    """
-    found = read_calibration(
-        config.calibration, config.translation_unit, radians(config.max_angle_deg), torch.float64
-    )
-    cameras = _chosen(found, config)
-    together = isinstance(found, CameraRig) and config.camera is None
-    if config.format is not None:
-        check_choice("format", config.format, RIG_FORMATS if together else CAMERA_FORMATS)
-    converted = {name: _converted(name, camera, config) for name, camera in cameras.items()}
-    _print(config, cameras, converted)
-    if config.output is None:
-        console.print("Nothing is written; give output=... for that.")
-        return converted
-    new = {name: conversion.camera for name, conversion in converted.items()}
-    path = Path(config.output)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if isinstance(found, CameraRig) and config.camera is None:
-        save_rig(CameraRig(new, found.world_from_camera, found.masks), path, config.format)
-    elif len(new) == 1:
-        save_camera(next(iter(new.values())), path, config.format)
-    else:
-        raise ArgumentError(
-            f"camera: {config.calibration} has {len(new)} cameras without poses; choose one of {', '.join(new)} "
-            "to write it"
-        )
-    print(path)
-    return converted
-
-
-def _chosen(found: CameraRig | dict[str, Camera], config: DictConfig) -> dict[str, Camera]:
-    cameras = found.cameras if isinstance(found, CameraRig) else found
-    if config.camera is None:
-        return cameras
-    if str(config.camera) not in cameras:
-        raise ArgumentError(
-            f"camera: expected one of {', '.join(cameras)}, the cameras of {config.calibration}, got "
-            f"{config.camera!r}"
-        )
-    return {str(config.camera): cameras[str(config.camera)]}
-
-
-def _converted(name: str, camera: Camera, config: DictConfig) -> Conversion:
-    if config.to is None:
-        return Conversion(camera, 0.0, 0.0, float(camera.max_angle))
-    try:
-        return camera.convert(
-            to=config.to,
-            max_angle=radians(config.fit_angle_deg),
-            num_coefficients=config.num_coefficients,
-            projection=config.projection,
-        )
-    except ArgumentError as error:
-        raise ArgumentError(f"{config.calibration}, {name}: {error}") from None
-
-
-def _print(config: DictConfig, cameras: dict[str, Camera], converted: dict[str, Conversion]) -> None:
-    rows = []
-    for name, camera in cameras.items():
-        new, largest, rms, _ = converted[name]
-        before, after = (math.degrees(field_of_view(one).widest) for one in (camera, new))
-        models = (camera.model, new.model)
-        rows.append([name, *models, f"{before:.1f}°", f"{after:.1f}°", f"{largest:.4f}", f"{rms:.4f}"])
-    columns = ["camera", "from", "to", "sees", "kept", "max (px)", "RMS (px)"]
-    print_table(str(config.calibration), columns, rows)
+__all__ = ["main"]
 
 
 @command("convert")
-def main(config: DictConfig) -> None:
+def main(config: DictConfig) -> Any:
     """Command line of conversion."""
-    convert(config)
+    from sphericalvision.recipes.commands.convert import convert
+
+    return convert(config)
 
 
 if __name__ == "__main__":

@@ -1,118 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table N/N, N/R, R/R of digits on the sphere, out of the runs of a sweep.
+"""The table N/N, N/R, R/R of digits on the sphere: ``python -m sphericalvision.recipes.digits_table runs=...``.
 
-    python -m sphericalvision.recipes.digits_table runs=outputs/digits/2026-01-31_12-00-00
-
-N stands for upright and R for randomly rotated digits, first in training and then in the test.
+What it does is in ``recipes/commands/digits_table.py``, imported once the command line has been read.
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, OmegaConf
+from sphericalvision.recipes.app.command import command, output_folder
 
-from sphericalvision.core import ArgumentError
-from sphericalvision.io.images import whole_file
-from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier
-from sphericalvision.recipes.app.cli import command, output_folder, print_table
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
-__all__ = ["DigitsRun", "gather", "main", "table"]
-
-LETTERS = {"upright": "N", "rotated": "R"}
-COLUMNS = ("N/N", "N/R", "R/R", "R/N")
-NAMES = {"crown": "CrownConv2d", "hex": "HexConv2d", "sphere": "SphereConv2d", "planar": "nn.Conv2d"}
-
-
-class DigitsRun(NamedTuple):
-    """One training: network, parameters, how its digits were turned, and the test accuracies by orientation."""
-
-    network: str
-    parameters: int
-    orientation: str
-    accuracies: dict[str, float]
-
-
-def gather(folder: Path) -> list[DigitsRun]:
-    """Read the finished runs in the folders of ``folder``.
-
-    Raises:
-        ArgumentError: there is none; the message says how to make them.
-    """
-    runs = []
-    for path in sorted(folder.glob("*/test.json")):
-        config = OmegaConf.load(path.with_name("config.yaml"))
-        model = config.model
-        net = SphereClassifier(model.network, model.level, model.num_classes, width=model.width)
-        parameters = sum(parameter.numel() for parameter in net.parameters())
-        (accuracies,) = json.loads(path.read_text()).values()
-        runs.append(DigitsRun(model.network, parameters, config.data.orientation, accuracies))
-    if not runs:
-        raise ArgumentError(
-            f"runs: no folder in {folder.resolve()} has a test.json; make them with sphericalvision-train --multirun "
-            f"experiment=spherical_digits model.network={','.join(CLASSIFIER_NETWORKS)} "
-            "data.orientation=upright,rotated"
-        )
-    return runs
-
-
-def table(runs: list[DigitsRun]) -> dict[str, dict[str, float]]:
-    """Accuracies in percent by network and column, means over runs that differ in other things, such as seeds.
-
-    Examples:
-        >>> runs = [DigitsRun("hex", 10, "upright", {"upright": 90.0, "rotated": 50.0})]
-        >>> table(runs)
-        {'hex': {'parameters': 10, 'N/N': 90.0, 'N/R': 50.0}}
-    """
-    rows: dict[str, dict[str, float]] = {}
-    for network in CLASSIFIER_NETWORKS:
-        mine = [run for run in runs if run.network == network]
-        if not mine:
-            continue
-        rows[network] = {"parameters": mine[0].parameters}
-        for column in COLUMNS:
-            trained, tested = ({v: k for k, v in LETTERS.items()}[letter] for letter in column.split("/"))
-            values = [run.accuracies[tested] for run in mine if run.orientation == trained]
-            if values:
-                rows[network][column] = sum(values) / len(values)
-    return rows
-
-
-def save_table(folder: Path, rows: dict[str, dict[str, float]]) -> None:
-    """Write ``digits.md`` and ``digits.json``."""
-    lines = [
-        f"| convolution | parameters | {' | '.join(COLUMNS)} |",
-        "|---|---:" + "|---:" * len(COLUMNS) + "|",
-    ]
-    lines += [f"| {' | '.join(cells)} |" for cells in cells_of(rows)]
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, text in (("digits.md", "\n".join(lines)), ("digits.json", json.dumps(rows, indent=2))):
-        with whole_file(folder / name) as temporary:
-            Path(temporary).write_text(text + "\n")
-
-
-def cells_of(rows: dict[str, dict[str, float]]) -> list[list[str]]:
-    """Rows of text; what was not run is a dash."""
-    return [
-        [
-            NAMES[network],
-            f"{row['parameters']:,.0f}",
-            *(f"{row[c]:.1f}" if c in row else "–" for c in COLUMNS),
-        ]
-        for network, row in rows.items()
-    ]
+__all__ = ["main"]
 
 
 @command("digits_table")
-def main(config: DictConfig) -> None:
+def main(config: DictConfig) -> Any:
     """Command line of the table."""
-    rows = table(gather(Path(config.runs)))
-    print_table("test accuracy in percent", ["convolution", "parameters", *COLUMNS], cells_of(rows))
-    folder = output_folder()
-    save_table(folder, rows)
-    print(f"Results are in {folder}")
+    from sphericalvision.recipes.commands.digits_table import digits_table
+
+    return digits_table(config, output_folder())
 
 
 if __name__ == "__main__":

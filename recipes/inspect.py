@@ -1,136 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig is and sees, in numbers and pictures: ``sphericalvision-inspect rig=capture/config.yaml``."""
+"""What a rig is and sees, in numbers and pictures: ``sphericalvision-inspect calibration=capture/config.yaml``.
+
+What it does is in ``recipes/commands/inspect.py``, imported once the command line has been read.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import torch
-from omegaconf import DictConfig
-from torch import Tensor
+from sphericalvision.recipes.app.command import command, output_folder
 
-from sphericalvision.cameras import CameraRig, coverage, field_of_view, focal_length_on_axis, overlap
-from sphericalvision.core import ArgumentError
-from sphericalvision.icosphere import Icosphere
-from sphericalvision.io.images import read_image, write_image
-from sphericalvision.recipes.app.captures import find_capture, find_masks, read_frame
-from sphericalvision.recipes.app.cli import command, console, output_folder, print_table
-from sphericalvision.recipes.app.rigs import radians, read_calibration
-from sphericalvision.viz import angle_map, coverage_panorama, rig_picture
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
-__all__ = ["inspect", "load_rig", "main", "print_cameras", "print_poses", "save_pictures"]
-
-
-def load_rig(config: DictConfig) -> tuple[CameraRig, bool]:
-    """The rig of ``config.rig`` with its masks, and whether its poses are known; one camera becomes a rig of one."""
-    found = read_calibration(config.rig, config.translation_unit, radians(config.max_angle_deg))
-    known = isinstance(found, CameraRig)
-    rig = found if isinstance(found, CameraRig) else CameraRig(found, torch.eye(4).repeat(len(found), 1, 1))
-    if config.cameras is not None:
-        rig = rig.subset([str(name) for name in config.cameras])
-    if config.masks is None:
-        return rig, known
-    masks = {
-        name: read_image(path, rig.cameras[name].image_size, f"the mask of camera {name}")[0] > 0.5
-        for name, path in find_masks(config.masks, rig.names).items()
-    }
-    return CameraRig(rig.cameras, rig.world_from_camera, masks), known
-
-
-def print_cameras(rig: CameraRig, title: str) -> None:
-    """Print a row for each camera: model, size, fields of view and focal length."""
-    rows = []
-    for name, camera in rig.cameras.items():
-        height, width = camera.image_size
-        angles = [f"{math.degrees(angle):.1f}°" for angle in field_of_view(camera)]
-        along_u, along_v = focal_length_on_axis(camera).tolist()
-        focal_length = f"{along_u:.1f}" if abs(along_u - along_v) < 0.05 else f"{along_u:.1f} {along_v:.1f}"
-        rows.append([name, camera.model, f"{width} x {height}", *angles, focal_length])
-    print_table(title, ["camera", "model", "w x h", "across", "down", "widest", "px/rad on axis"], rows)
-
-
-def print_poses(rig: CameraRig, config: DictConfig) -> None:
-    """Print where the cameras are and look, their distances, and their overlap at each depth."""
-    rows = []
-    for name, position, axis in zip(rig.names, rig.positions - rig.center, rig.axes, strict=True):
-        numbers = (
-            [f"{value:+.3f}" for value in position.tolist()],
-            [f"{value:+.2f}" for value in axis.tolist()],
-        )
-        rows.append([name, *(" ".join(group) for group in numbers)])
-    columns = ["camera", "position from the centre (m)", "optical axis"]
-    print_table("poses in the rig: x right, y down, z forward", columns, rows)
-    baselines = rig.baselines.tolist()
-    rows = [
-        [name, *(f"{value:.3f}" for value in row)] for name, row in zip(rig.names, baselines, strict=True)
-    ]
-    print_table("baselines (m)", ["", *rig.names], rows)
-    sphere = Icosphere(config.level)
-    depths = [float(depth) for depth in config.depths]
-    seen = overlap(coverage(rig, sphere.vertices, depths), sphere.solid_angles)
-    rows = [
-        [
-            "far away" if math.isinf(depth) else f"{depth:g}",
-            f"{100 * one:.1f} %",
-            f"{100 * two:.1f} %",
-            f"{mean:.2f}",
-        ]
-        for depth, one, two, mean in zip(depths, *(part.tolist() for part in seen), strict=True)
-    ]
-    columns = ["depth (m)", "seen", "by two or more", "cameras on average"]
-    print_table("share of the sphere that the rig sees, from its centre", columns, rows)
-
-
-def save_pictures(
-    rig: CameraRig, known: bool, images: Mapping[str, Tensor], config: DictConfig, folder: Path
-) -> list[Path]:
-    """Write the angle map of each camera and, where poses are known, the rig and its coverage; returns the files."""
-    written = []
-    for name, camera in rig.cameras.items():
-        title = f"{name}: {type(camera).__name__}, {camera.image_size[1]} x {camera.image_size[0]}"
-        written.append(folder / f"angles_{name}.png")
-        write_image(written[-1], angle_map(camera, images.get(name), rig.masks.get(name), title))
-    if not known:
-        return written
-    written.append(folder / "rig.png")
-    write_image(written[-1], rig_picture(rig))
-    for depth in map(float, config.picture_depths):
-        written.append(folder / f"coverage_{'far' if math.isinf(depth) else f'{depth:g}m'}.png")
-        write_image(written[-1], coverage_panorama(rig, depth, title=Path(config.rig).name))
-    return written
-
-
-def inspect(config: DictConfig, folder: Path) -> list[Path]:
-    """Print what is to be known about ``config.rig`` and write pictures to ``folder``; returns the files.
-
-    Raises:
-        ArgumentError: the depths are not positive.
-    """
-    for key in ("depths", "picture_depths"):
-        if any(not float(depth) > 0 for depth in config[key]):
-            raise ArgumentError(f"{key}: expected metres above 0, got {list(config[key])}")
-    rig, known = load_rig(config)
-    images: Mapping[str, Tensor] = {}
-    if config.images is not None:
-        capture = find_capture(config.images, rig.names, None if config.frame is None else [config.frame])
-        images = read_frame(next(iter(capture.files.values())), rig)
-    print_cameras(rig, str(config.rig))
-    if known:
-        print_poses(rig, config)
-    else:
-        console.print("The file has no poses, so baselines and overlap are not known.")
-    written = save_pictures(rig, known, images, config, folder)
-    for path in written:
-        print(path)
-    return written
+__all__ = ["main"]
 
 
 @command("inspect")
-def main(config: DictConfig) -> None:
+def main(config: DictConfig) -> Any:
     """Command line of inspection."""
-    inspect(config, output_folder())
+    from sphericalvision.recipes.commands.inspect import inspect
+
+    return inspect(config, output_folder())
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks and errors: kornia's, re-used, plus the few that concern files.
+"""Checks and errors.
 
 Every error of this package is a ``SphericalVisionError`` and also the built-in error that a Python user would
 expect, so ``except ValueError`` and ``except SphericalVisionError`` both work.
@@ -12,12 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import torch
-from kornia.core.check import KORNIA_CHECK, KORNIA_CHECK_IS_TENSOR, KORNIA_CHECK_SHAPE
 
 __all__ = [
-    "KORNIA_CHECK",
-    "KORNIA_CHECK_IS_TENSOR",
-    "KORNIA_CHECK_SHAPE",
     "ArgumentError",
     "FileFormatError",
     "MissingCompilerError",

@@ -11,27 +11,28 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from hydra import compose, initialize_config_module
+from hydra import compose
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
-from pytorch_lightning.utilities.exceptions import MisconfigurationException
 
-from sphericalvision.core import SphericalVisionError
+from sphericalvision.recipes.app.help import keys_of
+from sphericalvision.recipes.app.words import CommandLine
 
 __all__ = ["check_overrides", "plain_errors"]
 
 
-def plain_errors(task: Callable[[DictConfig], None]) -> Callable[[DictConfig], None]:
+def plain_errors(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     """Print errors that a user can mend without their traceback and exit with status 1.
 
     Other errors are faults of the program and pass; with ``HYDRA_FULL_ERROR=1`` all do.
     """
 
     @functools.wraps(task)
-    def guarded(config: DictConfig) -> None:
+    def guarded(config: DictConfig) -> Any:
         try:
-            task(config)
+            return task(config)
         except KeyboardInterrupt:
             print("\nInterrupted.", file=sys.stderr)
             raise SystemExit(130) from None
@@ -44,20 +45,25 @@ def plain_errors(task: Callable[[DictConfig], None]) -> Callable[[DictConfig], N
     return guarded
 
 
-def check_overrides(config_name: str, arguments: list[str]) -> None:
-    """Exit with status 1 and one paragraph if the words of a command line do not fit the config ``config_name``.
+def check_overrides(config_name: str, line: CommandLine) -> None:
+    """Exit with status 1 and one paragraph if the words of a command line do not fit the config ``config_name``."""
+    try:
+        compose(config_name, _first_values(line.overrides) if line.multirun else line.overrides)
+    except (HydraException, OmegaConfBaseException) as error:
+        if os.environ.get("HYDRA_FULL_ERROR") == "1":
+            raise
+        _exit(_override_message(error, config_name, line))
 
-    Command lines with flags (``--help``, ``--config-dir``, ``--multirun``) are left to Hydra.
-    """
-    if any(argument.startswith("-") for argument in arguments):
-        return
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        try:
-            compose(config_name, arguments)
-        except (HydraException, OmegaConfBaseException) as error:
-            if os.environ.get("HYDRA_FULL_ERROR") == "1":
-                raise
-            _exit(_override_message(error, config_name))
+
+def _first_values(overrides: list[str]) -> list[str]:
+    """A multi-run as its first run."""
+    parsed = OverridesParser.create().parse_overrides(overrides)
+    return [
+        f"{word.partition('=')[0]}={next(override.sweep_string_iterator())}"
+        if override.is_sweep_override()
+        else word
+        for word, override in zip(overrides, parsed, strict=True)
+    ]
 
 
 def _exit(message: str) -> None:
@@ -67,10 +73,14 @@ def _exit(message: str) -> None:
 
 def _user_message(error: BaseException) -> str | None:
     """Message of the first error in the chain that is meant for users."""
+    from sphericalvision.core import SphericalVisionError
+
+    lightning: Any = sys.modules.get("pytorch_lightning.utilities.exceptions")  # imported by training alone
+    mistakes = (SphericalVisionError, *([lightning.MisconfigurationException] if lightning else []))
     link: BaseException | None = error
     while link is not None:
-        if isinstance(link, (SphericalVisionError, MisconfigurationException)):
-            return str(link)
+        if isinstance(link, mistakes):
+            return _without_traceback(str(link))
         link = link.__cause__ or link.__context__
     if isinstance(error, OmegaConfBaseException):
         key = error.full_key or error.key
@@ -79,35 +89,44 @@ def _user_message(error: BaseException) -> str | None:
         return f"{key}: {str(error).splitlines()[0]}"
     if isinstance(error, HydraException):
         return " ".join(str(error).split())
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror}; free the disk, or choose another place, output=... for results"
     return None
 
 
-def _override_message(error: Exception, config_name: str) -> str:
+def _without_traceback(text: str) -> str:
+    """The message alone of an error that came from a process of a data loader, which wraps it in a traceback."""
+    if "Original Traceback" not in text:
+        return text
+    return re.split(r"\n[\w.]+(?:Error|Exception): ", text)[-1].strip()
+
+
+def _override_message(error: Exception, config_name: str, line: CommandLine) -> str:
     text = str(error)
-    if unknown := re.search(r"Could not override '([^']+)'", text):
-        key = unknown[1]
-        known = _keys(compose(config_name))
+    unknown = re.search(r"Could not override '([^']+)'", text)
+    if unknown:
+        key = unknown[1].partition("@")[0]
+        if key == "rig" and config_name in ("predict", "inspect"):
+            (word,) = [word for word in line.overrides if word.startswith("rig=")][:1] or ["rig=..."]
+            return f"{word}: the file is calibration={word[4:]}"
+        known = keys_of(compose(config_name))
         near = difflib.get_close_matches(key, known, 3) or [
             name for name in known if name.split(".")[-1] == key.split(".")[-1]
         ]
         hint = f"did you mean {' or '.join(near[:3])}? " if near else ""
-        command = f"sphericalvision-{config_name} --help"
-        return f"{key}: there is no such key in this configuration; {hint}All keys: {command}"
+        return f"{key}: there is no such key in this configuration; {hint}All keys: {_program(config_name)} --help"
     if missing := re.search(r"Could not find '([^']+)'", text):
         group, _, option = missing[1].rpartition("/")
         options = re.findall(r"^\t(\S+)$", text.partition("Available options")[2], re.MULTILINE)
+        if group.startswith("rig") and "file" in options:
+            known = ", ".join(options)
+            return f"{group}={option}: there is no such rig; known are {known}; for a file: rig=file rig.path=..."
         return f"{group}={option}: there is no such option; known are {', '.join(options)}"
     return " ".join(text.partition("See https://hydra.cc")[0].split())
 
 
-def _keys(config: Any, prefix: str = "") -> list[str]:
-    """All keys of a config, nested ones with dots; values are not resolved."""
-    keys = []
-    for key in config:
-        keys.append(f"{prefix}{key}")
-        node = config._get_node(key)
-        if isinstance(node, DictConfig) and not node._is_none() and not node._is_missing():
-            if node._is_interpolation():
-                continue
-            keys += _keys(node, f"{prefix}{key}.")
-    return keys
+def _program(config_name: str) -> str:
+    if config_name in ("demo", "digits_table"):
+        return f"python -m sphericalvision.recipes.{config_name}"
+    return f"sphericalvision-{config_name}"

@@ -10,7 +10,7 @@ from hydra import compose
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from sphericalvision.recipes.app.cli import unquote_paths
+from sphericalvision.recipes.app.words import unquote_paths
 
 __all__ = ["evaluate_command", "resume_command"]
 

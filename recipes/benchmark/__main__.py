@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``python -m sphericalvision.recipes.benchmark``."""
 
-from sphericalvision.recipes.benchmark.command import main
+from sphericalvision.recipes.benchmark import main
 
 main()

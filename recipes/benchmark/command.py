@@ -15,11 +15,11 @@ import torch
 from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.recipes.app.cli import choose_device, command, console, output_folder
+from sphericalvision.recipes.app.cli import choose_device, console
 from sphericalvision.recipes.benchmark.measuring import Comparison, Measured, Peaks, measure
 from sphericalvision.recipes.benchmark.tables import machine, print_measured, save_measured
 
-__all__ = ["GROUPS", "benchmark", "main"]
+__all__ = ["GROUPS", "benchmark"]
 
 GROUPS = ("machine", "cameras", "convolutions", "network", "data", "variants")
 """Each is a module ``<group>`` beside this one with a function ``comparisons(config, device)``."""
@@ -74,13 +74,3 @@ def _expression(only: str | None) -> re.Pattern[str]:
         return re.compile(only or "")
     except re.error as error:
         raise ArgumentError(f"only: expected a regular expression, got {only!r}: {error}") from error
-
-
-@command("benchmark")
-def main(config: DictConfig) -> None:
-    """Command line of the benchmark."""
-    benchmark(config, output_folder())
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's study: models, tilted rigs, tables and pictures."""
 
-from sphericalvision.recipes.study.command import main, study
+from __future__ import annotations
 
-__all__ = ["main", "study"]
+from typing import TYPE_CHECKING, Any
+
+from sphericalvision.recipes.app.command import command, output_folder
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+__all__ = ["main"]
+
+
+@command("study")
+def main(config: DictConfig) -> Any:
+    """Command line of the study."""
+    from sphericalvision.recipes.study.command import study
+
+    return study(config, output_folder())

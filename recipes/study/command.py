@@ -12,14 +12,14 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from sphericalvision.recipes.app.cli import command, console, output_folder, print_config
+from sphericalvision.recipes.app.cli import console, print_config
 from sphericalvision.recipes.study.data import View, views
 from sphericalvision.recipes.study.jobs import Job, evaluate_jobs
 from sphericalvision.recipes.study.models import StudyModel, study_models
 from sphericalvision.recipes.study.report import report
 from sphericalvision.recipes.study.training import Training, check_alike
 
-__all__ = ["main", "study"]
+__all__ = ["study"]
 
 
 def study(config: DictConfig, folder: Path) -> list[dict[str, Any]]:
@@ -71,13 +71,3 @@ def jobs_of(
             weights = model.given_checkpoint(seed) if training is None else training.weights
             jobs += [Job(model, seed, view, weights, folder) for view in all_views]
     return jobs
-
-
-@command("study")
-def main(config: DictConfig) -> None:
-    """Command line of the study."""
-    study(config, output_folder())
-
-
-if __name__ == "__main__":
-    main()

@@ -18,7 +18,8 @@ from sphericalvision.data.seeded_scenes import NATURAL_MIN_DEPTH
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.frames import SceneDepths
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
-from sphericalvision.recipes.datamodules.omnistereo import ChosenEntries, OmniStereoDataModule
+from sphericalvision.recipes.datamodules.entries import ChosenEntries
+from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 
 __all__ = ["INPUTS", "View", "study_frames", "training_depths", "views"]

@@ -19,7 +19,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import ArgumentError, SphericalVisionError, check_choice
 from sphericalvision.io.images import whole_file
-from sphericalvision.recipes.app.cli import console, quote_paths
+from sphericalvision.recipes.app.cli import console
+from sphericalvision.recipes.app.words import quote_paths
 from sphericalvision.recipes.study.models import StudyModel
 
 __all__ = ["Training", "TrainingError", "check_alike", "training_config", "write_json"]

@@ -4,11 +4,6 @@
 from __future__ import annotations
 
 import torch
-from kornia.geometry.conversions import (
-    axis_angle_to_rotation_matrix,
-    quaternion_to_rotation_matrix,
-    rotation_matrix_to_axis_angle,
-)
 from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_last_dim
@@ -75,6 +70,8 @@ def transform_from_axis_angle(axis_angle: Tensor, translation: Tensor) -> Tensor
     """
     check_last_dim("axis_angle", axis_angle, 3)
     check_last_dim("translation", translation, 3)
+    from kornia.geometry.conversions import axis_angle_to_rotation_matrix  # a second to import
+
     rotation = axis_angle_to_rotation_matrix(axis_angle.reshape(-1, 3))
     return _assemble(rotation.reshape(*axis_angle.shape[:-1], 3, 3), translation)
 
@@ -87,6 +84,8 @@ def axis_angle_from_transform(a_from_b: Tensor) -> tuple[Tensor, Tensor]:
         [0.0, 0.0, 0.0]
     """
     _check_transform("a_from_b", a_from_b)
+    from kornia.geometry.conversions import rotation_matrix_to_axis_angle
+
     axis_angle = rotation_matrix_to_axis_angle(a_from_b[..., :3, :3].reshape(-1, 3, 3))
     return axis_angle.reshape(*a_from_b.shape[:-2], 3), a_from_b[..., :3, 3]
 
@@ -100,4 +99,6 @@ def transform_from_quaternion(quaternion: Tensor, translation: Tensor) -> Tensor
     """
     check_last_dim("quaternion", quaternion, 4)
     check_last_dim("translation", translation, 3)
+    from kornia.geometry.conversions import quaternion_to_rotation_matrix
+
     return _assemble(quaternion_to_rotation_matrix(quaternion), translation)

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 import torch
-from matplotlib.figure import Figure
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, field_of_view
@@ -60,6 +59,8 @@ def angle_map(
     pixels = torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1)
     directions, valid = camera.to("cpu", torch.float64).unproject(pixels)
     angle = np.ma.masked_where(~valid.numpy(), angle_from_axis(directions).rad2deg().numpy())
+
+    from matplotlib.figure import Figure
 
     figure = Figure(
         figsize=(7.2, 7.2 * min(max(height / width, 0.4), 1.6) + 0.6), dpi=_DPI, layout="constrained"

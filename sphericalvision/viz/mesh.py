@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
-import trimesh
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.viz.color import colorize
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["icosphere_mesh", "sphere_mesh"]
 
@@ -49,6 +53,8 @@ def icosphere_mesh(depth: Tensor, colors: Tensor | None = None, max_jump: float 
     kept = known[grid.faces].all(-1) & (corners.amax(-1) <= max_jump * corners.amin(-1))
     faces = grid.faces[kept].flip(-1)  # seen from inside
     levels = (colors.clamp(0, 1) * 255).round().to(torch.uint8)
+    import trimesh  # a second to import
+
     mesh = trimesh.Trimesh(
         vertices=(grid.vertices * safe[:, None]).detach().cpu().numpy(),
         faces=faces.cpu().numpy(),
@@ -90,6 +96,8 @@ def sphere_mesh(values: Tensor, radius: float = 1.0, color_map: str = "viridis")
         low, high = (finite.min(), finite.max()) if len(finite) else (values.new_zeros(()),) * 2
         scaled = (values - low) / (high - low).clamp(min=torch.finfo(values.dtype).tiny)
         colors = colorize(scaled.numpy(), color_map)
+    import trimesh
+
     return trimesh.Trimesh(
         vertices=(radius * grid.vertices).numpy(),
         faces=grid.faces.numpy(),

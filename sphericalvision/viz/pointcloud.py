@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-import trimesh
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -85,6 +84,8 @@ def save_point_cloud(path: str | Path, points: Tensor, colors: Tensor) -> Path:
         )
     if colors.is_floating_point():
         colors = (colors.clamp(0, 1) * 255).round().to(torch.uint8)
+    import trimesh  # a second to import
+
     cloud = trimesh.PointCloud(points.detach().cpu().numpy(), colors=colors.detach().cpu().numpy())
     with whole_file(path) as temporary:
         cloud.export(temporary)

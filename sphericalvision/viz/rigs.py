@@ -4,17 +4,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
 import numpy.typing as npt
 import torch
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
-from mpl_toolkits.mplot3d import Axes3D
-from mpl_toolkits.mplot3d.art3d import Line3D
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig, coverage, overlap, visible_angle
@@ -22,6 +17,10 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import longitude_latitude_from_directions
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.figure import figure_pixels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from mpl_toolkits.mplot3d import Axes3D
 
 __all__ = ["coverage_panorama", "rig_picture"]
 
@@ -53,6 +52,8 @@ def rig_picture(rig: CameraRig, title: str | None = None) -> Picture:
         >>> rig_picture(ring_rig(4)).shape[-1]
         3
     """
+    from matplotlib.figure import Figure
+
     _check_single(rig)
     rig = rig.to("cpu", torch.float64)
     positions = rig.positions - rig.center
@@ -106,6 +107,9 @@ def coverage_panorama(
         >>> coverage_panorama(ring_rig(4), depth=2.0, height=40).dtype
         dtype('uint8')
     """
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
     _check_single(rig)
     rig = rig.to("cpu", torch.float64)
     grid = Equirectangular(height, 2 * height, dtype=torch.float64)
@@ -168,6 +172,8 @@ def _around_axis(angle: Tensor, azimuth: Tensor) -> Tensor:
 
 def _draw_3d(axes: Axes3D, points: Tensor, **style: Any) -> None:
     """A line through points (n, 3) of the world; matplotlib's third axis points up, ours (y) down."""
+    from mpl_toolkits.mplot3d.art3d import Line3D
+
     x, y, z = points.T.tolist()
     axes.add_line(Line3D(x, z, [-value for value in y], **style))
 

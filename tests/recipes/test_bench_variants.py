@@ -10,8 +10,8 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.recipes.benchmark import benchmark
 from sphericalvision.recipes.benchmark import variants as bench_variants
+from sphericalvision.recipes.benchmark.command import benchmark
 
 
 def config(*overrides: str) -> DictConfig:

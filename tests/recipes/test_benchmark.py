@@ -17,9 +17,9 @@ from sphericalvision.crown import to_crown
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.benchmark import alone as bench_alone
-from sphericalvision.recipes.benchmark import benchmark
 from sphericalvision.recipes.benchmark import cameras as bench_cameras
 from sphericalvision.recipes.benchmark import network as bench_network
+from sphericalvision.recipes.benchmark.command import benchmark
 from sphericalvision.recipes.benchmark.measuring import BF16, Comparison, Measured, Peaks, measure
 from sphericalvision.recipes.benchmark.network import comparisons
 from sphericalvision.recipes.benchmark.plain_network import PlainNetwork

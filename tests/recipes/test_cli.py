@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from sphericalvision.recipes.app.cli import quote_paths, unquote_paths
+from sphericalvision.recipes.app.words import quote_paths, unquote_paths
 from tests.recipes.tiny import TINY_SCENES, Run
 
 Failing = Callable[..., str]

@@ -14,10 +14,10 @@ import torch
 from sphericalvision.data import random_rotations, rotate_on_sphere, yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
+from sphericalvision.recipes.commands.digits_table import DigitsRun, table
 from sphericalvision.recipes.digits.datamodule import NUM_DIGITS, DigitsDataModule
 from sphericalvision.recipes.digits.dataset import SphericalDigits, draw_on_sphere, load_digits
 from sphericalvision.recipes.digits.module import ClassificationModule
-from sphericalvision.recipes.digits_table import DigitsRun, table
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run
 

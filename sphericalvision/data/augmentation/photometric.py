@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from kornia.augmentation import ColorJiggle, RandomGaussianNoise
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
@@ -61,6 +60,8 @@ class PhotometricAugmentation(nn.Module):
         per_camera: bool = True,
         generator: torch.Generator | None = None,
     ) -> None:
+        from kornia.augmentation import ColorJiggle, RandomGaussianNoise  # a second to import
+
         super().__init__()
         self.generator = generator
         self.color = ColorJiggle(brightness, contrast, saturation, hue, same_on_batch=not per_camera)

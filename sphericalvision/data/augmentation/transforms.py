@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-from kornia.geometry.transform import translate
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
@@ -188,6 +187,8 @@ class RandomShift:
         images = sample["images"]
         if isinstance(images, Tensor):
             raise ArgumentError("RandomShift: expected images by camera name; it belongs before ToSphere")
+        from kornia.geometry.transform import translate  # a second to import
+
         shifted = {}
         for name, image in images.items():
             shift = self.scale * torch.randn(1, 2, generator=self.generator)

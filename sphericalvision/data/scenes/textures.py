@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
-import skimage.color
-import skimage.data
-import skimage.io
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
@@ -41,6 +38,10 @@ def photograph(name: str, size: int = SIZE) -> Tensor:
     Raises:
         MissingFileError: the file is not part of the installed scikit-image.
     """
+    import skimage.color  # a second to import
+    import skimage.data
+    import skimage.io
+
     path = check_file(
         Path(skimage.data.__file__).parent / name,
         "a photograph of scikit-image's wheel; reinstall scikit-image",

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Render a data set in the layout of OmniThings: ``sphericalvision-render output=... num_frames=...``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+from rich.progress import track
+from torch.utils.data import DataLoader
+
+from sphericalvision.cameras import CameraRig, EquirectangularCamera
+from sphericalvision.core import ArgumentError
+from sphericalvision.data import write_omnistereo
+from sphericalvision.data.omnistereo.files import RELEASES
+from sphericalvision.recipes.app.cli import build, console, print_config
+from sphericalvision.recipes.app.frames import RenderedFrames
+
+__all__ = ["missing_frames", "render"]
+
+
+def missing_frames(root: Path, frames: range, release: str, num_cameras: int) -> list[int]:
+    """Frames that are not in ``root`` yet, whole: ground truth is written last, so it tells."""
+    layout = RELEASES[release]
+    folders = [(f"cam{i + 1}", ".png") for i in range(num_cameras)]
+    folders.append((layout.ground_truth_folder, layout.suffix))
+    return [
+        frame
+        for frame in frames
+        if not all((root / folder / f"{frame:05d}{suffix}").is_file() for folder, suffix in folders)
+    ]
+
+
+def render(config: DictConfig, folder: Path) -> int:
+    """Render the frames that ``folder`` lacks; returns how many these were.
+
+    Raises:
+        ArgumentError: an unknown release, no frames asked for, or ``folder`` holds frames of other settings.
+    """
+    if config.release not in (None, *RELEASES):
+        raise ArgumentError(f"release: expected {' or '.join(RELEASES)}, got {config.release!r}")
+    if config.num_frames < 1:
+        raise ArgumentError(f"num_frames: expected 1 or more, got {config.num_frames}")
+    rig: CameraRig = build(config.scene_rig)
+    panoramas = any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values())
+    release = config.release or ("tiff" if panoramas else "png")
+    frames = range(config.first_frame, config.first_frame + config.num_frames)
+    missing = missing_frames(folder, frames, release, len(rig))
+    print_config(config)
+    if len(missing) < len(frames):
+        console.print(
+            f"{folder} holds {len(frames) - len(missing)} of the {len(frames)} frames already; they are kept."
+        )
+    rendered = RenderedFrames(
+        rig,
+        missing,
+        first_seed=config.first_seed,
+        kind=config.kind,
+        samples_per_pixel=config.samples_per_pixel,
+        height=config.height,
+        scale=config.scale,
+    )
+    if missing:
+        write_omnistereo(folder, _progress(rendered, config.num_workers), rig, release, config.min_depth)
+    print(f"{len(missing)} frames written, {len(frames)} in {folder}")
+    print(f"Read back with: data=omnistereo data.root={folder} data.train_split=all data.val_split=all")
+    return len(missing)
+
+
+def _progress(frames: RenderedFrames, num_workers: int) -> Iterator[dict[str, Any]]:
+    loader = DataLoader(frames, batch_size=None, num_workers=num_workers)
+    yield from track(loader, "rendering", total=len(frames), console=console)

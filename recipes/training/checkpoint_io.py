@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checkpoints as Lightning writes them, and the network's weights alone beside each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pytorch_lightning.plugins.io import TorchCheckpointIO
+from torch import nn
+
+from sphericalvision.models import IcoSweepNet, OmniMVS, save_weights
+
+__all__ = ["WeightsBesideCheckpoint"]
+
+
+class WeightsBesideCheckpoint(TorchCheckpointIO):
+    """Lightning's checkpoints, and beside each ``.ckpt`` a depth network's weights alone as ``.safetensors``.
+
+    Either file appears whole or not at all, so an interruption while saving leaves the previous ones.
+    """
+
+    def __init__(self, net: nn.Module) -> None:
+        super().__init__()
+        self.net = net
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None
+    ) -> None:
+        """Write both files, each to a temporary name first."""
+        path = Path(path)
+        temporary = path.with_name(f".{path.name}.tmp")
+        super().save_checkpoint(checkpoint, temporary, storage_options)
+        temporary.replace(path)
+        if not isinstance(self.net, IcoSweepNet | OmniMVS):
+            return
+        weights = path.with_suffix(".safetensors")
+        temporary = weights.with_name(f".{weights.stem}.tmp.safetensors")
+        save_weights(self.net, temporary)
+        temporary.replace(weights)
+
+    def remove_checkpoint(self, path: Any) -> None:
+        """Remove both files."""
+        super().remove_checkpoint(path)
+        Path(path).with_suffix(".safetensors").unlink(missing_ok=True)

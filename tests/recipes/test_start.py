@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starting: a command imports what it uses, and answers what it can before anything heavy."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+LIGHTNING = ("pytorch_lightning", "lightning_fabric", "tensorboard", "torch._inductor")
+SCENES = ("skimage", "kornia", "scipy")
+COMMANDS = {
+    "predict": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "torch._dynamo"),
+    "convert": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "matplotlib"),
+    "inspect": (*LIGHTNING, *SCENES, "sklearn", "trimesh"),
+    "render": (*LIGHTNING, "sklearn", "trimesh", "matplotlib"),
+    "demo": (*LIGHTNING, "sklearn"),
+    "train": ("sklearn", "trimesh"),
+    "evaluate": ("tensorboard", "sklearn", "trimesh"),
+    "digits_table": (*LIGHTNING, "trimesh"),
+}
+"""Command -> what its work must not import; its files in ``recipes/commands`` import the rest."""
+
+HEAVY = ("torch", "numpy", "kornia", "matplotlib", "pytorch_lightning", "sphericalvision.core")
+
+
+def imported(program: str) -> set[str]:
+    """Names of the modules that a program of its own ends up with."""
+    report = f"{program}\nimport sys; print('\\nMODULES', *sys.modules)"
+    result = subprocess.run([sys.executable, "-c", report], capture_output=True, text=True, check=True)
+    return set(result.stdout.rpartition("MODULES ")[2].split())
+
+
+SLOW = ("train", "evaluate", "demo", "digits_table")
+
+
+@pytest.mark.parametrize(
+    "command", [pytest.param(c, marks=[pytest.mark.slow] * (c in SLOW)) for c in COMMANDS]
+)
+def test_a_command_imports_only_what_it_uses(command: str) -> None:
+    modules = imported(f"import sphericalvision.recipes.commands.{command}")
+    assert modules.isdisjoint(COMMANDS[command])
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, "study", "benchmark"])
+def test_reading_the_command_line_imports_nothing_heavy(command: str) -> None:
+    name = f"sphericalvision.recipes.{command}"
+    program = f"import sys; sys.argv = ['x', '--help']; import {name} as c; c.main()"
+    assert imported(program).isdisjoint(HEAVY)
+
+
+def test_rooms_of_the_package_are_there_after_a_bare_import() -> None:
+    assert "torch" not in imported("import sphericalvision")
+    assert "torch" in imported("import sphericalvision; sphericalvision.cameras.PinholeCamera")
+    import sphericalvision
+
+    rooms = {path.parent.name for path in Path(sphericalvision.__file__).parent.glob("*/__init__.py")}
+    assert rooms <= set(dir(sphericalvision))
+    with pytest.raises(AttributeError, match="no attribute 'camera'"):
+        _ = sphericalvision.camera  # type: ignore[attr-defined]
+
+
+def test_without_the_recipes_extra_one_line_says_what_to_install() -> None:
+    program = """
+import sys
+sys.modules["omegaconf"] = sys.modules["hydra"] = None
+from sphericalvision.recipes.predict import main
+main()
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    (line,) = result.stderr.splitlines()
+    assert "pip install 'sphericalvision[recipes]'" in line

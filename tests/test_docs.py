@@ -14,7 +14,7 @@ import yaml
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 
-from sphericalvision.recipes.app.cli import name_rigs, quote_paths
+from sphericalvision.recipes.app.words import quote_paths
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -62,7 +62,7 @@ def test_command_line_is_understood(page: str, command: str) -> None:
     program, *arguments = shlex.split(command, comments=True)
     name = program.removeprefix("sphericalvision-")
     importlib.import_module(f"sphericalvision.recipes.{name}")
-    words = quote_paths(name_rigs(name, arguments))
+    words = quote_paths(arguments)
     overrides = [word for word in words if "=" in word and not word.startswith("-")]
     if "--multirun" in arguments:  # a sweep is checked at the first value of each key
         overrides = [override.split(",")[0] for override in overrides]

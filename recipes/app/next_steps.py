@@ -27,13 +27,11 @@ def resume_command(last: Path, max_steps: int | None = None) -> str:
 def evaluate_command(best: Path, config: DictConfig) -> str:
     """Command line that evaluates the best checkpoint on the test split of the same data."""
     choices = HydraConfig.get().runtime.choices
-    groups = [f"data={choices['data']}"] + (
-        [f"scene_rig={choices['scene_rig']}"] if "rig" in config.data else []
-    )
+    groups = [f"data={choices['data']}"] + ([f"rig={choices['rig']}"] if "rig" in config.data else [])
     usual = compose("evaluate", groups)
     changes = [
         f"{group}.{key}={value}".replace(" ", "").replace("None", "null")
-        for group in ("scene_rig", "data")
+        for group in ("rig", "data")
         for key, value in config[group].items()
         if key in usual[group] and key not in ("level", "min_depth", "rig", "seed")
         if group == "data" or "rig" in config.data

@@ -46,7 +46,7 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
         )
     h = net.hyperparameters
     scale = h["min_depth"] / NATURAL_MIN_DEPTH
-    rig: CameraRig = build(config.scene_rig)
+    rig: CameraRig = build(config.rig)
     with console.status(f"rendering {len(rig)} fisheye images of a {config.kind} (seed {config.scene_seed})"):
         frames = RenderedFrames(
             rig, [1], config.scene_seed, config.kind, config.samples_per_pixel, config.height, scale

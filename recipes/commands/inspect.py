@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig is and sees, in numbers and pictures: ``sphericalvision-inspect rig=capture/config.yaml``."""
+"""What a rig is and sees, in numbers and pictures: ``sphericalvision-inspect calibration=capture/config.yaml``."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ __all__ = ["inspect", "load_rig", "print_cameras", "print_poses", "save_pictures
 
 
 def load_rig(config: DictConfig) -> tuple[CameraRig, bool]:
-    """The rig of ``config.rig`` with its masks, and whether its poses are known; one camera becomes a rig of one."""
-    found = read_calibration(config.rig, config.translation_unit, radians(config.max_angle_deg))
+    """The rig of ``config.calibration`` with its masks, and whether poses are known; a camera becomes a rig of one."""
+    found = read_calibration(config.calibration, config.translation_unit, radians(config.max_angle_deg))
     known = isinstance(found, CameraRig)
     rig = found if isinstance(found, CameraRig) else CameraRig(found, torch.eye(4).repeat(len(found), 1, 1))
     if config.cameras is not None:
@@ -98,12 +98,12 @@ def save_pictures(
     write_image(written[-1], rig_picture(rig))
     for depth in map(float, config.picture_depths):
         written.append(folder / f"coverage_{'far' if math.isinf(depth) else f'{depth:g}m'}.png")
-        write_image(written[-1], coverage_panorama(rig, depth, title=Path(config.rig).name))
+        write_image(written[-1], coverage_panorama(rig, depth, title=Path(config.calibration).name))
     return written
 
 
 def inspect(config: DictConfig, folder: Path) -> list[Path]:
-    """Print what is to be known about ``config.rig`` and write pictures to ``folder``; returns the files.
+    """Print what is to be known about ``config.calibration`` and write pictures to ``folder``; returns the files.
 
     Raises:
         ArgumentError: the depths are not positive.
@@ -116,7 +116,7 @@ def inspect(config: DictConfig, folder: Path) -> list[Path]:
     if config.images is not None:
         capture = find_capture(config.images, rig.names, None if config.frame is None else [config.frame])
         images = read_frame(next(iter(capture.files.values())), rig)
-    print_cameras(rig, str(config.rig))
+    print_cameras(rig, str(config.calibration))
     if known:
         print_poses(rig, config)
     else:

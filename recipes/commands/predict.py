@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of one's own captures: ``sphericalvision-predict rig=c/config.yaml images='c/cam{camera}/{frame:05d}.png'``."""
+"""Depth of one's own captures: picture, point cloud and arrays of each frame."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["load_rig", "network_for", "predict"]
 
 def load_rig(config: DictConfig) -> CameraRig:
     """Read the calibration, take the cameras asked for, and put the masks on."""
-    rig = rig_from_file(config.rig, config.translation_unit, config.max_angle_deg)
+    rig = rig_from_file(config.calibration, config.translation_unit, config.max_angle_deg)
     if config.cameras is not None:
         rig = rig.subset(list(config.cameras))
     if config.masks is None:
@@ -52,8 +52,9 @@ def network_for(rig: CameraRig, config: DictConfig) -> IcoSweepNet | OmniMVS:
     expected = net.hyperparameters["num_cameras"]
     if len(rig) != expected and not net.any_cameras:
         raise ArgumentError(
-            f"rig: {config.rig} has {len(rig)} cameras ({', '.join(rig.names)}), the checkpoint is for {expected}; "
-            f"choose {expected} with cameras=[...], or train a network with model.num_cameras={len(rig)}"
+            f"calibration: {config.calibration} has {len(rig)} cameras ({', '.join(rig.names)}), the "
+            f"checkpoint is for {expected}; choose {expected} with cameras=[...], or train a network with "
+            f"model.num_cameras={len(rig)}"
         )
     min_depth = config.min_depth
     if min_depth == "auto":

@@ -75,7 +75,7 @@ def study_frames(config: DictConfig, view: View) -> tuple[SampleDataModule, Data
 
 
 def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
-    rig: CameraRig = build(config.scene_rig if view.inputs == "fisheye" else config.equirect_rig)
+    rig: CameraRig = build(config.rig if view.inputs == "fisheye" else config.equirect_rig)
     size = config.image_size if view.inputs == "fisheye" else config.equirect_size
     if size is not None:
         rig = rig.resized([int(side) for side in size])

@@ -129,7 +129,7 @@ def _key(config: DictConfig, job: Job) -> dict[str, Any]:
     key |= {name: _plain(config[name]) for name in names}
     if "rig" in config.data:
         fisheye = job.view.inputs == "fisheye"
-        key["rig"] = _plain(config.scene_rig if fisheye else config.equirect_rig)
+        key["rig"] = _plain(config.rig if fisheye else config.equirect_rig)
         key["equirect_size"] = None if fisheye else _plain(config.equirect_size)
     if job.model.kind == "constant":
         training = training_config(training_words(job.model, config))

@@ -33,7 +33,7 @@ def test_file_names_reach_the_config_unchanged(path: str) -> None:
 
 
 def test_words_that_are_no_file_names_stay() -> None:
-    words = ["frames=[1,2]", "--config-dir=a", "resume=auto", "checkpoint=null", "rig='quoted'", "x"]
+    words = ["frames=[1,2]", "--config-dir=a", "resume=auto", "checkpoint=null", "masks='quoted'", "x"]
     assert quote_paths(words) == words
 
 
@@ -73,14 +73,14 @@ def test_wrong_values_name_their_key(failing: Failing, weights: Path) -> None:
 
 
 def test_a_folder_of_own_configs_extends_the_experiments(run: Run, tmp_path: Path, weights: Path) -> None:
-    folder = tmp_path / "mine" / "scene_rig"
+    folder = tmp_path / "mine" / "rig"
     folder.mkdir(parents=True)
     (folder / "tiny.yaml").write_text(
         "_target_: sphericalvision.recipes.app.rigs.make_ring\nimage_size: [32, 32]\n"
     )
     words = [
-        "scene_rig=tiny",
-        *(word for word in TINY_SCENES if "scene_rig" not in word),
+        "rig=tiny",
+        *(word for word in TINY_SCENES if "rig" not in word),
         "data.cache_dir=null",
     ]
     run(

@@ -41,7 +41,7 @@ def omnistereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("experiment", DEPTH_EXPERIMENTS)
 def test_every_experiment_makes_its_network_and_its_first_sample(experiment: str, omnistereo: Path) -> None:
     rendered = "rig" in train_config(f"experiment={experiment}").data
-    scenes = ("data.cache_dir=null", "data.samples_per_pixel=1", "scene_rig.image_size=[32,32]")
+    scenes = ("data.cache_dir=null", "data.samples_per_pixel=1", "rig.image_size=[32,32]")
     words = scenes if rendered else (f"data.root={omnistereo}", "data.missing=skip")
     config = train_config(f"experiment={experiment}", *words)
     module = build(config.model, **config.optimizer, seed=config.seed)

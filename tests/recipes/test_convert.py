@@ -92,11 +92,11 @@ def test_mistakes_are_told_in_one_paragraph(failing: Callable[..., str], calibra
     assert "kannala_brandt" in failing("convert", *words, "to=kb4")
     assert "before 90°" in failing("convert", *words, "to=pinhole", "fit_angle_deg=95")
     assert "colmap" in failing("convert", *words, "camera=left", "format=docx", "output=a")
-    assert "depths" in failing("inspect", f"rig={calibration}", "depths=[0]")
+    assert "depths" in failing("inspect", f"calibration={calibration}", "depths=[0]")
 
 
 def test_a_rig_is_inspected(run: Run, calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run("inspect", f"rig={calibration}", "level=4", "output=seen")
+    run("inspect", f"calibration={calibration}", "level=4", "output=seen")
     printed = " ".join(capsys.readouterr().out.split())
     for expected in ("double_sphere", "200.0°", "0.400", "0.283", "by two or more", "far away"):
         assert expected in printed
@@ -113,7 +113,7 @@ def test_images_and_masks_are_drawn(run: Run, calibration: Path) -> None:
         write_image(calibration.parent / name / "mask.png", torch.ones(1, 304, 304))
     run(
         "inspect",
-        f"rig={calibration}",
+        f"calibration={calibration}",
         "images={camera}/{frame}.png",
         "masks={camera}/mask.png",
         "frame=0",
@@ -127,7 +127,7 @@ def test_one_camera_without_poses_is_inspected(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     save_camera(LENS, tmp_path / "lens.yaml")
-    run("inspect", "rig=lens.yaml", "output=seen")
+    run("inspect", "calibration=lens.yaml", "output=seen")
     assert "no poses" in capsys.readouterr().out
     assert len(list((tmp_path / "seen").iterdir())) == 1
 

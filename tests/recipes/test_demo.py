@@ -16,7 +16,7 @@ def test_the_demonstration_writes_everything(
     run: Run, tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tiny = (
-        "scene_rig.image_size=[48,48]",
+        "rig.image_size=[48,48]",
         "samples_per_pixel=1",
         "height=32",
         "baseline_scenes=3",

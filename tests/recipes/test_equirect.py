@@ -13,11 +13,11 @@ from hydra import compose, initialize_config_module
 
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.data import OmniStereoDataset, collate_samples
-from sphericalvision.recipes.app.cli import build, name_rigs
+from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.scenes import FisheyeSceneDataModule
 from tests.recipes.tiny import TINY_SCENES, Run
 
-TINY_PANORAMAS = ("rig=equirect4", "scene_rig.image_size=[16,32]")
+TINY_PANORAMAS = ("rig=equirect4", "rig.image_size=[16,32]")
 
 
 def test_networks_are_evaluated_on_panoramas(
@@ -46,7 +46,7 @@ def test_panoramas_are_rendered_read_and_predicted(run: Run, tmp_path: Path, wei
     images = f"{root}/cam{{camera}}/{{frame:05d}}.png"
     run(
         "predict",
-        f"rig={root}/config.yaml",
+        f"calibration={root}/config.yaml",
         f"images={images}",
         f"checkpoint={weights}",
         "output=out",
@@ -61,15 +61,12 @@ def test_text_files_cannot_hold_panoramas(failing: Callable[..., str]) -> None:
     assert "release='tiff'" in failing("render", *TINY_PANORAMAS, "release=png", "num_frames=1", "height=16")
 
 
-def test_rigs_are_named_where_scenes_are_rendered_only() -> None:
-    assert name_rigs("train", ["rig=ring", "seed=1"]) == ["scene_rig=ring", "seed=1"]
-    assert name_rigs("render", ["rig=ring,equirect4"]) == ["scene_rig=ring,equirect4"]
-    for command, word in (
-        ("predict", "rig=ring"),
-        ("evaluate", "rig=a/config.yaml"),
-        ("train", "scene_rig=ring"),
-    ):
-        assert name_rigs(command, [word]) == [word]
+def test_a_file_where_a_rig_is_named_and_the_other_way_round(failing: Callable[..., str]) -> None:
+    assert "rig=capture/config.yaml: the file is calibration=capture/config.yaml" in failing(
+        "predict", "rig=capture/config.yaml"
+    )
+    assert "rig=file rig.path=..." in failing("evaluate", "rig=capture/config.yaml")
+    assert "scene_rig: there is no such key" in failing("train", "scene_rig=ring")
 
 
 def fisheye_scenes(*words: str) -> FisheyeSceneDataModule:

@@ -40,7 +40,7 @@ def capture(tmp_path: Path) -> Path:
 
 def words(capture: Path, weights: Path, output: str) -> list[str]:
     return [
-        f"rig={capture / 'rig.yaml'}",
+        f"calibration={capture / 'rig.yaml'}",
         f"images={capture}/cam{{camera}}/{{frame:05d}}.png",
         f"checkpoint={weights}",
         f"output={output}",

@@ -15,7 +15,7 @@ from sphericalvision.recipes.app.frames import RenderedFrames, kind_of
 from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
 
-TINY = ("scene_rig.image_size=[32,32]", "samples_per_pixel=1", "height=32")
+TINY = ("rig.image_size=[32,32]", "samples_per_pixel=1", "height=32")
 
 
 @pytest.mark.parametrize("release", ["png", "tiff"])

@@ -102,7 +102,7 @@ def test_a_capture_becomes_depth_within_the_band(run: Run, tmp_path: Path) -> No
     images = f"images={tmp_path}/cam{{camera}}.png"
     run(
         "predict",
-        f"rig={tmp_path / 'rig.yaml'}",
+        f"calibration={tmp_path / 'rig.yaml'}",
         images,
         f"checkpoint={path}",
         "output=out",

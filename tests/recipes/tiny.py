@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 TINY_SCENES = (
-    "scene_rig.image_size=[32,32]",
+    "rig.image_size=[32,32]",
     "data.num_train=3",
     "data.num_val=2",
     "data.num_test=2",

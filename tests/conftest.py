@@ -10,6 +10,10 @@ import pytest
 import torch
 from hypothesis import settings
 
+from tests import shape_checks
+
+shape_checks.install()  # before any test imports the package
+
 settings.register_profile("repeatable", derandomize=True, deadline=None)  # a run fails by a change alone
 settings.load_profile("repeatable")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who touches whom on an icosphere: neighbours, edges, and the faces around vertices and across edges.
+"""Adjacency on an icosphere: neighbours, edges, and the faces around vertices and across edges.
 
 Everything follows from the *half-edges*: half-edge ``3 * face + corner`` runs from that corner of the face to the next
 one, counter-clockwise seen from outside, and its twin runs back in the face across the edge.
@@ -8,6 +8,7 @@ one, counter-clockwise seen from outside, and its twin runs back in the face acr
 from __future__ import annotations
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 from sphericalvision.icosphere.topology import chart_vertex_ids, icosphere_faces, num_icosphere_vertices
@@ -20,7 +21,7 @@ __all__ = [
 ]
 
 
-def icosphere_edges(level: int, device: torch.device | str | None = None) -> Tensor:
+def icosphere_edges(level: int, device: torch.device | str | None = None) -> Int[Tensor, "E 2"]:
     """Return the edges as pairs of vertices, ``(30 * 4**level, 2)``, each edge once.
 
     Vertex v, unless it is a pole, owns the edges ``3 * (v - 1) + k`` to its neighbours north (k = 0), north-east (1)
@@ -36,7 +37,7 @@ def icosphere_edges(level: int, device: torch.device | str | None = None) -> Ten
     return torch.stack((start[..., None].expand_as(ends), ends), -1).reshape(-1, 2)
 
 
-def icosphere_neighbors(level: int, device: torch.device | str | None = None) -> Tensor:
+def icosphere_neighbors(level: int, device: torch.device | str | None = None) -> Int[Tensor, "V 6"]:
     """Return the neighbours of every vertex, counter-clockwise seen from outside, ``(V, 6)``.
 
     The twelve vertices of the icosahedron have five neighbours; their last entry is -1.
@@ -51,7 +52,7 @@ def icosphere_neighbors(level: int, device: torch.device | str | None = None) ->
     return torch.where(around < 0, -1, ends[around])
 
 
-def icosphere_vertex_faces(level: int, device: torch.device | str | None = None) -> Tensor:
+def icosphere_vertex_faces(level: int, device: torch.device | str | None = None) -> Int[Tensor, "V 6"]:
     """Return the faces around every vertex, ``(V, 6)``: face k lies between the neighbours k and k + 1.
 
     The twelve vertices of the icosahedron have five faces; their last entry is -1.
@@ -65,7 +66,7 @@ def icosphere_vertex_faces(level: int, device: torch.device | str | None = None)
     return torch.where(around < 0, -1, around // 3)
 
 
-def icosphere_face_neighbors(level: int, device: torch.device | str | None = None) -> Tensor:
+def icosphere_face_neighbors(level: int, device: torch.device | str | None = None) -> Int[Tensor, "F 3"]:
     """Return the faces across the edges 01, 12 and 20 of every face, ``(F, 3)``.
 
     Examples:

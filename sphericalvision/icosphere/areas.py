@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import check_last_dim
@@ -25,7 +26,7 @@ __all__ = [
 
 def icosphere_face_solid_angles(
     level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-) -> Tensor:
+) -> Float[Tensor, " F"]:
     """Return the solid angle of every spherical triangle in steradians, ``(F,)``.
 
     References:
@@ -41,7 +42,7 @@ def icosphere_face_solid_angles(
 
 def icosphere_solid_angles(
     level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-) -> Tensor:
+) -> Float[Tensor, " V"]:
     """Return the solid angle of every vertex in steradians, ``(V,)``: a third of each spherical triangle
     around it.
 
@@ -61,7 +62,7 @@ def icosphere_solid_angles(
 
 def icosphere_voronoi_solid_angles(
     level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-) -> Tensor:
+) -> Float[Tensor, " V"]:
     """Return the solid angle of every vertex's Voronoi cell in steradians, ``(V,)``.
 
     The cell holds the directions that are nearer to this vertex than to any other one, those for which
@@ -86,7 +87,7 @@ def icosphere_voronoi_solid_angles(
     return total.to(dtype or torch.get_default_dtype())
 
 
-def icosphere_normals(points: Tensor) -> Tensor:
+def icosphere_normals(points: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*batch V 3"]:
     """Return the normals of a surface through points at the vertices of an icosphere.
 
     The normal at a vertex is the mean of those of the triangles around it, weighted by their area; it points

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -12,7 +13,7 @@ from sphericalvision.icosphere.topology import check_level, vertex_at
 __all__ = ["icosphere_face_children", "icosphere_face_parents", "icosphere_vertex_parents"]
 
 
-def icosphere_vertex_parents(level: int, device: torch.device | str | None = None) -> Tensor:
+def icosphere_vertex_parents(level: int, device: torch.device | str | None = None) -> Int[Tensor, "V 2"]:
     """Return the two vertices of the next coarser level whose edge each vertex halves, ``(V, 2)``.
 
     Vertices that the coarser level has too come from one vertex, which is given twice; their ids in this level are
@@ -38,7 +39,7 @@ def icosphere_vertex_parents(level: int, device: torch.device | str | None = Non
     return torch.cat((parents.new_zeros(1, 2), parents, parents.new_full((1, 2), last)))
 
 
-def icosphere_face_parents(level: int, device: torch.device | str | None = None) -> Tensor:
+def icosphere_face_parents(level: int, device: torch.device | str | None = None) -> Int[Tensor, " F"]:
     """Return the face of the next coarser level in which each face lies, ``(F,)``.
 
     Raises:
@@ -59,7 +60,7 @@ def icosphere_face_parents(level: int, device: torch.device | str | None = None)
     return (2 * cell + coarse_half).flatten()
 
 
-def icosphere_face_children(level: int, device: torch.device | str | None = None) -> Tensor:
+def icosphere_face_children(level: int, device: torch.device | str | None = None) -> Int[Tensor, "F 4"]:
     """Return the four faces of the next finer level that lie in each face, ``(F, 4)``, in increasing order.
 
     Examples:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
@@ -63,32 +64,32 @@ class Icosphere(nn.Module):
         return (self.num_vertices,)
 
     @property
-    def directions(self) -> Tensor:
+    def directions(self) -> Float[Tensor, "V 3"]:
         """Directions of the grid, the vertices ``(V, 3)``."""
         return self.vertices
 
     @property
-    def solid_angles(self) -> Tensor:
+    def solid_angles(self) -> Float[Tensor, " V"]:
         """Solid angle of each vertex ``(V,)`` in steradians: a third of each spherical triangle around it."""
         return icosphere_solid_angles(self.level, self.vertices.dtype, self.vertices.device)
 
     @property
-    def neighbors(self) -> Tensor:
+    def neighbors(self) -> Int[Tensor, "V 6"]:
         """Neighbours of each vertex ``(V, 6)``, counter-clockwise from outside; -1 last where only five."""
         return icosphere_neighbors(self.level, self.vertices.device)
 
     @property
-    def edges(self) -> Tensor:
+    def edges(self) -> Int[Tensor, "E 2"]:
         """Pairs of neighbouring vertices ``(E, 2)``, each edge once."""
         return icosphere_edges(self.level, self.vertices.device)
 
     @property
-    def subdivision_order(self) -> Tensor:
+    def subdivision_order(self) -> Int[Tensor, " V"]:
         """Index of each vertex ``(V,)`` in the order of plain midpoint subdivision."""
         return subdivision_order(self.level, self.vertices.device)
 
     @property
-    def coarse_ids(self) -> Tensor:
+    def coarse_ids(self) -> Int[Tensor, " V_coarse"]:
         """Ids in this icosphere of the vertices of ``coarser()``, in their order."""
         return coarse_vertex_ids(self.level, self.vertices.device)
 
@@ -106,14 +107,16 @@ class Icosphere(nn.Module):
         """Return the icosphere of one level more, of the same dtype and on the same device."""
         return Icosphere(self.level + 1, self.vertices.dtype, self.vertices.device)
 
-    def locate(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def locate(
+        self, directions: Float[Tensor, "*batch 3"]
+    ) -> tuple[Int[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
         """Return ids ``(*, 3)`` and barycentric weights ``(*, 3)`` of the triangle each direction pierces.
 
         The function ``locate`` of this package; weights are differentiable in the directions ``(*, 3)``.
         """
         return locate(directions, self.level)
 
-    def nearest(self, directions: Tensor) -> Tensor:
+    def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the id ``(*)`` of the vertex nearest to each direction ``(*, 3)``.
 
         All triangles are acute, so the nearest vertex is a corner of the containing triangle.
@@ -127,7 +130,9 @@ class Icosphere(nn.Module):
         distances = (self.vertices[ids] - unit[..., None, :]).square().sum(-1)
         return ids.gather(-1, distances.argmin(-1, keepdim=True)).squeeze(-1)
 
-    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+    def sample(
+        self, values: Float[Tensor, "*channels V"], directions: Float[Tensor, "*batch n 3"]
+    ) -> Float[Tensor, "*result n"]:
         """Interpolate values on the vertices linearly in each triangle.
 
         Args:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Int
 from torch import Tensor
 
 from sphericalvision.icosphere.locate import locate
@@ -30,8 +31,8 @@ class IcosphereLines(NamedTuple):
         edges: ``(30, n + 1)`` from one vertex of the icosahedron to another.
     """
 
-    loops: Tensor
-    edges: Tensor
+    loops: Int[Tensor, "loops columns"]
+    edges: Int[Tensor, "30 vertices"]
 
 
 def icosphere_lines(level: int, device: torch.device | str | None = None) -> IcosphereLines:

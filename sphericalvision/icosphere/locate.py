@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
@@ -20,7 +21,9 @@ from sphericalvision.icosphere.topology import check_level, num_icosphere_vertic
 __all__ = ["locate"]
 
 
-def locate(directions: Tensor, level: int) -> tuple[Tensor, Tensor]:
+def locate(
+    directions: Float[Tensor, "*batch 3"], level: int
+) -> tuple[Int[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
     """Find the triangle of an icosphere that each direction pierces, and where.
 
     The weights are the barycentric coordinates of the point where the ray meets the plane of the triangle:

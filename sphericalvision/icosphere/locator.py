@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import uses_reference_kernels
@@ -84,7 +85,7 @@ class TriangleLocator:
         self.faces = icosphere_faces(level, device) if self._table is None else self._table.ids
 
     @torch.no_grad()
-    def find(self, rays: Tensor) -> tuple[Tensor, Tensor]:
+    def find(self, rays: Float[Tensor, "3 m"]) -> tuple[Int[Tensor, " m"], Float[Tensor, "3 m"]]:
         """Return the numbers ``(m,)`` of the triangles that rays ``(3, m)`` pierce, and the weights ``(3, m)`` there.
 
         A ray of zero length or with a NaN gets some triangle and NaN weights. Weights have no gradients; those of
@@ -97,7 +98,7 @@ class TriangleLocator:
         triangles, shares = find_triangles(rays, self._table)
         return triangles, shares.div_(shares.sum(0))
 
-    def weights(self, rays: Tensor, triangles: Tensor) -> Tensor:
+    def weights(self, rays: Float[Tensor, "3 m"], triangles: Int[Tensor, " m"]) -> Float[Tensor, "3 m"]:
         """Return the weights ``(3, m)`` of the corners of triangles ``(m,)``, differentiable in the rays ``(3, m)``."""
         if self._table is None:
             vertices = icosphere_vertices(self.level, torch.float64, rays.device).to(rays.dtype)

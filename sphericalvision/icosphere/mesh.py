@@ -7,6 +7,7 @@ import math
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.icosphere.topology import check_level
@@ -16,7 +17,7 @@ __all__ = ["icosahedron_rectangles", "icosphere_vertices"]
 
 def icosahedron_rectangles(
     dtype: torch.dtype | None = None, device: torch.device | str | None = None
-) -> Tensor:
+) -> Float[Tensor, "5 3 2 3"]:
     """Return the vertices of the icosahedron as five charts of three rows and two columns, ``(5, 3, 2, 3)``.
 
     The north pole is (0, -1, 0) and the first vertex of the upper ring is on the side of +z.
@@ -43,7 +44,7 @@ def icosahedron_rectangles(
 
 def icosphere_vertices(
     level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-) -> Tensor:
+) -> Float[Tensor, "V 3"]:
     """Return the vertices ``(V, 3)`` on the unit sphere: north pole, five charts row by row, south pole.
 
     Positions are computed in float64 whatever the ``dtype`` asked for.

@@ -7,6 +7,7 @@ import math
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
@@ -17,7 +18,9 @@ from sphericalvision.icosphere.topology import num_icosphere_vertices
 __all__ = ["icosphere_rings", "icosphere_within"]
 
 
-def icosphere_within(directions: Tensor, angle: float, level: int) -> Tensor:
+def icosphere_within(
+    directions: Float[Tensor, "*batch 3"], angle: float, level: int
+) -> Bool[Tensor, "*batch V"]:
     """Return which vertices lie within an angle of each direction: geodesic discs.
 
     Args:
@@ -54,7 +57,9 @@ def icosphere_within(directions: Tensor, angle: float, level: int) -> Tensor:
     return chords >= 2 * math.cos(angle / 2) - rounding
 
 
-def icosphere_rings(level: int, num_rings: int, centers: Tensor | None = None) -> Tensor:
+def icosphere_rings(
+    level: int, num_rings: int, centers: Int[Tensor, " M"] | None = None
+) -> Int[Tensor, "M columns"]:
     """Return each vertex with the rings of vertices around it: those at most ``num_rings`` edges away.
 
     Args:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float, Num
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
@@ -22,7 +23,7 @@ __all__ = ["IcospherePool", "IcosphereUpsample", "icosphere_pool", "icosphere_up
 POOL_MODES = ("mean", "max")
 
 
-def icosphere_pool(values: Tensor, mode: str = "mean") -> Tensor:
+def icosphere_pool(values: Num[Tensor, "*batch V"], mode: str = "mean") -> Num[Tensor, "*batch V_coarse"]:
     """Pool values on the vertices of the next coarser icosphere.
 
     Each kept vertex gathers itself and its neighbours, six or, at the twelve vertices of the icosahedron, five.
@@ -75,7 +76,7 @@ class IcospherePool(nn.Module):
         self.register_buffer("ids", ids, persistent=False)
         self.register_buffer("weights", weights, persistent=False)
 
-    def forward(self, values: Tensor) -> Tensor:
+    def forward(self, values: Num[Tensor, "*batch V"]) -> Num[Tensor, "*batch V_coarse"]:
         _check_level_of(values, self.level)
         if self.mode == "max":
             return _max(values, self.ids)
@@ -85,7 +86,7 @@ class IcospherePool(nn.Module):
         return f"level={self.level}, mode={self.mode!r}"
 
 
-def icosphere_upsample(values: Tensor) -> Tensor:
+def icosphere_upsample(values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*batch V_fine"]:
     """Interpolate values on the next finer icosphere: new vertices get the mean of the edge that they halve.
 
     This is exactly the linear interpolation on the triangles, as by ``Icosphere.sample``.
@@ -125,7 +126,7 @@ class IcosphereUpsample(nn.Module):
         self.level = check_level(level)
         self.register_buffer("parents", icosphere_vertex_parents(level + 1), persistent=False)
 
-    def forward(self, values: Tensor) -> Tensor:
+    def forward(self, values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*batch V_fine"]:
         _check_level_of(values, self.level)
         return _mean_of_parents(values, self.parents)
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Int, Shaped
 from torch import Tensor
 
 from sphericalvision.icosphere.topology import (
@@ -17,7 +18,7 @@ from sphericalvision.icosphere.topology import (
 __all__ = ["from_subdivision_order", "subdivision_order", "to_subdivision_order"]
 
 
-def subdivision_order(level: int, device: torch.device | str | None = None) -> Tensor:
+def subdivision_order(level: int, device: torch.device | str | None = None) -> Int[Tensor, " V"]:
     """Return, for each vertex, its index in the order of plain midpoint subdivision, ``(V,)``.
 
     Plain subdivision keeps the vertices of the coarser level and appends the midpoints of the edges 01, 12,
@@ -58,7 +59,7 @@ def subdivision_order(level: int, device: torch.device | str | None = None) -> T
     return order.to(device)
 
 
-def to_subdivision_order(values: Tensor) -> Tensor:
+def to_subdivision_order(values: Shaped[Tensor, "*batch V"]) -> Shaped[Tensor, "*batch V"]:
     """Return values on an icosphere ``(*, V)`` in the order of plain midpoint subdivision.
 
     Raises:
@@ -72,7 +73,7 @@ def to_subdivision_order(values: Tensor) -> Tensor:
     return values.index_select(-1, order.argsort())
 
 
-def from_subdivision_order(values: Tensor) -> Tensor:
+def from_subdivision_order(values: Shaped[Tensor, "*batch V"]) -> Shaped[Tensor, "*batch V"]:
     """Return values ``(*, V)`` that stand in the order of plain midpoint subdivision in the order of ``Icosphere``.
 
     Raises:

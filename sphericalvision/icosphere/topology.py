@@ -16,6 +16,7 @@ exactly one of them. Hence the order of vertices: north pole, the five charts ro
 from __future__ import annotations
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -105,7 +106,7 @@ def vertex_at(chart: Tensor, row: Tensor, column: Tensor, level: int) -> Tensor:
     return torch.where(east & (row == 2 * n), num_icosphere_vertices(level) - 1, ids)
 
 
-def chart_vertex_ids(level: int, device: torch.device | str | None = None) -> Tensor:
+def chart_vertex_ids(level: int, device: torch.device | str | None = None) -> Int[Tensor, "5 rows columns"]:
     """Return the vertex at every place of the five charts, borders included, ``(5, 2n + 1, n + 1)``.
 
     Examples:
@@ -118,7 +119,7 @@ def chart_vertex_ids(level: int, device: torch.device | str | None = None) -> Te
     return vertex_at(chart, row, torch.arange(n + 1, device=device), level)
 
 
-def icosphere_faces(level: int, device: torch.device | str | None = None) -> Tensor:
+def icosphere_faces(level: int, device: torch.device | str | None = None) -> Int[Tensor, "F 3"]:
     """Return the ``(20 * 4**level, 3)`` triangles, counter-clockwise seen from outside.
 
     Face ``2 * ((chart * 2n + row) * n + column) + half`` is half 0 (north-west) or 1 (south-east) of that
@@ -136,7 +137,7 @@ def icosphere_faces(level: int, device: torch.device | str | None = None) -> Ten
     return torch.stack((upper, lower), -2).reshape(-1, 3)
 
 
-def coarse_vertex_ids(level: int, device: torch.device | str | None = None) -> Tensor:
+def coarse_vertex_ids(level: int, device: torch.device | str | None = None) -> Int[Tensor, " V"]:
     """Return, for each vertex of the next coarser icosphere, its id in the icosphere of this level.
 
     Raises:

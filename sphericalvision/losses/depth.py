@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
@@ -13,12 +14,12 @@ __all__ = ["depth_index_huber", "solid_angle_cross_entropy", "solid_angle_mean"]
 
 
 def depth_index_huber(
-    pred_index: Tensor,
-    target_index: Tensor,
-    mask: Tensor | None = None,
+    pred_index: Float[Tensor, "B V"],
+    target_index: Float[Tensor, "B V"],
+    mask: Bool[Tensor, "B V"] | None = None,
     delta: float = 1.0,
-    weights: Tensor | None = None,
-) -> Tensor:
+    weights: Float[Tensor, " V"] | Float[Tensor, "B V"] | None = None,
+) -> Float[Tensor, ""]:
     """Return the mean Huber loss of hypothesis indices over the points of a mask.
 
     Args:
@@ -64,7 +65,11 @@ def depth_index_huber(
     return total / mask.sum().clamp(min=1)
 
 
-def solid_angle_mean(values: Tensor, solid_angles: Tensor, mask: Tensor | None = None) -> Tensor:
+def solid_angle_mean(
+    values: Float[Tensor, "*values"],
+    solid_angles: Float[Tensor, "*grid"],
+    mask: Bool[Tensor, " ..."] | None = None,
+) -> Float[Tensor, "*batch"]:
     """Return the mean of values over the sphere, or over the part of it that a mask leaves.
 
     Any loss at each place becomes one in which every part of the sphere counts by its size:
@@ -107,8 +112,11 @@ def solid_angle_mean(values: Tensor, solid_angles: Tensor, mask: Tensor | None =
 
 
 def solid_angle_cross_entropy(
-    logits: Tensor, labels: Tensor, solid_angles: Tensor, ignore_index: int = -100
-) -> Tensor:
+    logits: Float[Tensor, "B classes *grid"],
+    labels: Int[Tensor, " B *grid"],
+    solid_angles: Float[Tensor, "*grid"],
+    ignore_index: int = -100,
+) -> Float[Tensor, ""]:
     """Return the mean cross entropy of labels on a grid, every place weighted by its solid angle.
 
     Args:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -13,12 +14,12 @@ __all__ = ["DepthError", "DepthIndexError", "depth_error", "depth_index_error"]
 
 
 def depth_index_error(
-    pred_index: Tensor,
-    target_index: Tensor,
+    pred_index: Float[Tensor, "B V"],
+    target_index: Float[Tensor, "B V"],
     num_hypotheses: int,
-    mask: Tensor | None = None,
-    weights: Tensor | None = None,
-) -> dict[str, Tensor]:
+    mask: Bool[Tensor, "B V"] | None = None,
+    weights: Float[Tensor, " V"] | Float[Tensor, "B V"] | None = None,
+) -> dict[str, Float[Tensor, " B"]]:
     """Return the errors of hypothesis indices for each image, in percent of the number of hypotheses.
 
     With ``e = 100 * |pred - target| / N``: ``">1"``, ``">3"`` and ``">5"`` are the percentages of points with
@@ -58,12 +59,12 @@ def depth_index_error(
 
 
 def depth_error(
-    pred_depth: Tensor,
-    target_depth: Tensor,
-    mask: Tensor | None = None,
-    weights: Tensor | None = None,
+    pred_depth: Float[Tensor, "B V"],
+    target_depth: Float[Tensor, "B V"],
+    mask: Bool[Tensor, "B V"] | None = None,
+    weights: Float[Tensor, " V"] | Float[Tensor, "B V"] | None = None,
     max_depth: float = 100.0,
-) -> dict[str, Tensor]:
+) -> dict[str, Float[Tensor, " B"]]:
     """Return the errors of depths in metres for each image.
 
     ``"AbsRel"`` is the mean of ``|pred - target| / target``, ``"RMSE"`` is in metres, ``"d<1.25"`` is the

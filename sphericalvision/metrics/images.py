@@ -6,6 +6,7 @@ from __future__ import annotations
 from abc import abstractmethod
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torchmetrics import Metric
 
@@ -60,7 +61,11 @@ class MeanOverImages(Metric):
         """Return the errors of each image ``(B,)`` by name; NaN for an image that does not count."""
 
     def update(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None = None, weights: Tensor | None = None
+        self,
+        pred: Float[Tensor, " B *grid"],
+        target: Float[Tensor, " B *grid"],
+        mask: Bool[Tensor, " B *grid"] | None = None,
+        weights: Float[Tensor, "*grid"] | Float[Tensor, " B *grid"] | None = None,
     ) -> None:
         """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and ``(V,)`` weights."""
         errors = self._errors(pred, target, mask, weights)
@@ -69,7 +74,7 @@ class MeanOverImages(Metric):
         self.sums += table[:, counts].sum(1)
         self.num_images += counts.sum()
 
-    def compute(self) -> dict[str, Tensor]:
+    def compute(self) -> dict[str, Float[Tensor, ""]]:
         """Return the means over all images with at least one valid point, by name; NaN if there was none."""
         means = (self.sums / self.num_images).float()
         return dict(zip(self.error_names, means, strict=True))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, seen_by
@@ -22,15 +23,15 @@ SEAMS = ("all", "charts", "panorama")
 class EvaluationMask(NamedTuple):
     """Points ``(B, V)`` where errors count, and the share ``(B,)`` of valid points that were left out, 0 to 1."""
 
-    mask: Tensor
-    left_out: Tensor
+    mask: Bool[Tensor, "B V"]
+    left_out: Float[Tensor, " B"]
 
 
 def evaluation_mask(
     rig: CameraRig,
-    directions: Tensor,
-    inverse_depth: Tensor,
-    valid: Tensor | None = None,
+    directions: Float[Tensor, "V 3"],
+    inverse_depth: Float[Tensor, "B V"],
+    valid: Bool[Tensor, "B V"] | None = None,
     least_cameras: int = 2,
 ) -> EvaluationMask:
     """Leave out points that fewer than two cameras see: no parallax tells their depth.
@@ -73,7 +74,9 @@ def evaluation_mask(
     return EvaluationMask(mask, 1 - mask.sum(1) / valid.sum(1))
 
 
-def seam_mask(directions: Tensor, angle: float = math.radians(5), seams: str = "all") -> Tensor:
+def seam_mask(
+    directions: Float[Tensor, "*batch 3"], angle: float = math.radians(5), seams: str = "all"
+) -> Bool[Tensor, "*batch"]:
     """Return which directions lie near a seam of the grids that networks work on.
 
     A network that copes with its grid's seams errs no more there than elsewhere.

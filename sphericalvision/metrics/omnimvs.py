@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -15,12 +16,12 @@ NUM_HYPOTHESES = 192
 
 
 def omnimvs_error(
-    pred_inverse_depth: Tensor,
-    target_inverse_depth: Tensor,
+    pred_inverse_depth: Float[Tensor, "B h w"],
+    target_inverse_depth: Float[Tensor, "B h w"],
     min_depth: float = 0.55,
-    mask: Tensor | None = None,
+    mask: Bool[Tensor, "B h w"] | None = None,
     num_hypotheses: int = NUM_HYPOTHESES,
-) -> dict[str, Tensor]:
+) -> dict[str, Float[Tensor, " B"]]:
     """Return ``>1 >3 >5 MAE RMS`` of each image by the official protocol, in percent of N.
 
     Inverse depths become indices ``(N - 1) * min_depth / depth``, neither rounded. Of a full panorama only the rows

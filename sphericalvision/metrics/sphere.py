@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float, Int, Num
 from torch import Tensor
 from torchmetrics import Metric
 
@@ -21,7 +22,9 @@ from sphericalvision.sphere import SphereGrid
 __all__ = ["LatitudeBands", "LatitudeProfile", "SolidAngleIoU", "SolidAngleMean", "angular_error"]
 
 
-def angular_error(pred: Tensor, target: Tensor) -> Tensor:
+def angular_error(
+    pred: Float[Tensor, "*pred 3"], target: Float[Tensor, "*target 3"]
+) -> Float[Tensor, " ..."]:
     """Return the angles in radians between directions, such as normals of a surface.
 
     Args:
@@ -103,7 +106,7 @@ class SolidAngleMean(_OnGrid):
         for name in ("total", "num_images"):
             self.add_state(name, default=torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
 
-    def update(self, values: Tensor, mask: Tensor | None = None) -> None:
+    def update(self, values: Num[Tensor, " B *grid"], mask: Bool[Tensor, " B *grid"] | None = None) -> None:
         """Add a batch."""
         flat = self._flat("values", values)
         weights = self._weights(flat, mask)
@@ -112,7 +115,7 @@ class SolidAngleMean(_OnGrid):
         self.total += means[counts].sum()
         self.num_images += counts.sum()
 
-    def compute(self) -> Tensor:
+    def compute(self) -> Float[Tensor, ""]:
         """Return the mean."""
         return (self.total / self.num_images).float()
 
@@ -126,9 +129,9 @@ class LatitudeBands(NamedTuple):
         solid_angle: ``(num_bands,)`` steradians that counted, summed over images.
     """
 
-    latitude: Tensor
-    mean: Tensor
-    solid_angle: Tensor
+    latitude: Float[Tensor, " bands"]
+    mean: Float[Tensor, " bands"]
+    solid_angle: Float[Tensor, " bands"]
 
 
 class LatitudeProfile(_OnGrid):
@@ -174,7 +177,7 @@ class LatitudeProfile(_OnGrid):
             zeros = torch.zeros(num_bands, dtype=torch.float64)
             self.add_state(name, default=zeros, dist_reduce_fx="sum")
 
-    def update(self, values: Tensor, mask: Tensor | None = None) -> None:
+    def update(self, values: Num[Tensor, " B *grid"], mask: Bool[Tensor, " B *grid"] | None = None) -> None:
         """Add a batch."""
         flat = self._flat("values", values)
         weights = self._weights(flat, mask)
@@ -229,7 +232,12 @@ class SolidAngleIoU(_OnGrid):
         zeros = torch.zeros(num_classes, num_classes, dtype=torch.float64)
         self.add_state("areas", default=zeros, dist_reduce_fx="sum")
 
-    def update(self, pred: Tensor, target: Tensor, mask: Tensor | None = None) -> None:
+    def update(
+        self,
+        pred: Int[Tensor, " B *grid"],
+        target: Int[Tensor, " B *grid"],
+        mask: Bool[Tensor, " B *grid"] | None = None,
+    ) -> None:
         """Add a batch of labels."""
         predicted, true = self._flat("pred", pred), self._flat("target", target)
         if len(predicted) != len(true):

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 import torch
+from jaxtyping import Bool, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, field_of_view
@@ -26,7 +27,10 @@ _GREY = "0.82"
 
 @torch.no_grad()
 def angle_map(
-    camera: Camera, image: Tensor | None = None, mask: Tensor | None = None, title: str | None = None
+    camera: Camera,
+    image: Shaped[Tensor, "c h w"] | None = None,
+    mask: Bool[Tensor, "h w"] | None = None,
+    title: str | None = None,
 ) -> Picture:
     """Draw the angle from the optical axis over the image: a contour every 10°, and the edge of what is valid in red.
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
 __all__ = ["icosphere_mesh", "sphere_mesh"]
 
 
-def icosphere_mesh(depth: Tensor, colors: Tensor | None = None, max_jump: float = 1.2) -> trimesh.Trimesh:
+def icosphere_mesh(
+    depth: Float[Tensor, " V"], colors: Float[Tensor, "3 V"] | None = None, max_jump: float = 1.2
+) -> trimesh.Trimesh:
     """Surface through depth on the vertices of an icosphere, torn open at depth jumps.
 
     Args:
@@ -65,7 +68,9 @@ def icosphere_mesh(depth: Tensor, colors: Tensor | None = None, max_jump: float 
     return mesh
 
 
-def sphere_mesh(values: Tensor, radius: float = 1.0, color_map: str = "viridis") -> trimesh.Trimesh:
+def sphere_mesh(
+    values: Shaped[Tensor, " V"] | Float[Tensor, "3 V"], radius: float = 1.0, color_map: str = "viridis"
+) -> trimesh.Trimesh:
     """The icosphere itself, coloured by values, as a mesh seen from outside.
 
     Args:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy.typing as npt
 import torch
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
@@ -36,7 +37,7 @@ Picture = npt.NDArray[Any]
 
 
 def depth_panorama(
-    depth: Tensor, min_depth: float, max_depth: float = math.inf, title: str | None = None
+    depth: Float[Tensor, "H W"], min_depth: float, max_depth: float = math.inf, title: str | None = None
 ) -> Picture:
     """Colour a depth panorama and put a scale in metres below it.
 
@@ -57,7 +58,11 @@ def depth_panorama(
 
 
 def save_depth_panorama(
-    path: str | Path, depth: Tensor, min_depth: float, max_depth: float = math.inf, title: str | None = None
+    path: str | Path,
+    depth: Float[Tensor, "H W"],
+    min_depth: float,
+    max_depth: float = math.inf,
+    title: str | None = None,
 ) -> Path:
     """Write the picture that ``depth_panorama`` makes and return its path."""
     write_image(path, depth_panorama(depth, min_depth, max_depth, title))
@@ -65,7 +70,7 @@ def save_depth_panorama(
 
 
 def error_panorama(
-    error: Tensor, max_error: float, label: str = "error (% of N)", title: str | None = None
+    error: Float[Tensor, "H W"], max_error: float, label: str = "error (% of N)", title: str | None = None
 ) -> Picture:
     """Colour a panorama of errors and put a scale below it.
 
@@ -85,14 +90,18 @@ def error_panorama(
 
 
 def save_error_panorama(
-    path: str | Path, error: Tensor, max_error: float, label: str = "error (% of N)", title: str | None = None
+    path: str | Path,
+    error: Float[Tensor, "H W"],
+    max_error: float,
+    label: str = "error (% of N)",
+    title: str | None = None,
 ) -> Path:
     """Write the picture that ``error_panorama`` makes and return its path."""
     write_image(path, error_panorama(error, max_error, label, title))
     return Path(path)
 
 
-def icosphere_to_panorama(values: Tensor, height: int) -> Tensor:
+def icosphere_to_panorama(values: Float[Tensor, "*batch V"], height: int) -> Float[Tensor, "*batch H W"]:
     """Interpolate values on an icosphere to an equirectangular panorama, linearly in each triangle.
 
     Interpolate inverse depth rather than depth: it is finite, and planes are smoother in it.
@@ -117,10 +126,10 @@ def icosphere_to_panorama(values: Tensor, height: int) -> Tensor:
 
 def rgb_panorama(
     rig: CameraRig,
-    images: Mapping[str, Tensor],
+    images: Mapping[str, Shaped[Tensor, "c _ _"]],
     height: int,
-    depth: Tensor | float = math.inf,
-) -> tuple[Tensor, Tensor]:
+    depth: Float[Tensor, "H W"] | float = math.inf,
+) -> tuple[Float[Tensor, "c H W"], Bool[Tensor, "H W"]]:
     """Stitch a rig's images to a panorama seen from the rig's centre.
 
     Each point of the panorama, at its depth, is looked up in every camera that sees it; cameras that see it

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -21,12 +22,15 @@ class PointCloud(NamedTuple):
     """Points ``(n, 3)`` in metres in the rig's frame (x right, y down, z forward) and colours ``(n, 3)`` "
     "in [0, 1]."""
 
-    points: Tensor
-    colors: Tensor
+    points: Float[Tensor, "n 3"]
+    colors: Float[Tensor, "n 3"]
 
 
 def panorama_point_cloud(
-    depth: Tensor, colors: Tensor | None = None, max_depth: float = math.inf, center: Tensor | None = None
+    depth: Float[Tensor, "H W"],
+    colors: Float[Tensor, "3 H W"] | None = None,
+    max_depth: float = math.inf,
+    center: Float[Tensor, " 3"] | None = None,
 ) -> PointCloud:
     """Points of a depth panorama whose depth is known and finite.
 
@@ -60,7 +64,7 @@ def panorama_point_cloud(
     return PointCloud(points, colors.movedim(0, -1)[known])
 
 
-def save_point_cloud(path: str | Path, points: Tensor, colors: Tensor) -> Path:
+def save_point_cloud(path: str | Path, points: Float[Tensor, "n 3"], colors: Shaped[Tensor, "n 3"]) -> Path:
     """Write a coloured point cloud (binary .ply, or another format of trimesh) and return its path.
 
     Args:

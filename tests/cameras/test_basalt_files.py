@@ -8,16 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from calibration_samples import (
-    assert_projects,
-    basalt,
-    directions,
-    double_sphere,
-    dump,
-    extended_unified,
-    kannala_brandt,
-    opencv_plain,
-)
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
@@ -34,6 +24,16 @@ from sphericalvision.cameras import (
     save_rig,
 )
 from sphericalvision.geometry import transform_from_axis_angle
+from tests.cameras.calibration_samples import (
+    assert_projects,
+    basalt,
+    directions,
+    double_sphere,
+    dump,
+    extended_unified,
+    kannala_brandt,
+    opencv_plain,
+)
 
 CENTER = (254.96, 256.89)
 CLASSES = {

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from calibration_samples import (
+
+from sphericalvision.cameras import CameraRig, OCamCamera, UnifiedCamera, read_camera, read_cameras, read_rig
+from tests.cameras.calibration_samples import (
     assert_projects,
     directions,
     double_sphere,
@@ -23,8 +25,6 @@ from calibration_samples import (
     extended_unified,
     kannala_brandt,
 )
-
-from sphericalvision.cameras import CameraRig, OCamCamera, UnifiedCamera, read_camera, read_cameras, read_rig
 
 KB4 = {
     "intrinsics": [

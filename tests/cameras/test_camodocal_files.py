@@ -9,17 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from calibration_samples import (
-    assert_projects,
-    camodocal_kannala_brandt,
-    camodocal_pinhole,
-    directions,
-    dump,
-    mei,
-    opencv_fisheye,
-    opencv_omnidir,
-    opencv_plain,
-)
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
@@ -30,6 +19,17 @@ from sphericalvision.cameras import (
     read_rig,
 )
 from sphericalvision.core import MissingFileError
+from tests.cameras.calibration_samples import (
+    assert_projects,
+    camodocal_kannala_brandt,
+    camodocal_pinhole,
+    directions,
+    dump,
+    mei,
+    opencv_fisheye,
+    opencv_omnidir,
+    opencv_plain,
+)
 
 POSES = """image_00: 1 0 0 1.57 0 1 0 0.05 0 0 1 -1.55
 image_02: 0.0 0.0 -1.0 0.7 1.0 0.0 0.0 -0.3 0.0 -1.0 0.0 -1.5

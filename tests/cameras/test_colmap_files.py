@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from calibration_samples import COLMAP, assert_projects, directions, opencv_fisheye, opencv_plain
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
@@ -20,6 +19,13 @@ from sphericalvision.cameras import (
     read_rig,
     save_camera,
     write_colmap,
+)
+from tests.cameras.calibration_samples import (
+    COLMAP,
+    assert_projects,
+    directions,
+    opencv_fisheye,
+    opencv_plain,
 )
 
 LINES = [line.split() for line in COLMAP.splitlines() if not line.startswith("#")]

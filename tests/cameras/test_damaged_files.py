@@ -18,7 +18,12 @@ from typing import Any
 
 import pytest
 import yaml
-from calibration_samples import (
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sphericalvision.cameras import read_cameras, read_rig
+from sphericalvision.core import FileFormatError, MissingFileError
+from tests.cameras.calibration_samples import (
     COLMAP,
     MATRIX,
     QUARTER_TURN,
@@ -33,11 +38,6 @@ from calibration_samples import (
     opencv_yaml,
     woodscape,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-from sphericalvision.cameras import read_cameras, read_rig
-from sphericalvision.core import FileFormatError, MissingFileError
 
 JUNK: list[Any] = [
     "words", "", None, [], {}, [[]], float("nan"), float("inf"), -1.0, 0.0, 1e300, True, [1.0], {"a": 1},

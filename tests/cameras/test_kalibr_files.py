@@ -9,19 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from calibration_samples import (
-    KALIBR,
-    assert_projects,
-    directions,
-    double_sphere,
-    dump,
-    extended_unified,
-    kalibr,
-    kannala_brandt,
-    opencv_fisheye,
-    opencv_omnidir,
-    opencv_plain,
-)
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
@@ -38,6 +25,19 @@ from sphericalvision.cameras import (
     save_rig,
 )
 from sphericalvision.geometry import transform_from_axis_angle
+from tests.cameras.calibration_samples import (
+    KALIBR,
+    assert_projects,
+    directions,
+    double_sphere,
+    dump,
+    extended_unified,
+    kalibr,
+    kannala_brandt,
+    opencv_fisheye,
+    opencv_omnidir,
+    opencv_plain,
+)
 
 CLASSES = {
     "pinhole none": PinholeCamera,

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from calibration_samples import (
+
+from sphericalvision.cameras import OCamCamera, read_camera, read_rig
+from sphericalvision.core import MissingFileError
+from tests.cameras.calibration_samples import (
     MULTICOL_C,
     MULTICOL_D,
     MULTICOL_E,
@@ -19,9 +22,6 @@ from calibration_samples import (
     multicol,
     multicol_system,
 )
-
-from sphericalvision.cameras import OCamCamera, read_camera, read_rig
-from sphericalvision.core import MissingFileError
 
 
 def write(path: Path, content: dict[str, Any]) -> Path:

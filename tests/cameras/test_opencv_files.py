@@ -10,19 +10,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from calibration_samples import (
-    FISHEYE,
-    MATRIX,
-    OMNIDIR,
-    QUARTER_TURN,
-    assert_projects,
-    directions,
-    opencv_fisheye,
-    opencv_omnidir,
-    opencv_plain,
-    opencv_stereo,
-    opencv_yaml,
-)
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
@@ -35,6 +22,19 @@ from sphericalvision.cameras import (
     ring_rig,
     save_camera,
     save_rig,
+)
+from tests.cameras.calibration_samples import (
+    FISHEYE,
+    MATRIX,
+    OMNIDIR,
+    QUARTER_TURN,
+    assert_projects,
+    directions,
+    opencv_fisheye,
+    opencv_omnidir,
+    opencv_plain,
+    opencv_stereo,
+    opencv_yaml,
 )
 
 SIZE = {"image_width": 320, "image_height": 240}

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from calibration_samples import assert_projects, directions, dump, woodscape
 
 from sphericalvision.cameras import RadialPolynomialCamera, read_camera, read_rig
+from tests.cameras.calibration_samples import assert_projects, directions, dump, woodscape
 
 
 def projected(rays: np.ndarray) -> np.ndarray:

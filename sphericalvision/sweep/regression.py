@@ -52,16 +52,11 @@ def depth_estimate(logits: Tensor, seen: Tensor) -> DepthEstimate:
     )
 
 
-def _check_logits(logits: Tensor) -> None:
-    if logits.ndim < 2:
-        raise ShapeError(f"logits: expected shape (*b, N, V), got {tuple(logits.shape)}")
-
-
 def soft_argmax(logits: Tensor) -> Tensor:
     """Return the expected hypothesis index ``(*b, V)``, 0 to N - 1, of scores ``(*b, N, V)``.
 
     The probability of a hypothesis is the softmax of the scores over all hypotheses: a higher score is more
-    likely.
+    likely. Computed in float32 at least, also under autocast and of scores in half precision, and returned so.
 
     Raises:
         ShapeError: if there are fewer than two dimensions.
@@ -74,9 +69,7 @@ def soft_argmax(logits: Tensor) -> Tensor:
         >>> soft_argmax(torch.tensor([[0.0], [0.0], [0.0]]))
         tensor([1.])
     """
-    _check_logits(logits)
-    index = torch.arange(logits.shape[-2], dtype=logits.dtype, device=logits.device)
-    return torch.einsum("...nv,n->...v", logits.softmax(-2), index)
+    return _expectation(_probabilities(logits))
 
 
 def soft_argmax_confidence(logits: Tensor) -> Tensor:
@@ -94,9 +87,20 @@ def soft_argmax_confidence(logits: Tensor) -> Tensor:
         >>> soft_argmax_confidence(logits)
         tensor([1.])
     """
-    _check_logits(logits)
-    index = torch.arange(logits.shape[-2], dtype=logits.dtype, device=logits.device)
-    probability = logits.softmax(-2)
-    expectation = torch.einsum("...nv,n->...v", probability, index)
-    near = (index[:, None] - expectation.floor().unsqueeze(-2) - 0.5).abs() < 2
+    probability = _probabilities(logits)
+    index = torch.arange(logits.shape[-2], dtype=probability.dtype, device=logits.device)
+    near = (index[:, None] - _expectation(probability).floor().unsqueeze(-2) - 0.5).abs() < 2
     return (probability * near).sum(-2)
+
+
+def _probabilities(logits: Tensor) -> Tensor:
+    """The softmax over hypotheses, in single precision at least: bfloat16 has no number between 150 and 151."""
+    if logits.ndim < 2:
+        raise ShapeError(f"logits: expected shape (*b, N, V), got {tuple(logits.shape)}")
+    return logits.to(torch.promote_types(logits.dtype, torch.float32)).softmax(-2)
+
+
+def _expectation(probability: Tensor) -> Tensor:
+    """The mean index. A product and a sum, which autocast leaves in their precision, unlike a matrix product."""
+    index = torch.arange(probability.shape[-2], dtype=probability.dtype, device=probability.device)
+    return (probability * index[:, None]).sum(-2)

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
 from sphericalvision.core import ShapeError
-from sphericalvision.sweep import soft_argmax, soft_argmax_confidence
+from sphericalvision.sweep import depth_estimate, soft_argmax, soft_argmax_confidence
 
 
 def test_soft_argmax_is_the_expectation(generator: torch.Generator) -> None:
@@ -38,6 +40,41 @@ def test_confidence_of_one_peak_of_two_and_of_none() -> None:
     one[5], two[2], two[13], none[:] = 30.0, 30.0, 30.0, 0.0
     confidence = [soft_argmax_confidence(logits).item() for logits in (one, two, none)]
     assert confidence == pytest.approx([1.0, 0.0, 4 / 16], abs=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16, torch.float32])
+def test_convention_expectation_in_single_precision(generator: torch.Generator, dtype: torch.dtype) -> None:
+    """Half precision has no number between 150 and 151: scores may be rounded to it, the answer is not."""
+    logits = torch.randn(2, 192, 642, generator=generator).to(dtype)
+    exact = soft_argmax(logits.double())
+    confidence = soft_argmax_confidence(logits.double())
+    for mixed in (False, True):
+        with torch.autocast("cpu", torch.bfloat16, enabled=mixed):
+            index, found = soft_argmax(logits), soft_argmax_confidence(logits)
+        assert index.dtype == found.dtype == torch.float32
+        torch.testing.assert_close(index, exact.float(), rtol=0, atol=1e-3)
+        away = (exact - exact.round()).abs() > 1e-3  # where rounding cannot choose other hypotheses
+        torch.testing.assert_close(found[away], confidence[away].float(), rtol=0, atol=1e-4)
+    assert len(index.unique()) > 1000
+    assert exact.dtype == confidence.dtype == torch.float64
+
+
+def test_between_two_hypotheses_under_autocast() -> None:
+    logits = torch.full((192, 1), -50.0)
+    logits[150], logits[151] = 0.0, math.log(47 / 53)  # 53 to 47
+    with torch.autocast("cpu", torch.bfloat16):
+        assert soft_argmax(logits).item() == pytest.approx(150.47, abs=1e-4)
+
+
+def test_an_estimate_is_seen_where_two_cameras_see_it(generator: torch.Generator) -> None:
+    logits = 5 * torch.randn(2, 6, 40, generator=generator)
+    seen = torch.rand(2, 3, 6, 40, generator=generator) > 0.4
+    estimate = depth_estimate(logits, seen)
+    assert torch.equal(estimate.index, soft_argmax(logits))
+    assert torch.equal(estimate.confidence, soft_argmax_confidence(logits))
+    for b, v in torch.cartesian_prod(torch.arange(2), torch.arange(40)).tolist():
+        nearest = round(float(estimate.index[b, v]))
+        assert estimate.seen[b, v] == (seen[b, :, nearest, v].sum() >= 2)
 
 
 def test_one_dimension_is_refused() -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import pickle
 from inspect import signature
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -87,7 +88,7 @@ def initialize(net: IcoSweepNet | OmniMVS, weights: str | Path) -> None:
     net.load_state_dict(other.state_dict())
 
 
-def _read(checkpoint: str | Path | None) -> IcoSweepNet | OmniMVS:
+def _read(checkpoint: str | Path | None) -> Any:
     if checkpoint is None:
         return pretrained()
     if str(checkpoint) in available_weights() and not Path(checkpoint).exists():

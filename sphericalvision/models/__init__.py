@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks, composed of the rooms below, and their weights."""
 
-from sphericalvision.models.aggregation import concatenate_cameras, mean_and_variance
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
 from sphericalvision.models.features import FeatureExtractor
@@ -13,7 +12,11 @@ from sphericalvision.models.weights import (
     available_weights,
     load_reference_checkpoint,
     load_weights,
+    network_class,
+    network_name,
+    network_names,
     pretrained,
+    register_network,
     save_weights,
     state_dict_from_reference,
 )
@@ -30,11 +33,13 @@ __all__ = [
     "SphereClassifier",
     "available_weights",
     "classifier_grid",
-    "concatenate_cameras",
     "load_reference_checkpoint",
     "load_weights",
-    "mean_and_variance",
+    "network_class",
+    "network_name",
+    "network_names",
     "pretrained",
+    "register_network",
     "save_weights",
     "state_dict_from_reference",
 ]

@@ -81,7 +81,7 @@ def test_save_and_load(tmp_path: Path, generator: torch.Generator) -> None:
 def test_normalisation_is_remembered(tmp_path: Path) -> None:
     net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2, num_cameras=2, norm="instance")
     again = load_weights(save_weights(net, tmp_path / "net.safetensors"))
-    assert again.norm == "instance"
+    assert again.hyperparameters["norm"] == "instance"
     assert same_weights(again, net)
 
 

@@ -1,86 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weights on disk: safetensors with hyper-parameters inside, the authors' checkpoints, shipped ones."""
+"""Files of weights: safetensors that say which network they are of and with which hyper-parameters."""
 
 from __future__ import annotations
 
 import json
-import pickle
-from collections.abc import Mapping
+import os
 from pathlib import Path
-from typing import Any, TypeVar
 
-import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import Tensor
 
-from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
-from sphericalvision.models.icosweepnet import IcoSweepNet
-from sphericalvision.models.omnimvs import OmniMVS
+from sphericalvision.core import ArgumentError, FileFormatError, check_file
+from sphericalvision.io.images import whole_file
+from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.weights.filling import filled
+from sphericalvision.models.weights.registry import network_class, network_name
 
-__all__ = [
-    "available_weights",
-    "load_reference_checkpoint",
-    "load_weights",
-    "pretrained",
-    "save_weights",
-    "state_dict_from_reference",
-]
+__all__ = ["load_weights", "save_weights"]
 
-_ARCHITECTURES: dict[str, type[IcoSweepNet] | type[OmniMVS]] = {
-    "sphericalvision-icosweepnet": IcoSweepNet,
-    "sphericalvision-omnimvs": OmniMVS,
-}
-"""By what a file says of itself."""
-AnyNetwork = TypeVar("AnyNetwork", bound=IcoSweepNet | OmniMVS)
-
-_CHECKPOINTS = Path(__file__).parent / "shipped"
-
-# Module names of the authors' release and ours; index tables (w1_index, w2_index) are not weights.
-_REFERENCE_PREFIXES = {
-    "feature_extraction.conv1": "features.entry",
-    "feature_extraction.conv2": "features.second",
-    **{
-        f"feature_extraction.{theirs}.{block}.convbn{k}": f"features.{ours}.{block}.{name}"
-        for theirs, ours, count in (("layer1", "fine", 3), ("layer2", "coarse", 5))
-        for block in range(count)
-        for k, name in ((1, "first"), (2, "second"))
-    },
-    "feature_extraction.lastconv": "features.last",
-    **{
-        f"cost_regularization.dres0.{k}": f"regularizer.fusion.{n}" for k, n in enumerate(("first", "second"))
-    },
-    **{
-        f"cost_regularization.dres{block + 1}.{k}": f"regularizer.blocks.{block}.{name}"
-        for block in range(4)
-        for k, name in enumerate(("first", "second"))
-    },
-    "cost_regularization.classify.0": "regularizer.reduction",
-    "cost_regularization.classify.1": "regularizer.score",
-}
+PREFIX = "sphericalvision-"
+"""What the names of networks begin with in files."""
 
 
-def save_weights(net: IcoSweepNet | OmniMVS, path: str | Path) -> Path:
-    """Write the weights, hyper-parameters and kind of a network to a ``.safetensors`` file, folders included.
+def save_weights(net: DepthNetwork, path: str | Path) -> Path:
+    """Write the weights, hyper-parameters and name of a network to a ``.safetensors`` file, folders included.
 
     Raises:
-        ArgumentError: if the name does not end in ``.safetensors``.
+        ArgumentError: if the file's name does not end in ``.safetensors``, or the network has no name
+            (``register_network``) or hyper-parameters that no file can hold.
     """
     path = Path(path)
     if path.suffix != ".safetensors":
         raise ArgumentError(f"path: expected a name ending in .safetensors, got {path.name!r}")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    metadata = {"format": PREFIX + network_name(net), "hyperparameters": json.dumps(net.hyperparameters)}
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
-    (kind,) = (name for name, architecture in _ARCHITECTURES.items() if isinstance(net, architecture))
-    metadata = {"format": kind, "hyperparameters": json.dumps(net.hyperparameters)}
-    partial = path.with_name(path.name + ".partial")
-    save_file(state, partial, metadata)
-    partial.replace(path)
+    with whole_file(path) as temporary:
+        save_file(state, temporary, metadata)
+        temporary.chmod(0o666 & ~_umask())  # safetensors lets nobody else read
     return path
 
 
-def load_weights(path: str | Path) -> IcoSweepNet | OmniMVS:
-    """Return the network, of either kind, that ``save_weights`` wrote, on the CPU and in eval mode.
+def load_weights(path: str | Path) -> DepthNetwork:
+    """Return the network that ``save_weights`` wrote, whichever it is, on the CPU and in eval mode.
 
     Raises:
         MissingFileError: if there is no such file.
@@ -96,150 +57,28 @@ def load_weights(path: str | Path) -> IcoSweepNet | OmniMVS:
             f"{path}: not a readable safetensors file ({error}); for a checkpoint of the authors' release "
             "use load_reference_checkpoint"
         ) from error
-    architecture = _ARCHITECTURES.get(metadata.get("format", ""))
-    if architecture is None or "hyperparameters" not in metadata:
+    kind = metadata.get("format", "")
+    if not kind.startswith(PREFIX) or "hyperparameters" not in metadata:
         raise FileFormatError(
             f"{path}: no hyper-parameters of a network inside (metadata 'format' is {metadata.get('format')!r}, "
-            f"expected {' or '.join(map(repr, _ARCHITECTURES))}); write weights with save_weights"
+            f"expected {PREFIX} and the name of a network); write weights with save_weights"
         )
     try:
-        net = architecture(**json.loads(metadata["hyperparameters"]))
+        network = network_class(kind.removeprefix(PREFIX))
+    except ArgumentError as error:
+        raise FileFormatError(f"{path}: holds the weights of an unknown network: {error}") from error
+    try:
+        net = network(**json.loads(metadata["hyperparameters"]))
     except (TypeError, ValueError) as error:
         raise FileFormatError(
-            f"{path}: cannot build the network from metadata 'hyperparameters' = "
-            f"{metadata['hyperparameters']}: {error}"
+            f"{path}: cannot build {network.__name__} from metadata 'hyperparameters' = "
+            f"{metadata['hyperparameters']:.1000}: {error}"
         ) from error
-    return _filled(net, state, path).eval()
+    return filled(net, state, path).eval()
 
 
-def load_reference_checkpoint(
-    path: str | Path,
-    level: int | None = None,
-    num_hypotheses: int | None = None,
-    min_depth: float | None = None,
-) -> IcoSweepNet:
-    """Return the network of a checkpoint of the authors' release, on the CPU and in eval mode.
-
-    Such a file is a pickled dictionary with ``state_dict``, ``ndisp`` (N), ``min_depth`` (m) and ``level``
-    (of the images). Weights do not depend on the last three, so each can be overridden. Widths follow from
-    the weights. Nothing but tensors and plain values is unpickled.
-
-    Args:
-        path: the checkpoint.
-        level: of the images, in place of the checkpoint's.
-        num_hypotheses: in place of the checkpoint's ``ndisp``.
-        min_depth: in metres, in place of the checkpoint's.
-
-    Raises:
-        MissingFileError: if there is no such file.
-        FileFormatError: if an entry is missing, foreign or of another size than the network's; the message
-            names it.
-    """
-    path = check_file(path, "a checkpoint with state_dict, ndisp, min_depth and level")
-    try:
-        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, LookupError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FileFormatError(f"{path}: not a checkpoint of tensors and plain values: {reason}") from error
-    if not isinstance(checkpoint, Mapping) or not isinstance(checkpoint.get("state_dict"), Mapping):
-        found = (
-            ", ".join(map(str, list(checkpoint)[:4])) if isinstance(checkpoint, Mapping) else "no dictionary"
-        )
-        raise FileFormatError(
-            f"{path}: expected the key 'state_dict', 'ndisp', 'min_depth' and 'level', found {found}"
-        )
-    settings: dict[str, Any] = {
-        "level": checkpoint.get("level") if level is None else level,
-        "num_hypotheses": checkpoint.get("ndisp") if num_hypotheses is None else num_hypotheses,
-        "min_depth": checkpoint.get("min_depth") if min_depth is None else min_depth,
-    }
-    for (name, value), key in zip(settings.items(), ("level", "ndisp", "min_depth"), strict=True):
-        if value is None:
-            raise FileFormatError(
-                f"{path}: the key '{key}' is missing; pass {name}= to load_reference_checkpoint"
-            )
-    state = state_dict_from_reference(checkpoint["state_dict"], path)
-    try:
-        channels = state["features.last.weight"].shape[0]
-        num_cameras = state["regularizer.fusion.first.conv.weight"].shape[1] // channels
-    except (KeyError, IndexError, ZeroDivisionError) as error:
-        raise FileFormatError(
-            f"{path}: feature_extraction.lastconv.weight or cost_regularization.dres0.0.conv.weight is missing "
-            "or has no channels, so the widths of the network are unknown"
-        ) from error
-    try:
-        net = IcoSweepNet(
-            level=int(settings["level"]),
-            num_hypotheses=int(settings["num_hypotheses"]),
-            min_depth=float(settings["min_depth"]),
-            feature_channels=channels,
-            num_cameras=num_cameras,
-        )
-    except (TypeError, ValueError) as error:
-        raise FileFormatError(f"{path}: no network has these settings ({settings}): {error}") from error
-    return _filled(net, state, path).eval()
-
-
-def state_dict_from_reference(
-    state_dict: Mapping[str, Any], source: str | Path = "state_dict"
-) -> dict[str, Tensor]:
-    """Return the state dictionary of ``IcoSweepNet`` of one in the authors' names; index tables are dropped.
-
-    Args:
-        state_dict: the authors' names and tensors; a ``module.`` before every name (from ``DataParallel``) is
-            allowed.
-        source: what the dictionary was read from, for messages.
-
-    Raises:
-        FileFormatError: if a name does not belong to the authors' network.
-    """
-    state = {}
-    for key, tensor in state_dict.items():
-        name = key.removeprefix("module.")
-        if name.endswith(("w1_index", "w2_index")):
-            continue
-        prefix = max((p for p in _REFERENCE_PREFIXES if name.startswith(p + ".")), key=len, default=None)
-        if prefix is None or not isinstance(tensor, Tensor):
-            raise FileFormatError(
-                f"{source}: the key '{key}' is not a tensor of the authors' IcoSweepNet; "
-                "is this a checkpoint of another network?"
-            )
-        state[_REFERENCE_PREFIXES[prefix] + name[len(prefix) :].replace(".bn.", ".norm.")] = tensor
-    return state
-
-
-def available_weights() -> tuple[str, ...]:
-    """Return the names of the trained networks that ship with the package."""
-    return tuple(sorted(path.stem for path in _CHECKPOINTS.glob("*.safetensors")))
-
-
-def pretrained(name: str = "icosweepnet-small") -> IcoSweepNet | OmniMVS:
-    """Return a trained network that ships with the package, on the CPU and in eval mode.
-
-    Its model card, ``shipped/<name>.md`` beside this file, tells how it was trained and how well it does.
-
-    Raises:
-        ArgumentError: if there is no network of this name.
-    """
-    check_choice("name", name, available_weights())
-    return load_weights(_CHECKPOINTS / f"{name}.safetensors")
-
-
-def _filled(net: AnyNetwork, state: Mapping[str, Tensor], source: Path) -> AnyNetwork:
-    """Return ``net`` with the weights ``state``, or raise an error that names the first misfits."""
-    expected = net.state_dict()
-    problems = [f"'{name}' is missing" for name in expected if name not in state]
-    problems += [f"'{name}' is unknown" for name in state if name not in expected]
-    problems += [
-        f"'{name}' has shape {tuple(state[name].shape)}, expected {tuple(tensor.shape)}"
-        for name, tensor in expected.items()
-        if name in state and state[name].shape != tensor.shape
-    ]
-    if problems:
-        more = f" and {len(problems) - 3} more" if len(problems) > 3 else ""
-        raise FileFormatError(
-            f"{source}: the weights do not fit {type(net).__name__} with {net.extra_repr()}: "
-            f"{'; '.join(problems[:3])}{more}"
-        )
-    net.load_state_dict(dict(state))
-    return net
+def _umask() -> int:
+    """Which permissions new files do not get."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

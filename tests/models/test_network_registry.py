@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Networks by name: from this package, registered by hand, and from somebody else's package."""
+
+from __future__ import annotations
+
+import json
+import stat
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.models import (
+    DepthNetwork,
+    IcoSweepNet,
+    OmniMVS,
+    load_weights,
+    network_class,
+    network_name,
+    network_names,
+    register_network,
+    save_weights,
+)
+
+SOMEBODYS_NETWORK = """
+import torch
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import DepthNetwork
+from sphericalvision.sweep import DepthEstimate
+
+
+class Flat(DepthNetwork):
+    def __init__(self, level=3, num_hypotheses=8, min_depth=0.5, sizes=(1, 2)):
+        super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
+        self.level, self.grid = level, Icosphere(level)
+        self.index = torch.nn.Parameter(torch.zeros(()))
+
+    def predict(self, images, rig, seen=None):
+        self.check_images(images)
+        index = self.index.expand(len(images), *self.grid.shape)
+        return DepthEstimate(index, torch.ones_like(index), torch.ones_like(index, dtype=torch.bool))
+"""
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Make a package with an entry point importable, as pip does."""
+
+    def make(module: str, source: str, **names: str) -> None:
+        (tmp_path / f"{module}.py").write_text(source)
+        info = tmp_path / f"{module}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+        lines = [f"{name} = {value}" for name, value in names.items()]
+        (info / "entry_points.txt").write_text("\n".join(["[sphericalvision.networks]", *lines]))
+        monkeypatch.syspath_prepend(tmp_path)
+
+    yield make  # type: ignore[misc]
+    for module in ("somebodys", "broken"):
+        sys.modules.pop(module, None)
+    networks = sys.modules["sphericalvision.models.weights.registry"]._NETWORKS
+    for name in [name for name in networks if name not in ("icosweepnet", "omnimvs")]:
+        if networks[name].__module__ in ("somebodys", __name__):
+            del networks[name]
+
+
+def test_the_names_of_this_package() -> None:
+    assert {"icosweepnet", "omnimvs"} <= set(network_names())
+    for name in network_names():
+        assert network_name(network_class(name)) == name
+    assert (network_class("icosweepnet"), network_class("omnimvs")) == (IcoSweepNet, OmniMVS)
+
+
+def test_somebodys_network_is_found_by_its_entry_point(install: Any, tmp_path: Path) -> None:
+    install("somebodys", SOMEBODYS_NETWORK, flat="somebodys:Flat")
+    assert "flat" in network_names()
+    flat = network_class("flat")
+    net = flat(level=2, sizes=(3, 4))
+    torch.nn.init.constant_(net.index, 2.5)
+    again = load_weights(save_weights(net, tmp_path / "flat.safetensors"))
+    assert type(again) is flat
+    assert again.hyperparameters == {"level": 2, "num_hypotheses": 8, "min_depth": 0.5, "sizes": [3, 4]}
+    assert (again(torch.zeros(1, 2, 3, 162), None) == 2.5).all()
+
+
+def test_a_name_is_found_for_a_class_that_was_imported_first(install: Any) -> None:
+    install("somebodys", SOMEBODYS_NETWORK, flat="somebodys:Flat")
+    import somebodys  # type: ignore[import-not-found]
+
+    assert network_name(somebodys.Flat()) == "flat"
+
+
+def test_a_package_that_cannot_be_imported_is_named(install: Any, tmp_path: Path) -> None:
+    install("broken", "import nonesuch", worse="broken:Net")
+    with pytest.raises(
+        ArgumentError, match="'worse' is broken:Net of the package broken, which cannot be imp"
+    ):
+        network_class("worse")
+    save_file({}, tmp_path / "x.safetensors", {"format": "sphericalvision-worse", "hyperparameters": "{}"})
+    with pytest.raises(FileFormatError, match="No module named 'nonesuch'"):
+        load_weights(tmp_path / "x.safetensors")
+
+
+def test_networks_without_a_name_cannot_be_written_until_registered(install: Any, tmp_path: Path) -> None:
+    class Mine(IcoSweepNet):
+        pass
+
+    net = Mine(3, 4, feature_channels=1)
+    with pytest.raises(ArgumentError, match=r"Mine has no name.*register_network"):
+        save_weights(net, tmp_path / "mine.safetensors")
+    register_network("mine", Mine)
+    register_network("mine", Mine)
+    assert type(load_weights(save_weights(net, tmp_path / "mine.safetensors"))) is Mine
+    with pytest.raises(ArgumentError, match=r"'mine' is .*Mine already"):
+        register_network("mine", OmniMVS)
+    with pytest.raises(ArgumentError, match="expected a subclass of DepthNetwork"):
+        register_network("module", torch.nn.Linear)  # type: ignore[arg-type]
+
+
+def test_an_unknown_name_in_a_file_lists_the_known_ones(tmp_path: Path) -> None:
+    path = tmp_path / "net.safetensors"
+    save_file({}, path, {"format": "sphericalvision-nonesuch", "hyperparameters": "{}"})
+    with pytest.raises(FileFormatError, match=r"'icosweepnet', 'omnimvs'.*got 'nonesuch'.*install"):
+        load_weights(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"level": 30}, "level: expected an integer from 0"),
+        ({"level": "deep"}, "level: expected an integer"),
+        ({"num_hypotheses": -1}, "num_hypotheses"),
+        ({"nonesuch": 1}, "nonesuch"),
+    ],
+)
+def test_hyperparameters_that_make_no_sense(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    """A level of 30 would take all memory of a machine, so it is refused before anything is made."""
+    net = IcoSweepNet(3, 4, feature_channels=1)
+    path = tmp_path / "net.safetensors"
+    metadata = {
+        "format": "sphericalvision-icosweepnet",
+        "hyperparameters": json.dumps(net.hyperparameters | changes),
+    }
+    save_file(net.state_dict(), path, metadata)
+    with pytest.raises(FileFormatError, match=message):
+        load_weights(path)
+
+
+def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    net = IcoSweepNet(3, 4, feature_channels=1)
+    with torch.no_grad():
+        net.features.last.weight[0, 0, 0] = torch.nan
+    with pytest.raises(FileFormatError, match=r"not numbers.*'features\.last\.weight'"):
+        load_weights(save_weights(net, tmp_path / "net.safetensors"))
+
+
+def test_files_may_be_read_by_others(tmp_path: Path) -> None:
+    net: DepthNetwork = IcoSweepNet(3, 4, feature_channels=1)
+    path = save_weights(net, tmp_path / "net.safetensors")
+    (tmp_path / "plain").touch()
+    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)

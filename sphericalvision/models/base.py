@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import torch
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.crown import native_operators
+from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.sweep import DepthEstimate, depth_from_index
 from sphericalvision.sweep.hypotheses import check_hypotheses
 
@@ -130,6 +131,22 @@ class DepthNetwork(nn.Module):
         """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""
         return rig
 
+    def check_images(self, images: Tensor) -> None:
+        """Raise ``ShapeError`` unless images are of the shape and the number of cameras that this network takes."""
+        cameras = "n" if self.any_cameras else self.num_cameras
+        if self.images == "sphere":
+            size: tuple[object, ...] = (num_icosphere_vertices(self.level),)
+            where = f" on icospheres of level {self.level}"
+            fits = images.ndim == 4 and images.shape[2:] == (3, *size)
+        else:
+            size, where = ("H", "W"), ""
+            fits = images.ndim == 5 and images.shape[2] == 3
+        if not fits or (images.shape[1] != self.num_cameras and not self.any_cameras):
+            raise ShapeError(
+                f"images: expected shape (B, {cameras}, 3, {', '.join(map(str, size))}) for {cameras} cameras{where}, "
+                f"got {tuple(images.shape)}"
+            )
+
     def depth(self, index: Tensor) -> Tensor:
         """Return depths in metres of hypothesis indices ``(*)``."""
         return depth_from_index(index, self.num_hypotheses, self.min_depth)
@@ -141,8 +158,12 @@ class DepthNetwork(nn.Module):
             index: ``(B, *grid.shape)`` as ``forward`` returns it; linear between the grid's points.
             directions: ``(V, 3)``.
         """
-        reached = torch.ones(len(directions), dtype=torch.bool, device=directions.device)
-        return self.grid.sample(index, directions), reached
+        directions = directions.to(index.device)
+        values = self.grid.sample(index.unsqueeze(1), directions).squeeze(1)
+        contains = getattr(self.grid, "contains", None)  # a panorama may end before the poles
+        if contains is not None:
+            return values, contains(directions)
+        return values, torch.ones(len(directions), dtype=torch.bool, device=index.device)
 
     @property
     def device(self) -> torch.device:

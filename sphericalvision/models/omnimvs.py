@@ -12,16 +12,17 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.models.aggregation import aggregated_channels, mean_and_variance
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.omnimvs_layers import SphereConv
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
 from sphericalvision.models.recompute import recomputed
 from sphericalvision.sweep import (
+    Aggregation,
     DepthEstimate,
     PanoramaSweep,
     PanoramaTables,
     SweepVolume,
+    named_aggregation,
     soft_argmax,
     soft_argmax_confidence,
 )
@@ -60,7 +61,8 @@ class OmniMVS(DepthNetwork):
         norm: ``"batch"``, as in the paper, or ``"instance"``, the statistics of each sample alone: for training with
             batches of one or two.
         aggregation: ``"concatenation"`` of the cameras' features, as in the paper, or ``"variance"``: mean and
-            variance over the cameras that see a point, for any number of cameras in any order.
+            variance over the cameras that see a point, for any number of cameras in any order. Or the name of another
+            one, or an object: see ``Aggregation``.
         circular: whether convolutions on the panorama continue at the other edge; the paper pads with zeros.
         num_scales: how often the encoder halves the volume; 4 in the paper. The panorama's width is a multiple of
             ``2 ** (num_scales + 1)``, its height is even.
@@ -93,11 +95,11 @@ class OmniMVS(DepthNetwork):
         output_size: Sequence[int] = (160, 640),
         in_channels: int = 1,
         norm: str = "batch",
-        aggregation: str = "concatenation",
+        aggregation: str | Aggregation = "concatenation",
         circular: bool = False,
         num_scales: int = 4,
     ) -> None:
-        super().__init__(num_hypotheses, min_depth, num_cameras, any_cameras=aggregation == "variance")
+        super().__init__(num_hypotheses, min_depth, num_cameras)
         if min(feature_channels, num_scales) < 1:
             raise ArgumentError(
                 "feature_channels, num_scales: expected positive numbers, "
@@ -110,15 +112,15 @@ class OmniMVS(DepthNetwork):
             raise ArgumentError(
                 f"num_hypotheses: expected an even number, as every second sphere is swept, got {num_hypotheses}"
             )
-        self.feature_channels, self.in_channels = feature_channels, in_channels
-        self.norm, self.aggregation = norm, aggregation
-        self.circular, self.num_scales = circular, num_scales
+        self.in_channels = in_channels
         self.features = FisheyeFeatures(feature_channels, in_channels, norm)
         self.sweep = PanoramaSweep(size, num_hypotheses, min_depth)
         self.grid = self.sweep.grid
         self.transference = SphereConv(feature_channels, feature_channels, circular)
+        self.aggregation = named_aggregation(aggregation, feature_channels, num_cameras)
+        self.any_cameras = self.aggregation.any_cameras
         self.hourglass = CostHourglass(
-            aggregated_channels(aggregation, feature_channels, num_cameras),
+            self.aggregation.out_channels,
             2 * feature_channels,
             num_scales,
             norm,
@@ -143,50 +145,14 @@ class OmniMVS(DepthNetwork):
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
         tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
-        logits = self.logits(images, tables, seen)
-        index = soft_argmax(logits.flatten(2)).unflatten(1, self.grid.shape)
-        confidence = soft_argmax_confidence(logits.flatten(2)).unflatten(1, self.grid.shape)
-        return DepthEstimate(index, confidence, self._seen_at(index.detach(), images, tables, seen))
-
-    def index_at(self, index: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the index ``(B, V)`` in directions ``(V, 3)``, and whether the panorama reaches there ``(V,)``.
-
-        Args:
-            index: ``(B, h, w)`` as ``forward`` returns it; linear between the pixel centres.
-            directions: in the world; those of an icosphere, for instance.
-
-        Examples:
-            >>> net = OmniMVS(8, feature_channels=1, output_size=(32, 128))  # latitudes within 45°
-            >>> up_and_forward = torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
-            >>> net.index_at(torch.full((1, 32, 128), 3.0), up_and_forward)
-            (tensor([[3., 3.]]), tensor([False,  True]))
-        """
-        values = self.grid.sample(index.unsqueeze(1), directions.to(index.device)).squeeze(1)
-        return values, self.grid.contains(directions)
-
-    def logits(self, images: Tensor, rig: CameraRig | PanoramaTables, seen: Tensor | None = None) -> Tensor:
-        """Return the score of every hypothesis ``(B, N, h, w)``; arguments as for ``predict``."""
-        self._check_images(images)
-        tables = rig if isinstance(rig, PanoramaTables) else self.sweep.tables(rig)
-        if tuple(images.shape[-2:]) != tables.image_size:
-            height, width = tables.image_size
-            raise ShapeError(
-                f"images: the rig is calibrated for {height} x {width} (height x width), "
-                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
-            )
+        self.check_images(images, tables)
         features = self.extract_features(images)
-        self.sweep.check_maps(features, tables)
-        run = (
-            partial(checkpoint, self.camera_volume, use_reentrant=False)
-            if self._recomputes
-            else self.camera_volume
-        )
-        volumes = [run(maps, tables, camera) for camera, maps in enumerate(features.unbind(1))]
-        if self.aggregation == "concatenation":
-            volume = torch.cat(volumes, 1)
-        else:
-            volume = mean_and_variance(SweepVolume(torch.stack(volumes, 1), self._seen(images, tables, seen)))
-        return self.hourglass(volume.contiguous(memory_format=torch.channels_last_3d))  # type: ignore[no-any-return]
+        swept = self.sweep_features(features, tables, seen)
+        volume = self.aggregation(swept).contiguous(memory_format=torch.channels_last_3d)
+        scores = self.hourglass(volume)
+        index = soft_argmax(scores.flatten(2)).unflatten(1, self.grid.shape)
+        confidence = soft_argmax_confidence(scores.flatten(2)).unflatten(1, self.grid.shape)
+        return DepthEstimate(index, confidence, self._seen_at(index.detach(), tables, seen))
 
     def extract_features(self, images: Tensor) -> Tensor:
         """Return the features ``(B, n, C, ceil(H / 2), ceil(W / 2))`` of images ``(B, n, 1 or 3, H, W)``.
@@ -200,37 +166,35 @@ class OmniMVS(DepthNetwork):
         features = recomputed(self.features, flat) if self._recomputes else self.features(flat)
         return features.unflatten(0, images.shape[:2])  # type: ignore[no-any-return]
 
-    def camera_volume(self, features: Tensor, tables: PanoramaTables, camera: int) -> Tensor:
-        """Return what features ``(B, C, h_f, w_f)`` of a camera add to the volume: ``(B, C, N/2, h/2, w/2)``."""
+    def sweep_features(
+        self, features: Tensor, tables: PanoramaTables, seen: Tensor | None = None
+    ) -> SweepVolume:
+        """Return what features ``(B, n, C, h_f, w_f)`` of cameras add to the volume: ``(B, n, C, N/2, h/2, w/2)``."""
+        self.sweep.check_maps(features, tables)
+        volumes = []
+        for camera, maps in enumerate(features.unbind(1)):
+            run = partial(self._camera_volume, tables=tables, camera=camera)
+            volumes.append(checkpoint(run, maps, use_reentrant=False) if self._recomputes else run(maps))
+        points_seen = self.sweep.seen(tables.every_second_pixel(), seen)
+        return SweepVolume(
+            torch.stack(volumes, 1), points_seen.expand(len(features), *points_seen.shape[-4:])
+        )
+
+    def _camera_volume(self, features: Tensor, tables: PanoramaTables, camera: int) -> Tensor:
+        """Return the swept features ``(B, C, h_f, w_f)`` of a camera on the coarser grid: ``(B, C, N/2, h/2, w/2)``."""
         return self.transference(self.sweep.camera_values(features, tables, camera))  # type: ignore[no-any-return]
+
+    def _seen_at(self, index: Tensor, tables: PanoramaTables, seen: Tensor | None) -> Tensor:
+        """Whether two cameras see the points of hypotheses ``(B, h, w)``, at the nearest sphere that is swept."""
+        sphere = (index / self.sweep.every).round().long().clamp(max=tables.mask.shape[-3] - 1)
+        return self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3).sum(-3) >= 2
 
     @property
     def _recomputes(self) -> bool:
         return self.recompute and self.training and torch.is_grad_enabled()
 
-    def _seen(self, images: Tensor, tables: PanoramaTables, seen: Tensor | None) -> Tensor:
-        """Whether a camera sees the points of the volume, and its image shows something ``(B, n, N/2, h/2, w/2)``."""
-        tables = tables._replace(grid=tables.grid[..., ::2, ::2, :], mask=tables.mask[..., ::2, ::2])
-        usable = self._usable(images, seen)
-        return tables.mask & (self.sweep(usable, tables).squeeze(2) > 0.5)
-
-    def _seen_at(self, index: Tensor, images: Tensor, tables: PanoramaTables, seen: Tensor | None) -> Tensor:
-        """Whether two cameras see the points of hypotheses ``(B, h, w)``, at the nearest sphere that is swept."""
-        sphere = (index / self.sweep.every).round().long().clamp(max=tables.mask.shape[-3] - 1)
-        batch, cameras = len(images), tables.num_cameras
-        chosen = sphere[:, None, None].expand(batch, cameras, 1, *self.grid.shape)
-        mask = tables.mask.expand(batch, *tables.mask.shape[-4:]).gather(2, chosen)
-        grid = tables.grid.expand(batch, *tables.grid.shape[-5:])
-        grid = grid.gather(2, chosen.unsqueeze(-1).expand(*chosen.shape, 2))
-        values = self.sweep(self._usable(images, seen), tables._replace(grid=grid, mask=mask))
-        return (mask & (values.squeeze(2) > 0.5)).squeeze(2).sum(1) >= 2
-
-    def _usable(self, images: Tensor, seen: Tensor | None) -> Tensor:
-        """Where the images show something, at the pixels of the features ``(B, n, 1, h_f, w_f)``."""
-        usable = (images != 0).any(2) if seen is None else seen.expand_as(images[:, :, 0])
-        return usable[:, :, None, ::2, ::2].to(images)
-
-    def _check_images(self, images: Tensor) -> None:
+    def check_images(self, images: Tensor, tables: PanoramaTables | None = None) -> None:
+        """Raise ``ShapeError`` unless images are of the shape that this network, and a rig's tables, ask for."""
         cameras = "n" if self.any_cameras else self.num_cameras
         channels = (1, 3) if self.in_channels == 1 else (3,)
         fits = images.ndim == 5 and images.shape[2] in channels
@@ -239,6 +203,12 @@ class OmniMVS(DepthNetwork):
             raise ShapeError(
                 f"images: expected shape (B, {cameras}, {names}, H, W) for {cameras} cameras, "
                 f"got {tuple(images.shape)}"
+            )
+        if tables is not None and tuple(images.shape[-2:]) != tables.image_size:
+            height, width = tables.image_size
+            raise ShapeError(
+                f"images: the rig is calibrated for {height} x {width} (height x width), "
+                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
             )
 
 

@@ -1,6 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sphere sweeping: hypotheses of depth, the volume that cameras see at them, and the way back to a depth."""
 
+from sphericalvision.sweep.aggregation import (
+    Aggregation,
+    Concatenation,
+    MeanVariance,
+    mean_and_variance,
+    named_aggregation,
+    register_aggregation,
+)
 from sphericalvision.sweep.cost import photo_consistency
 from sphericalvision.sweep.hypotheses import (
     depth_from_index,
@@ -29,8 +37,11 @@ from sphericalvision.sweep.sphere_sweep import (
 )
 
 __all__ = [
+    "Aggregation",
+    "Concatenation",
     "DepthEstimate",
     "DepthIndex",
+    "MeanVariance",
     "PanoramaSweep",
     "PanoramaTables",
     "SphereSweep",
@@ -43,7 +54,10 @@ __all__ = [
     "index_from_inverse_depth",
     "inverse_depth_from_index",
     "inverse_depth_hypotheses",
+    "mean_and_variance",
+    "named_aggregation",
     "photo_consistency",
+    "register_aggregation",
     "semi_global_smoothing",
     "semi_global_sweep",
     "soft_argmax",

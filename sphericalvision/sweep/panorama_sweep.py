@@ -29,7 +29,8 @@ class PanoramaTables(NamedTuple):
 
     Attributes:
         grid: ``([B,] n, D, h, w, 2)`` places as ``grid_sample(align_corners=False)`` wants them.
-        mask: ``([B,] n, D, h, w)`` True where a camera sees the point; occlusion is not known.
+        mask: ``([B,] n, D, h, w)`` True where a camera sees the point, inside its field of view, image and mask;
+            occlusion is not known.
         image_size: (height, width) of the images that the cameras are calibrated for.
     """
 
@@ -45,6 +46,18 @@ class PanoramaTables(NamedTuple):
     def to(self, device: torch.device | str) -> PanoramaTables:
         """Return the tables on another device."""
         return PanoramaTables(self.grid.to(device), self.mask.to(device), self.image_size)
+
+    def every_second_pixel(self) -> PanoramaTables:
+        """Return the tables of every second row and column of the spheres."""
+        return self._replace(grid=self.grid[..., ::2, ::2, :], mask=self.mask[..., ::2, ::2])
+
+    def at_spheres(self, index: Tensor) -> PanoramaTables:
+        """Return the tables of one sphere whose radius differs from pixel to pixel: that of index ``(B, h, w)``."""
+        batch, (rows, columns) = len(index), index.shape[-2:]
+        chosen = index[:, None, None].expand(batch, self.num_cameras, 1, rows, columns)
+        grid = self.grid.expand(batch, *self.grid.shape[-5:])
+        grid = grid.gather(2, chosen.unsqueeze(-1).expand(*chosen.shape, 2))
+        return self._replace(grid=grid, mask=self.mask.expand(batch, *self.mask.shape[-4:]).gather(2, chosen))
 
 
 class PanoramaSweep(nn.Module):
@@ -148,6 +161,29 @@ class PanoramaSweep(nn.Module):
         self.check_maps(features, tables)
         cameras = range(tables.num_cameras)
         return torch.stack([self.camera_values(features[:, k], tables, k) for k in cameras], 1)
+
+    def seen(self, tables: PanoramaTables, seen: Tensor | None = None) -> Tensor:
+        """Whether each camera sees each point ``([B,] n, D, h, w)``, and its image shows something there.
+
+        Args:
+            tables: of the rig.
+            seen: ``([B,] n, H, W)``, True where the images show something; everywhere when not given.
+
+        Raises:
+            ShapeError: if ``seen`` has another size than the rig's images.
+        """
+        if seen is None:
+            return tables.mask
+        seen = seen[None] if seen.ndim == 3 else seen
+        if seen.ndim != 4 or tuple(seen.shape[-2:]) != tables.image_size:
+            raise ShapeError(
+                f"seen: expected shape ([B,] n, {tables.image_size[0]}, {tables.image_size[1]}), the size that the rig "
+                f"is calibrated for, got {tuple(seen.shape)}"
+            )
+        if tables.mask.ndim == 5:
+            seen = seen.expand(len(tables.mask), *seen.shape[1:])
+        maps = seen[:, :, None, :: self.stride, :: self.stride].to(tables.grid)
+        return tables.mask & (self(maps, tables).squeeze(2) > 0.5)
 
     def check_maps(self, features: Tensor, tables: PanoramaTables) -> None:
         """Raise ``ShapeError`` unless maps and tables fit."""

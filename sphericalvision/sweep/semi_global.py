@@ -128,7 +128,7 @@ def _sweep(images: Tensor, rig: CameraRig, inverse_depths: Tensor, level: int, w
     for inverse_depth in inverse_depths:
         tables = sweep_tables(grid.vertices, inverse_depth[None], rig, image_level)
         swept = sphere_sweep(images, tables)
-        values, mask = swept.values.squeeze(3), swept.mask.squeeze(2)
+        values, mask = swept.values.squeeze(3), swept.seen.squeeze(2)
         mask = mask & (values != 0).any(2)
         cost = best_pairs_cost(values, mask, window)
         mean = values.sum(1) / mask.sum(1)[:, None].clamp(min=1)

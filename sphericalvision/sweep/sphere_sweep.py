@@ -10,7 +10,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError
-from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
+from sphericalvision.icosphere import (
+    check_level,
+    coarse_vertex_ids,
+    icosphere_vertices,
+    level_from_num_vertices,
+    num_icosphere_vertices,
+)
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
 
@@ -21,31 +27,61 @@ __all__ = ["SphereSweep", "SweepTables", "SweepVolume", "sphere_sweep", "sweep_t
 
 
 class SweepVolume(NamedTuple):
-    """Values ``(B, n, C, N, V)`` of n cameras at N hypotheses, zero where ``mask`` is False.
+    """What n cameras see at N hypotheses.
 
-    The mask ``(B, n, N, V)`` is True where the point is inside the camera's field of view; for a rig that is
-    shared by the batch it is an expanded view.
+    Attributes:
+        values: ``(B, n, C, N, V)``, zero outside the fields of view.
+        seen: ``(B, n, N, V)`` True where a camera sees the point: it is inside the field of view, and the image shows
+            something there. Occlusion is not known. For all of a batch it may be an expanded view.
     """
 
     values: Tensor
-    mask: Tensor
+    seen: Tensor
 
 
-def sphere_sweep(features: Tensor, tables: SweepTables) -> SweepVolume:
+def sphere_sweep(features: Tensor, tables: SweepTables, seen: Tensor | None = None) -> SweepVolume:
     """Look up the values of every camera at every hypothesis.
 
     Args:
         features: ``(B, n, C, V_f)`` values on the cameras' icospheres.
         tables: of n cameras, for all of the batch or with a batch dimension B.
+        seen: ``([B,] n, V_f)`` True where the cameras' images show something; everywhere when not given.
 
     Returns:
-        Values ``(B, n, C, N, V)``, zero out of view, and the mask. In memory cameras and channels are
+        Values ``(B, n, C, N, V)``, zero out of view, and where they were seen. In memory cameras and channels are
         innermost.
 
     Raises:
-        ShapeError: if features and tables do not fit.
+        ShapeError: if features, tables and ``seen`` do not fit.
     """
-    ids, weights, mask = tables
+    values = _look_up(features, tables)
+    points_seen = tables.mask if seen is None else _points_seen(_batched(seen, features), tables)
+    return SweepVolume(values, points_seen.expand(len(features), *points_seen.shape[-3:]).permute(0, 3, 1, 2))
+
+
+def _batched(seen: Tensor, features: Tensor) -> Tensor:
+    """``seen`` with a batch dimension, of one where all of the batch share it."""
+    expected = features.shape[0], features.shape[1], features.shape[3]
+    if seen.ndim == 2:
+        seen = seen[None]
+    if seen.ndim != 3 or seen.shape[1:] != expected[1:] or len(seen) not in (1, expected[0]):
+        raise ShapeError(
+            f"seen: expected shape {expected} or {expected[1:]}, as the features have, got {tuple(seen.shape)}"
+        )
+    return seen
+
+
+def _points_seen(seen: Tensor, tables: SweepTables) -> Tensor:
+    """Whether more than half of what is looked up at a point was seen, ``([B,] N, V, n)``, of seen ``(B, n, V_f)``."""
+    if tables.mask.ndim == 4:
+        seen = seen.expand(len(tables.mask), *seen.shape[1:])
+    share = _look_up(seen.unsqueeze(2).to(tables.weights), tables)[:, :, 0].permute(0, 2, 3, 1)
+    return tables.mask & (share > 0.5)
+
+
+def _look_up(features: Tensor, tables: SweepTables) -> Tensor:
+    """Values ``(B, n, C, N, V)`` of features ``(B, n, C, V_f)``, linear in each triangle."""
+    ids, weights, _ = tables
     if features.ndim != 4:
         raise ShapeError(f"features: expected shape (B, n, C, V), got {tuple(features.shape)}")
     batch, num_cameras, channels, num_vertices = features.shape
@@ -63,8 +99,7 @@ def sphere_sweep(features: Tensor, tables: SweepTables) -> SweepVolume:
     bags = (ids + first_row.view(batch, 1, 1, num_cameras, 1)).reshape(-1, 3)
     weights = weights.to(features.dtype).expand(batch, *weights.shape[-4:]).reshape(-1, 3)
     values = F.embedding_bag(bags, rows, per_sample_weights=weights, mode="sum")
-    values = values.view(batch, *ids.shape[-4:-1], channels).permute(0, 3, 4, 1, 2)
-    return SweepVolume(values, mask.expand(batch, *mask.shape[-3:]).permute(0, 3, 1, 2))
+    return values.view(batch, *ids.shape[-4:-1], channels).permute(0, 3, 4, 1, 2)
 
 
 class SphereSweep(nn.Module):
@@ -85,8 +120,8 @@ class SphereSweep(nn.Module):
         >>> from sphericalvision.cameras import ring_rig
         >>> rig = ring_rig(2, radius=0.1)
         >>> sweep = SphereSweep(level=2, num_hypotheses=8, min_depth=0.5)
-        >>> values, mask = sweep(torch.ones(1, 2, 5, 162), rig)
-        >>> values.shape, mask.shape
+        >>> values, seen = sweep(torch.ones(1, 2, 5, 162), rig)
+        >>> values.shape, seen.shape
         (torch.Size([1, 2, 5, 8, 162]), torch.Size([1, 2, 8, 162]))
     """
 
@@ -98,10 +133,11 @@ class SphereSweep(nn.Module):
     ) -> None:
         super().__init__()
         check_hypotheses(num_hypotheses, min_depth)
+        check_level(level)
         self.level = level
         self.num_hypotheses = num_hypotheses
         self.min_depth = min_depth
-        self.feature_level = level if feature_level is None else feature_level
+        self.feature_level = level if feature_level is None else check_level(feature_level)
         # Exact in float64, cast to the dtype of the rig in use.
         self.register_buffer("directions", icosphere_vertices(level, torch.float64), persistent=False)
         hypotheses = inverse_depth_hypotheses(num_hypotheses, min_depth, torch.float64)
@@ -111,8 +147,16 @@ class SphereSweep(nn.Module):
         """Return the tables of a rig, to be passed to ``forward`` in its place as often as wanted."""
         return sweep_tables(self.directions, self.inverse_depths, rig, self.feature_level)
 
-    def forward(self, features: Tensor, rig: CameraRig | SweepTables) -> SweepVolume:
+    def forward(
+        self, features: Tensor, rig: CameraRig | SweepTables, seen: Tensor | None = None
+    ) -> SweepVolume:
         """Sweep values ``(B, n, C, V)`` of the n cameras of a rig, or of its prepared tables.
+
+        Args:
+            features: on icospheres of ``feature_level``.
+            rig: of n cameras, for all of the batch or a rig a sample; or its ``tables``.
+            seen: ``([B,] n, V_s)`` True where the cameras' images show something, on icospheres of the features' level
+                or any finer one. When not given, all that is inside the fields of view was seen.
 
         Raises:
             ShapeError: if the features are on another level or of another number of cameras than the rig.
@@ -123,7 +167,14 @@ class SphereSweep(nn.Module):
                 f"features: expected shape (B, n, C, {expected}) on level {self.feature_level}, "
                 f"got {tuple(features.shape)}"
             )
-        return sphere_sweep(features, rig if isinstance(rig, SweepTables) else self.tables(rig))
+        tables = rig if isinstance(rig, SweepTables) else self.tables(rig)
+        return sphere_sweep(features, tables, None if seen is None else self._coarsened(seen))
+
+    def _coarsened(self, seen: Tensor) -> Tensor:
+        """``seen`` at the vertices that the features' icosphere and the finer one share."""
+        for level in range(level_from_num_vertices(seen.shape[-1]), self.feature_level, -1):
+            seen = seen[..., coarse_vertex_ids(level, seen.device)]
+        return seen
 
     def extra_repr(self) -> str:
         level = f"level={self.level}, feature_level={self.feature_level}"

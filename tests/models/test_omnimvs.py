@@ -26,6 +26,7 @@ from sphericalvision.models import (
 )
 from sphericalvision.models.omnimvs_layers import SphereConv, VolumeConv, VolumeUpConv
 from sphericalvision.sphere import Equirectangular
+from sphericalvision.sweep import PanoramaTables, SweepVolume, inverse_depth_from_index
 
 SIZE = (24, 30)
 
@@ -49,6 +50,11 @@ def small_rig(num_cameras: int = 3) -> CameraRig:
 
 def images(generator: torch.Generator, batch: int = 2, num_cameras: int = 3) -> Tensor:
     return 2 * torch.rand(batch, num_cameras, 3, *SIZE, generator=generator) - 1
+
+
+def ready(net: OmniMVS, photographs: Tensor, rig: CameraRig) -> tuple[Tensor, PanoramaTables]:
+    """What the sweep takes."""
+    return net.extract_features(photographs), net.tables(rig)
 
 
 def test_the_published_size() -> None:
@@ -81,7 +87,8 @@ def test_index_is_in_range_on_the_grid(
 @pytest.mark.parametrize("num_hypotheses", [4, 6, 10, 16])
 def test_any_even_number_of_hypotheses(generator: torch.Generator, num_hypotheses: int) -> None:
     net = small_net(num_hypotheses=num_hypotheses)
-    assert net.logits(images(generator), small_rig()).shape == (2, num_hypotheses, 8, 16)
+    scores = net.hourglass(net.aggregation(net.sweep_features(*ready(net, images(generator), small_rig()))))
+    assert scores.shape == (2, num_hypotheses, 8, 16)
 
 
 def centre_of_mass(values: Tensor) -> Tensor:
@@ -154,8 +161,10 @@ def test_with_circular_padding_a_turned_rig_turns_the_panorama(
         net = small_net(circular=circular, output_size=(8, 32), norm="instance", aggregation=aggregation)
         net = net.double().eval()
         rig = small_rig().to(dtype=torch.float64)
-        logits = net.logits(photographs.double(), rig)
-        after = net.logits(photographs.double(), turned(rig, 8, 32))
+        logits, after = (
+            net.hourglass(net.aggregation(net.sweep_features(*ready(net, photographs.double(), each))))
+            for each in (rig, turned(rig, 8, 32))
+        )
         changes.append((after - logits.roll(8, -1)).abs().max())
     assert changes[0] < 1e-4 < changes[1]
 
@@ -188,12 +197,38 @@ def test_variance_takes_any_cameras_in_any_order(generator: torch.Generator) -> 
         net(photographs[:, [2, 0, 1]], rig.permuted([2, 0, 1])), index, rtol=0, atol=1e-4
     )
     assert net(photographs[:, :2], rig.subset([0, 1])).shape == index.shape
-    blank = torch.cat((photographs, torch.zeros_like(photographs[:, :1])), 1)  # all covered by a mask
     cameras = [*rig.cameras.values(), rig.cameras["cam1"]]
     four = CameraRig(cameras, torch.cat((rig.world_from_camera, rig.world_from_camera[:1])))
-    volume = net._seen(blank, net.sweep.tables(four), None)
-    assert not volume[:, 3].any()
-    assert volume[:, :3].any()
+    more = torch.cat((photographs, photographs[:, :1]), 1)
+    seen = torch.ones(4, *SIZE, dtype=torch.bool)
+    seen[3] = False  # all covered by a mask: as if the camera were not there
+    features, tables = net.extract_features(more), net.tables(four)
+    swept = net.sweep_features(features, tables, seen)
+    assert not swept.seen[:, 3].any()
+    assert torch.equal(swept.seen[:, :3], net.sweep_features(features, tables).seen[:, :3])
+    mean, _, share = net.aggregation(swept).split((2, 2, 1), 1)
+    three = net.aggregation(SweepVolume(swept.values[:, :3], swept.seen[:, :3]))
+    torch.testing.assert_close(mean, three[:, :2])
+    torch.testing.assert_close(4 * share, 3 * three[:, -1:])
+
+
+@torch.no_grad()
+def test_seen_is_by_two_cameras_at_the_estimated_index(generator: torch.Generator) -> None:
+    net, rig = small_net(aggregation="variance").eval(), small_rig()
+    index, _, seen = net.predict(images(generator), rig)
+    for pixel in torch.randint(8 * 16, (40,), generator=generator).tolist():
+        row, column = divmod(pixel, 16)
+        nearest = 2 * (index[0, row, column] / 2).round().clamp(max=3)
+        inverse_depth = inverse_depth_from_index(nearest, 8, 0.55)
+        cameras = rig.points_seen(net.grid.directions[row, column][None], inverse_depth[None])
+        assert seen[0, row, column] == (cameras.sum() >= 2)
+    covered = torch.zeros(2, 3, *SIZE, dtype=torch.bool)
+    covered[0] = True
+    one, none = net.predict(images(generator.manual_seed(0)), rig, covered).seen
+    assert torch.equal(one, seen[0])
+    assert not none.any()
+    with pytest.raises(ShapeError, match="seen: expected shape"):
+        net(images(generator), rig, torch.ones(3, 30, 24, dtype=torch.bool))
 
 
 @pytest.mark.parametrize("norm", ["batch", "instance"])
@@ -272,7 +307,7 @@ def test_save_and_load(tmp_path: Path, generator: torch.Generator) -> None:
 def test_a_file_of_another_network_is_told_by_its_format(tmp_path: Path) -> None:
     path = tmp_path / "foreign.safetensors"
     save_file({"weight": torch.zeros(1)}, path, {"format": "pt"})
-    with pytest.raises(FileFormatError, match="'sphericalvision-icosweepnet' or 'sphericalvision-omnimvs'"):
+    with pytest.raises(FileFormatError, match="'pt', expected sphericalvision- and the name of a network"):
         load_weights(path)
 
 

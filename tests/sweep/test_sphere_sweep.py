@@ -96,7 +96,7 @@ def test_prepared_tables_replace_the_rig(generator: torch.Generator) -> None:
     features = torch.randn(2, 3, 2, 162, dtype=DOUBLE, generator=generator)
     direct, prepared = sweep(features, rig), sweep(features, sweep.tables(rig))
     assert torch.equal(direct.values, prepared.values)
-    assert torch.equal(direct.mask, prepared.mask)
+    assert torch.equal(direct.seen, prepared.seen)
 
 
 def test_a_rig_a_sample_equals_one_sample_at_a_time(generator: torch.Generator) -> None:
@@ -107,7 +107,7 @@ def test_a_rig_a_sample_equals_one_sample_at_a_time(generator: torch.Generator) 
     for sample, rig in enumerate(rigs):
         alone = sweep(features[sample : sample + 1], rig)
         torch.testing.assert_close(together.values[sample], alone.values[0])
-        assert torch.equal(together.mask[sample], alone.mask[0])
+        assert torch.equal(together.seen[sample], alone.seen[0])
 
 
 def test_moving_the_whole_world_moves_nothing_else(generator: torch.Generator) -> None:
@@ -191,3 +191,36 @@ def test_errors_name_the_argument() -> None:
         sweep(torch.zeros(3, 4, 2, 162), CameraRig.stack([rig, rig]))
     with pytest.raises(ArgumentError, match="level"):
         SphereSweep(-1, 4, 0.5)
+
+
+@pytest.mark.parametrize("finer", [0, 1, 2])
+def test_seen_is_looked_up_beside_the_values(finer: int, generator: torch.Generator) -> None:
+    """More than half of what is looked up was seen, and the point is in view; values know nothing of it."""
+    rig, sweep = ring_rig(3), SphereSweep(2, 5, 0.5)
+    features = torch.randn(2, 3, 4, 162, generator=generator)
+    seen = torch.rand(2, 3, Icosphere(2 + finer).num_vertices, generator=generator) > 0.3
+    values, found = sweep(features, rig, seen)
+    assert torch.equal(values, sweep(features, rig).values)
+    coarse = seen
+    for level in range(2 + finer, 2, -1):
+        coarse = coarse[..., Icosphere(level).coarse_ids]
+    ids, weights, mask = sweep.tables(rig)
+    for camera in range(3):
+        share = (coarse[:, camera][:, ids[:, :, camera]] * weights[:, :, camera]).sum(-1)
+        expected = (share > 0.5) & mask[:, :, camera]
+        near = (share - 0.5).abs() < 1e-6  # where rounding decides
+        assert torch.equal(found[:, camera] | near, expected | near)
+    assert 0.1 < found.float().mean() < sweep(features, rig).seen.float().mean()
+
+
+def test_what_was_seen_may_be_shared_by_the_batch(generator: torch.Generator) -> None:
+    sweep = SphereSweep(2, 5, 0.5)
+    rigs = CameraRig.stack([ring_rig(3), ring_rig(3, radius=0.1)])
+    features = torch.randn(2, 3, 4, 162, generator=generator)
+    seen = torch.rand(3, 162, generator=generator) > 0.3
+    for rig in (rigs, ring_rig(3)):
+        shared = sweep(features, rig, seen).seen
+        assert torch.equal(shared, sweep(features, rig, seen.expand(2, 3, 162)).seen)
+        assert torch.equal(sweep(features, rig, torch.ones_like(seen)).seen, sweep(features, rig).seen)
+    with pytest.raises(ShapeError, match=r"seen: expected shape \(2, 3, 162\) or \(3, 162\)"):
+        sweep(features, rigs, seen[:2])

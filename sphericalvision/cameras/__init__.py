@@ -61,8 +61,7 @@ from sphericalvision.cameras.models.radial_polynomial import (
 )
 from sphericalvision.cameras.models.unified import UnifiedCamera, project_unified, unproject_unified
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.cameras.remapping.remap import REMAP_MODES, Remap, remap
-from sphericalvision.cameras.remapping.tables import Remapped
+from sphericalvision.cameras.remapping.remap import REMAP_MODES, Remap, remap, remap_mask
 from sphericalvision.cameras.remapping.undistort import undistort, undistorted_camera
 from sphericalvision.cameras.rig import CameraRig, ring_rig
 
@@ -85,7 +84,6 @@ __all__ = [
     "Projection",
     "RadialPolynomialCamera",
     "Remap",
-    "Remapped",
     "UnifiedCamera",
     "Unprojection",
     "convert",
@@ -110,6 +108,7 @@ __all__ = [
     "read_rig",
     "register_camera",
     "remap",
+    "remap_mask",
     "ring_rig",
     "save_camera",
     "save_rig",

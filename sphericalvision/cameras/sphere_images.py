@@ -13,9 +13,11 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.remapping.lookup import image_edges
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.cameras.verbs import implements
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry.lookup import ImageLookup
 
 __all__ = ["SphereLookup", "sample_sphere", "sphere_lookups"]
 
@@ -23,29 +25,25 @@ __all__ = ["SphereLookup", "sample_sphere", "sphere_lookups"]
 class SphereLookup(NamedTuple):
     """Where directions fall in the image of one camera: made once, it serves all images of the camera."""
 
-    camera: Camera
-    pixels: Tensor
-    """``(*b, V, 2)``, (0, 0) where nothing is seen."""
+    image_size: tuple[int, int]
+    """(height, width) of the images."""
     seen: Tensor
     """``(*b, V)``: within the field of view, the image and the mask."""
     shrink: int
     """Side of the squares of pixels that are averaged first."""
+    places: ImageLookup
+    """Positions in the averaged image; zero is found where nothing is seen."""
 
     def __call__(self, image: Tensor, fill: float = 0.5) -> Tensor:
         """Values ``(*b, c, V)`` of an image ``(*b, c, h, w)``, ``fill`` where nothing is seen."""
-        values = self.camera.interpolate(self.shrunk(image), self.shrunk_pixels())
-        return torch.where(self.seen.unsqueeze(-2), values, fill)
+        values: Tensor = self.places(self._shrunk(image))
+        return values if fill == 0 else torch.where(self.seen.unsqueeze(-2), values, fill)
 
-    def shrunk(self, image: Tensor) -> Tensor:
-        """The image averaged over squares of pixels, where that is asked for."""
+    def _shrunk(self, image: Tensor) -> Tensor:
         if self.shrink == 1:
             return image
         small = F.avg_pool2d(image.reshape(-1, *image.shape[-3:]), self.shrink, ceil_mode=True)
         return small.reshape(*image.shape[:-2], *small.shape[-2:])
-
-    def shrunk_pixels(self) -> Tensor:
-        """Positions in the averaged image."""
-        return self.pixels if self.shrink == 1 else (self.pixels + 0.5) / self.shrink - 0.5
 
 
 def sphere_lookups(rig: CameraRig, directions: Tensor, antialias: bool = False) -> list[SphereLookup]:
@@ -54,8 +52,8 @@ def sphere_lookups(rig: CameraRig, directions: Tensor, antialias: bool = False) 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
         >>> front, *_ = sphere_lookups(ring_rig(4, image_size=(64, 64)), torch.tensor([[0.0, 0.0, 1.0]]))
-        >>> front.pixels, front(torch.ones(3, 64, 64)).shape
-        (tensor([[31.5000, 31.5000]]), torch.Size([3, 1]))
+        >>> front.seen, front(torch.ones(3, 64, 64)).shape
+        (tensor([True]), torch.Size([3, 1]))
     """
     seen_from = rig.project_along(
         directions, directions.new_zeros(1)
@@ -63,8 +61,11 @@ def sphere_lookups(rig: CameraRig, directions: Tensor, antialias: bool = False) 
     lookups = []
     for index, camera in enumerate(rig.cameras.values()):
         pixels, seen = seen_from.pixels[..., index, 0, :, :], seen_from.valid[..., index, 0, :]
-        pixels = torch.where(seen.unsqueeze(-1), pixels, 0.0)
-        lookups.append(SphereLookup(camera, pixels, seen, _shrinking(camera, directions) if antialias else 1))
+        shrink = _shrinking(camera, directions) if antialias else 1
+        small = (-(-camera.image_size[0] // shrink), -(-camera.image_size[1] // shrink))
+        positions = ((pixels + 0.5) / shrink - 0.5).unsqueeze(-2)
+        places = ImageLookup(positions, seen.unsqueeze(-1), small, edges=image_edges(camera))
+        lookups.append(SphereLookup(camera.image_size, seen, shrink, places))
     return lookups
 
 
@@ -87,7 +88,7 @@ def sample_sphere(
     """
     values, lookups = [], sphere_lookups(rig, directions, antialias)
     for (name, image), lookup in zip(_in_order(rig, images).items(), lookups, strict=True):
-        size = lookup.camera.image_size
+        size = lookup.image_size
         if image.ndim < 3 or tuple(image.shape[-2:]) != size:
             raise ShapeError(
                 f"images[{name!r}]: expected shape (*b, c, {size[0]}, {size[1]}) as calibrated, got "

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere.adjacency import icosphere_edges, icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
 from sphericalvision.icosphere.locate import locate
@@ -154,18 +155,9 @@ class Icosphere(nn.Module):
         if directions.ndim < 2:
             raise ShapeError(f"directions: expected shape (*b, n, 3), got {tuple(directions.shape)}")
         ids, weights = self.locate(directions)
-        weights = weights.to(values.dtype)
-        if directions.ndim == 2:
-            corners = (values.index_select(-1, ids[:, k]) * weights[:, k] for k in range(3))
-            return sum(corners, start=values.new_zeros(()))
-        batch = torch.broadcast_shapes(values.shape[:-2], directions.shape[:-2])
-        values = values.expand(*batch, *values.shape[-2:])
-        shape = (*batch, values.shape[-2], directions.shape[-2])
-        result = values.new_zeros(())
-        for k in range(3):
-            corner = values.gather(-1, ids[..., None, :, k].expand(shape))
-            result = result + corner * weights[..., None, :, k]
-        return result
+        if values.ndim == 1:
+            return weighted_sums(values[None], ids, weights)[..., 0, :]
+        return weighted_sums(values, ids, weights)
 
     def extra_repr(self) -> str:
         return f"level={self.level}, vertices={self.num_vertices}, faces={len(self.faces)}"

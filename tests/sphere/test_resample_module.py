@@ -3,13 +3,22 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 
 import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import FisheyeCamera, KannalaBrandtCamera, PinholeCamera
+from sphericalvision.cameras import (
+    EquirectangularCamera,
+    FisheyeCamera,
+    KannalaBrandtCamera,
+    PinholeCamera,
+    Remap,
+    remap,
+    remap_mask,
+)
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.sphere import (
     Cubemap,
@@ -22,7 +31,7 @@ from sphericalvision.sphere import (
     resample,
     resample_mask,
 )
-from tests.laws.grid_laws import DOUBLE, MAKERS, some_rotation
+from tests.laws.grid_laws import DOUBLE, GRIDS, some_rotation
 
 FISHEYE = FisheyeCamera.from_field_of_view((48, 64), math.radians(200)).to(DOUBLE)
 SMALL = [Equirectangular(6, 12), Cubemap(4), Healpix(2), Icosphere(1), TangentImages(0, 5)]
@@ -65,10 +74,10 @@ def test_module_compiles_whole(source: SphereGrid | FisheyeCamera) -> None:
     torch.testing.assert_close(compiled(values, mask), module(values, mask))
 
 
-@pytest.mark.parametrize("source", MAKERS)
+@pytest.mark.parametrize("source", GRIDS)
 def test_masked_values_do_not_matter(source: str) -> None:
     """NaN under the mask never comes out; what is left is a mean of usable values."""
-    grid, target = MAKERS[source](2), Icosphere(2, dtype=DOUBLE)
+    grid, target = GRIDS[source].make(2), Icosphere(2, dtype=DOUBLE)
     usable = (grid.directions[..., 0] > -0.2).expand(2, *grid.shape)
     values = torch.where(usable.unsqueeze(1), 2.0, torch.nan).double()
     for mode in ("bilinear", "area", "nearest"):
@@ -77,7 +86,7 @@ def test_masked_values_do_not_matter(source: str) -> None:
         assert valid.shape == (2, 162)
         torch.testing.assert_close(result[:, 0], torch.where(valid, 2.0, -7.0).double(), rtol=0, atol=1e-12)
         x = target.directions[:, 0]
-        assert valid[:, x > 0].all()
+        assert valid[:, (x > 0) & resample_mask(grid, target, mode=mode)].all()
         assert not valid[:, x < -0.7].any()
 
 
@@ -226,6 +235,46 @@ def test_half_precision_is_computed_in_single() -> None:
     assert result.dtype == torch.bfloat16
     exact = resample(image.double(), Equirectangular(8, 16), Cubemap(4))
     torch.testing.assert_close(result.double(), exact, rtol=0, atol=4e-3)
+
+
+def test_convention_remap_and_resample_are_called_alike() -> None:
+    """One order of arguments and one kind of result, for functions, masks and modules."""
+    for ours, theirs in ((resample, remap), (resample_mask, remap_mask), (Resample, Remap)):
+        names, others = (list(inspect.signature(each).parameters) for each in (ours, theirs))
+        assert [name.replace("image", "values") for name in others] == names
+    target = PinholeCamera([20.0, 20.0], [15.5, 11.5], (24, 32))
+    panorama = torch.rand(3, 16, 32, dtype=DOUBLE)
+    turn = some_rotation()
+    expected = resample(panorama, Equirectangular(16, 32), target, turn)
+    torch.testing.assert_close(
+        remap(panorama, EquirectangularCamera((16, 32)), target, turn), expected, rtol=0, atol=1e-12
+    )
+    fisheye_mask = remap_mask(FISHEYE, target, turn)
+    assert torch.equal(fisheye_mask, Remap(FISHEYE, target, turn).mask())
+    assert torch.equal(fisheye_mask, resample_mask(FISHEYE, target, turn))
+
+
+def test_shapes_on_the_meta_device() -> None:
+    """Sizes of a network's tensors are known without computing anything."""
+    for source in (*SMALL, FISHEYE):
+        shape = source.image_size if isinstance(source, FisheyeCamera) else source.shape
+        values = torch.empty(2, 3, *shape, device="meta", requires_grad=True)
+        for mode in ("bilinear", "nearest", "area"):
+            result = resample(values, source, Cubemap(4), some_rotation(), mode, mask=torch.ones(shape))
+            assert result.shape == (2, 3, 6, 4, 4)
+            assert result.device.type == "meta"
+            assert result.requires_grad
+
+
+def test_a_mask_of_all_calls_and_one_of_a_single_call_count_both() -> None:
+    grid, target = Equirectangular(8, 16, DOUBLE), Icosphere(2, DOUBLE)
+    left, upper = grid.directions[..., 0] < 0.3, grid.directions[..., 1] < 0.3
+    values = torch.rand(1, 8, 16, dtype=DOUBLE)
+    both = resample(values, grid, target, mask=left & upper)
+    module = Resample(grid, target, mask=left, dtype=DOUBLE)
+    torch.testing.assert_close(module(values, upper), both)
+    torch.testing.assert_close(module(values), resample(values, grid, target, mask=left))
+    assert torch.equal(module.mask(upper), resample_mask(grid, target, mask=left & upper))
 
 
 def test_errors_name_the_argument() -> None:

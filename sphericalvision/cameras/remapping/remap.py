@@ -7,9 +7,9 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.remapping.tables import REMAP_MODES, Remapped, RemapTables
+from sphericalvision.cameras.remapping.tables import REMAP_MODES, check_image, remap_tables
 
-__all__ = ["REMAP_MODES", "Remap", "Remapped", "remap"]
+__all__ = ["REMAP_MODES", "Remap", "remap", "remap_mask"]
 
 
 def remap(
@@ -18,9 +18,9 @@ def remap(
     target: Camera,
     rotation: Tensor | None = None,
     mode: str = "bilinear",
-    mask: Tensor | None = None,
     fill: float = 0.0,
-) -> Remapped:
+    mask: Tensor | None = None,
+) -> Tensor:
     """The image of ``source`` as ``target`` would have taken it from the same place.
 
     Differentiable in the image and, but for ``"nearest"``, in the rotation and both cameras' intrinsics. For many
@@ -36,13 +36,13 @@ def remap(
             bilinear where it grows and the mean over all that a target pixel covers where it shrinks.
             ``"bicubic"`` is sharper and may overshoot. ``"nearest"`` makes up no values: for labels and masks.
             ``"depth"`` is for depth along the rays: linear in its inverse, so that planes stay planes, infinity
-            is a depth, and unknown pixels (NaN, zero, negative) take no part.
-        mask: ``(*b, h, w)``, pixels of the image that may be used (bool, or nonzero). Values are means over usable
+            is a depth, and unknown pixels (NaN, zero, negative) take no part; unknown results are ``fill``.
+        fill: value where the source or the target sees nothing, see ``remap_mask``.
+        mask: ``(*b, h, w)``, pixels of the image that may be used (bool, or nonzero). Results are means over usable
             pixels; a target pixel is valid if it touches one.
-        fill: value where not valid.
 
     Returns:
-        Values ``(*b, c, h', w')`` of the image's dtype and ``valid`` ``(*b, h', w')``.
+        ``(*b, c, h', w')`` of the image's dtype.
 
     Raises:
         ShapeError: image or mask are not of the source's size, or the rotation is no 3 x 3 matrix.
@@ -57,16 +57,39 @@ def remap(
         >>> from sphericalvision.cameras import FisheyeCamera, PinholeCamera
         >>> fisheye = FisheyeCamera.from_field_of_view((64, 64), math.radians(200))
         >>> pinhole = PinholeCamera([40.0, 40.0], [39.5, 29.5], (60, 80))
-        >>> values, valid = remap(torch.ones(3, 64, 64), fisheye, pinhole)
-        >>> values.shape, valid.all().item()
-        (torch.Size([3, 60, 80]), True)
+        >>> remap(torch.ones(3, 64, 64), fisheye, pinhole).shape, remap_mask(fisheye, pinhole).all()
+        (torch.Size([3, 60, 80]), tensor(True))
     """
-    dtype = torch.promote_types(image.dtype, torch.float32)
-    if not image.is_floating_point():
-        dtype = torch.promote_types(source.dtype, target.dtype)
-    tables = RemapTables(source, target, rotation, mode, mask, fill, dtype, image.device)
-    answer: Remapped = tables(image)
-    return answer
+    check_image(image, source.image_size)
+    result: Tensor = remap_tables(source, target, rotation, mode, fill, mask, image.device)(image)
+    return result
+
+
+@torch.no_grad()
+def remap_mask(
+    source: Camera,
+    target: Camera,
+    rotation: Tensor | None = None,
+    mode: str = "bilinear",
+    mask: Tensor | None = None,
+) -> Tensor:
+    """Return where ``remap`` finds values, bool ``(*b, h', w')``: where both cameras look and, with a mask, usable
+    pixels were found.
+
+    For depth, ``mask=depth > 0`` says which pixels are known.
+
+    Raises:
+        ShapeError: see ``remap``.
+        ArgumentError: see ``remap``.
+
+    Examples:
+        >>> from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
+        >>> fisheye = FisheyeCamera.from_field_of_view((64, 64), 3.1416)
+        >>> round(remap_mask(fisheye, EquirectangularCamera((32, 64))).double().mean().item(), 1)
+        0.5
+    """
+    device = next((t.device for t in (mask, rotation) if t is not None), source.device)
+    return remap_tables(source, target, rotation, mode, 0.0, mask, device).mask()
 
 
 class Remap(nn.Module):
@@ -74,15 +97,15 @@ class Remap(nn.Module):
 
     The tables are computed in float64 and kept in ``dtype`` as buffers that are in no state dict; they move with
     ``.to`` and take no gradient. A call costs little more than one bare ``grid_sample``; with ``"area"``, about 16 of
-    them for every target pixel that the map shrinks.
+    them for every target pixel that the map shrinks. ``mask()`` returns where results are valid.
 
     Args:
         source: camera that takes the images.
         target: camera to imitate.
         rotation: ``(*b, 3, 3)``, target_from_source.
         mode: one of ``REMAP_MODES``, see ``remap``.
-        mask: ``(*b, h, w)``, usable pixels of every image.
         fill: value where not valid.
+        mask: ``(*b, h, w)``, usable pixels of every image.
         dtype: of the tables; torch's default if not given.
         device: of the tables; the source's if not given.
 
@@ -96,32 +119,33 @@ class Remap(nn.Module):
         >>> fisheye = FisheyeCamera.from_field_of_view((64, 64), math.radians(180))
         >>> to_panorama = Remap(fisheye, EquirectangularCamera((32, 64)), mode="area")
         >>> to_panorama
-        Remap((64, 64) to (32, 64), mode='area')
-        >>> values, valid = to_panorama(torch.ones(5, 3, 64, 64))
-        >>> values.shape, round(valid.double().mean().item(), 1)
-        (torch.Size([5, 3, 32, 64]), 0.5)
+        Remap((64, 64) -> (32, 64), mode='area')
+        >>> to_panorama(torch.ones(5, 3, 64, 64)).shape, to_panorama.mask().shape
+        (torch.Size([5, 3, 32, 64]), torch.Size([32, 64]))
     """
 
+    @torch.no_grad()
     def __init__(
         self,
         source: Camera,
         target: Camera,
         rotation: Tensor | None = None,
         mode: str = "bilinear",
-        mask: Tensor | None = None,
         fill: float = 0.0,
+        mask: Tensor | None = None,
         dtype: torch.dtype | None = None,
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
-        with torch.no_grad():
-            tables = RemapTables(source, target, rotation, mode, mask, fill, torch.float64, "cpu")
+        self.image_size = source.image_size
+        rotation = None if rotation is None else rotation.cpu()
+        tables = remap_tables(source, target, rotation, mode, fill, mask, "cpu")
         self.tables = tables.to(
             source.device if device is None else device, dtype or torch.get_default_dtype()
         )
 
-    def forward(self, image: Tensor, mask: Tensor | None = None) -> Remapped:
-        """The image ``(*b, c, h, w)`` in the target camera.
+    def forward(self, image: Tensor, mask: Tensor | None = None) -> Tensor:
+        """The image ``(*b, c, h, w)`` in the target camera, ``(*b, c, h', w')``.
 
         Args:
             image: as taken by the source.
@@ -131,9 +155,14 @@ class Remap(nn.Module):
             ShapeError: image or mask are not of the source's size.
             ArgumentError: integers in another mode than ``"nearest"``.
         """
-        answer: Remapped = self.tables(image, mask)
-        return answer
+        check_image(image, self.image_size)
+        result: Tensor = self.tables(image, mask)
+        return result
+
+    def mask(self, mask: Tensor | None = None) -> Tensor:
+        """Where results are valid, bool ``(*b, h', w')``; ``mask`` as in ``forward``."""
+        return self.tables.mask(mask)
 
     def __repr__(self) -> str:
-        sizes = f"{self.tables.image_size} to {self.tables.target_size}"
+        sizes = f"{self.tables.source_shape} -> {self.tables.target_shape}"
         return f"{type(self).__name__}({sizes}, mode={self.tables.mode!r})"

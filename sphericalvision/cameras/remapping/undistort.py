@@ -13,7 +13,6 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
-from sphericalvision.cameras.remapping.tables import Remapped
 from sphericalvision.core import ArgumentError
 
 __all__ = ["undistort", "undistorted_camera"]
@@ -27,9 +26,9 @@ def undistort(
     image_size: Sequence[int] | None = None,
     rotation: Tensor | None = None,
     mode: str = "bilinear",
-    mask: Tensor | None = None,
     fill: float = 0.0,
-) -> Remapped:
+    mask: Tensor | None = None,
+) -> Tensor:
     """The perspective picture in a wide image: ``remap`` to ``undistorted_camera``.
 
     Args:
@@ -42,11 +41,12 @@ def undistort(
         rotation: ``(*b, 3, 3)``, from the camera to the view: what the image shows in direction d, the picture shows in
             ``rotation @ d``.
         mode: see ``remap``; ``"area"`` if the picture is smaller than the image.
-        mask: ``(*b, h, w)``, usable pixels of the image.
         fill: value where the image shows nothing.
+        mask: ``(*b, h, w)``, usable pixels of the image.
 
     Returns:
-        Values ``(*b, c, h', w')`` and ``valid`` ``(*b, h', w')``.
+        ``(*b, c, h', w')``. ``remap_mask(camera, undistorted_camera(...), rotation)`` says where the image shows
+        something.
 
     Raises:
         ArgumentError: both field of view and focal length are given, or one of them is out of range.
@@ -55,12 +55,12 @@ def undistort(
     Examples:
         >>> from sphericalvision.cameras import FisheyeCamera
         >>> fisheye = FisheyeCamera.from_field_of_view((64, 64), math.radians(220))
-        >>> picture, valid = undistort(torch.ones(3, 64, 64), fisheye, math.radians(90), image_size=(48, 64))
+        >>> picture = undistort(torch.ones(3, 64, 64), fisheye, math.radians(90), image_size=(48, 64))
         >>> picture.shape
         torch.Size([3, 48, 64])
     """
     target = undistorted_camera(camera, field_of_view, focal_length, image_size)
-    return remap(image, camera, target, rotation, mode, mask, fill)
+    return remap(image, camera, target, rotation, mode, fill, mask)
 
 
 def undistorted_camera(

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Remap
@@ -81,7 +80,7 @@ class RotateFisheye:
             self._before, self._remaps = rig, self._make_remaps(rig)
             self._after = self._masked(self.turned(rig))
             self._seen = pixels_seen(self._after)
-        turned = {name: self._remaps[name](images[name]).values for name in rig.names}
+        turned = {name: self._remaps[name](images[name]) for name in rig.names}
         return {**sample, "images": turned, "seen": dict(self._seen), "rig": self._after}
 
     def turned(self, rig: CameraRig) -> CameraRig:
@@ -97,15 +96,12 @@ class RotateFisheye:
         before_from_world = rig.world_from_camera[..., :3, :3].mT
         after_from_before = (before_from_world @ after.world_from_camera[..., :3, :3]).mT
         return {
-            name: Remap(rig.cameras[name], after.cameras[name], turn, self.mode, rig.masks.get(name))
+            name: Remap(rig.cameras[name], after.cameras[name], turn, self.mode, mask=rig.masks.get(name))
             for name, turn in zip(rig.names, after_from_before, strict=True)
         }
 
     def _masked(self, after: CameraRig) -> CameraRig:
-        masks = {}
-        for name, camera in after.cameras.items():
-            blank = torch.zeros(1, *self._remaps[name].tables.image_size)
-            masks[name] = self._remaps[name](blank).valid.view(camera.image_size)
+        masks = {name: self._remaps[name].mask() for name in after.names}
         return CameraRig(after.cameras, after.world_from_camera, masks)
 
     def __repr__(self) -> str:

@@ -10,9 +10,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.cameras.sphere_images import sphere_lookups
+from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data.fast_lookup import FastLookup
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
@@ -82,7 +81,7 @@ class ToSphere:
         self._depth_directions = Icosphere(self.depth_level, torch.float64).vertices
         self._panorama: Equirectangular | None = None
         self._rig: CameraRig | None = None
-        self._lookups: list[FastLookup] = []
+        self._lookups: list[SphereLookup] = []
 
     def __call__(self, sample: Sample) -> Sample:
         inverse_depth, valid = self.ground_truth(sample["inverse_depth"], sample["valid"])
@@ -108,7 +107,8 @@ class ToSphere:
                     f"calibration, got {tuple(images[name].shape[-2:])}"
                 )
         lookups = self._tables(rig)
-        return torch.stack([look(images[name]) for name, look in zip(rig.names, lookups, strict=True)])
+        values = torch.stack([look(images[name], 0) for name, look in zip(rig.names, lookups, strict=True)])
+        return values.mul_(2).sub_(self.seen(rig).unsqueeze(1).to(values))  # 0 stays 0 where nothing is seen
 
     def seen(self, rig: CameraRig) -> Tensor:
         """Tell what of ``images`` was seen.
@@ -125,13 +125,13 @@ class ToSphere:
             >>> seen.shape, bool(seen.any(0).all()), bool(seen.all())
             (torch.Size([4, 642]), True, False)
         """
-        return torch.stack([look.lookup.seen for look in self._tables(rig)])
+        return torch.stack([look.seen for look in self._tables(rig)])
 
-    def _tables(self, rig: CameraRig) -> list[FastLookup]:
+    def _tables(self, rig: CameraRig) -> list[SphereLookup]:
         """The tables of a rig, kept until another one comes."""
         if self._rig is not rig:
             directions = self._directions.to(rig.world_from_camera)
-            self._lookups = [FastLookup.of(x) for x in sphere_lookups(rig, directions, self.antialias)]
+            self._lookups = sphere_lookups(rig, directions, self.antialias)
             self._rig = rig
         return self._lookups
 

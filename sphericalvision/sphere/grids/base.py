@@ -18,9 +18,9 @@ class SphereGrid(Protocol):
     these members is one too, without inheriting.
 
     ``resample`` uses more of a grid that has it: ``image`` and ``image_pixels`` (values as an image in which to
-    interpolate) or ``locate`` (ids and weights) to make tables once, ``cell_samples`` to average over cells, and
-    ``cell_widths`` where solid angles do not tell how dense the values are. A grid that does not cover the sphere says
-    where it has values: ``contains(directions)``.
+    interpolate, and ``image_edges`` where it goes on beyond its edges) or ``locate`` (ids and weights) to make tables
+    once, ``cell_samples`` to average over cells, and ``cell_widths`` where solid angles do not tell how dense the
+    values are. A grid that does not cover the sphere says where it has values: ``contains(directions)``.
 
     Examples:
         >>> from sphericalvision.icosphere import Icosphere

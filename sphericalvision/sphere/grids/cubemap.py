@@ -8,9 +8,9 @@ from torch import Tensor, nn
 
 from sphericalvision.core import check_last_dim
 from sphericalvision.geometry import bilinear_sample, normalize, safe_sqrt
+from sphericalvision.sphere.grids.checks import check_positive, check_values
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
-from sphericalvision.sphere.grids.values import check_positive, check_values
 
 __all__ = ["Cubemap", "world_from_cube_face"]
 

@@ -15,7 +15,7 @@ from sphericalvision.geometry import (
     longitude_latitude_from_directions,
     wrap_panorama,
 )
-from sphericalvision.sphere.grids.values import check_positive, check_values
+from sphericalvision.sphere.grids.checks import check_positive, check_values
 
 __all__ = ["Equirectangular"]
 
@@ -201,10 +201,15 @@ class Equirectangular(nn.Module):
         first = (panorama.shape[-2] - self.height) // 2
         return panorama[..., first : first + self.height, :]
 
+    @property
+    def image_edges(self) -> str:
+        """How ``image`` goes on beyond its edges: ``"sphere"``, or ``"around"`` without the poles."""
+        return "sphere" if self.whole_sphere else "around"
+
     def image(self, values: Tensor) -> Tensor:
-        """The panorama with a border ``(*b, c, height + 2, width + 2)``, in which ``image_pixels`` are meant."""
+        """The panorama ``(*b, c, height, width)`` itself, in which ``image_pixels`` are meant."""
         check_values(values, self.shape)
-        return wrap_panorama(values, poles=self.whole_sphere)
+        return values
 
     def image_pixels(self, directions: Tensor) -> Tensor:
         """Pixels (u, v) ``(*, 2)`` of ``image`` at which bilinear interpolation gives the value of each direction.
@@ -217,7 +222,7 @@ class Equirectangular(nn.Module):
         x, z = (torch.where(at_pole, side.detach(), side) for side in (x, z))
         u = self.pixels(torch.stack((x, y, z), -1))[..., 0]
         v = self.pixels(directions)[..., 1]
-        return torch.stack((torch.remainder(u + 0.5, self.width) + 0.5, v + 1), -1)
+        return torch.stack((torch.remainder(u + 0.5, self.width) - 0.5, v), -1)
 
     def sample(self, values: Tensor, directions: Tensor) -> Tensor:
         """Interpolate values bilinearly in longitude and latitude, across the seam and over the poles.
@@ -234,7 +239,8 @@ class Equirectangular(nn.Module):
         Raises:
             ShapeError: if the values are not on this grid.
         """
-        return bilinear_sample(self.image(values), self.image_pixels(directions))
+        image = wrap_panorama(self.image(values), poles=self.whole_sphere)
+        return bilinear_sample(image, self.image_pixels(directions) + 1)
 
     def extra_repr(self) -> str:
         latitudes = "" if self.whole_sphere else f", latitudes within {math.degrees(self.max_latitude):.1f}°"

@@ -10,6 +10,8 @@ from torch import Tensor, nn
 
 from sphericalvision.core import check_choice, check_last_dim
 from sphericalvision.geometry import longitude_latitude_from_directions, normalize, safe_hypot
+from sphericalvision.geometry.lookup import weighted_sums
+from sphericalvision.sphere.grids.checks import check_positive, check_values
 from sphericalvision.sphere.grids.healpix_pixels import (
     direction_of_place,
     nested_from_place,
@@ -21,7 +23,6 @@ from sphericalvision.sphere.grids.healpix_pixels import (
     ring_start_count_shift,
     ring_theta,
 )
-from sphericalvision.sphere.grids.values import check_positive, check_values, sum_of_taps
 
 __all__ = ["Healpix"]
 
@@ -207,7 +208,7 @@ class Healpix(nn.Module):
             ShapeError: if the values are not on this grid.
         """
         check_values(values, self.shape)
-        return sum_of_taps(values, *self.locate(directions))
+        return weighted_sums(values, *self.locate(directions))
 
     def extra_repr(self) -> str:
         return f"nside={self.nside}, nested={self.nested}, pixels={self.num_pixels}"

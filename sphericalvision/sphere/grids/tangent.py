@@ -11,9 +11,9 @@ from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import bilinear_sample
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
-from sphericalvision.sphere.grids.clipping import solid_angles_in_triangle
+from sphericalvision.sphere.grids.checks import check_positive, check_values
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
-from sphericalvision.sphere.grids.values import check_positive, check_values
+from sphericalvision.sphere.grids.pixel_solid_angles import solid_angles_in_triangle
 
 __all__ = ["TangentImages"]
 

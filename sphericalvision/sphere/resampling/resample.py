@@ -10,9 +10,9 @@ from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
 from sphericalvision.sphere.grids.base import SphereGrid
-from sphericalvision.sphere.grids.values import check_values
+from sphericalvision.sphere.grids.checks import check_values
 from sphericalvision.sphere.resampling.supersampling import grid_shape
-from sphericalvision.sphere.resampling.tables import RESAMPLE_MODES, ResampleTables
+from sphericalvision.sphere.resampling.tables import RESAMPLE_MODES, resample_tables
 
 __all__ = ["RESAMPLE_MODES", "Resample", "resample", "resample_mask"]
 
@@ -61,9 +61,11 @@ def resample(
         (torch.Size([1, 8, 16]), True)
     """
     check_values(values, grid_shape(source, "source"))
-    return ResampleTables(source, target, rotation, mode, fill, values.device)(values, mask)
+    result: Tensor = resample_tables(source, target, rotation, mode, fill, mask, values.device)(values)
+    return result
 
 
+@torch.no_grad()
 def resample_mask(
     source: SphereGrid | Camera,
     target: SphereGrid | Camera,
@@ -75,7 +77,8 @@ def resample_mask(
     depends on masked values alone.
 
     Raises:
-        ArgumentError: if source or target is neither a grid nor a camera.
+        ShapeError: see ``resample``.
+        ArgumentError: see ``resample``.
 
     Examples:
         >>> from sphericalvision.icosphere import Icosphere
@@ -83,16 +86,15 @@ def resample_mask(
         >>> resample_mask(Icosphere(2), Equirectangular(8, 16)).all()
         tensor(True)
     """
-    device = next((t.device for t in (mask, rotation) if t is not None), _like(target).device)
-    with torch.no_grad():
-        return ResampleTables(source, target, rotation, mode, 0.0, device).mask(mask)
+    device = next((t.device for t in (mask, rotation) if t is not None), _like(source).device)
+    return resample_tables(source, target, rotation, mode, 0.0, mask, device).mask()
 
 
-class Resample(ResampleTables):
+class Resample(nn.Module):
     """``resample`` between two fixed grids or cameras, its tables made once.
 
     The tables are buffers that move with the module and are not saved. They hold no gradients by rotation or
-    intrinsics: for these use ``resample``.
+    intrinsics: for these use ``resample``. ``mask()`` returns where results are valid.
 
     Args:
         source: where values are given.
@@ -100,8 +102,9 @@ class Resample(ResampleTables):
         rotation: ``(3, 3)`` or ``(*b, 3, 3)``, target_from_source.
         mode: ``"bilinear"``, ``"nearest"`` or ``"area"``.
         fill: value where nothing is seen.
+        mask: ``(*b, *source_shape)``, usable values of every call.
         dtype: of the tables; by default that of the grids' directions and the cameras' intrinsics.
-        device: of the tables; by default the target's.
+        device: of the tables; by default the source's.
 
     Examples:
         >>> from sphericalvision.sphere import Cubemap, Equirectangular
@@ -120,21 +123,42 @@ class Resample(ResampleTables):
         rotation: Tensor | None = None,
         mode: str = "bilinear",
         fill: float = 0.0,
+        mask: Tensor | None = None,
         dtype: torch.dtype | None = None,
         device: torch.device | str | None = None,
     ) -> None:
+        super().__init__()
         grid_shape(source, "source")
         grid_shape(target, "target")
         if isinstance(source, nn.Module):
             source = copy.deepcopy(source)  # its tables move with this module, the caller's stay
-        device = _like(target).device if device is None else torch.device(device)
+        device = _like(source).device if device is None else torch.device(device)
         if dtype is None:
             dtype = torch.promote_types(_like(source).dtype, _like(target).dtype)
-        super().__init__(source, target, rotation, mode, fill, device)
-        self.to(dtype)
+        self.tables = resample_tables(source, target, rotation, mode, fill, mask, device).to(dtype)
+
+    def forward(self, values: Tensor, mask: Tensor | None = None) -> Tensor:
+        """Values ``(*b, c, *source_shape)`` on the target, ``(*b, c, *target_shape)``.
+
+        Args:
+            values: on the source.
+            mask: ``(*b, *source_shape)``, which of these values may be used; with a mask of the module, those in both.
+
+        Raises:
+            ShapeError: if values or mask do not lie on the source.
+            ArgumentError: if integers are to be interpolated.
+        """
+        check_values(values, self.tables.source_shape)
+        result: Tensor = self.tables(values, mask)
+        return result
+
+    def mask(self, mask: Tensor | None = None) -> Tensor:
+        """Where results are valid, bool ``(*b, *target_shape)``; ``mask`` as in ``forward``."""
+        return self.tables.mask(mask)
 
     def __repr__(self) -> str:
-        return f"Resample({self.source_shape} -> {self.target_shape}, mode={self.mode!r})"
+        tables = self.tables
+        return f"Resample({tables.source_shape} -> {tables.target_shape}, mode={tables.mode!r})"
 
 
 def _like(grid: SphereGrid | Camera) -> Tensor:

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lookups: where each of P results is found in something flat, worked out once and applied often.
+
+``Lookup`` reads few entries by number, with weights: vertices of a triangle, pixels of HEALPix, one pixel for a label.
+``ImageLookup`` interpolates in images; ``grid_sample`` finds the pixels and weights of a position faster than a table
+of them is read. Both are modules whose tables move with ``.to`` and are not saved, map values ``(*b, C, ...)`` to
+``(*b, C, P)``, give zero where nothing is seen, and are differentiable in values and in what the tables were made of.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from sphericalvision.core import uses_reference_kernels
+from sphericalvision.geometry.image_edges import taps_across_edges
+from sphericalvision.geometry.interpolation import wrap_panorama
+
+__all__ = ["ImageLookup", "Lookup", "weighted_sums"]
+
+_OUTSIDE = -9.0  # normalised coordinates so far out that grid_sample reads zeros there
+_MOST_PARTS = 8  # of the results of one image, to be worked on by different threads
+
+
+def weighted_sums(values: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
+    """Weighted sums ``(*b, C, P)`` of few of the values ``(*b, C, size)``.
+
+    Args:
+        values: floating point.
+        ids: ``(*b, P, k)``, or ``(P, k)`` for all of the batch: which k values are read for each of P sums.
+        weights: of the ids' shape.
+
+    Examples:
+        >>> weighted_sums(torch.tensor([[1.0, 5.0]]), torch.tensor([[0, 1]]), torch.tensor([[0.25, 0.75]]))
+        tensor([[4.]])
+    """
+    weights = weights.to(values.dtype)
+    if ids.ndim > 2:
+        batch = torch.broadcast_shapes(values.shape[:-2], ids.shape[:-2])
+        values = values.expand(*batch, *values.shape[-2:])
+        shape = (*batch, values.shape[-2], ids.shape[-2])
+        total = values.new_zeros(())
+        for k in range(ids.shape[-1]):
+            total = total + values.gather(-1, ids[..., None, :, k].expand(shape)) * weights[..., None, :, k]
+        return total
+    if ids.numel() < values.shape[-1]:  # few of many: the rest is not touched
+        found = values.index_select(-1, ids.flatten()).unflatten(-1, tuple(ids.shape))
+        return (found * weights).sum(-1)
+    # All channels of a value side by side, so that they are read at once.
+    rows = values.reshape(values.shape[:-1].numel(), values.shape[-1]).t().contiguous()
+    if (
+        torch.is_grad_enabled() and (values.requires_grad or weights.requires_grad)
+    ) or uses_reference_kernels():
+        found = rows.index_select(0, ids[:, 0]) * weights[:, :1]
+        for k in range(1, ids.shape[-1]):
+            found = found + rows.index_select(0, ids[:, k]) * weights[:, k, None]
+    else:  # faster, but has no second derivatives
+        found = F.embedding_bag(ids, rows, per_sample_weights=weights, mode="sum")
+    return found.t().reshape(*values.shape[:-1], len(ids)).contiguous()
+
+
+class Lookup(nn.Module):
+    """Results that are weighted sums of k entries each, or one entry each, of any dtype.
+
+    Args:
+        ids: ``(*g, P, k)`` into the flattened source, or ``(*g, P)`` for one entry each, which are not weighted.
+        weights: ``(*g, P, k)``; none with ids of one entry each.
+        seen: ``(*g, P)``, where there is a result; everywhere if not given.
+        dims: dimensions of the source that ids count through.
+
+    Examples:
+        >>> middle = Lookup(torch.tensor([[0, 1], [2, 3]]), torch.full((2, 2), 0.5))
+        >>> middle(torch.tensor([[1.0, 3.0, 5.0, 7.0]]))
+        tensor([[2., 6.]])
+        >>> Lookup(torch.tensor([3, 0]), dims=2)(torch.tensor([[[1, 2], [3, 4]]]))
+        tensor([[4, 1]])
+    """
+
+    ids: Tensor
+    weights: Tensor | None
+    seen: Tensor | None
+
+    def __init__(
+        self, ids: Tensor, weights: Tensor | None = None, seen: Tensor | None = None, dims: int = 1
+    ) -> None:
+        super().__init__()
+        self.dims = dims
+        for name, table in (("ids", ids), ("weights", weights), ("seen", seen)):
+            self.register_buffer(name, table, persistent=False)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """``values`` (*b, C, *source) at the targets, (*b, C, P)."""
+        values = values.flatten(-self.dims)
+        if self.weights is not None:
+            found = weighted_sums(values, self.ids, self.weights)
+        elif self.ids.ndim == 1:
+            found = values.index_select(-1, self.ids)
+        else:
+            batch = torch.broadcast_shapes(values.shape[:-2], self.ids.shape[:-1])
+            ids = self.ids.unsqueeze(-2).expand(*batch, values.shape[-2], -1)
+            found = values.expand(*batch, *values.shape[-2:]).gather(-1, ids)
+        return (
+            found if self.seen is None else torch.where(self.seen.unsqueeze(-2), found, found.new_zeros(()))
+        )
+
+
+class ImageLookup(nn.Module):
+    """Results that are means over m places each in an image, interpolated between pixels.
+
+    Args:
+        pixels: ``(*g, P, m, 2)`` as (u, v), pixel centres at integers.
+        seen: ``(*g, P, m)``; places that are not seen count as zero.
+        image_size: (height, width).
+        shares: ``(*g, P, m)`` of the m places in their result; all the same if not given.
+        edges: what continues an image beyond its outermost centres: ``"border"``, these pixels again; ``"around"``,
+            left and right edges meet; ``"sphere"``, these, and beyond the poles the opposite side.
+        cubic: whether to interpolate with the bicubic kernel in place of the bilinear one.
+
+    Examples:
+        >>> between = ImageLookup(torch.tensor([[[0.5, 0.0]], [[9.0, 0.0]]]), torch.tensor([[True], [False]]), (1, 4))
+        >>> between(torch.tensor([[[2.0, 4.0, 6.0, 8.0]]]))
+        tensor([[3., 0.]])
+    """
+
+    grid: Tensor
+    seen: Tensor | None
+    shares: Tensor | None
+    across: Tensor | None
+    across_ids: Tensor | None
+    across_weights: Tensor | None
+
+    def __init__(
+        self,
+        pixels: Tensor,
+        seen: Tensor,
+        image_size: tuple[int, int],
+        shares: Tensor | None = None,
+        edges: str = "border",
+        cubic: bool = False,
+    ) -> None:
+        super().__init__()
+        self.edges, self.mode = edges, "bicubic" if cubic else "bilinear"
+        # A batch of lookups has places at the edges nearly everywhere: there a panorama is continued by a pixel.
+        self.wraps = edges != "border" and not cubic and pixels.ndim > 4
+        last = pixels.new_tensor([image_size[1] - 1, image_size[0] - 1])
+        pixels = torch.where(seen.unsqueeze(-1), pixels, 0.0)
+        if edges != "border":
+            pixels = torch.stack((_around(pixels[..., 0], image_size[1]), pixels[..., 1]), -1)
+        if self.wraps:
+            pixels, last = pixels + 1, last + 2
+        # Exactly -1 and 1 at the outermost centres, so that nothing beyond them is ever mixed in.
+        inside = pixels.clamp(torch.zeros_like(last), last)
+        grid = inside * (2 / last.clamp(min=1)) - 1
+        grid = torch.where(seen.unsqueeze(-1), grid, _OUTSIDE)
+        # An image of one row or column has no outside for grid_sample.
+        tables = {"grid": grid, "shares": shares, "seen": seen if 1 in image_size else None}
+        tables |= dict.fromkeys(("across", "across_ids", "across_weights"))
+        if (cubic or edges != "border") and not self.wraps:
+            # grid_sample knows no such edges: the few places whose kernel leaves the image are read entry by entry.
+            reach = 1 if cubic else 0
+            first = pixels.detach().floor() - reach
+            leaves = ((first < 0) | (first > last - 1 - 2 * reach)).any(-1) & seen
+            across = leaves.flatten(-2).reshape(-1, leaves.shape[-2:].numel()).any(0).nonzero()[:, 0]
+            if len(across):
+                near, usable = pixels.flatten(-3, -2)[..., across, :], seen.flatten(-2)[..., across]
+                ids, weights = taps_across_edges(near, image_size, edges, cubic)
+                weights = weights * usable.unsqueeze(-1)
+                tables |= {"across": across, "across_ids": ids, "across_weights": weights}
+        for name, table in tables.items():
+            self.register_buffer(name, table, persistent=False)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """``images`` (*b, C, height, width) at the targets, (*b, C, P)."""
+        found = self._interpolated(images)
+        if self.across is not None and self.across_ids is not None and self.across_weights is not None:
+            edge = weighted_sums(images.flatten(-2), self.across_ids, self.across_weights)
+            found.view(*found.shape[:-2], -1).index_copy_(-1, self.across, edge.expand(*found.shape[:-2], -1))
+        if self.seen is not None:
+            found = torch.where(self.seen.unsqueeze(-3), found, 0.0)
+        if self.shares is not None:
+            return (found * self.shares.to(found.dtype).unsqueeze(-3)).sum(-1)
+        return found.squeeze(-1) if found.shape[-1] == 1 else found.mean(-1)
+
+    def _interpolated(self, images: Tensor) -> Tensor:
+        """What ``grid_sample`` finds, (*b, C, P, m)."""
+        if self.wraps:
+            images = wrap_panorama(images, poles=self.edges == "sphere")
+        size = images.shape[-3:]
+        batch = torch.broadcast_shapes(images.shape[:-3], self.grid.shape[:-3])
+        grid = self.grid.to(images.dtype).expand(*batch, *self.grid.shape[-3:])
+        grid = grid.reshape(-1, *grid.shape[-3:])
+        flat = images.expand(*batch, *size).reshape(-1, *size)
+        parts = self._parts(flat)
+        if parts > 1:
+            grid, flat = grid.view(parts, -1, *grid.shape[2:]), flat.expand(parts, *size)
+        found = F.grid_sample(flat, grid, self.mode, padding_mode="zeros", align_corners=True)
+        if parts > 1:
+            found = found.transpose(0, 1)
+        return found.reshape(*batch, size[0], *self.grid.shape[-3:-1])
+
+    def _parts(self, images: Tensor) -> int:
+        """How many parts to cut results into: on a CPU ``grid_sample`` gives each image of a batch to one thread."""
+        if torch.compiler.is_compiling() or len(images) > 1 or images.device.type != "cpu":
+            return 1
+        if torch.get_num_threads() == 1 or uses_reference_kernels():
+            return 1
+        if torch.is_grad_enabled() and (images.requires_grad or self.grid.requires_grad):
+            return 1
+        count = self.grid.shape[-3]
+        return next(parts for parts in range(_MOST_PARTS, 0, -1) if count % parts == 0)
+
+
+def _around(u: Tensor, width: int) -> Tensor:
+    """Columns counted from the first half pixel of a panorama, whatever the number of turns; most are there already."""
+    return torch.where((u < -0.5) | (u > width - 0.5), torch.remainder(u + 0.5, width) - 0.5, u)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lookup of values some of which may not be used, and what stands where none was found."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry.lookup import Lookup
+
+__all__ = ["MaskedLookup"]
+
+_TOUCHED = 1e-3  # the least share of usable values in what a result is made of
+
+
+class MaskedLookup(nn.Module):
+    """Means over the usable values that a lookup finds, ``fill`` where it finds too few.
+
+    Args:
+        lookup: ``Lookup``, ``ImageLookup`` or any module that maps values (*b, C, *source_shape) to (*b, C, P), zero
+            where nothing is seen.
+        source_shape: of values.
+        target_shape: of results, P in all.
+        mode: how values are read, for error messages.
+        fill: value where nothing is found.
+        valid: ``(*g, P)`` where something is seen; everywhere if not given.
+        usable: ``(*b, *source_shape)``, values that may be used; all if not given.
+        whole: whether the weights of what is seen sum to one, so that results without a mask are means as they are.
+    """
+
+    valid: Tensor | None
+    usable: Tensor | None
+    gain: Tensor | None
+    filling: Tensor | None
+
+    def __init__(
+        self,
+        lookup: nn.Module,
+        source_shape: tuple[int, ...],
+        target_shape: tuple[int, ...],
+        mode: str,
+        fill: float = 0.0,
+        valid: Tensor | None = None,
+        usable: Tensor | None = None,
+        whole: bool = True,
+    ) -> None:
+        super().__init__()
+        self.lookup, self.mode, self.fill = lookup, mode, fill
+        self.source_shape, self.target_shape = source_shape, target_shape
+        self.picks = isinstance(lookup, Lookup) and lookup.weights is None
+        self.register_buffer("valid", valid, persistent=False)
+        self.register_buffer("usable", None, persistent=False)
+        gain = None
+        if usable is not None or not whole:
+            everywhere = torch.ones(source_shape, dtype=torch.bool, device=next(lookup.buffers()).device)
+            given = everywhere if usable is None else self._checked(usable)
+            self.usable = None if usable is None else given
+            gain, self.valid = self._weigh(given, next(self.lookup.buffers()).dtype)
+        self.register_buffer("gain", gain, persistent=False)
+        if self.valid is not None and self.valid.device.type != "meta" and bool(self.valid.all()):
+            self.valid = None
+        filling = None if self.valid is None or fill == 0 or self.picks else self._filling(self.valid)
+        self.register_buffer("filling", filling, persistent=False)
+
+    def forward(self, values: Tensor, mask: Tensor | None = None) -> Tensor:
+        """``values`` (*b, C, *source_shape) on the target, (*b, C, *target_shape), of their dtype."""
+        if not values.is_floating_point() and self.mode != "nearest":
+            raise ArgumentError(
+                f"values: expected floating point numbers for mode {self.mode!r}, got {values.dtype}; convert them, "
+                "or use mode 'nearest' for labels"
+            )
+        if self.picks:
+            self._check_fill(values)
+            found, valid = self.lookup(values), self._valid(mask)
+            if valid is not None:
+                found = torch.where(
+                    valid.unsqueeze(-2), found, torch.full_like(found[..., :1, :1], self.fill)
+                )
+            return found.unflatten(-1, self.target_shape)  # type: ignore[no-any-return]
+        found, valid = self.means(values.to(torch.promote_types(values.dtype, torch.float32)), mask)
+        if valid is not None and self.fill != 0:
+            # Zeros stand there: a sum is faster than a choice in all channels.
+            filling = self._filling(valid) if mask is not None or self.filling is None else self.filling
+            found = found + filling.to(found.dtype).unsqueeze(-2)
+        return found.to(values.dtype).unflatten(-1, self.target_shape)
+
+    def means(self, values: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+        """Means (*b, C, P) over usable ones of ``values`` (*b, C, *source_shape), zero where not valid, and where."""
+        gain, valid, usable = self.gain, self.valid, self.usable
+        if mask is not None:
+            usable = self._checked(mask)
+            gain, valid = self._weigh(usable, values.dtype)
+        if usable is not None:
+            values = torch.where(usable.unsqueeze(-len(self.source_shape) - 1), values, 0.0)
+        found: Tensor = self.lookup(values)
+        return found if gain is None else found * gain.to(found.dtype).unsqueeze(-2), valid
+
+    def mask(self, mask: Tensor | None = None) -> Tensor:
+        """Where results are valid, bool ``(*b, *target_shape)``, given the values that may be used."""
+        valid = self._valid(mask)
+        if valid is None:
+            device = next(self.lookup.buffers()).device
+            return torch.ones(self.target_shape, dtype=torch.bool, device=device)
+        return valid.unflatten(-1, self.target_shape)
+
+    def _valid(self, mask: Tensor | None) -> Tensor | None:
+        return self.valid if mask is None else self._weigh(self._checked(mask), torch.float32)[1]
+
+    def _weigh(self, usable: Tensor, dtype: torch.dtype) -> tuple[Tensor | None, Tensor]:
+        """One over the weight of usable values in each result (*b, P), and where there is enough of it."""
+        usable = usable.unsqueeze(-len(self.source_shape) - 1)
+        gain = None
+        if self.picks:
+            touched = self.lookup(usable).squeeze(-2)
+        else:
+            weight = self.lookup(usable.to(dtype if dtype.is_floating_point else torch.float64)).squeeze(-2)
+            touched = weight > _TOUCHED
+            gain = torch.where(touched, 1 / torch.where(touched, weight, 1.0), 0.0)
+        return gain, touched if self.valid is None else touched & self.valid
+
+    def _filling(self, valid: Tensor) -> Tensor:
+        return torch.where(valid, 0.0, self.fill)
+
+    def _checked(self, mask: Tensor) -> Tensor:
+        dims = len(self.source_shape)
+        if mask.ndim < dims or tuple(mask.shape[mask.ndim - dims :]) != self.source_shape:
+            size = ", ".join(map(str, self.source_shape))
+            raise ShapeError(f"mask: expected shape (*b, {size}) as the source, got {tuple(mask.shape)}")
+        if self.mode == "bicubic":
+            raise ArgumentError(
+                "mask: a bicubic kernel has negative weights; use 'bilinear' or 'area' with a mask"
+            )
+        return mask != 0 if self.usable is None else (mask != 0) & self.usable
+
+    def _check_fill(self, values: Tensor) -> None:
+        if values.is_floating_point():
+            return
+        info = None if values.dtype == torch.bool else torch.iinfo(values.dtype)
+        least, most = (0, 1) if info is None else (info.min, info.max)
+        if not (least <= self.fill <= most and self.fill == int(self.fill)):
+            raise ArgumentError(f"fill: expected a value that {values.dtype} can hold, got {self.fill}")

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of sizes of grids and of values on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+
+__all__ = ["check_positive", "check_values"]
+
+
+def check_positive(**sizes: int) -> None:
+    """Raise ``ArgumentError`` unless every size is a whole number of 1 or more.
+
+    Examples:
+        >>> check_positive(height=4, width=8)
+    """
+    for name, size in sizes.items():
+        if isinstance(size, bool) or not isinstance(size, int) or size < 1:
+            raise ArgumentError(f"{name}: expected a positive number of pixels, got {size!r}")
+
+
+def check_values(values: Tensor, shape: Sequence[int]) -> None:
+    """Raise ``ShapeError`` unless ``values`` is ``(*b, c, *shape)``.
+
+    Examples:
+        >>> check_values(torch.zeros(3, 4, 8), (4, 8))
+    """
+    if values.ndim <= len(shape) or tuple(values.shape[-len(shape) :]) != tuple(shape):
+        size = ", ".join(map(str, shape))
+        raise ShapeError(f"values: expected shape (*b, c, {size}), got {tuple(values.shape)}")

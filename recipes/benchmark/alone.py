@@ -16,16 +16,16 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.core import reference_kernels
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
-from sphericalvision.recipes.benchmark.plain_network import PlainNetwork
 from sphericalvision.recipes.benchmark.plain_setup import plain_setup
 from sphericalvision.sweep import SphereSweep
 
 __all__ = ["WAYS", "alone"]
 
 WAYS = ("plain", "sphericalvision", "sphericalvision, recompute", "sphericalvision, native")
-"""How a stage can be computed; recomputing saves memory in training, native operators are for inference."""
+"""How a stage can be computed. Plain is ``reference_kernels``; recomputing saves memory in training."""
 
 
 def alone(
@@ -77,14 +77,14 @@ def _run(
         return time.perf_counter() - start
     net = IcoSweepNet(level, num_hypotheses, feature_channels=feature_channels).to(place)
     net.configure(recompute=way == WAYS[2], native=way == WAYS[3])
-    run = PlainNetwork(net) if way == WAYS[0] else net
     images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=place) - 1
     tables = net.sweep.tables(rig)
-    if stage == "inference":
-        run.eval()
-        return _added_memory(torch.inference_mode()(lambda: run(images, tables)), place)
-    run.train()
-    return _added_memory(lambda: run(images, tables).sum().backward(), place)
+    with reference_kernels() if way == WAYS[0] else contextlib.nullcontext():
+        if stage == "inference":
+            net.eval()
+            return _added_memory(torch.inference_mode()(lambda: net(images, tables)), place)
+        net.train()
+        return _added_memory(lambda: net(images, tables).sum().backward(), place)
 
 
 def _added_memory(run: Callable[[], Any], device: torch.device) -> float:

@@ -7,12 +7,11 @@ from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 
 import torch
-import torch.nn.functional as F
 from omegaconf import DictConfig
 from torch import Tensor, nn
 
+from sphericalvision.core import reference_kernels
 from sphericalvision.crown import Crown, CrownConv2d, CrownConv3d, HexConv2d, HexConv3d, to_crown
-from sphericalvision.crown.conv import COL_TAPS, ROW_TAPS
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.benchmark.measuring import Comparison
 from sphericalvision.sphere import CubePad2d, EquirectangularPad2d, SphereConv2d
@@ -50,7 +49,7 @@ def _planar(level: int, channels: int, device: torch.device) -> Comparison:
             HexConv2d(channels, channels, orientation="north", level=level), values
         ),
         "crown, both directions": run(CrownConv2d(channels, channels), to_crown(values)),
-        "crown, the plain way": run(_PlainCrownConv(channels), to_crown(values)),
+        "crown, the plain way": _by_reference(run(CrownConv2d(channels, channels), to_crown(values))),
         "tangent planes": run(SphereConv2d(channels, channels, bias=False), image),
         "planar, panorama padded": run(nn.Sequential(EquirectangularPad2d(1), planar(0)), image),
         "planar, cube padded": run(nn.Sequential(CubePad2d(1), planar(0)), faces),
@@ -93,20 +92,12 @@ def _spatial(level: int, channels: int, hypotheses: int, device: torch.device) -
     )
 
 
-class _PlainCrownConv(nn.Module):
-    """A crown convolution as it reads in the paper: masked planar kernels on padded rectangles, channels first."""
+def _by_reference(run: Callable[[], object]) -> Callable[[], object]:
+    def by_reference() -> object:
+        with reference_kernels():
+            return run()
 
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        self.weight = nn.Parameter(torch.randn(channels, channels, 7))
-
-    def forward(self, crown: Crown) -> Crown:
-        results = []
-        for rectangles, taps in ((crown.col, COL_TAPS), (crown.row, ROW_TAPS)):
-            kernel = F.pad(self.weight, (0, 1))[..., torch.tensor(taps)]
-            padded = F.pad(rectangles.flatten(0, 1).contiguous(), (1, 1, 1, 1), mode="replicate")
-            results.append(F.conv2d(padded, kernel).unflatten(0, (-1, 5)))
-        return Crown(*results)
+    return by_reference
 
 
 def _forward_and_backward(layer: nn.Module, given: Tensor | Crown) -> Callable[[], object]:

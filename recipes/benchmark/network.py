@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""IcoSweepNet stage by stage, against the plain way to compute the same numbers."""
+"""IcoSweepNet stage by stage, against the readable formulas of the same numbers (``reference_kernels``)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
@@ -15,14 +16,13 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils.flop_counter import FlopCounterMode
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import check_choice
+from sphericalvision.core import check_choice, reference_kernels
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.benchmark.alone import WAYS, alone
 from sphericalvision.recipes.benchmark.measuring import BF16, Comparison
-from sphericalvision.recipes.benchmark.plain_network import PlainNetwork
-from sphericalvision.recipes.benchmark.plain_setup import plain_sweep_tables
+from sphericalvision.recipes.benchmark.plain_setup import plain_sweep_tables, plain_volume
 from sphericalvision.sweep import SphereSweep, SweepTables, soft_argmax
 
 __all__ = ["OPTIONS", "comparisons"]
@@ -47,7 +47,6 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
     label = f"level {level} to {level - 2}, N = {number}"
     rig = ring_rig(4, image_size=tuple(config.image_size)).to(device)
     net = IcoSweepNet(level, number, feature_channels=config.feature_channels).to(device).eval()
-    plain = PlainNetwork(net).to(device).eval()
     images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=device) - 1
     tables = net.sweep.tables(rig)
     weights = sum(p.numel() * 4 for p in net.parameters())
@@ -58,12 +57,12 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
         features = net.extract_features(images)
         volume = net.sweep(features, tables).values.flatten(1, 2)
         logits = net.regularizer(volume)
-    flop_features = _gflop(lambda: [plain.features(camera) for camera in images.unbind(1)])
-    flop_regularizer = _gflop(lambda: plain.regularize(volume))
+    flop_features = _gflop(lambda: net.extract_features(images))
+    flop_regularizer = _gflop(lambda: net.regularizer(volume))
     yield Comparison(
         f"{label}: features of four cameras",
         {
-            "plain": _inference(lambda: [plain.features(camera) for camera in images.unbind(1)]),
+            "plain": _plainly(lambda: net.extract_features(images)),
             OURS: _inference(lambda: net.extract_features(images)),
         },
         "plain",
@@ -73,7 +72,7 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
     yield Comparison(
         f"{label}: cost volume",
         {
-            "plain": _inference(lambda: plain.volume(features, tables)),
+            "plain": _inference(lambda: plain_volume(features, tables)),
             OURS: _inference(lambda: net.sweep(features, tables)),
         },
         "plain",
@@ -83,7 +82,7 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
     yield Comparison(
         f"{label}: regulariser",
         {
-            "plain": _inference(lambda: plain.regularize(volume)),
+            "plain": _plainly(lambda: net.regularizer(volume)),
             OURS: _inference(lambda: net.regularizer(volume)),
         }
         | _native(net, lambda: net.regularizer(volume), config.options),
@@ -105,7 +104,7 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
     flop, gbyte = flop_features + flop_regularizer, _gbyte(images, logits[:, 0], *tables) + weights / 1e9
     yield Comparison(
         f"{label}: whole inference",
-        {"plain": _inference(lambda: plain(images, tables)), OURS: _inference(lambda: net(images, tables))}
+        {"plain": _plainly(lambda: net(images, tables)), OURS: _inference(lambda: net(images, tables))}
         | _optional(net, images, tables, config.options),
         "plain",
         flop,
@@ -113,7 +112,7 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
     )
     if config.training:
         ways: dict[str, Run] = {
-            "plain": lambda: _step(plain, images, tables),
+            "plain": lambda: _step(net, images, tables, plain=True),
             OURS: lambda: _step(net, images, tables),
             WAYS[2]: lambda: _step(net, images, tables, recompute=True),
         }
@@ -232,16 +231,31 @@ def _inference(run: Run) -> Run:
     return torch.inference_mode()(run)
 
 
+def _plainly(run: Run) -> Run:
+    """Inference by the readable formulas alone."""
+
+    def by_reference() -> Any:
+        with reference_kernels():
+            return run()
+
+    return _inference(by_reference)
+
+
 def _step(
-    net: IcoSweepNet | PlainNetwork, images: Tensor, tables: Any, recompute: bool = False, bf16: bool = False
+    net: IcoSweepNet,
+    images: Tensor,
+    tables: Any,
+    plain: bool = False,
+    recompute: bool = False,
+    bf16: bool = False,
 ) -> None:
     """Forward and backward pass in training mode."""
     net.train()
-    if isinstance(net, IcoSweepNet):
-        net.configure(recompute=recompute)
-    with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
-        index = net(images, tables)
-    index.sum().backward()
+    net.configure(recompute=recompute)
+    with reference_kernels() if plain else nullcontext():
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
+            index = net(images, tables)
+        index.sum().backward()
     net.zero_grad()
     net.eval()
 
@@ -254,6 +268,7 @@ def _gflop(run: Run) -> float:
     """Floating-point operations of convolutions and matrix products, in 1e9; counted on shapes alone."""
     with (
         torch.no_grad(),
+        reference_kernels(),
         FakeTensorMode(allow_non_fake_inputs=True),
         FlopCounterMode(display=False) as counter,
     ):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that a new network and a new rig need before the first frame, made in the obvious way.
+"""What a new network and a new rig need before the first frame, and the cost volume, made in the obvious way.
 
 Charts are written out place by place in Python loops; points of the sphere sweep are located by a search tree that
 finds the three nearest vertices, as in the published code. For one point in eight these are not the corners of the
@@ -16,7 +16,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.sweep import SweepTables, inverse_depth_hypotheses
 
-__all__ = ["plain_charts", "plain_setup", "plain_sweep_tables"]
+__all__ = ["plain_charts", "plain_setup", "plain_sweep_tables", "plain_volume"]
 
 
 def plain_setup(
@@ -54,6 +54,19 @@ def _vertex(chart: int, row: int, column: int, n: int) -> int:
         following = (chart + 1) % 5
         return _vertex(following, row + n, 0, n) if row <= n else _vertex(following, 2 * n, row - n, n)
     return 1 + (chart * 2 * n + row - 1) * n + column
+
+
+def plain_volume(features: Tensor, tables: SweepTables) -> Tensor:
+    """The concatenated cost volume ``(B, n * C, N, V)`` of features ``(B, n, C, V)``: a look-up for each."""
+    cameras = []
+    for camera in range(features.shape[1]):
+        depths = []
+        for depth in range(tables.ids.shape[-4]):
+            ids, weights = tables.ids[depth, :, camera], tables.weights[depth, :, camera]
+            corners = [features[:, camera][:, :, ids[:, k]] * weights[:, k] for k in range(3)]
+            depths.append(corners[0] + corners[1] + corners[2])
+        cameras.append(torch.stack(depths, 2))
+    return torch.cat(cameras, 1)
 
 
 def plain_sweep_tables(

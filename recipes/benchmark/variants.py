@@ -15,7 +15,7 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils.flop_counter import FlopCounterMode
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, reference_kernels
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.benchmark.measuring import Comparison
@@ -93,13 +93,13 @@ def _images(level: int, device: torch.device | str, dtype: torch.dtype = torch.f
 
 
 def gflop(net: IcoSweepNet) -> float:
-    """1e9 floating-point operations of a frame, done directly: in float64, where no fast algorithm steps in.
+    """1e9 floating-point operations of a frame, done directly, without fast algorithms.
 
     Nothing is computed: the operations are only counted.
     """
-    net = IcoSweepNet(**net.hyperparameters).eval().double()
+    net = IcoSweepNet(**net.hyperparameters).eval()
     tables = net.sweep.tables(ring_rig(4))
     counter = FlopCounterMode(display=False)
-    with FakeTensorMode(allow_non_fake_inputs=True), torch.inference_mode(), counter:
-        net(_images(net.level, "cpu", torch.float64), tables)
+    with reference_kernels(), FakeTensorMode(allow_non_fake_inputs=True), torch.inference_mode(), counter:
+        net(_images(net.level, "cpu"), tables)
     return float(counter.get_total_flops()) / 1e9

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The crown: an icosphere laid out as ten rectangles, and the layers that work on it or on the vertices directly."""
 
+from sphericalvision.crown.block import CrownBlock3d, CrownConvNorm2d, CrownConvNorm3d, crown_block3d
 from sphericalvision.crown.conv import (
     CrownConv2d,
     CrownConv3d,
     crown_conv2d,
     crown_conv3d,
 )
-from sphericalvision.crown.fast.chain import crown_conv3d_chain
-from sphericalvision.crown.fast.native import native_operators
 from sphericalvision.crown.hexconv import HexConv2d, HexConv3d, hex_conv2d, hex_conv3d, north_fraction
 from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.crown.layout import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
@@ -20,6 +19,7 @@ from sphericalvision.crown.norm import (
     CrownInstanceNorm3d,
     crown_norm,
 )
+from sphericalvision.crown.options import kernel_option, set_kernel_options
 from sphericalvision.crown.pool import (
     CrownAvgPool2d,
     CrownMaxPool2d,
@@ -28,14 +28,18 @@ from sphericalvision.crown.pool import (
     crown_max_pool2d,
     crown_upsample,
 )
+from sphericalvision.crown.recompute import RecomputedModule, recomputed
 
 __all__ = [
     "Crown",
     "CrownAvgPool2d",
     "CrownBatchNorm2d",
     "CrownBatchNorm3d",
+    "CrownBlock3d",
     "CrownConv2d",
     "CrownConv3d",
+    "CrownConvNorm2d",
+    "CrownConvNorm3d",
     "CrownExchange",
     "CrownInstanceNorm2d",
     "CrownInstanceNorm3d",
@@ -45,11 +49,12 @@ __all__ = [
     "FromCrown",
     "HexConv2d",
     "HexConv3d",
+    "RecomputedModule",
     "ToCrown",
     "crown_avg_pool2d",
+    "crown_block3d",
     "crown_conv2d",
     "crown_conv3d",
-    "crown_conv3d_chain",
     "crown_map",
     "crown_max_pool2d",
     "crown_norm",
@@ -60,7 +65,9 @@ __all__ = [
     "hex_conv2d",
     "hex_conv3d",
     "hex_pad",
-    "native_operators",
+    "kernel_option",
     "north_fraction",
+    "recomputed",
+    "set_kernel_options",
     "to_crown",
 ]

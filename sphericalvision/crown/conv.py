@@ -6,30 +6,14 @@ from __future__ import annotations
 import math
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.crown.fast.planar import conv2d_replicate
-from sphericalvision.crown.fast.winograd import conv3d_replicate
+from sphericalvision.crown import fast
 from sphericalvision.crown.layout import Crown, check_crown
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve
 
 __all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d"]
-
-# Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.
-COL_TAPS = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
-ROW_TAPS = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
-
-
-def _planar_kernel(weight: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
-    """Arrange seven taps ``(*, 7)`` as a planar kernel ``(*, 3, 3)``."""
-    index = torch.tensor(taps, device=weight.device).flatten()
-    return F.pad(weight, (0, 1)).index_select(-1, index).unflatten(-1, (3, 3))
-
-
-def neighbor_taps(taps: tuple[tuple[int, ...], ...]) -> list[int]:
-    """Of the nine places of a planar kernel those that hold a tap."""
-    return [place for place, tap in enumerate(sum(taps, ())) if tap < 7]
 
 
 def _check_weight(weight: Tensor, taps: int, channels: int) -> None:
@@ -71,12 +55,7 @@ def crown_conv2d(crown: Crown, weight: Tensor, bias: Tensor | None = None, strid
         torch.Size([1, 5, 8, 3, 2])
     """
     _check_conv(crown, weight, 2, stride)
-
-    def convolve(rectangles: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
-        kernel = _planar_kernel(weight, taps)
-        return conv2d_replicate(rectangles.flatten(0, 1), kernel, bias, stride).unflatten(0, (-1, 5))
-
-    return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
+    return _convolve(crown, weight, bias, stride)
 
 
 def crown_conv3d(crown: Crown, weight: Tensor, bias: Tensor | None = None, stride: int = 1) -> Crown:
@@ -98,14 +77,15 @@ def crown_conv3d(crown: Crown, weight: Tensor, bias: Tensor | None = None, strid
         torch.Size([1, 5, 8, 16, 3, 5])
     """
     _check_conv(crown, weight, 3, stride)
-    taps_by_depth = weight.unflatten(-1, (3, 7))
+    return _convolve(crown, weight, bias, stride)
 
-    def convolve(volumes: Tensor, taps: tuple[tuple[int, ...], ...]) -> Tensor:
-        kernel = _planar_kernel(taps_by_depth, taps)
-        flat = volumes.flatten(0, 1)
-        return conv3d_replicate(flat, kernel, bias, stride, neighbor_taps(taps)).unflatten(0, (-1, 5))
 
-    return Crown(convolve(crown.col, COL_TAPS), convolve(crown.row, ROW_TAPS))
+def _convolve(crown: Crown, weight: Tensor, bias: Tensor | None, stride: int) -> Crown:
+    rectangles = fast.conv(*crown, weight, bias, stride)
+    if rectangles is None:
+        col = convolve(crown.col, weight, COL_TAPS, bias, stride)
+        rectangles = col, convolve(crown.row, weight, ROW_TAPS, bias, stride)
+    return Crown(*rectangles)
 
 
 class _CrownConv(nn.Module):

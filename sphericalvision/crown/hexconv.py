@@ -38,8 +38,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
-from sphericalvision.crown.conv import COL_TAPS, _planar_kernel
-from sphericalvision.crown.hexpad import check_values, fill_charts, hex_pad
+from sphericalvision.crown.hexpad import fill_charts, hex_pad
+from sphericalvision.crown.places import check_values
+from sphericalvision.crown.taps import COL_TAPS, planar_kernel
 from sphericalvision.icosphere import icosphere_vertices, vertex_at
 
 __all__ = ["HexConv2d", "HexConv3d", "hex_conv2d", "hex_conv3d", "north_fraction"]
@@ -139,7 +140,7 @@ def hex_conv2d(
     inside = charts[..., start:, :].flatten(0, 1)
 
     def convolve(kernel: Tensor, bias: Tensor | None) -> Tensor:
-        planar = _planar_kernel(kernel, COL_TAPS)
+        planar = planar_kernel(kernel, COL_TAPS)
         return F.conv2d(inside, planar, bias, stride).unflatten(0, (-1, 5))
 
     own = _oriented(convolve, weight, bias, _own_fraction(north, values, stride))
@@ -181,7 +182,7 @@ def hex_conv3d(
     inside = charts[..., stride - 1 :, :].flatten(0, 1)
 
     def convolve(kernel: Tensor, bias: Tensor | None) -> Tensor:
-        planar = _planar_kernel(kernel, COL_TAPS)
+        planar = planar_kernel(kernel, COL_TAPS)
         return F.conv3d(inside, planar, bias, (1, stride, stride)).unflatten(0, (-1, 5))
 
     by_depth = weight.unflatten(-1, (3, 7))

@@ -20,19 +20,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sphericalvision.core import ShapeError
-from sphericalvision.crown.layout import _charts
+from sphericalvision.crown.places import check_values, own_charts
 from sphericalvision.icosphere import level_from_num_vertices
 
-__all__ = ["check_values", "fill_charts", "hex_pad", "ring_ids"]
-
-
-def check_values(values: Tensor, spatial_dims: int | None = None) -> int:
-    """Return the level of values on an icosphere or raise ``ShapeError`` unless they are ``(B, C, [N,] V)``."""
-    if values.ndim not in (3, 4) or (spatial_dims is not None and values.ndim != spatial_dims + 1):
-        expected = {None: "(B, C, V) or (B, C, N, V)", 2: "(B, C, V)", 3: "(B, C, N, V)"}[spatial_dims]
-        raise ShapeError(f"values: expected shape {expected}, got {tuple(values.shape)}")
-    return level_from_num_vertices(values.shape[-1])
+__all__ = ["fill_charts", "hex_pad", "ring_ids"]
 
 
 def ring_ids(level: int) -> list[list[int]]:
@@ -169,7 +160,7 @@ class _Take(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: Tensor) -> tuple[Tensor, Tensor]:
         n = 2 ** level_from_num_vertices(values.shape[-1])
-        charts = _charts(values, n)
+        charts = own_charts(values, n)
         inner = charts[..., n - 1 :: n, 0].movedim(1, -2).flatten(-2)
         special = torch.cat((values[..., :1], inner, values[..., -1:]), -1)
         taken = _empty(tuple(charts.shape), 2, values, 1).copy_(charts)
@@ -193,7 +184,7 @@ def _pad(values: Tensor) -> tuple[Tensor, Tensor]:
     batch, *channels, vertices = values.shape
     level = level_from_num_vertices(vertices)
     n = 2**level
-    charts = _charts(values, n)
+    charts = own_charts(values, n)
     padded = _empty((batch, 5, *channels, 2 * n + 2, n + 2), 2, values, 1)
     padded[..., 1:-1, 1:-1] = charts
 
@@ -221,7 +212,7 @@ def _unpad(padded: Tensor, rings: Tensor) -> Tensor:
     values = _empty((batch, *channels, 2 + 10 * n * n), 1, padded, 2)
     values[..., 0] = padded[..., 0, 1].sum(1)
     values[..., -1] = padded[..., -2, -1].sum(1)
-    charts = _charts(values, n)
+    charts = own_charts(values, n)
     charts.copy_(padded[..., 1:-1, 1:-1])
     charts[..., :n, 0] += padded[..., 0, 2:].roll(1, 1)
     charts[..., n:, 0] += padded[..., 1 : n + 1, -1].roll(1, 1)
@@ -236,7 +227,7 @@ def _unpad(padded: Tensor, rings: Tensor) -> Tensor:
 def _fill(charts: Tensor, special: Tensor) -> Tensor:
     batch, _, *channels, _, n = charts.shape
     values = _empty((batch, *channels, 2 + 10 * n * n), 1, charts, 2)
-    own = _charts(values, n)
+    own = own_charts(values, n)
     own.copy_(charts)
     own[..., n - 1 :: n, 0] = special[..., 1:-1].unflatten(-1, (5, 2)).movedim(-2, 1)
     values[..., 0], values[..., -1] = special[..., 0], special[..., -1]

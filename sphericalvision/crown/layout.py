@@ -1,28 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The crown: values on an icosphere laid out as ten rectangles, five each way, so that planar convolutions
-apply.
+"""The crown: values on an icosphere laid out as ten rectangles, five each way, so that planar convolutions apply.
 
 ``col`` rectangle k is chart k of the icosphere with all its borders. ``row`` rectangle k lies across: its
 western half is the northern half of chart k, its eastern half the southern half of chart k + 1. Vertices on
 the border of one kind of rectangle are inside the other, which is why both are kept and averaged now and
-then (``exchange``). Everything is done by slices; channels are the fastest dimension in memory, the layout
-that convolutions on a CPU are quickest with.
+then (``exchange``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
-from sphericalvision.icosphere import (
-    chart_vertex_ids,
-    level_from_num_vertices,
-    num_icosphere_vertices,
-    vertex_at,
+from sphericalvision.crown import fast
+from sphericalvision.crown.places import (
+    check_values,
+    level_of_rectangles,
+    places_per_vertex,
+    sum_over_places,
+    values_at_places,
 )
 
 __all__ = ["Crown", "crown_map", "crown_relu", "exchange", "from_crown", "to_crown"]
@@ -51,7 +51,7 @@ class Crown(NamedTuple):
     @property
     def level(self) -> int:
         """Level of the icosphere whose vertices are laid out."""
-        return (self.col.shape[-1] - 1).bit_length() - 1
+        return level_of_rectangles(self.col)
 
     def __add__(self, other: Crown) -> Crown:  # type: ignore[override]
         return Crown(self.col + other.col, self.row + other.row)
@@ -59,6 +59,11 @@ class Crown(NamedTuple):
 
 def check_crown(crown: Crown, spatial_dims: int | None = None) -> None:
     """Raise ``ShapeError`` unless ``crown`` has ten rectangles that match, of ``spatial_dims`` 2 or 3 if given."""
+    if not (isinstance(crown, tuple) and len(crown) == 2):
+        got = f"a tensor of shape {tuple(crown.shape)}" if isinstance(crown, Tensor) else type(crown).__name__
+        raise ShapeError(
+            f"crown: expected a Crown of rectangles, col and row, got {got}; make it with to_crown"
+        )
     col, row = crown
     n = col.shape[-1] - 1 if col.ndim >= 5 else 0
     sizes_match = n > 0 and n & (n - 1) == 0 and tuple(col.shape[-2:]) == (2 * n + 1, n + 1)
@@ -91,10 +96,8 @@ def to_crown(values: Tensor) -> Crown:
                 [ 1.,  4.],
                 [ 2., 11.]])
     """
-    if values.ndim not in (3, 4):
-        raise ShapeError(f"values: expected shape (B, C, V) or (B, C, N, V), got {tuple(values.shape)}")
-    level_from_num_vertices(values.shape[-1])
-    return Crown(*_Unfold.apply(values))
+    check_values(values)
+    return Crown(*(fast.unfold(values) or values_at_places(values)))
 
 
 def from_crown(crown: Crown) -> Tensor:
@@ -113,13 +116,10 @@ def from_crown(crown: Crown) -> Tensor:
         True
     """
     check_crown(crown)
-    return _Fold.apply(*crown) * places_per_vertex(crown.col.shape[-1] - 1, crown.col).reciprocal()
-
-
-def places_per_vertex(n: int, like: Tensor) -> Tensor:
-    """Number of places ``(V,)`` in the crown of level ``log2(n)`` that each vertex stands in."""
-    ones = like.new_ones(1)
-    return _fold(ones.expand(1, 5, 1, 2 * n + 1, n + 1), ones.expand(1, 5, 1, n + 1, 2 * n + 1)).view(-1)
+    mean = fast.fold(*crown)
+    if mean is not None:
+        return mean
+    return sum_over_places(*crown) / places_per_vertex(crown.level, crown.col)
 
 
 def exchange(crown: Crown) -> Crown:
@@ -152,113 +152,3 @@ def crown_relu(crown: Crown) -> Crown:
         tensor(0.)
     """
     return crown_map(torch.relu, crown)
-
-
-class _Unfold(torch.autograd.Function):
-    """Copy each vertex to all its places; the adjoint is ``_Fold``."""
-
-    @staticmethod
-    def forward(ctx: Any, values: Tensor) -> tuple[Tensor, Tensor]:
-        return _unfold(values)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        return _Fold.apply(*gradients)
-
-
-class _Fold(torch.autograd.Function):
-    """Sum each vertex over all its places; the adjoint is ``_Unfold``."""
-
-    @staticmethod
-    def forward(ctx: Any, col: Tensor, row: Tensor) -> Tensor:
-        return _fold(col, row)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
-        return _Unfold.apply(*gradients)
-
-
-def _charts(values: Tensor, n: int) -> Tensor:
-    """View ``(B, C, [N,] V)`` without the poles as ``(B, 5, C, [N,] 2n, n)``."""
-    return values[..., 1:-1].unflatten(-1, (5, 2 * n, n)).movedim(-3, 1)
-
-
-def _empty_channels_last(like: Tensor, channel_dim: int, shape: tuple[int, ...]) -> Tensor:
-    """Return an uninitialised tensor of this shape whose channels are next to each other in memory."""
-    channels = shape[channel_dim]
-    return like.new_empty((*shape[:channel_dim], *shape[channel_dim + 1 :], channels)).movedim(
-        -1, channel_dim
-    )
-
-
-def _place_ids(level: int, device: torch.device) -> Tensor:
-    """Vertices at the places of five col and then five row rectangles, ``(10, (2n + 1) * (n + 1))``."""
-    n = 2**level
-    chart = torch.arange(5, device=device)[:, None, None]
-    row, column = torch.arange(n + 1, device=device)[:, None], torch.arange(2 * n + 1, device=device)
-    west = vertex_at(chart, row, column.clamp(max=n), level)
-    east = vertex_at((chart + 1) % 5, row + n, (column - n).clamp(min=0), level)
-    across = torch.where(column <= n, west, east)
-    return torch.cat((chart_vertex_ids(level, device).flatten(1), across.flatten(1)))
-
-
-def _unfold_by_index(values: Tensor) -> tuple[Tensor, Tensor]:
-    """``_unfold`` as one look-up, for compilers and exporters, which are slow at many slices."""
-    level = level_from_num_vertices(values.shape[-1])
-    n = 2**level
-    places = values.index_select(-1, _place_ids(level, values.device).flatten()).unflatten(-1, (10, -1))
-    col, row = places.movedim(-2, 1).split(5, 1)
-    return col.unflatten(-1, (2 * n + 1, n + 1)), row.unflatten(-1, (n + 1, 2 * n + 1))
-
-
-def _fold_by_index(col: Tensor, row: Tensor) -> Tensor:
-    """``_fold`` as one sum by index."""
-    level = (col.shape[-1] - 1).bit_length() - 1
-    places = torch.cat((col.flatten(-2), row.flatten(-2)), 1).movedim(1, -2).flatten(-2)
-    ids = _place_ids(level, col.device).flatten().expand(places.shape)
-    values = places.new_zeros((*places.shape[:-1], num_icosphere_vertices(level)))
-    return values.scatter_add(-1, ids, places)
-
-
-def _unfold(values: Tensor) -> tuple[Tensor, Tensor]:
-    if torch.compiler.is_compiling():
-        return _unfold_by_index(values)
-    batch, *channels, vertices = values.shape
-    n = 2 ** level_from_num_vertices(vertices)
-    charts = _charts(values, n)
-    col = _empty_channels_last(values, 2, (batch, 5, *channels, 2 * n + 1, n + 1))
-    row = _empty_channels_last(values, 2, (batch, 5, *channels, n + 1, 2 * n + 1))
-
-    west, south = charts[..., 0].roll(-1, 1), charts[..., -1, :].roll(-1, 1)  # edges of the next chart
-    col[..., 1:, :-1] = charts
-    col[..., 0, 0] = values[:, None, ..., 0]
-    col[..., 0, 1:] = west[..., :n]
-    col[..., 1 : n + 1, n] = west[..., n:]
-    col[..., n + 1 : -1, n] = south[..., 1:]
-    col[..., -1, n] = values[:, None, ..., -1]
-
-    row[..., : n + 1] = col[..., : n + 1, :]
-    row[:, :4, ..., n + 1 :] = col[:, 1:, ..., n:, 1:]
-    row[:, 4, ..., n + 1 :] = col[:, 0, ..., n:, 1:]
-    return col, row
-
-
-def _fold(col: Tensor, row: Tensor) -> Tensor:
-    if torch.compiler.is_compiling():
-        return _fold_by_index(col, row)
-    batch, _, *channels, _, columns = col.shape
-    n = columns - 1
-    total = _empty_channels_last(col, 2, tuple(col.shape)).copy_(col)
-    total[..., : n + 1, :] += row[..., : n + 1]
-    total[:, 1:, ..., n:, 1:] += row[:, :4, ..., n + 1 :]
-    total[:, 0, ..., n:, 1:] += row[:, 4, ..., n + 1 :]
-
-    values = _empty_channels_last(col, 1, (batch, *channels, 2 + 10 * n * n))
-    values[..., 0] = total[..., 0, 0].sum(1)
-    values[..., -1] = total[..., -1, n].sum(1)
-    charts = _charts(values, n)
-    charts.copy_(total[..., 1:, :-1])
-    charts[..., :n, 0] += total[..., 0, 1:].roll(1, 1)
-    charts[..., n:, 0] += total[..., 1 : n + 1, n].roll(1, 1)
-    charts[..., -1, 1:] += total[..., n + 1 : -1, n].roll(1, 1)
-    return values

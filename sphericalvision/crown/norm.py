@@ -3,17 +3,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from sphericalvision.core import ShapeError, check_choice
-from sphericalvision.crown.layout import Crown, check_crown
-
-if TYPE_CHECKING:
-    from sphericalvision.crown.fast.block import Moments
+from sphericalvision.crown.layout import Crown, check_crown, crown_map
 
 __all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
 
@@ -22,12 +17,12 @@ class _CrownBatchNorm(_BatchNorm):
     """Batch normalisation whose statistics count every place, border vertices as often as they occur."""
 
     spatial_dims: int
+    per_sample = False
 
     def _check_input_dim(self, input: Tensor) -> None:
         """Accept all: the crown is checked as a whole in ``forward``."""
 
-    def forward(self, crown: Crown, rectify: bool = False) -> Crown:  # type: ignore[override]
-        """Normalise a crown and, with ``rectify``, apply ReLU, which then takes no memory of its own."""
+    def forward(self, crown: Crown) -> Crown:  # type: ignore[override]
         check_crown(crown, self.spatial_dims)
         if crown.col.shape[2] != self.num_features:
             raise ShapeError(
@@ -36,42 +31,8 @@ class _CrownBatchNorm(_BatchNorm):
         # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
         col, row = (rectangles.flatten(0, 1).flatten(-2) for rectangles in crown)
         both = super().forward(torch.cat((col, row)))
-        if rectify:
-            both = both.relu_()
         col, row = both.chunk(2)  # unlike unbind, its gradient keeps the channels innermost in memory
         return Crown(col.view(crown.col.shape), row.view(crown.row.shape))
-
-    @property
-    def is_affine(self) -> bool:
-        """Whether it is one multiplication and one addition a channel, as batch normalisation is in evaluation."""
-        return not self.training and self.running_var is not None
-
-    def folded(self, weight: Tensor) -> tuple[Tensor, Tensor]:
-        """Return weight ``(out, in, taps)`` and bias of a convolution without bias that normalises, too.
-
-        Only where ``is_affine``.
-        """
-        assert self.running_mean is not None
-        assert self.running_var is not None
-        scale = (self.running_var + self.eps).rsqrt()
-        if self.weight is not None:
-            scale = scale * self.weight
-        shift = -self.running_mean * scale
-        if self.bias is not None:
-            shift = shift + self.bias
-        return weight * scale[:, None, None], shift
-
-    @torch.no_grad()
-    def track(self, moments: Moments) -> None:
-        """Let running statistics take a step towards those of a batch, as ``forward`` does in training mode."""
-        if not self.training or self.running_mean is None:
-            return
-        assert self.running_var is not None
-        assert self.num_batches_tracked is not None
-        self.num_batches_tracked.add_(1)
-        rate = 1 / float(self.num_batches_tracked) if self.momentum is None else self.momentum
-        self.running_mean.lerp_(moments.mean, rate)
-        self.running_var.lerp_(moments.variance * (moments.places / (moments.places - 1)), rate)
 
 
 class CrownBatchNorm2d(_CrownBatchNorm):
@@ -115,16 +76,16 @@ class CrownBatchNorm3d(_CrownBatchNorm):
 class _CrownInstanceNorm(_CrownBatchNorm):
     """Batch normalisation of one sample at a time by its own statistics, in training and evaluation alike."""
 
+    per_sample = True
+
     def __init__(self, num_features: int, eps: float = 1e-5) -> None:
         super().__init__(num_features, eps, track_running_stats=False)
 
-    def forward(self, crown: Crown, rectify: bool = False) -> Crown:  # type: ignore[override]
+    def forward(self, crown: Crown) -> Crown:  # type: ignore[override]
         check_crown(crown, self.spatial_dims)
         samples = zip(crown.col.split(1), crown.row.split(1), strict=True)
-        cols, rows = zip(
-            *(super(_CrownInstanceNorm, self).forward(Crown(*s), rectify) for s in samples), strict=True
-        )
-        return Crown(cols[0], rows[0]) if len(cols) == 1 else Crown(torch.cat(cols), torch.cat(rows))
+        normalized = [super(_CrownInstanceNorm, self).forward(Crown(*sample)) for sample in samples]
+        return crown_map(lambda *rectangles: torch.cat(rectangles), *normalized)
 
 
 class CrownInstanceNorm2d(_CrownInstanceNorm):

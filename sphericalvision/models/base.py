@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.crown import native_operators
+from sphericalvision.crown import kernel_option, set_kernel_options
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.sweep import DepthEstimate, depth_from_index
 from sphericalvision.sweep.hypotheses import check_hypotheses
@@ -230,33 +230,18 @@ class DepthNetwork(nn.Module):
             ArgumentError: if no part of this network has such a choice.
             MissingCompilerError: if the operators could not be compiled.
         """
-        if native:
-            self._parts("native")
-            native_operators()
-        for name, value in (("native", native), ("recompute", recompute)):
-            if value or (value is not None and getattr(self, name)):
-                for part in self._parts(name):
-                    setattr(part, name, value)
+        set_kernel_options(self, native=native, recompute=recompute)
         return self
 
     @property
     def native(self) -> bool:
         """Whether operators in C++ are used; see ``configure``."""
-        return any(getattr(part, "native", False) for part in self._others())
+        return kernel_option(self, "native")
 
     @property
     def recompute(self) -> bool:
         """Whether training computes the inside of blocks twice; see ``configure``."""
-        return any(getattr(part, "recompute", False) for part in self._others())
-
-    def _others(self) -> list[nn.Module]:
-        return [part for part in self.modules() if part is not self]
-
-    def _parts(self, choice: str) -> list[nn.Module]:
-        parts = [part for part in self._others() if hasattr(part, choice)]
-        if not parts:
-            raise ArgumentError(f"{choice}: {type(self).__name__} has nothing to choose there; leave it out")
-        return parts
+        return kernel_option(self, "recompute")
 
     def extra_repr(self) -> str:
         return ", ".join(f"{name}={value}" for name, value in self._arguments.items())

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError
@@ -11,9 +10,8 @@ from sphericalvision.crown import (
     Crown,
     CrownAvgPool2d,
     CrownConv2d,
-    crown_conv2d,
-    crown_map,
-    crown_norm,
+    CrownConvNorm2d,
+    RecomputedModule,
     crown_relu,
     crown_upsample,
     exchange,
@@ -21,23 +19,7 @@ from sphericalvision.crown import (
     to_crown,
 )
 
-__all__ = ["ConvNorm2d", "FeatureExtractor", "ResidualBlock"]
-
-
-class ConvNorm2d(nn.Module):
-    """A crown convolution and the normalisation after it, ``"batch"`` or ``"instance"``."""
-
-    def __init__(self, in_channels: int, out_channels: int, stride: int = 1, norm: str = "batch") -> None:
-        super().__init__()
-        self.conv = CrownConv2d(in_channels, out_channels, stride=stride)
-        self.norm = crown_norm(norm, 2, out_channels)
-
-    def forward(self, crown: Crown, rectify: bool = False) -> Crown:
-        if self.norm.is_affine:
-            result = crown_conv2d(crown, *self.norm.folded(self.conv.weight), self.conv.stride)
-            rectifier = torch.relu if torch.is_grad_enabled() else torch.relu_
-            return crown_map(rectifier, result) if rectify else result
-        return self.norm(self.conv(crown), rectify)
+__all__ = ["FeatureExtractor", "ResidualBlock"]
 
 
 class ResidualBlock(nn.Module):
@@ -52,16 +34,15 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, channels: int, stride: int = 1, norm: str = "batch") -> None:
         super().__init__()
-        self.first = ConvNorm2d(channels, channels, stride, norm)
-        self.second = ConvNorm2d(channels, channels, norm=norm)
+        self.first = CrownConvNorm2d(channels, channels, stride, norm, relu=True)
+        self.second = CrownConvNorm2d(channels, channels, norm=norm)
         self.shortcut = CrownAvgPool2d(stride) if stride > 1 else nn.Identity()
 
     def forward(self, crown: Crown) -> Crown:
-        residual = self.second(self.first(crown, rectify=True))
-        return crown_relu(residual + self.shortcut(crown))
+        return crown_relu(self.second(self.first(crown)) + self.shortcut(crown))
 
 
-class FeatureExtractor(nn.Module):
+class FeatureExtractor(RecomputedModule):
     """Map an image on the icosphere ``(B, in_channels, V_level)`` to features ``(B, channels, V_{level-coarsening})``.
 
     The weights do not depend on the level; the directions of each crown exchange what they know at every
@@ -92,8 +73,8 @@ class FeatureExtractor(nn.Module):
         if coarsening not in (1, 2):
             raise ArgumentError(f"coarsening: expected 1 or 2 levels, got {coarsening!r}")
         self.coarsening = coarsening
-        self.entry = ConvNorm2d(in_channels, channels, 2, norm)
-        self.second = ConvNorm2d(channels, channels, norm=norm)
+        self.entry = CrownConvNorm2d(in_channels, channels, 2, norm, relu=True)
+        self.second = CrownConvNorm2d(channels, channels, norm=norm, relu=True)
         self.fine = nn.Sequential(*(ResidualBlock(channels, norm=norm) for _ in range(3)))
         self.coarse = nn.Sequential(
             ResidualBlock(channels, 2, norm), *(ResidualBlock(channels, norm=norm) for _ in range(4))
@@ -101,10 +82,9 @@ class FeatureExtractor(nn.Module):
         self.last = CrownConv2d(channels, channels)
 
     def forward(self, images: Tensor) -> Tensor:
-        crown = self.entry(to_crown(images), rectify=True)
-        crown = exchange(self.second(crown, rectify=True))
+        crown = exchange(self.second(self.entry(to_crown(images))))
         fine = exchange(self.fine(crown))
         crown = exchange(self.coarse(fine))
         if self.coarsening == 1:
-            crown = crown_map(torch.add, crown_upsample(crown), fine)
+            crown = crown_upsample(crown) + fine
         return from_crown(self.last(crown))

@@ -12,10 +12,10 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.crown import recomputed
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.omnimvs_layers import SphereConv
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
-from sphericalvision.models.recompute import recomputed
 from sphericalvision.sweep import (
     Aggregation,
     DepthEstimate,

@@ -6,8 +6,8 @@ from __future__ import annotations
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from sphericalvision.crown import recomputed
 from sphericalvision.models.omnimvs_layers import ImageConv, VolumeConv, VolumeUpConv
-from sphericalvision.models.recompute import recomputed
 
 __all__ = ["CostHourglass", "FisheyeFeatures"]
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from sphericalvision.core import ShapeError
 from sphericalvision.crown import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
-from sphericalvision.crown.layout import _fold, _fold_by_index, _unfold_by_index
 from sphericalvision.icosphere import chart_vertex_ids, icosphere_vertices, num_icosphere_vertices
 
 
@@ -142,15 +141,3 @@ def test_errors_name_the_shapes() -> None:
         from_crown(Crown(crown.row, crown.col))
     with pytest.raises(ShapeError, match=r"got col \(1, 5, 1, 5, 3\) and row \(2, 5, 1, 3, 5\)"):
         from_crown(Crown(crown.col, crown.row.expand(2, -1, -1, -1, -1)))
-
-
-@pytest.mark.parametrize("level", [0, 1, 3])
-@pytest.mark.parametrize("hypotheses", [(), (2,)])
-def test_compilers_see_the_same_places(level: int, hypotheses: tuple[int, ...]) -> None:
-    """In graphs the slices are one look-up and one sum, with the same numbers."""
-    values = torch.randn(2, 3, *hypotheses, num_icosphere_vertices(level), dtype=torch.float64)
-    crown = to_crown(values)
-    for ours, theirs in zip(_unfold_by_index(values), crown, strict=True):
-        assert torch.equal(ours, theirs)
-    noise = Crown(torch.randn_like(crown.col), torch.randn_like(crown.row))
-    torch.testing.assert_close(_fold_by_index(*noise), _fold(*noise))

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError, MissingCompilerError, ShapeError
-from sphericalvision.crown import crown_conv3d_chain, from_crown, to_crown
+from sphericalvision.crown import Crown, CrownConvNorm3d, from_crown, to_crown
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import CostRegularizer, IcoSweepNet
 from sphericalvision.sweep import depth_from_index
@@ -142,31 +142,27 @@ def test_recomputing_changes_neither_gradients_nor_statistics(generator: torch.G
         torch.testing.assert_close(other, one, msg=name)
 
 
-def test_native_is_for_every_layer_of_the_regulariser(
+def test_options_reach_every_layer_and_can_be_taken_back(
     generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[bool] = []
-
-    def chain(values: Tensor, layers: Any, native: bool, *args: Any) -> Tensor:
-        asked.append(native)
-        return crown_conv3d_chain(values, layers)
-
-    monkeypatch.setattr("sphericalvision.models.regularization.convolve_chain", chain)
-    monkeypatch.setattr("sphericalvision.models.base.native_operators", lambda: None)
-    net, batch = small_net().eval(), images(generator)
-    with torch.no_grad():
-        net(batch, ring_rig(3))
-        assert asked == [False] * 6
-        net.configure(native=True)
-        net(batch, ring_rig(3))
-    assert asked[6:] == [True] * 6
+    monkeypatch.setattr("sphericalvision.crown.fast.native_operators", lambda: None)
+    net = small_net().configure(native=True, recompute=True)
+    assert net.native
+    assert net.recompute
+    convolutions = [part for part in net.regularizer.modules() if isinstance(part, CrownConvNorm3d)]
+    assert len(convolutions) == 11
+    assert all(convolution.native for convolution in convolutions)
+    assert all(part.recompute for part in (net.features, net.regularizer.fusion, *net.regularizer.blocks))
+    net.configure(native=False)
+    assert not net.native
+    assert net.recompute
 
 
 def test_native_stays_off_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing() -> None:
         raise MissingCompilerError("no compiler")
 
-    monkeypatch.setattr("sphericalvision.models.base.native_operators", missing)
+    monkeypatch.setattr("sphericalvision.crown.fast.native_operators", missing)
     net = small_net()
     with pytest.raises(MissingCompilerError):
         net.configure(native=True)
@@ -205,11 +201,9 @@ def test_residuals_on_vertices_equal_residuals_on_crowns(generator: torch.Genera
     volume = torch.randn(1, 4, 5, 42, generator=generator)
     crown = to_crown(regularizer.fusion(volume))
     for block in regularizer.blocks:
-        first = block.first(crown)
-        hidden = block.second(type(first)(first.col.relu(), first.row.relu()))
-        crown = to_crown(from_crown(hidden + crown))
-    reduced = regularizer.reduction(crown)
-    expected = from_crown(regularizer.score(type(reduced)(reduced.col.relu(), reduced.row.relu())))
+        hidden = block.second(block.first(crown))
+        crown = to_crown(from_crown(Crown(hidden.col + crown.col, hidden.row + crown.row)))
+    expected = from_crown(regularizer.score(regularizer.reduction(crown)))
     torch.testing.assert_close(regularizer(volume), expected.squeeze(1), rtol=0, atol=1e-5)
 
 

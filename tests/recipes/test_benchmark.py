@@ -15,14 +15,12 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.crown import to_crown
 from sphericalvision.icosphere import num_icosphere_vertices
-from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.benchmark import alone as bench_alone
 from sphericalvision.recipes.benchmark import cameras as bench_cameras
 from sphericalvision.recipes.benchmark import network as bench_network
 from sphericalvision.recipes.benchmark.command import benchmark
 from sphericalvision.recipes.benchmark.measuring import BF16, Comparison, Measured, Peaks, measure
 from sphericalvision.recipes.benchmark.network import comparisons
-from sphericalvision.recipes.benchmark.plain_network import PlainNetwork
 from sphericalvision.recipes.benchmark.plain_setup import plain_charts, plain_sweep_tables
 from sphericalvision.sweep import SphereSweep
 
@@ -100,7 +98,7 @@ def test_every_stage_has_its_row_its_needs_and_its_share_of_the_peak(tmp_path: P
 
 
 def test_native_has_its_rows_and_is_off_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sphericalvision.models.icosweepnet.native_operators", lambda: None)
+    monkeypatch.setattr("sphericalvision.crown.fast.native_operators", lambda: None)
     rows = benchmark(config("options=[native]", "training=false", "only=inference|regulariser"), tmp_path)
     assert {row.name for row in rows} == {"plain", "sphericalvision", "sphericalvision, native"}
     assert len(rows) == 9
@@ -197,20 +195,6 @@ def test_stages_that_are_compared_give_the_same_numbers() -> None:
             torch.testing.assert_close(ours, plain)
         if "regulariser" in comparison.title or "inference" in comparison.title:
             torch.testing.assert_close(*(run() for run in comparison.runs.values()), rtol=0, atol=1e-4)
-
-
-def test_the_plain_network_trains_alike(generator: torch.Generator) -> None:
-    """Same loss and gradients in float64; float32 differs by what rounding does to batch normalisation."""
-    net = IcoSweepNet(3, 4, feature_channels=2, num_cameras=2, shuffle_cameras=False).double().train()
-    images = torch.rand(1, 2, 3, 642, generator=generator, dtype=torch.float64)
-    tables = net.sweep.tables(ring_rig(2).to(torch.float64))
-    gradients = []
-    for network in (net, PlainNetwork(net).train()):
-        net.zero_grad()
-        network(images, tables).square().sum().backward()
-        gradients.append([p.grad.clone() for p in net.parameters() if p.grad is not None])
-    for ours, plain in zip(*gradients, strict=True):
-        torch.testing.assert_close(ours, plain, rtol=1e-6, atol=1e-9)
 
 
 def test_an_unknown_group_is_refused_before_anything_runs(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def test_native_operators_are_asked_for(
     run: Run, capture: Path, weights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[None] = []
-    monkeypatch.setattr("sphericalvision.models.icosweepnet.native_operators", lambda: asked.append(None))
+    monkeypatch.setattr("sphericalvision.crown.fast.native_operators", lambda: asked.append(None))
     run("predict", *words(capture, weights, "out"), "frames=[3]")
     assert not asked
     run("predict", *words(capture, weights, "out"), "frames=[3]", "native=true")

@@ -1,2 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What exists for speed alone."""
+"""What exists for speed alone; the rest of ``crown`` enters by ``door`` and works without.
+
+========================  ==========================================================================================
+``door``, ``policy``      what the layers ask, and when fast ways may step in
+``layout``                crowns by slices
+``planar``                2D convolutions that keep no borders for the backward pass
+``winograd``              3D convolutions with a third of the multiplications, upon ``winograd_rows``
+``winograd_cubes``        with an eighth of them, by operators in C++ (``native``)
+``chain``, ``block``      two layers from vertices to vertices, for inference and for training, by ``rectangles``
+``norms``                 normalisation folded into a convolution, or rectified in place
+``double_backward``       gradients of gradients, by the reference
+``workspace``             memory kept between calls
+========================  ==========================================================================================
+"""
+
+from sphericalvision.crown.fast.door import (
+    block3d,
+    conv,
+    conv_norm,
+    fold,
+    native_operators,
+    unfold,
+    wherever_possible,
+)
+
+__all__ = ["block3d", "conv", "conv_norm", "fold", "native_operators", "unfold", "wherever_possible"]

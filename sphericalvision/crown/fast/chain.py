@@ -12,15 +12,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from sphericalvision.crown.conv import (
-    COL_TAPS,
-    ROW_TAPS,
-    _check_weight,
-    _planar_kernel,
-    crown_conv3d,
-    neighbor_taps,
-)
-from sphericalvision.crown.fast.native import native_operators
 from sphericalvision.crown.fast.rectangles import PlaceSum, Rectangles
 from sphericalvision.crown.fast.winograd import (
     convolve_padded,
@@ -29,11 +20,11 @@ from sphericalvision.crown.fast.winograd import (
     winograd_pays,
 )
 from sphericalvision.crown.fast.winograd_cubes import convolve_cubes, cube_kernel, cubes_pay
-from sphericalvision.crown.fast.winograd_rows import Workspace
-from sphericalvision.crown.hexpad import check_values
-from sphericalvision.crown.layout import crown_relu, from_crown, to_crown
+from sphericalvision.crown.fast.workspace import Workspace, workspace
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, neighbor_taps, planar_kernel
+from sphericalvision.icosphere import level_from_num_vertices
 
-__all__ = ["convolve_chain", "crown_conv3d_chain"]
+__all__ = ["convolve_chain"]
 
 Layer = tuple[Tensor, Tensor | None]
 
@@ -42,7 +33,7 @@ SLOW_ALONE = 20480
 
 
 @torch.no_grad()
-def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer], native: bool = False) -> Tensor:
+def convolve_chain(values: Tensor, layers: Sequence[Layer], native: bool = False) -> Tensor:
     """Convolve volumes on an icosphere several times, with a ReLU between two times, and exchange at the end.
 
     The same numbers as ``crown_conv3d`` and ``crown_relu`` in turn between ``to_crown`` and ``from_crown``, in less
@@ -52,95 +43,60 @@ def crown_conv3d_chain(values: Tensor, layers: Sequence[Layer], native: bool = F
         values: ``(B, in, N, V)``.
         layers: weight ``(out, in, 21)`` and bias ``(out,)`` or None of each convolution.
         native: whether to use operators in C++ where they are faster, which is in single precision on a CPU; they are
-            compiled when they are first used on a machine. Compiled and exported graphs do without.
+            compiled when they are first used on a machine.
 
     Returns:
         ``(B, out, N, V)``.
 
-    Raises:
-        ShapeError: if the values or a weight do not fit.
-        MissingCompilerError: with ``native``, if the operators could not be compiled.
-
-    References:
-        Komatsu et al. (2020), CrownConv in three dimensions.
-
     Examples:
         >>> values = torch.ones(1, 4, 16, 42)
-        >>> crown_conv3d_chain(values, [(torch.ones(8, 4, 21), None), (torch.ones(2, 8, 21), None)]).shape
+        >>> convolve_chain(values, [(torch.ones(8, 4, 21), None), (torch.ones(2, 8, 21), None)]).shape
         torch.Size([1, 2, 16, 42])
     """
-    return convolve_chain(values, layers, native, Workspace())
-
-
-@torch.no_grad()
-def convolve_chain(
-    values: Tensor, layers: Sequence[Layer], native: bool, workspace: Workspace, keep: bool = False
-) -> Tensor:
-    """``crown_conv3d_chain`` in memory that is kept from one call to the next.
-
-    Args:
-        values: ``(B, in, N, V)``.
-        layers: as there.
-        native: as there.
-        workspace: of these calls.
-        keep: whether the result is in the workspace, too, where the next call that keeps one overwrites it.
-    """
-    level, channels = check_values(values, 3), values.shape[1]
-    for weight, _ in layers:
-        _check_weight(weight, 21, channels)
-        channels = len(weight)
-    if torch.compiler.is_compiling():
-        return _whole(values, layers)
-    if native:
-        native_operators()  # an error is known at once
+    level = level_from_num_vertices(values.shape[-1])
     given = values.movedim(1, -1)
-    shape = (*given.shape[:3], channels)
-    result = workspace.take("result", shape, values) if keep else values.new_empty(shape)
-    for rows, of_rows in zip(given, result, strict=True):
-        _chain(rows, level, layers, native, workspace, of_rows)
+    result = values.new_empty(*given.shape[:3], len(layers[-1][0]))
+    for sample, result_sample in zip(given, result, strict=True):
+        _chain(sample, level, layers, native, workspace(), result_sample)
     return result.movedim(-1, 1)
 
 
-def _whole(values: Tensor, layers: Sequence[Layer]) -> Tensor:
-    """The same on whole crowns, for compilers, which are slow at many slices."""
-    crown = crown_conv3d(to_crown(values), *layers[0])
-    for layer in layers[1:]:
-        crown = crown_conv3d(crown_relu(crown), *layer)
-    return from_crown(crown)
-
-
 def _chain(
-    rows: Tensor, level: int, layers: Sequence[Layer], native: bool, workspace: Workspace, result: Tensor
+    sample: Tensor, level: int, layers: Sequence[Layer], native: bool, workspace: Workspace, result: Tensor
 ) -> None:
     """Values ``(N, V, in)`` to the result ``(N, V, out)``."""
-    count, _, channels = rows.shape
+    count, _, channels = sample.shape
     convolutions = [
-        [_Convolution(weight, bias, taps, rows, native and cubes_pay(2**level)) for weight, bias in layers]
+        [
+            _Convolution(weight, bias, taps, sample, native and cubes_pay(sample, 2**level))
+            for weight, bias in layers
+        ]
         for taps in (COL_TAPS, ROW_TAPS)
     ]
     full = count + (-count % 4 if any(c.winograd for c in convolutions[0]) else 0)
-    five = any(c.slow_alone((full + 2) * (2**level + 3)) for c in convolutions[0])
-    crown = Rectangles(rows, level, full, five=five)
+    by_five = any(c.slow_alone((full + 2) * (2**level + 3)) for c in convolutions[0])
+    crown = Rectangles(sample, level, full, by_five=by_five)
     # Large new tensors cost fresh pages: what lies between two layers is always in the same place.
     widths = [channels, *(len(weight) for weight, _ in layers)]
-    padded_size = crown.together * (full + 2) * (2 * crown.n + 3) * (crown.n + 3)
+    padded_size = crown.group_size * (full + 2) * (2 * crown.n + 3) * (crown.n + 3)
     between = [
-        workspace.take(f"between {k}", (padded_size, width), rows) for k, width in enumerate(widths[:-1])
+        workspace.take(f"between {k}", (padded_size, width), sample) for k, width in enumerate(widths[:-1])
     ]
-    last = workspace.take("last", (crown.size, widths[-1]), rows)
+    last = workspace.take("last", (crown.size, widths[-1]), sample)
     places = PlaceSum(result, crown.n)
-    for some in crown:
-        groups, depth, height, width = some.places.shape
-        torch.index_select(rows.reshape(-1, channels), 0, some.places.flatten(), out=between[0])
-        padded = [buffer.view(groups, depth, height, width, -1) for buffer in between]
-        *middle, end = convolutions[some.across]
+    flat = sample.reshape(-1, channels)
+    for group in crown:
+        number, depth, height, width = group.places.shape
+        torch.index_select(flat, 0, group.places.flatten(), out=between[0])
+        padded = [buffer.view(number, depth, height, width, -1) for buffer in between]
+        *middle, end = convolutions[group.is_row]
         for convolution, given, following in zip(middle, padded[:-1], padded[1:], strict=True):
             inner = following[:, 1:-1, 1:-1, 1:-1]
             convolution(given, inner, workspace, rectify=True)
             repeat_border(following, count)
-        answer = last.view(groups, depth - 2, height - 2, width - 2, -1)
+        answer = last.view(number, depth - 2, height - 2, width - 2, -1)
         end(padded[-1], answer, workspace)
-        places.add(answer[:, :count], some)
+        places.add(answer[:, :count], group)
     places.mean()
 
 
@@ -151,13 +107,13 @@ class _Convolution:
         self,
         weight: Tensor,
         bias: Tensor | None,
-        taps: tuple[tuple[int, ...], ...],
-        rows: Tensor,
+        taps: Taps,
+        sample: Tensor,
         native: bool,
     ) -> None:
-        self.kernel, self.bias = _planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias
-        volumes = rows.movedim(-1, 0)[None, :, :, None]  # (1, C, N, 1, V)
-        self.winograd = winograd_pays(volumes, self.kernel)
+        self.kernel, self.bias = planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias
+        out_channels, in_channels, _ = weight.shape
+        self.winograd = winograd_pays(sample.movedim(-1, 0)[None], in_channels, out_channels)
         self.cubes = cube_kernel(self.kernel, neighbor_taps(taps)) if self.winograd and native else None
         self.kernels = (
             transformed_kernels(self.kernel, neighbor_taps(taps)) if self.winograd and not native else []

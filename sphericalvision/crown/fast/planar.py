@@ -8,51 +8,52 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-from torch.autograd.function import once_differentiable
+
+from sphericalvision.crown.fast.double_backward import reference_gradients
 
 __all__ = ["conv2d_replicate"]
 
 
-def conv2d_replicate(images: Tensor, kernel: Tensor, bias: Tensor | None = None, stride: int = 1) -> Tensor:
+def conv2d_replicate(images: Tensor, kernel: Tensor, bias: Tensor | None = None) -> Tensor:
     """Convolve images ``(B, C, h, w)`` with ``(O, C, 3, 3)``, continued by their own border values.
+
+    For the backward pass the images are kept as they are given, not a second time with their borders.
 
     Args:
         images: ``(B, C, h, w)``.
         kernel: ``(O, C, 3, 3)``.
         bias: ``(O,)``.
-        stride: 1 or 2.
 
     Examples:
         >>> conv2d_replicate(torch.ones(1, 2, 5, 3), torch.ones(1, 2, 3, 3)).unique()
         tensor([18.])
     """
-    if torch.compiler.is_compiling():
-        return F.conv2d(_cat_border(images), kernel, bias, stride)
-    wanted = torch.is_grad_enabled() and (images.requires_grad or kernel.requires_grad)
-    plain = stride > 1 or images.device.type != "cpu" or torch.is_autocast_enabled("cpu")
-    if plain or not wanted:
-        return F.conv2d(F.pad(images, (1, 1, 1, 1), mode="replicate"), kernel, bias, stride)
     result: Tensor = _Planar.apply(images, kernel, bias)
     return result
 
 
+def _convolve(images: Tensor, kernel: Tensor, bias: Tensor | None) -> Tensor:
+    return F.conv2d(F.pad(images, (1, 1, 1, 1), mode="replicate"), kernel, bias)
+
+
 class _Planar(torch.autograd.Function):
-    """Images, kernel and bias to convolved images; only the images are kept, without their borders."""
+    """Images, kernel and bias to convolved images."""
 
     @staticmethod
     def forward(images: Tensor, kernel: Tensor, bias: Tensor | None) -> Tensor:
-        return F.conv2d(F.pad(images, (1, 1, 1, 1), mode="replicate"), kernel, bias)
+        return _convolve(images, kernel, bias)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
-        ctx.save_for_backward(*inputs[:2])
+        ctx.save_for_backward(*inputs)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        images, kernel = ctx.saved_tensors
+        images, kernel, bias = ctx.saved_tensors
         wanted = ctx.needs_input_grad
-        of_padded, of_kernel, _ = torch.ops.aten.convolution_backward(
+        if torch.is_grad_enabled():
+            return tuple(reference_gradients(_convolve, (images, kernel, bias), wanted, gradient))
+        grad_padded, grad_kernel, _ = torch.ops.aten.convolution_backward(
             gradient,
             F.pad(images, (1, 1, 1, 1), mode="replicate"),
             kernel,
@@ -65,20 +66,14 @@ class _Planar(torch.autograd.Function):
             1,
             (wanted[0], wanted[1], False),
         )
-        of_images = _folded(of_padded) if wanted[0] else None
-        return of_images, of_kernel, gradient.sum((0, 2, 3)) if wanted[2] else None
+        grad_images = _folded(grad_padded) if wanted[0] else None
+        return grad_images, grad_kernel, gradient.sum((0, 2, 3)) if wanted[2] else None
 
 
 def _folded(padded: Tensor) -> Tensor:
-    """The adjoint of continuing images by their border values."""
+    """The adjoint of continuing images by their border values: what was repeated is added to where it came from."""
     padded[..., 1, :] += padded[..., 0, :]
     padded[..., -2, :] += padded[..., -1, :]
     padded[..., 1] += padded[..., 0]
     padded[..., -2] += padded[..., -1]
     return padded[..., 1:-1, 1:-1]
-
-
-def _cat_border(images: Tensor) -> Tensor:
-    """Padding for compiled graphs: inductor expects another memory format of a padding's gradient than it gets."""
-    tall = torch.cat((images[..., :1, :], images, images[..., -1:, :]), -2)
-    return torch.cat((tall[..., :1], tall, tall[..., -1:]), -1)

@@ -10,26 +10,27 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from sphericalvision.crown.layout import _place_ids, places_per_vertex
+from sphericalvision.crown.fast.layout import places_per_vertex
+from sphericalvision.crown.places import place_ids
 
-__all__ = ["PlaceSum", "Rectangles", "Some"]
+__all__ = ["PlaceSum", "RectangleGroup", "Rectangles"]
 
 CACHE_BYTES = 16 << 20
 """Five rectangles that together take no more than this are taken together."""
 
 
-class Some(NamedTuple):
-    """One or five rectangles of one direction, padded by their own border values.
+class RectangleGroup(NamedTuple):
+    """One or five rectangles of one kind, padded by their own border values.
 
     Attributes:
         first: number of the first one, 0 to 4.
-        across: whether they are ``row`` rectangles, which lie across, not ``col`` rectangles.
-        places: ``(g, N' + 2, h + 2, w + 2)`` rows of values ``(N * V, C)``. With ``room`` there are two more rows and
-            columns, of no meaning.
+        is_row: whether they are ``row`` rectangles, not ``col`` rectangles.
+        places: ``(g, N' + 2, h + 2, w + 2)``, which of the values ``(N * V, C)`` stands where. With ``slack`` there are
+            two more rows and columns, of no meaning.
     """
 
     first: int
-    across: bool
+    is_row: bool
     places: Tensor
 
 
@@ -37,50 +38,52 @@ class Rectangles:
     """All rectangles of volumes ``(N, V, C)``, in groups of one or five.
 
     Args:
-        rows: one sample ``(N, V, C)``: shape, dtype and device are what counts.
+        volumes: one sample ``(N, V, C)``: shape, dtype and device are what counts.
         level: of the icosphere.
         full: N' to which hypotheses are filled up, by repeating the last one.
-        room: whether to leave two more rows and columns after each rectangle.
-        five: whether to take five together however large they are.
+        slack: whether to leave two more rows and columns after each rectangle.
+        by_five: whether to take five together however large they are.
 
     Attributes:
-        together: rectangles in a group.
-        size: places of a group without borders, ``N' * h * w`` of each rectangle, the same for both directions.
+        group_size: rectangles in a group.
+        size: places of a group without borders, ``N' * h * w`` of each rectangle, the same for both kinds.
     """
 
-    def __init__(self, rows: Tensor, level: int, full: int, room: bool = False, five: bool = False) -> None:
-        self.level, self.full, self.room = level, full, room
+    def __init__(
+        self, volumes: Tensor, level: int, full: int, slack: bool = False, by_five: bool = False
+    ) -> None:
+        self.level, self.full, self.slack = level, full, slack
         self.n = n = 2**level
-        self.count, self.vertices, channels = rows.shape
-        bytes_of_five = 5 * (2 * n + 1) * (n + 1) * full * channels * rows.element_size()
-        five = five or rows.device.type != "cpu" or bytes_of_five <= CACHE_BYTES
-        self.together = 5 if five else 1
-        self.size = self.together * full * (2 * n + 1) * (n + 1)
-        self.device = rows.device
+        self.count, self.vertices, channels = volumes.shape
+        bytes_of_five = 5 * (2 * n + 1) * (n + 1) * full * channels * volumes.element_size()
+        by_five = by_five or volumes.device.type != "cpu" or bytes_of_five <= CACHE_BYTES
+        self.group_size = 5 if by_five else 1
+        self.size = self.group_size * full * (2 * n + 1) * (n + 1)
+        self.device = volumes.device
 
     def __len__(self) -> int:
-        return 10 // self.together
+        return 10 // self.group_size
 
-    def __iter__(self) -> Iterator[Some]:
+    def __iter__(self) -> Iterator[RectangleGroup]:
         n = self.n
         hypotheses = torch.arange(-1, self.full + 1, device=self.device).clamp(0, self.count - 1)
-        wide, high = ([0, *range(m), m - 1] for m in (n + 1, 2 * n + 1))
-        for across, ids in enumerate(_place_ids(self.level, self.device).split(5)):
-            ids = ids.view(5, n + 1, 2 * n + 1) if across else ids.view(5, 2 * n + 1, n + 1)
-            down, right = (wide, high) if across else (high, wide)
+        short, long = ([0, *range(m), m - 1] for m in (n + 1, 2 * n + 1))
+        for is_row, ids in enumerate(place_ids(self.level, self.device).split(5)):
+            ids = ids.view(5, n + 1, 2 * n + 1) if is_row else ids.view(5, 2 * n + 1, n + 1)
+            down, right = (short, long) if is_row else (long, short)
             ids = ids[:, down][:, :, right]
-            if self.room:
+            if self.slack:
                 ids = F.pad(ids, (0, 2, 0, 2))
-            for first in range(0, 5, self.together):
-                some = ids[first : first + self.together]
-                places = hypotheses[:, None, None] * self.vertices + some[:, None]
-                yield Some(first, bool(across), places)
+            for first in range(0, 5, self.group_size):
+                group = ids[first : first + self.group_size]
+                places = hypotheses[:, None, None] * self.vertices + group[:, None]
+                yield RectangleGroup(first, bool(is_row), places)
 
 
 class PlaceSum:
-    """The sum of every vertex over all its places, group by group: first those down, then those across.
+    """The sum of every vertex over all its places, group by group: first the col rectangles, then the row rectangles.
 
-    The first row and the last column of rectangles down belong to the next one; they are kept apart until the end.
+    The first row and the last column of a col rectangle belong to the next one; they are kept apart until the end.
 
     Args:
         values: ``(N, V, C)``, contiguous, where the sum is made.
@@ -94,11 +97,11 @@ class PlaceSum:
         self.top = values.new_empty(count, 5, n + 1, channels)
         self.east = values.new_empty(count, 5, 2 * n, channels)
 
-    def add(self, rectangles: Tensor, some: Some) -> None:
+    def add(self, rectangles: Tensor, group: RectangleGroup) -> None:
         """Add values ``(g, N, h, w, C)`` at the places of a group."""
         n = self.n
-        for k, rectangle in enumerate(rectangles, some.first):
-            if not some.across:
+        for k, rectangle in enumerate(rectangles, group.first):
+            if not group.is_row:
                 self.charts[:, k] = rectangle[:, 1:, :-1]
                 self.top[:, k], self.east[:, k] = rectangle[:, 0], rectangle[:, 1:, -1]
                 continue

@@ -14,25 +14,25 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
+from sphericalvision.crown.fast.double_backward import reference_gradients
+from sphericalvision.crown.fast.policy import forced
 from sphericalvision.crown.fast.winograd_rows import (
     ALL_TAPS,
     PlanarKernel,
-    Workspace,
     add_gradient_of_rows,
     convolve_rows,
-    of_rows,
     planar_kernel,
+    row_kernel_gradient,
 )
+from sphericalvision.crown.fast.workspace import Workspace, workspace
 
 __all__ = [
     "adjoint_kernels",
-    "conv3d_replicate",
     "conv3d_winograd",
     "convolve_padded",
     "convolve_padded_backward",
-    "of_taps",
+    "kernel_gradient",
     "repeat_border",
     "transformed_kernels",
     "unpadded",
@@ -45,7 +45,11 @@ MIN_CHANNELS = 32
 TRANSFORM_BYTES = 6 << 20
 """Tiles are taken through the transforms a few at a time, each of which takes no more than this: they stay in cache."""
 
-# Of the transforms of a line of values: of six given ones, of three taps, and of six products to four results.
+# F(4, 3) computes four neighbouring results of a convolution with three taps from six products instead of twelve.
+# A line of six given values d and one of three taps g are taken to six places each, multiplied place by place, and
+# taken to four results:  y = RESULT @ ((TAPS @ g) * (GIVEN @ d)), Lavin and Gray's A^T [(G g) * (B^T d)].
+# Values and taps are polynomials here, evaluated at the points 0, 1, -1, 2, -2 and infinity; a product of polynomials
+# is a product of their values at each point, and RESULT interpolates it (transposed: a convolution reads backwards).
 _GIVEN = (
     (4.0, 0.0, -5.0, 0.0, 1.0, 0.0),
     (0.0, -4.0, -4.0, 1.0, 1.0, 0.0),
@@ -70,58 +74,42 @@ _RESULT = (
 )
 
 
-def winograd_pays(volumes: Tensor, kernel: Tensor) -> bool:
-    """Whether ``conv3d_winograd`` is the faster way: single precision on a CPU, and channels enough."""
-    wide = kernel.shape[1] >= MIN_CHANNELS and kernel.shape[0] >= MIN_CHANNELS
-    single = volumes.dtype == torch.float32 and not torch.is_autocast_enabled(volumes.device.type)
-    return wide and single and volumes.device.type == "cpu" and volumes.shape[2] >= 4
-
-
-def conv3d_replicate(
-    volumes: Tensor,
-    kernel: Tensor,
-    bias: Tensor | None = None,
-    stride: int = 1,
-    taps: Sequence[int] = ALL_TAPS,
-) -> Tensor:
-    """Convolve volumes ``(B, C, N, h, w)`` with ``(O, C, 3, 3, 3)``, continued by their own border values.
-
-    Args:
-        volumes: ``(B, C, N, h, w)``.
-        kernel: ``(O, C, 3, 3, 3)``.
-        bias: ``(O,)``.
-        stride: in the plane; along N it is 1.
-        taps: of the nine in the plane those that are not zero; others may be left without a gradient.
-
-    Examples:
-        >>> conv3d_replicate(torch.ones(1, 2, 4, 5, 3), torch.ones(1, 2, 3, 3, 3)).unique()
-        tensor([54.])
-    """
-    if stride == 1 and winograd_pays(volumes, kernel):
-        return conv3d_winograd(volumes, kernel, bias, taps)
-    padded = F.pad(volumes, (1, 1, 1, 1, 1, 1), mode="replicate")
-    return F.conv3d(padded, kernel, bias, (1, stride, stride))
+def winograd_pays(volumes: Tensor, channels: int, out_channels: int) -> bool:
+    """Whether Winograd's way is the faster one for volumes ``(B, C, N, *)``: float32 on a CPU, and channels enough."""
+    if volumes.device.type != "cpu" or torch.is_autocast_enabled("cpu"):
+        return False
+    wide = min(channels, out_channels) >= MIN_CHANNELS
+    return forced() or (wide and volumes.dtype == torch.float32 and volumes.shape[2] >= 4)
 
 
 def conv3d_winograd(
     volumes: Tensor, kernel: Tensor, bias: Tensor | None = None, taps: Sequence[int] = ALL_TAPS
 ) -> Tensor:
-    """Do what ``conv3d_replicate`` does at stride 1, differentiable once.
+    """Convolve volumes ``(B, C, N, h, w)`` with ``(O, C, 3, 3, 3)``, continued by their own border values.
 
     Only the volumes are kept for the backward pass, not their transforms. In single precision the result is within
     1e-5 of the largest value of the direct sum.
+
+    Args:
+        volumes: ``(B, C, N, h, w)``.
+        kernel: ``(O, C, 3, 3, 3)``.
+        bias: ``(O,)``.
+        taps: of the nine in the plane those that are not zero; others may be left without a gradient.
 
     References:
         Winograd (1980), "Arithmetic complexity of computations"; Lavin and Gray (2016), "Fast algorithms for
         convolutional neural networks", for F(4, 3).
 
     Examples:
-        >>> volumes, kernel = torch.rand(1, 2, 6, 5, 3).double(), torch.rand(4, 2, 3, 3, 3).double()
-        >>> torch.allclose(conv3d_winograd(volumes, kernel), conv3d_replicate(volumes, kernel))
-        True
+        >>> conv3d_winograd(torch.ones(1, 2, 4, 5, 3), torch.ones(1, 2, 3, 3, 3)).round().unique()
+        tensor([54.])
     """
     result: Tensor = _Winograd.apply(volumes, kernel, bias, tuple(taps))
     return result
+
+
+def _convolve(volumes: Tensor, kernel: Tensor, bias: Tensor | None) -> Tensor:
+    return F.conv3d(F.pad(volumes, (1, 1, 1, 1, 1, 1), mode="replicate"), kernel, bias)
 
 
 class _Winograd(torch.autograd.Function):
@@ -131,32 +119,36 @@ class _Winograd(torch.autograd.Function):
     def forward(volumes: Tensor, kernel: Tensor, bias: Tensor | None, taps: tuple[int, ...]) -> Tensor:
         padded, (batch, _, count, height, width) = _padded(volumes), volumes.shape
         result = volumes.new_empty(batch, count + -count % 4, height, width, len(kernel))
-        convolve_padded(padded, transformed_kernels(kernel, taps), bias, result, Workspace())
+        convolve_padded(padded, transformed_kernels(kernel, taps), bias, result, workspace())
         return result[:, :count].movedim(-1, 1)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
-        ctx.save_for_backward(*inputs[:2])
+        ctx.save_for_backward(*inputs[:3])
         ctx.taps = inputs[3]
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        volumes, kernel = ctx.saved_tensors
+        volumes, kernel, bias = ctx.saved_tensors
+        if torch.is_grad_enabled():
+            inputs, needed = (volumes, kernel, bias), ctx.needs_input_grad[:3]
+            return *reference_gradients(_convolve, inputs, needed, gradient), None
         want_volumes, want_kernel, want_bias, _ = ctx.needs_input_grad
         count = volumes.shape[2]
-        of_result = F.pad(gradient.movedim(1, -1), (0, 0, 2, 2, 2, 2, 0, -count % 4))
-        padded = _padded(volumes, room=2)
+        grad_result = F.pad(gradient.movedim(1, -1), (0, 0, 2, 2, 2, 2, 0, -count % 4))
+        padded = _padded(volumes, slack=2)
         batch, full, height, width, channels = padded.shape
-        of_padded = (
-            of_result.new_zeros(batch, full, height - 2, width - 2, channels) if want_volumes else None
+        grad_padded = (
+            grad_result.new_zeros(batch, full, height - 2, width - 2, channels) if want_volumes else None
         )
-        of_kernels = kernel.new_zeros(6, 4, 3, *kernel.shape[:2]) if want_kernel else None
+        grad_kernels = kernel.new_zeros(6, 4, 3, *kernel.shape[:2]) if want_kernel else None
         kernels = adjoint_kernels(kernel, ctx.taps)
-        convolve_padded_backward(of_result, padded, kernels, of_padded, of_kernels, Workspace(), ctx.taps)
-        of_volumes = None if of_padded is None else unpadded(of_padded, count).movedim(-1, 1)
-        of_kernel = None if of_kernels is None else of_taps(of_kernels).unflatten(-1, (3, 3))
-        return of_volumes, of_kernel, gradient.sum((0, 2, 3, 4)) if want_bias else None, None
+        convolve_padded_backward(
+            grad_result, padded, kernels, grad_padded, grad_kernels, workspace(), ctx.taps
+        )
+        grad_volumes = None if grad_padded is None else unpadded(grad_padded, count).movedim(-1, 1)
+        grad_kernel = None if grad_kernels is None else kernel_gradient(grad_kernels).unflatten(-1, (3, 3))
+        return grad_volumes, grad_kernel, gradient.sum((0, 2, 3, 4)) if want_bias else None, None
 
 
 def convolve_padded(
@@ -177,65 +169,65 @@ def convolve_padded(
         workspace: of these convolutions.
         rectify: whether a ReLU follows.
     """
-    for given, some in _slabs(padded, result):
+    for given, slab in _slabs(padded, result):
         tiles = _transformed_tiles(given, workspace)
-        products = workspace.take("products", (len(tiles), 6, *some.shape[2:]), some)
+        products = workspace.take("products", (len(tiles), 6, *slab.shape[2:]), slab)
         for place, kernel in enumerate(kernels):  # the second product is part of every output, times one
             convolve_rows(
                 tiles[:, place], kernel, bias if place == 1 else None, products[:, place], workspace
             )
-        if some.is_contiguous():
-            _matmul(_RESULT, products, some.unflatten(1, (-1, 4)).flatten(0, 1))
+        if slab.is_contiguous():
+            _matmul(_RESULT, products, slab.unflatten(1, (-1, 4)).flatten(0, 1))
         else:
-            values = workspace.take("results", some.shape, some)
+            values = workspace.take("results", slab.shape, slab)
             _matmul(_RESULT, products, values.unflatten(1, (-1, 4)).flatten(0, 1))
-            some.copy_(values)
+            slab.copy_(values)
         if rectify:
-            some.relu_()
+            slab.relu_()
 
 
 def convolve_padded_backward(
-    of_result: Tensor,
+    grad_result: Tensor,
     padded: Tensor,
     kernels: list[PlanarKernel],
-    of_padded: Tensor | None,
-    of_kernels: Tensor | None,
+    grad_padded: Tensor | None,
+    grad_kernels: Tensor | None,
     workspace: Workspace,
     taps: Sequence[int] = ALL_TAPS,
 ) -> None:
-    """The adjoint of ``convolve_padded``; adds to ``of_padded`` and ``of_kernels``, where they are given.
+    """The adjoint of ``convolve_padded``; adds to ``grad_padded`` and ``grad_kernels``, where they are given.
 
     Both gradients are made of products that are fast on a CPU: planar convolutions of what is padded already, and
     matrix products between two views of the same grid, shifted.
 
     Args:
-        of_result: ``(B, N, h + 4, w + 4, O)``, zero on the two outermost places all around; contiguous.
+        grad_result: ``(B, N, h + 4, w + 4, O)``, zero on the two outermost places all around; contiguous.
         padded: ``(B, N + 2, h + 4, w + 4, C)``, what was convolved and then two rows and columns that are finite;
             contiguous.
         kernels: ``adjoint_kernels``.
-        of_padded: ``(B, N + 2, h + 2, w + 2, C)``.
-        of_kernels: ``(6, 4, 3, O, C)``, of the transformed kernels; see ``of_taps``.
+        grad_padded: ``(B, N + 2, h + 2, w + 2, C)``.
+        grad_kernels: ``(6, 4, 3, O, C)``, of the transformed kernels; see ``kernel_gradient``.
         workspace: of these convolutions.
         taps: of the nine in the plane those that are not zero, whose gradient is wanted.
     """
     to_products = tuple(zip(*_RESULT, strict=True))
     first = 0
-    for given, some in _slabs(padded, of_result):
-        of_products = workspace.take(
-            "of_products", (some[:, ::4].flatten(0, 1).shape[0], 6, *some.shape[2:]), some
+    for given, slab in _slabs(padded, grad_result):
+        grad_products = workspace.take(
+            "grad_products", (slab[:, ::4].flatten(0, 1).shape[0], 6, *slab.shape[2:]), slab
         )
-        for place, group in enumerate(some):
-            sized = of_products.unflatten(0, (len(some), -1))[place]
+        for place, group in enumerate(slab):
+            sized = grad_products.unflatten(0, (len(slab), -1))[place]
             _matmul(to_products, group.unflatten(0, (-1, 4)), sized)
-        if of_kernels is not None:
+        if grad_kernels is not None:
             tiles = _transformed_tiles(given, workspace)
             for place in range(6):
                 add_gradient_of_rows(
-                    of_products[:, place], tiles[:, place], taps, of_kernels[place], workspace
+                    grad_products[:, place], tiles[:, place], taps, grad_kernels[place], workspace
                 )
-        if of_padded is not None:
-            last = first + some.shape[1]
-            _add_gradient_of_tiles(of_products, kernels, of_padded[:, first : last + 2], workspace)
+        if grad_padded is not None:
+            last = first + slab.shape[1]
+            _add_gradient_of_tiles(grad_products, kernels, grad_padded[:, first : last + 2], workspace)
             first = last
 
 
@@ -270,36 +262,36 @@ def _transformed_tiles(padded: Tensor, workspace: Workspace) -> Tensor:
 
 
 def _add_gradient_of_tiles(
-    of_products: Tensor, kernels: list[PlanarKernel], of_padded: Tensor, workspace: Workspace
+    grad_products: Tensor, kernels: list[PlanarKernel], grad_padded: Tensor, workspace: Workspace
 ) -> None:
-    """Add to ``of_padded`` ``(B, 4 T + 2, h, w, C)`` what follows from ``(B * T, 6, h + 2, w + 2, O)``."""
-    batch, length, *image = of_padded.shape
-    of_tiles = workspace.take("of_tiles", (len(of_products), 6, *image), of_padded)
+    """Add to ``grad_padded`` ``(B, 4 T + 2, h, w, C)`` what follows from ``(B * T, 6, h + 2, w + 2, O)``."""
+    batch, length, *image = grad_padded.shape
+    grad_tiles = workspace.take("grad_tiles", (len(grad_products), 6, *image), grad_padded)
     for place, kernel in enumerate(kernels):
-        convolve_rows(of_products[:, place], kernel, None, of_tiles[:, place], workspace)
-    summed = workspace.take("tiles", of_tiles.shape, of_padded)
-    _matmul(tuple(zip(*_GIVEN, strict=True)), of_tiles, summed)
-    of_given = summed.unflatten(0, (batch, -1)).unbind(2)
-    for place, values in enumerate(of_given):
-        of_padded[:, place : place + length - 2 : 4] += values
+        convolve_rows(grad_products[:, place], kernel, None, grad_tiles[:, place], workspace)
+    summed = workspace.take("tiles", grad_tiles.shape, grad_padded)
+    _matmul(tuple(zip(*_GIVEN, strict=True)), grad_tiles, summed)
+    grad_given = summed.unflatten(0, (batch, -1)).unbind(2)
+    for place, values in enumerate(grad_given):
+        grad_padded[:, place : place + length - 2 : 4] += values
 
 
-def of_taps(of_kernels: Tensor) -> Tensor:
+def kernel_gradient(grad_kernels: Tensor) -> Tensor:
     """Gradient ``(O, C, 3, 9)`` of a kernel from that of its transforms ``(6, 4, 3, O, C)``."""
-    return torch.einsum("kd,ktoc->ocdt", of_kernels.new_tensor(_TAPS), of_rows(of_kernels))
+    return torch.einsum("kd,ktoc->ocdt", grad_kernels.new_tensor(_TAPS), row_kernel_gradient(grad_kernels))
 
 
-def _padded(volumes: Tensor, room: int = 0) -> Tensor:
+def _padded(volumes: Tensor, slack: int = 0) -> Tensor:
     """Border values repeated all around, N filled up to a multiple of four: ``(B, N' + 2, h + 2, w + 2, C)``.
 
-    With ``room`` as many rows and columns of zeros after them.
+    With ``slack`` as many rows and columns of zeros after them.
     """
     batch, channels, count, height, width = volumes.shape
     full = count + -count % 4
-    padded = volumes.new_empty(batch, full + 2, height + 2 + room, width + 2 + room, channels)
-    if room:
-        padded[:, :, -room:] = 0
-        padded[:, :, :, -room:] = 0
+    padded = volumes.new_empty(batch, full + 2, height + 2 + slack, width + 2 + slack, channels)
+    if slack:
+        padded[:, :, -slack:] = 0
+        padded[:, :, :, -slack:] = 0
     with_border = padded[:, :, : height + 2, : width + 2]
     with_border[:, 1 : count + 1, 1:-1, 1:-1] = volumes.movedim(1, -1)
     repeat_border(with_border, count)

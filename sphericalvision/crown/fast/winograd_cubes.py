@@ -20,7 +20,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.crown.fast.native import native_operators
-from sphericalvision.crown.fast.winograd_rows import ALL_TAPS, Workspace
+from sphericalvision.crown.fast.winograd_rows import ALL_TAPS
+from sphericalvision.crown.fast.workspace import Workspace
 
 __all__ = [
     "CubeKernel",
@@ -64,9 +65,9 @@ _RESULT = (
 )
 
 
-def cubes_pay(side: int) -> bool:
-    """Whether cubes are the faster way for rectangles of ``side`` edges times twice as many."""
-    return side >= MIN_SIDE
+def cubes_pay(volumes: Tensor, side: int) -> bool:
+    """Whether cubes are faster for rectangles of ``side`` edges times twice as many; they need float32 on a CPU."""
+    return side >= MIN_SIDE and volumes.dtype == torch.float32 and volumes.device.type == "cpu"
 
 
 class CubeKernel(NamedTuple):
@@ -85,8 +86,8 @@ def cube_kernel(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> CubeKernel:
     """Transform a kernel ``(O, C, 3, 3, 3)`` on the CPU; of nine taps in the plane all but those given are zero."""
     exact = torch.tensor(_TAPS, dtype=torch.float64)
     transformed = torch.einsum("kd,ri,sj,ocdij->krsco", exact, exact, exact, kernel.double()).to(kernel.dtype)
-    of_taps = torch.zeros(9, dtype=torch.float64).index_fill(0, torch.tensor(taps), 1.0).view(3, 3)
-    there = (exact.abs() @ of_taps @ exact.abs().T).flatten() > 0
+    is_tap = torch.zeros(9, dtype=torch.float64).index_fill(0, torch.tensor(taps), 1.0).view(3, 3)
+    there = (exact.abs() @ is_tap @ exact.abs().T).flatten() > 0
     slots = torch.where(there, there.cumsum(0) - 1, -1)
     return CubeKernel(transformed.flatten(1, 2)[:, there].flatten(0, 1).contiguous(), slots)
 
@@ -128,15 +129,15 @@ def convolve_cubes(
         size = (last - first) // 4 * places
         tiles = workspace.take("tiles", (number, size, channels), padded)
         products = workspace.take("products", (number, size, out_channels), padded)
-        given, some = padded[:, first : last + 2], result[:, first:last]
+        given, slab = padded[:, first : last + 2], result[:, first:last]
         if native:
             native_operators().winograd_tiles(given, slots, tiles)
             torch.bmm(tiles, factors, out=products)
-            native_operators().winograd_results(products, slots, bias, rectify, some)
+            native_operators().winograd_results(products, slots, bias, rectify, slab)
         else:
             tiles_of_volumes(given, slots, tiles)
             torch.bmm(tiles, factors, out=products)
-            results_of_products(products, slots, bias, rectify, some)
+            results_of_products(products, slots, bias, rectify, slab)
 
 
 def tiles_of_volumes(padded: Tensor, slots: Tensor, tiles: Tensor) -> None:

@@ -7,7 +7,6 @@ one row of the kernel alone, so that at a hexagon's kernel, whose outer rows hav
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -15,7 +14,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-__all__ = ["ALL_TAPS", "PlanarKernel", "add_gradient_of_rows", "convolve_rows", "of_rows", "planar_kernel"]
+from sphericalvision.crown.fast.workspace import Workspace
+
+__all__ = [
+    "ALL_TAPS",
+    "PlanarKernel",
+    "add_gradient_of_rows",
+    "convolve_rows",
+    "planar_kernel",
+    "row_kernel_gradient",
+]
 
 ALL_TAPS = tuple(range(9))
 
@@ -27,21 +35,6 @@ PARTS = 8
 
 # Rows of the transform of three rows of taps; its columns are the rows of the kernel.
 _ROWS = ((1.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.5, -0.5, 0.5), (0.0, 0.0, 1.0))
-
-
-class Workspace:
-    """Memory for what lies between, kept from one convolution to the next: fresh pages cost as much as the sums."""
-
-    def __init__(self) -> None:
-        self._kept: dict[str, Tensor] = {}
-
-    def take(self, name: str, shape: Sequence[int], like: Tensor) -> Tensor:
-        """A tensor of that shape whose values are left from before."""
-        size = math.prod(shape)
-        kept = self._kept.get(name)
-        if kept is None or kept.numel() < size:
-            kept = self._kept[name] = like.new_empty(size)
-        return kept[:size].view(shape)
 
 
 class PlanarKernel(NamedTuple):
@@ -120,17 +113,17 @@ def _transformed(
 
 
 def add_gradient_of_rows(
-    of_result: Tensor, images: Tensor, taps: Sequence[int], out: Tensor, workspace: Workspace
+    grad_result: Tensor, images: Tensor, taps: Sequence[int], out: Tensor, workspace: Workspace
 ) -> None:
     """Add to ``out`` the gradient of a kernel's transform: one product a tap of one grid, shifted.
 
     Args:
-        of_result: ``(B, h + 4, w + 4, O)``, the gradient of outputs with two zeros all around.
+        grad_result: ``(B, h + 4, w + 4, O)``, the gradient of outputs with two zeros all around.
         images: ``(B, h + 4, w + 4, C)``, images and then two rows and columns that are finite.
         taps: of nine, those wanted.
-        out: ``(4, 3, O, C)``; see ``of_rows``.
+        out: ``(4, 3, O, C)``; see ``row_kernel_gradient``.
     """
-    even, odd = of_result[:, 2:-2:2], of_result[:, 3:-1:2]
+    even, odd = grad_result[:, 2:-2:2], grad_result[:, 3:-1:2]
     columns = _columns(taps)
     # Images follow one another without a gap: what a tap takes from the next one meets a zero.
     parts = max(number for number in range(1, PARTS + 1) if len(images) % number == 0)
@@ -138,17 +131,17 @@ def add_gradient_of_rows(
         if place == 3:
             if not tile.numel():  # of a single row
                 break
-            of_tile = odd[:, : tile.shape[1]].neg()
+            grad_tile = odd[:, : tile.shape[1]].neg()
         else:
-            of_tile = even.contiguous() if place == 0 else even.add(odd, alpha=3 - 2 * place)
+            grad_tile = even.contiguous() if place == 0 else even.add(odd, alpha=3 - 2 * place)
         rows = tile.view(parts, -1, tile.shape[-1])
-        of_rows = of_tile.view(parts, -1, of_tile.shape[-1])[:, 2:].mT
+        grad_rows = grad_tile.view(parts, -1, grad_tile.shape[-1])[:, 2:].mT
         number = rows.shape[1] - 2
         first, last = columns[place]
         for tap in range(first, last + 1):
-            out[place, tap] += torch.bmm(of_rows, rows[:, tap : tap + number]).sum(0)
+            out[place, tap] += torch.bmm(grad_rows, rows[:, tap : tap + number]).sum(0)
 
 
-def of_rows(of_kernels: Tensor) -> Tensor:
+def row_kernel_gradient(grad_kernels: Tensor) -> Tensor:
     """Gradients ``(*, 9, O, C)`` of kernels from those of their transforms ``(*, 4, 3, O, C)``."""
-    return torch.einsum("mr,...mtoc->...rtoc", of_kernels.new_tensor(_ROWS), of_kernels).flatten(-4, -3)
+    return torch.einsum("mr,...mtoc->...rtoc", grad_kernels.new_tensor(_ROWS), grad_kernels).flatten(-4, -3)

@@ -14,7 +14,8 @@ from sphericalvision.crown import (
     from_crown,
     to_crown,
 )
-from sphericalvision.crown.fast.block import Moments, NormedLayer, crown_block3d
+from sphericalvision.crown.fast.block import Moments, NormedLayer, convolve_block
+from sphericalvision.crown.fast.norms import track
 from tests.crown.same import assert_same_values_and_gradients
 
 
@@ -43,7 +44,7 @@ def on_whole_crowns(values: Tensor, *parameters: Tensor) -> tuple[Tensor, list[C
 def block(values: Tensor, *parameters: Tensor) -> tuple[Tensor, list[Moments]]:
     weight1, scale1, shift1, weight2, scale2, shift2 = parameters
     first, second = NormedLayer(weight1, scale1, shift1, 1e-5), NormedLayer(weight2, scale2, shift2, 1e-5)
-    return crown_block3d(values, first, second)
+    return convolve_block(values, first, second)
 
 
 @pytest.mark.parametrize(("batch", "count", "level"), [(2, 4, 1), (1, 6, 1), (1, 8, 0), (1, 5, 2)])
@@ -70,7 +71,7 @@ def test_the_second_layer_may_be_without_normalisation(generator: torch.Generato
     norm = norm_of(scale1, shift1)
     crown = crown_relu(norm(crown_conv3d(to_crown(values), weight1)))
     expected = from_crown(crown_conv3d(crown, weight2))
-    result, moments = crown_block3d(values, NormedLayer(weight1, scale1, shift1, 1e-5), NormedLayer(weight2))
+    result, moments = convolve_block(values, NormedLayer(weight1, scale1, shift1, 1e-5), NormedLayer(weight2))
     assert len(moments) == 1
     assert_same_values_and_gradients(result, expected, tensors, generator)
 
@@ -81,7 +82,7 @@ def test_statistics_are_those_of_the_normalisation(generator: torch.Generator) -
     _, moments = block(*tensors)
     for norm, moment in zip(norms, moments, strict=True):
         tracked = CrownBatchNorm3d(len(norm.running_mean)).double()
-        tracked.track(moment)
+        track(tracked, moment)
         torch.testing.assert_close(tracked.running_mean, norm.running_mean)
         torch.testing.assert_close(tracked.running_var, norm.running_var)
         assert tracked.num_batches_tracked == norm.num_batches_tracked == 1

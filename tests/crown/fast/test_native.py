@@ -16,8 +16,9 @@ from torch.utils import cpp_extension
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import MissingCompilerError
-from sphericalvision.crown import crown_conv3d_chain, native_operators
-from sphericalvision.crown.fast.block import NormedLayer, crown_block3d
+from sphericalvision.crown.fast.block import NormedLayer, convolve_block
+from sphericalvision.crown.fast.chain import convolve_chain
+from sphericalvision.crown.fast.native import native_operators
 from sphericalvision.crown.fast.winograd_cubes import (
     CubeKernel,
     convolve_cubes,
@@ -25,7 +26,7 @@ from sphericalvision.crown.fast.winograd_cubes import (
     results_of_products,
     tiles_of_volumes,
 )
-from sphericalvision.crown.fast.winograd_rows import Workspace
+from sphericalvision.crown.fast.workspace import Workspace
 from sphericalvision.models import IcoSweepNet
 
 HEXAGON = (1, 2, 3, 4, 5, 6, 7)
@@ -193,12 +194,12 @@ def test_a_chain_equals_that_without(
         (torch.randn(32, 40, 21, generator=generator), None),
         (torch.randn(1, 32, 21, generator=generator), None),
     ]
-    expected = crown_conv3d_chain(values, layers)
+    expected = convolve_chain(values, layers)
     assert not spy.calls
-    result = crown_conv3d_chain(values, layers, native=True)
+    result = convolve_chain(values, layers, native=True)
     assert bool(spy.calls) == (level == 3)  # shorter sides leave too much of the cubes unused
     torch.testing.assert_close(result, expected, atol=1e-5 * float(expected.abs().max()), rtol=1e-5)
-    double = crown_conv3d_chain(values.double(), [(layers[0][0].double(), None)], native=True)
+    double = convolve_chain(values.double(), [(layers[0][0].double(), None)], native=True)
     assert double.dtype == torch.float64
 
 
@@ -213,9 +214,9 @@ def test_a_block_that_normalises_by_its_own_statistics(generator: torch.Generato
         NormedLayer(draw(1, 40, 21)),
     ):
         values = draw(2, 32, 6, 642)
-        expected, statistics = crown_block3d(values, first, second)
+        expected, statistics = convolve_block(values, first, second)
         assert not spy.calls
-        result, others = crown_block3d(values, first, second, native=True)
+        result, others = convolve_block(values, first, second, native=True)
         assert spy.calls
         torch.testing.assert_close(result, expected, atol=1e-4, rtol=1e-4)
         for ours, theirs in zip(others, statistics, strict=True):

@@ -14,12 +14,13 @@ from sphericalvision.crown import (
     CrownBatchNorm3d,
     CrownConv3d,
     crown_conv3d,
-    crown_conv3d_chain,
     crown_relu,
     from_crown,
     to_crown,
 )
-from sphericalvision.crown.fast.winograd import conv3d_replicate, conv3d_winograd, winograd_pays
+from sphericalvision.crown.fast.chain import convolve_chain
+from sphericalvision.crown.fast.norms import folded, is_affine
+from sphericalvision.crown.fast.winograd import conv3d_winograd
 from tests.crown.same import assert_same_values_and_gradients
 
 
@@ -73,17 +74,8 @@ def test_taps_that_are_zero_now_have_a_gradient(generator: torch.Generator) -> N
 def test_single_precision_error_is_small(generator: torch.Generator) -> None:
     volumes = torch.randn(1, 64, 8, 9, 5, generator=generator)
     kernel = torch.randn(64, 64, 3, 3, 3, generator=generator)
-    assert winograd_pays(volumes, kernel)
     exact = direct(volumes.double(), kernel.double())
-    assert (conv3d_replicate(volumes, kernel) - exact).abs().max() < 1e-5 * exact.abs().max()
-
-
-def test_only_what_gains_takes_the_other_way() -> None:
-    volumes, kernel = torch.zeros(1, 32, 8, 3, 2), torch.zeros(32, 32, 3, 3, 3)
-    assert winograd_pays(volumes, kernel)
-    assert not winograd_pays(volumes.double(), kernel.double())
-    assert not winograd_pays(volumes, kernel[:1])
-    assert not winograd_pays(volumes[:, :, :3], kernel)
+    assert (conv3d_winograd(volumes, kernel) - exact).abs().max() < 1e-5 * exact.abs().max()
 
 
 @torch.no_grad()
@@ -100,7 +92,7 @@ def test_a_chain_equals_its_layers(
     second = torch.randn(end, middle, 21, generator=generator) / middle
     bias = torch.randn(middle, generator=generator)
     expected = from_crown(crown_conv3d(crown_relu(crown_conv3d(to_crown(values), first, bias)), second))
-    result = crown_conv3d_chain(values, [(first, bias), (second, None)])
+    result = convolve_chain(values, [(first, bias), (second, None)])
     torch.testing.assert_close(result, expected, atol=1e-4, rtol=1e-5)
 
 
@@ -110,10 +102,10 @@ def test_a_chain_of_one_rectangle_at_a_time_equals_one_of_five(
 ) -> None:
     values = torch.randn(1, 32, 12, 162, generator=generator)
     layers = [(torch.randn(32, 32, 21, generator=generator), torch.randn(32, generator=generator))] * 2
-    five = crown_conv3d_chain(values, layers)
+    five = convolve_chain(values, layers)
     monkeypatch.setattr("sphericalvision.crown.fast.rectangles.CACHE_BYTES", 0)
     monkeypatch.setattr("sphericalvision.crown.fast.winograd.TRANSFORM_BYTES", 0)
-    one = crown_conv3d_chain(values, layers)
+    one = convolve_chain(values, layers)
     torch.testing.assert_close(one, five, atol=1e-5 * float(five.abs().max()), rtol=1e-5)
 
 
@@ -124,31 +116,8 @@ def test_a_folded_normalisation_equals_the_separate_one(generator: torch.Generat
     for values in (norm.weight, norm.bias, norm.running_mean):
         values.copy_(torch.randn(5, generator=generator))
     norm.running_var.copy_(torch.rand(5, generator=generator) + 0.1)
-    assert not norm.is_affine
-    assert norm.eval().is_affine
-    expected, result = norm(conv(crown)), crown_conv3d(crown, *norm.folded(conv.weight))
+    assert not is_affine(norm)
+    assert is_affine(norm.eval())
+    expected, result = norm(conv(crown)), crown_conv3d(crown, *folded(conv.weight, norm))
     torch.testing.assert_close(result.col, expected.col, atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(result.row, expected.row, atol=1e-5, rtol=1e-5)
-
-
-@torch.no_grad()
-def test_narrow_volumes_are_convolved_five_at_a_time(
-    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    values = torch.randn(1, 4, 6, 162, generator=generator)
-    layers = [(torch.randn(4, 4, 21, generator=generator), None)] * 2
-    monkeypatch.setattr("sphericalvision.crown.fast.rectangles.CACHE_BYTES", 0)
-    sizes = []
-
-    def convolve(volumes: Tensor, *args: Tensor | None) -> Tensor:
-        sizes.append(len(volumes))
-        return direct_conv(volumes, *args)
-
-    direct_conv = F.conv3d
-    monkeypatch.setattr("sphericalvision.crown.fast.chain.F.conv3d", convolve)
-    five = crown_conv3d_chain(values, layers)
-    assert set(sizes) == {5}
-    sizes.clear()
-    monkeypatch.setattr("sphericalvision.crown.fast.chain.SLOW_ALONE", 0)
-    torch.testing.assert_close(crown_conv3d_chain(values, layers), five, atol=1e-4, rtol=1e-5)
-    assert set(sizes) == {1}

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Layers of several steps: a convolution and its normalisation, and two of these from vertices to vertices."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+from sphericalvision.core import ShapeError
+from sphericalvision.crown import fast
+from sphericalvision.crown.conv import CrownConv2d, CrownConv3d
+from sphericalvision.crown.layout import Crown, crown_relu, from_crown, to_crown
+from sphericalvision.crown.norm import crown_norm
+from sphericalvision.crown.places import check_values
+from sphericalvision.crown.recompute import RecomputedModule
+
+__all__ = ["CrownBlock3d", "CrownConvNorm2d", "CrownConvNorm3d", "crown_block3d"]
+
+
+class _CrownConvNorm(nn.Module):
+    """A crown convolution, the normalisation after it and, if asked for, a ReLU."""
+
+    conv: CrownConv2d | CrownConv3d
+    norm: nn.Module
+    relu: bool
+
+    def forward(self, crown: Crown) -> Crown:
+        rectangles = fast.conv_norm(*crown, self.conv, self.norm, self.relu)
+        if rectangles is not None:
+            return Crown(*rectangles)
+        normalized = self.norm(self.conv(crown))
+        return crown_relu(normalized) if self.relu else normalized
+
+
+class CrownConvNorm2d(_CrownConvNorm):
+    """A crown convolution, the normalisation after it and, if asked for, a ReLU.
+
+    Args:
+        in_channels: channels of the crown given.
+        out_channels: channels of the crown returned.
+        stride: 1, or 2 to keep the vertices of the next coarser level.
+        norm: ``"batch"`` or ``"instance"``.
+        relu: whether a ReLU follows.
+
+    Examples:
+        >>> import torch
+        >>> CrownConvNorm2d(3, 8, stride=2, relu=True)(to_crown(torch.rand(1, 3, 162))).col.shape
+        torch.Size([1, 5, 8, 5, 3])
+    """
+
+    def __init__(
+        self, in_channels: int, out_channels: int, stride: int = 1, norm: str = "batch", relu: bool = False
+    ) -> None:
+        super().__init__()
+        self.conv = CrownConv2d(in_channels, out_channels, stride)
+        self.norm = crown_norm(norm, 2, out_channels)
+        self.relu = relu
+
+
+class CrownConvNorm3d(_CrownConvNorm):
+    """The same for crowns of volumes, at stride 1; see ``CrownConvNorm2d``.
+
+    Attributes:
+        native: whether blocks that begin with this layer use operators in C++; see ``set_kernel_options``.
+
+    Examples:
+        >>> import torch
+        >>> CrownConvNorm3d(3, 8)(to_crown(torch.rand(1, 3, 4, 42))).row.shape
+        torch.Size([1, 5, 8, 4, 3, 5])
+    """
+
+    native = False
+
+    def __init__(self, in_channels: int, out_channels: int, norm: str = "batch", relu: bool = False) -> None:
+        super().__init__()
+        self.conv = CrownConv3d(in_channels, out_channels)
+        self.norm = crown_norm(norm, 3, out_channels)
+        self.relu = relu
+
+
+def crown_block3d(
+    volume: Tensor, first: CrownConvNorm3d, second: CrownConvNorm3d | CrownConv3d, residual: bool = False
+) -> Tensor:
+    """Apply two layers to the crown of a volume on vertices, and return to vertices.
+
+    Returning takes the mean over both directions of the crown, which so exchange what they know.
+
+    Args:
+        volume: ``(B, in, N, V)``.
+        first: from in to hidden channels, with a ReLU.
+        second: from hidden to out channels, without one.
+        residual: whether to add the volume to the result.
+
+    Returns:
+        ``(B, out, N, V)``.
+
+    Raises:
+        ShapeError: if volume and layers do not fit.
+
+    Examples:
+        >>> import torch
+        >>> layers = CrownConvNorm3d(2, 4, relu=True), CrownConv3d(4, 1)
+        >>> crown_block3d(torch.rand(1, 2, 8, 42), *layers).shape
+        torch.Size([1, 1, 8, 42])
+    """
+    check_values(volume, 3)
+    channels = first.conv.weight.shape[1]
+    if volume.shape[1] != channels:
+        raise ShapeError(f"volume: expected {channels} channels (dimension 1), got {volume.shape[1]}")
+    result = fast.block3d(volume, first, second, residual)
+    if result is not None:
+        return result
+    change = from_crown(second(first(to_crown(volume))))
+    return volume + change if residual else change
+
+
+class CrownBlock3d(RecomputedModule):
+    """Two normalised 3D crown convolutions with a ReLU between them, from vertices to vertices.
+
+    Args:
+        in_channels: of the volume.
+        hidden_channels: between the convolutions.
+        out_channels: of the result.
+        norm: ``"batch"`` or ``"instance"``.
+        residual: whether the volume is added to the result.
+
+    References:
+        Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
+        representation of icosahedron", table of layers.
+
+    Examples:
+        >>> import torch
+        >>> CrownBlock3d(3, 4, 5)(torch.rand(1, 3, 8, 42)).shape
+        torch.Size([1, 5, 8, 42])
+    """
+
+    def __init__(
+        self,
+        in_channels: int,
+        hidden_channels: int,
+        out_channels: int,
+        norm: str = "batch",
+        residual: bool = False,
+    ) -> None:
+        super().__init__()
+        self.first = CrownConvNorm3d(in_channels, hidden_channels, norm, relu=True)
+        self.second = CrownConvNorm3d(hidden_channels, out_channels, norm)
+        self.residual = residual
+
+    def forward(self, volume: Tensor) -> Tensor:
+        return crown_block3d(volume, self.first, self.second, self.residual)

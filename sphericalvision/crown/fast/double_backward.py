@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gradients that can be differentiated again: those of the reference, of what a fast function was given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+__all__ = ["reference_gradients"]
+
+
+def reference_gradients(
+    reference: Callable[..., Tensor],
+    inputs: Sequence[Tensor | None],
+    needed: Sequence[bool],
+    gradient: Tensor,
+) -> list[Tensor | None]:
+    """Return the gradients of ``reference(*inputs)`` as differentiable functions of the inputs and of ``gradient``.
+
+    What a backward pass does where ``torch.is_grad_enabled()``, which there means that a graph of the gradient is
+    wanted (``create_graph=True``). Fast backward passes write into buffers, which no graph can follow; so the forward
+    pass is computed once more, plainly. That costs time, but second derivatives are rare.
+
+    Args:
+        reference: the same function in plain torch.
+        inputs: its arguments, as they were saved; None for those that are missing.
+        needed: which of them want a gradient.
+        gradient: of the result.
+    """
+    with torch.enable_grad():
+        # Views, so that a tensor that is given twice is told apart.
+        views = [None if tensor is None else tensor.view_as(tensor) for tensor in inputs]
+        result = reference(*views)
+        wanted = [view for view, need in zip(views, needed, strict=True) if need and view is not None]
+        found = iter(torch.autograd.grad(result, wanted, gradient, create_graph=True, materialize_grads=True))
+    return [
+        next(found) if need and view is not None else None for view, need in zip(views, needed, strict=True)
+    ]

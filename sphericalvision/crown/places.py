@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which vertex stands at which place of a crown, and values looked up at, or summed over, these places."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ShapeError
+from sphericalvision.icosphere import (
+    chart_vertex_ids,
+    level_from_num_vertices,
+    num_icosphere_vertices,
+    vertex_at,
+)
+
+__all__ = [
+    "check_values",
+    "level_of_rectangles",
+    "own_charts",
+    "place_ids",
+    "places_per_vertex",
+    "sum_over_places",
+    "values_at_places",
+]
+
+
+def check_values(values: Tensor, spatial_dims: int | None = None) -> int:
+    """Return the level of values on an icosphere or raise ``ShapeError`` unless they are ``(B, C, [N,] V)``."""
+    if values.ndim not in (3, 4) or (spatial_dims is not None and values.ndim != spatial_dims + 1):
+        expected = {None: "(B, C, V) or (B, C, N, V)", 2: "(B, C, V)", 3: "(B, C, N, V)"}[spatial_dims]
+        raise ShapeError(f"values: expected shape {expected}, got {tuple(values.shape)}")
+    return level_from_num_vertices(values.shape[-1])
+
+
+def level_of_rectangles(col: Tensor) -> int:
+    """Level of the icosphere of rectangles ``(*, 2n + 1, n + 1)``, where ``n = 2**level``."""
+    return (col.shape[-1] - 1).bit_length() - 1
+
+
+def own_charts(values: Tensor, n: int) -> Tensor:
+    """View ``(B, C, [N,] V)`` without the poles as the vertices that charts own, ``(B, 5, C, [N,] 2n, n)``."""
+    return values[..., 1:-1].unflatten(-1, (5, 2 * n, n)).movedim(-3, 1)
+
+
+def place_ids(level: int, device: torch.device | None = None) -> Tensor:
+    """Vertices at the places of five col and then five row rectangles, ``(10, (2n + 1) * (n + 1))``.
+
+    A col rectangle is a chart with all its borders. A row rectangle has in its western half the northern half of a
+    chart, in its eastern half the southern half of the next one.
+    """
+    n = 2**level
+    chart = torch.arange(5, device=device)[:, None, None]
+    row, column = torch.arange(n + 1, device=device)[:, None], torch.arange(2 * n + 1, device=device)
+    west = vertex_at(chart, row, column.clamp(max=n), level)
+    east = vertex_at((chart + 1) % 5, row + n, (column - n).clamp(min=0), level)
+    rows = torch.where(column <= n, west, east)
+    return torch.cat((chart_vertex_ids(level, device).flatten(1), rows.flatten(1)))
+
+
+def places_per_vertex(level: int, like: Tensor) -> Tensor:
+    """Number of places ``(V,)`` in the crown that each vertex stands in."""
+    ids = place_ids(level, like.device).flatten()
+    return like.new_zeros(num_icosphere_vertices(level)).index_add(0, ids, like.new_ones(len(ids)))
+
+
+def values_at_places(values: Tensor) -> tuple[Tensor, Tensor]:
+    """Look values ``(B, C, [N,] V)`` up at all places: col ``(B, 5, C, [N,] 2n + 1, n + 1)`` and row rectangles."""
+    level = level_from_num_vertices(values.shape[-1])
+    n = 2**level
+    places = values.index_select(-1, place_ids(level, values.device).flatten()).unflatten(-1, (10, -1))
+    col, row = places.movedim(-2, 1).split(5, 1)
+    return col.unflatten(-1, (2 * n + 1, n + 1)), row.unflatten(-1, (n + 1, 2 * n + 1))
+
+
+def sum_over_places(col: Tensor, row: Tensor) -> Tensor:
+    """Sum each vertex over all its places, ``(B, C, [N,] V)``: the adjoint of ``values_at_places``."""
+    level = level_of_rectangles(col)
+    places = torch.cat((col.flatten(-2), row.flatten(-2)), 1).movedim(1, -2).flatten(-2)
+    ids = place_ids(level, col.device).flatten().expand(places.shape)
+    values = places.new_zeros((*places.shape[:-1], num_icosphere_vertices(level)))
+    return values.scatter_add(-1, ids, places)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Seven hexagonal taps as planar kernels, and the convolution of rectangles by them.
+
+A hexagonal neighbourhood is a 3 x 3 square without two opposite corners. Which corners, and which tap lies where,
+depends on the kind of rectangle: the taps are the same directions on the sphere, up to a sixth of a turn.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+__all__ = ["COL_TAPS", "ROW_TAPS", "Taps", "convolve", "neighbor_taps", "planar_kernel", "repeat_border"]
+
+Taps = tuple[tuple[int, ...], ...]
+
+# Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.
+COL_TAPS: Taps = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
+ROW_TAPS: Taps = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
+
+
+def planar_kernel(weight: Tensor, taps: Taps) -> Tensor:
+    """Arrange seven taps ``(*, 7)`` as a planar kernel ``(*, 3, 3)``."""
+    index = torch.tensor(taps, device=weight.device).flatten()
+    return F.pad(weight, (0, 1)).index_select(-1, index).unflatten(-1, (3, 3))
+
+
+def neighbor_taps(taps: Taps) -> list[int]:
+    """Of the nine places of a planar kernel those that hold a tap."""
+    return [place for place, tap in enumerate(sum(taps, ())) if tap < 7]
+
+
+def convolve(
+    rectangles: Tensor, weight: Tensor, taps: Taps, bias: Tensor | None = None, stride: int = 1
+) -> Tensor:
+    """Convolve rectangles of one kind, continued by their own border values.
+
+    Args:
+        rectangles: ``(B, 5, in, h, w)`` with a weight ``(out, in, 7)``, or ``(B, 5, in, N, h, w)`` with a weight
+            ``(out, in, 21)`` of index ``7 * depth + tap``.
+        weight: as said.
+        taps: ``COL_TAPS`` or ``ROW_TAPS``.
+        bias: ``(out,)``.
+        stride: in the plane; along N it is 1.
+    """
+    padded = repeat_border(rectangles.flatten(0, 1))
+    if rectangles.ndim == 5:
+        result = F.conv2d(padded, planar_kernel(weight, taps), bias, stride)
+    else:
+        kernel = planar_kernel(weight.unflatten(-1, (3, 7)), taps)
+        result = F.conv3d(padded, kernel, bias, (1, stride, stride))
+    return result.unflatten(0, (-1, 5))
+
+
+def repeat_border(images: Tensor) -> Tensor:
+    """Continue images ``(B, C, h, w)`` or volumes ``(B, C, N, h, w)`` by one more of their border values all around."""
+    if images.ndim == 4 and torch.compiler.is_compiling():
+        # Inductor expects another memory format of the gradient of a padding than it gets.
+        tall = torch.cat((images[..., :1, :], images, images[..., -1:, :]), -2)
+        return torch.cat((tall[..., :1], tall, tall[..., -1:]), -1)
+    return F.pad(images, (1, 1) * (images.ndim - 2), mode="replicate")

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every operator and network of the crown by its fast ways and by the readable formulas."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+import sphericalvision.crown
+from sphericalvision.cameras import ring_rig
+from sphericalvision.core import reference_kernels
+from sphericalvision.crown import (
+    CrownBatchNorm2d,
+    CrownBatchNorm3d,
+    CrownBlock3d,
+    CrownConv2d,
+    CrownConv3d,
+    CrownConvNorm2d,
+    CrownConvNorm3d,
+    CrownExchange,
+    CrownInstanceNorm2d,
+    CrownInstanceNorm3d,
+    FromCrown,
+    HexConv2d,
+    HexConv3d,
+    ToCrown,
+    crown_block3d,
+    crown_conv2d,
+    crown_conv3d,
+    from_crown,
+    set_kernel_options,
+    to_crown,
+)
+from sphericalvision.crown.fast import wherever_possible
+from sphericalvision.models import CostRegularizer, IcoSweepNet
+from sphericalvision.models.features import FeatureExtractor
+from tests.laws.fast_laws import (
+    FastCase,
+    law_gradients_agree,
+    law_gradients_of_gradients_agree,
+    law_modes_agree,
+    law_values_agree,
+)
+
+
+class Head(nn.Module):
+    """A normalised convolution and one without, from vertices to vertices."""
+
+    def __init__(self, norm: str) -> None:
+        super().__init__()
+        self.first = CrownConvNorm3d(3, 4, norm, relu=True)
+        self.second = CrownConv3d(4, 1)
+
+    def forward(self, volume: Tensor) -> Tensor:
+        return crown_block3d(volume, self.first, self.second)
+
+
+class Network(nn.Module):
+    """The whole network on random images."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__()
+        self.net = IcoSweepNet(3, 4, feature_channels=3, num_cameras=2, shuffle_cameras=False, **options)
+        self.rig = ring_rig(2)
+
+    def forward(self, images: Tensor) -> Tensor:
+        return self.net(images, self.rig.to(images.dtype))
+
+
+def between(*layers: nn.Module) -> nn.Module:
+    """Layers on crowns, from vertices to vertices."""
+    return nn.Sequential(ToCrown(), *layers, FromCrown())
+
+
+def recomputing(module: nn.Module) -> nn.Module:
+    set_kernel_options(module, recompute=True)
+    return module
+
+
+def case(name: str, make: Any, *shape: int) -> FastCase:
+    return FastCase(name, make, shape, wherever_possible)
+
+
+V0, V1, V2, V3 = 12, 42, 162, 642
+
+OPERATORS = [
+    case("unfold and fold", lambda: nn.Sequential(ToCrown(), FromCrown()), 3, V2),
+    case("exchange of volumes", lambda: between(CrownExchange()), 3, 2, V1),
+    case("conv2d, level 0", lambda: between(CrownConv2d(3, 4, bias=True)), 3, V0),
+    case("conv2d, level 1", lambda: between(CrownConv2d(3, 4)), 3, V1),
+    case("conv2d, level 2", lambda: between(CrownConv2d(3, 4)), 3, V2),
+    case("conv2d, stride 2", lambda: between(CrownConv2d(3, 4, 2)), 3, V1),
+    case("conv3d, level 0, N = 1", lambda: between(CrownConv3d(2, 3, bias=True)), 2, 1, V0),
+    case("conv3d, level 1, N = 3", lambda: between(CrownConv3d(2, 3)), 2, 3, V1),
+    case("conv3d, level 1, N = 6", lambda: between(CrownConv3d(2, 3, bias=True)), 2, 6, V1),
+    case("conv3d, level 2, N = 4", lambda: between(CrownConv3d(2, 3)), 2, 4, V2),
+    case("conv3d, stride 2", lambda: between(CrownConv3d(2, 3, 2)), 2, 4, V1),
+    case("hexconv2d", lambda: HexConv2d(3, 4, bias=True), 3, V1),
+    case("hexconv2d, north, stride 2", lambda: HexConv2d(3, 4, 2, orientation="north", level=1), 3, V1),
+    case("hexconv3d", lambda: HexConv3d(2, 3, bias=True), 2, 3, V1),
+    case("batch norm 2d", lambda: between(CrownBatchNorm2d(3)), 3, V1),
+    case("batch norm 3d", lambda: between(CrownBatchNorm3d(3)), 3, 2, V1),
+    case("instance norm 2d", lambda: between(CrownInstanceNorm2d(3)), 3, V1),
+    case("instance norm 3d", lambda: between(CrownInstanceNorm3d(3)), 3, 2, V1),
+    case("conv, batch norm, relu 2d", lambda: between(CrownConvNorm2d(3, 4, relu=True)), 3, V1),
+    case("conv, instance norm 2d, stride 2", lambda: between(CrownConvNorm2d(3, 4, 2, "instance")), 3, V1),
+    case("conv, batch norm 3d", lambda: between(CrownConvNorm3d(2, 3)), 2, 3, V1),
+    case("conv, instance norm, relu 3d", lambda: between(CrownConvNorm3d(2, 3, "instance", True)), 2, 4, V1),
+    case("block, batch norm, level 0", lambda: CrownBlock3d(2, 3, 2), 2, 8, V0),
+    case("block, batch norm, residual", lambda: CrownBlock3d(3, 4, 3, residual=True), 3, 4, V1),
+    case("block, instance norm, residual", lambda: CrownBlock3d(2, 3, 2, "instance", True), 2, 5, V1),
+    case("block, instance norm, level 2", lambda: CrownBlock3d(2, 3, 4, "instance"), 2, 4, V2),
+    case("block, batch norm, recomputed", lambda: recomputing(CrownBlock3d(2, 3, 2)), 2, 4, V1),
+    case("head, batch norm", lambda: Head("batch"), 3, 6, V1),
+    case("head, instance norm", lambda: Head("instance"), 3, 4, V1),
+]
+
+NETWORKS = [
+    case("features, batch norm", lambda: FeatureExtractor(3), 3, V2),
+    case("features, instance norm, coarsening 1", lambda: FeatureExtractor(3, 3, "instance", 1), 3, V2),
+    case("features, recomputed", lambda: recomputing(FeatureExtractor(3)), 3, V2),
+    case("regulariser, batch norm", lambda: CostRegularizer(4, 2), 4, 4, V1),
+    case("regulariser, instance norm", lambda: CostRegularizer(4, 2, "instance", 3), 4, 5, V1),
+    case("regulariser, recomputed", lambda: recomputing(CostRegularizer(4, 2)), 4, 4, V0),
+    case("network, concatenation", Network, 2, 3, V3),
+    case("network, variance", lambda: Network(aggregation="variance", norm="instance"), 2, 3, V3),
+]
+
+
+def each(cases: list[FastCase]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("case", cases, ids=[case.name for case in cases])
+
+
+@each(OPERATORS + NETWORKS)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("training", [False, True])
+def test_values(case: FastCase, dtype: torch.dtype, training: bool) -> None:
+    law_values_agree(case, 2, dtype, training)
+
+
+@each(OPERATORS)
+@pytest.mark.parametrize("batch", [1, 3])
+def test_values_of_any_batch(case: FastCase, batch: int) -> None:
+    law_values_agree(case, batch, torch.float32, training=True)
+
+
+@each(OPERATORS + NETWORKS)
+@pytest.mark.parametrize("training", [False, True])
+def test_gradients(case: FastCase, training: bool) -> None:
+    law_gradients_agree(case, 2, training)
+
+
+@each(OPERATORS)
+def test_gradients_of_gradients(case: FastCase) -> None:
+    law_gradients_of_gradients_agree(case, 2, training=True)
+
+
+@each(OPERATORS + NETWORKS)
+def test_modes(case: FastCase) -> None:
+    law_modes_agree(case, 2)
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("reference", [False, True])
+def test_convolutions_are_differentiable_twice(stride: int, reference: bool) -> None:
+    """By finite differences; and inputs that nothing depends on have no gradient, all others have one."""
+    values = torch.randn(1, 1, V1, dtype=torch.float64, requires_grad=True)
+    volume = torch.randn(1, 1, 2, V1, dtype=torch.float64, requires_grad=True)
+    weight, weight3d = (torch.randn(1, 1, t, dtype=torch.float64, requires_grad=True) for t in (7, 21))
+
+    def convolve(function: Any, values: Tensor, weight: Tensor) -> Tensor:
+        return from_crown(function(to_crown(values), weight, None, stride)).square()
+
+    with reference_kernels() if reference else wherever_possible():
+        for function, inputs in ((crown_conv2d, (values, weight)), (crown_conv3d, (volume, weight3d))):
+            run = partial(convolve, function)
+            assert torch.autograd.gradcheck(run, inputs, fast_mode=True)
+            assert torch.autograd.gradgradcheck(run, inputs, fast_mode=True)
+            (first,) = torch.autograd.grad(run(*inputs).sum(), inputs[0], create_graph=True)
+            second = torch.autograd.grad(first.square().sum(), inputs, allow_unused=True)
+            assert all(gradient is not None and gradient.abs().max() > 0 for gradient in second)
+
+
+@pytest.mark.parametrize("case", NETWORKS, ids=[case.name for case in NETWORKS])
+def test_reference_kernels_leave_the_fast_wing_alone(case: FastCase) -> None:
+    """Of the fast wing nothing is entered but its door, which says no."""
+    wing = Path(sphericalvision.crown.__file__).parent / "fast"
+    entered: set[str] = set()
+
+    def watch(frame: FrameType, event: str, argument: Any) -> None:
+        path = Path(frame.f_code.co_filename)
+        if event == "call" and path.parent == wing:
+            entered.add(path.name)
+
+    function, inputs = case.function(torch.float32), case.inputs(1, torch.float32).requires_grad_()
+    for context, expected in ((reference_kernels, True), (wherever_possible, False)):
+        entered.clear()
+        before = sys.getprofile()
+        sys.setprofile(watch)
+        try:
+            with context():
+                function(inputs).square().sum().backward()
+        finally:
+            sys.setprofile(before)
+        assert (entered <= {"door.py", "policy.py"}) == expected

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold for every fast way: it gives the numbers of the reference, in both passes and in every mode of torch.
+
+A case is a function or a module and the shape of its input. Operators without parameters and whole networks are tested
+alike; a new operator is one line in a list of cases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from sphericalvision.core import reference_kernels
+
+__all__ = [
+    "FastCase",
+    "law_gradients_agree",
+    "law_gradients_of_gradients_agree",
+    "law_modes_agree",
+    "law_values_agree",
+]
+
+
+@dataclass(frozen=True)
+class FastCase:
+    """A function with a fast way.
+
+    Attributes:
+        name: shown by pytest.
+        make: a new module of the same parameters each time, or a function of one tensor.
+        shape: of one sample of the input.
+        forced: a context in which the fast way steps in at every size and precision, if the room has one.
+    """
+
+    name: str
+    make: Callable[[], Callable[[Tensor], Any]]
+    shape: tuple[int, ...]
+    forced: Callable[[], AbstractContextManager[None]] = nullcontext
+
+    def function(self, dtype: torch.dtype) -> Callable[[Tensor], Any]:
+        """The function in a precision, with the same parameters and statistics each time."""
+        torch.manual_seed(0)
+        made = self.make()
+        if not isinstance(made, nn.Module):
+            return made
+        made = made.to(dtype)
+        with torch.no_grad():
+            for name, values in [*made.named_parameters(), *made.named_buffers()]:
+                if "norm" in name and values.is_floating_point():  # as after training, not as at its start
+                    values.add_(torch.rand_like(values) / 2)
+        return made
+
+    def inputs(self, batch: int, dtype: torch.dtype) -> Tensor:
+        """Random inputs."""
+        generator = torch.Generator().manual_seed(batch)
+        return torch.randn(batch, *self.shape, generator=generator, dtype=torch.float64).to(dtype)
+
+
+def _tensors(result: Any) -> list[Tensor]:
+    return [result] if isinstance(result, Tensor) else list(result)
+
+
+def _assert_close(found: Sequence[Tensor], wanted: Sequence[Tensor], tolerance: float) -> None:
+    """Differences are small beside the largest value."""
+    for one, other in zip(found, wanted, strict=True):
+        assert one.shape == other.shape
+        assert one.dtype == other.dtype
+        scale = max(float(other.detach().abs().max()), 1e-3) if other.numel() else 1.0
+        torch.testing.assert_close(one, other, rtol=0, atol=tolerance * scale)
+
+
+def law_values_agree(case: FastCase, batch: int, dtype: torch.dtype, training: bool) -> None:
+    """Values, and running statistics after a step of training, with and without gradients."""
+    tolerance = 1e-9 if dtype == torch.float64 else 2e-4
+    inputs = case.inputs(batch, dtype)
+    answers = []
+    for context in (reference_kernels, case.forced):
+        for grad in (True, False):
+            function = case.function(dtype)
+            if isinstance(function, nn.Module):
+                function.train(training)
+            with context(), torch.set_grad_enabled(grad):
+                result = _tensors(function(inputs))
+            buffers = list(function.buffers()) if isinstance(function, nn.Module) else []
+            answers.append([*(x.detach() for x in result), *buffers])
+    for answer in answers[1:]:
+        _assert_close(answer, answers[0], tolerance)
+
+
+def _gradients(
+    case: FastCase,
+    batch: int,
+    training: bool,
+    context: Callable[[], AbstractContextManager[None]],
+    second: bool,
+) -> list[Tensor]:
+    """Gradients in float64 by inputs and parameters; the second ones are of a sum that weighs all first ones."""
+    function = case.function(torch.float64)
+    parameters = []
+    if isinstance(function, nn.Module):
+        parameters = list(function.train(training).parameters())
+    inputs = case.inputs(batch, torch.float64).requires_grad_()
+    generator = torch.Generator().manual_seed(7)
+
+    def weigh(tensors: Sequence[Tensor | None]) -> Tensor:
+        parts = [
+            (x * torch.randn(x.shape, generator=generator, dtype=x.dtype)).sum()
+            for x in tensors
+            if x is not None
+        ]
+        return torch.stack(parts).sum()
+
+    with context():
+        total = weigh([x.square() for x in _tensors(function(inputs))])
+        found = torch.autograd.grad(total, [inputs, *parameters], create_graph=second, materialize_grads=True)
+        if second:
+            total = weigh([x for x in found if x.requires_grad])
+            found = torch.autograd.grad(total, [inputs, *parameters], materialize_grads=True)
+    return list(found)
+
+
+def law_gradients_agree(case: FastCase, batch: int, training: bool) -> None:
+    """Gradients by inputs and parameters, in float64."""
+    wanted, found = (_gradients(case, batch, training, c, False) for c in (reference_kernels, case.forced))
+    _assert_close(found, wanted, 1e-7)
+
+
+def law_gradients_of_gradients_agree(case: FastCase, batch: int, training: bool) -> None:
+    """Gradients of gradients by inputs and parameters, in float64."""
+    wanted, found = (_gradients(case, batch, training, c, True) for c in (reference_kernels, case.forced))
+    assert any(x.abs().max() > 0 for x in wanted)
+    _assert_close(found, wanted, 1e-6)
+
+
+def law_modes_agree(case: FastCase, batch: int) -> None:
+    """What was computed in inference mode leaves nothing behind that training could not use, and the reverse."""
+    function = case.function(torch.float32)
+    if isinstance(function, nn.Module):
+        function.eval()
+    inputs = case.inputs(batch, torch.float32)
+    with case.forced():
+        with torch.inference_mode():
+            first = _tensors(function(inputs))
+        result = _tensors(function(inputs.clone().requires_grad_()))
+        if any(x.requires_grad for x in result):
+            torch.stack([x.square().sum() for x in result]).sum().backward()
+        with torch.inference_mode():
+            again = _tensors(function(inputs))
+    for one, other in zip(first, again, strict=True):
+        assert torch.equal(one, other)
+    _assert_close([x.detach() for x in result], [x.clone() for x in first], 2e-4)

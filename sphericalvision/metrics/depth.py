@@ -53,7 +53,7 @@ def depth_index_error(
     if num_hypotheses < 1:
         raise ArgumentError(f"num_hypotheses: expected a positive number, got {num_hypotheses!r}")
     shares = shares_of_points(pred_index, target_index, mask, weights)
-    error = (pred_index - target_index).abs().to(shares.dtype) * (100 / num_hypotheses)
+    error = (pred_index.to(shares.dtype) - target_index.to(shares.dtype)).abs() * (100 / num_hypotheses)
     above = {f">{threshold}": weighted_mean(100.0 * (error > threshold), shares) for threshold in (1, 3, 5)}
     return above | {"MAE": weighted_mean(error, shares), "RMS": weighted_mean(error.square(), shares).sqrt()}
 

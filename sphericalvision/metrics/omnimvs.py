@@ -56,8 +56,8 @@ def omnimvs_error(
     if not min_depth > 0:
         raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
     index_from_inverse = (num_hypotheses - 1) * min_depth
-    pred = _near_horizon("prediction", pred_inverse_depth) * index_from_inverse
-    target = _near_horizon("target", target_inverse_depth) * index_from_inverse
+    pred = _near_horizon("prediction", pred_inverse_depth).double() * index_from_inverse
+    target = _near_horizon("target", target_inverse_depth).double() * index_from_inverse
     counts = (target >= 0) & (target <= num_hypotheses)
     if mask is not None:
         counts = counts & _near_horizon("mask", mask).bool()

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rules of the house that import-linter cannot say: private names stay in their folder, and imports go in no circle.
+
+Every import counts for circles: at the top of a file, inside functions, and for type checkers only.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+TREES = {"sphericalvision": ROOT / "sphericalvision", "sphericalvision.recipes": ROOT / "recipes"}
+
+# Folders that still import private names of others: (folder, module).
+ALLOWED = {
+    ("sphericalvision.crown.fast", "sphericalvision.crown.conv"),
+    ("sphericalvision.crown.fast", "sphericalvision.crown.layout"),
+}
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Every file of the package by the name of its module."""
+    found = {}
+    for package, folder in TREES.items():
+        for path in folder.rglob("*.py"):
+            parts = path.relative_to(folder).with_suffix("").parts
+            found[".".join((package, *(part for part in parts if part != "__init__")))] = path
+    return found
+
+
+def imported(tree: ast.AST) -> Iterator[tuple[str, str]]:
+    """Module and name of every ``from module import name``; of ``import module`` with an empty name."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield from ((node.module, alias.name) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names)
+
+
+def folder_of(module: str) -> str:
+    """Package in which a module lies; a package lies in itself."""
+    return module if modules()[module].name == "__init__.py" else module.rpartition(".")[0]
+
+
+def is_private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__")
+
+
+def private_crossings(module: str, tree: ast.AST) -> Iterator[str]:
+    """Private names of other folders that a file imports, or reaches through a module that it imports."""
+    aliases = {}
+    for source, name in imported(tree):
+        full = f"{source}.{name}" if f"{source}.{name}" in modules() else source
+        if full not in modules() or folder_of(full) == folder_of(module):
+            continue
+        private = is_private(name) or any(map(is_private, full.split(".")))
+        if private and (folder_of(module), source) not in ALLOWED:
+            yield f"{module} imports {name} of {source}"
+        if full != source and not private:
+            aliases[name] = full
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and is_private(node.attr) and isinstance(node.value, ast.Name):
+            module_of_name = aliases.get(node.value.id)
+            if module_of_name:
+                yield f"{module} uses {node.attr} of {module_of_name}"
+
+
+def test_no_private_name_crosses_a_folder() -> None:
+    found = [
+        crossing
+        for module, path in modules().items()
+        for crossing in private_crossings(module, ast.parse(path.read_text()))
+    ]
+    assert not found, "make the name public in its folder, or move what needs it:\n" + "\n".join(found)
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Modules that import each other, one after the other and back to the first; none if there are no circles."""
+    done: set[str] = set()
+
+    def visit(module: str, path: list[str]) -> list[str]:
+        if module in path:
+            return [*path[path.index(module) :], module]
+        if module not in done:
+            for other in sorted(graph[module]):
+                if found := visit(other, [*path, module]):
+                    return found
+            done.add(module)
+        return []
+
+    return next((found for module in sorted(graph) if (found := visit(module, []))), [])
+
+
+def test_imports_go_in_no_circle() -> None:
+    graph: dict[str, set[str]] = {module: set() for module in modules()}
+    for module, path in modules().items():
+        for source, name in imported(ast.parse(path.read_text())):
+            target = f"{source}.{name}" if f"{source}.{name}" in graph else source
+            if target in graph and target != module:
+                graph[module].add(target)
+    assert sum(map(len, graph.values())) > 500  # the imports were found
+    assert not circle(graph), " -> ".join(circle(graph))
+
+
+def test_breaches_are_noticed() -> None:
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert circle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+    program = """
+def f():
+    from sphericalvision.icosphere.pooling import _max
+    from sphericalvision.icosphere import topology
+    return topology._private
+"""
+    assert len(list(private_crossings("sphericalvision.sphere.grids.base", ast.parse(program)))) == 2
+    assert not list(private_crossings("sphericalvision.icosphere.areas", ast.parse(program)))

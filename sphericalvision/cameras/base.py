@@ -6,15 +6,17 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
+from sphericalvision.cameras.precision import HALF, at_least_float32
 from sphericalvision.cameras.verbs import verb
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
-from sphericalvision.geometry import bilinear_sample, components, is_at_least, is_greater
+from sphericalvision.geometry.directions import components, is_at_least, is_greater, is_traced
+from sphericalvision.geometry.interpolation import bilinear_sample
 
 __all__ = ["Camera", "Conversion", "Projection", "Unprojection"]
 
@@ -56,9 +58,10 @@ class Conversion(NamedTuple):
 class Camera(ABC):
     """A central camera: it maps points or directions, never the plane z = 1, and so reaches beyond 180°.
 
-    Intrinsics are tensors that share batch dimensions ``*b`` (none for a single camera); points and pixels given to a
-    batched camera start with the same dimensions. Intrinsics take the dtype and device of the points or pixels, so one
-    camera serves float32 and float64, and gradients reach them.
+    Intrinsics are tensors whose batch dimensions ``*b`` broadcast with each other (none for a single camera); points
+    and pixels given to a batched camera start with the same dimensions. Intrinsics take the dtype and device of the
+    points or pixels, so one camera serves float32 and float64, and gradients reach them. Points and pixels in half
+    precision are computed in float32, and so is the answer.
 
     Convention:
         x right, y down, z forward along the optical axis. Pixels are (u, v) = (column, row) with integer pixel centres;
@@ -75,6 +78,9 @@ class Camera(ABC):
     """The tensor attributes, in the constructor's order."""
     option_names: ClassVar[tuple[str, ...]] = ()
     """Constructor arguments that are not tensors."""
+    sizes: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    """Intrinsic -> how many numbers its last dimension may hold; none, ``()``, means one number a camera, without a
+    dimension of its own. Intrinsics that are not named hold any number."""
     optional_names: ClassVar[tuple[str, ...]] = ()
     """Those of ``intrinsic_names`` that may be ``None``."""
 
@@ -86,10 +92,44 @@ class Camera(ABC):
         given = [value for value in (*intrinsics.values(), max_angle) if isinstance(value, Tensor)]
         floating = [value for value in given if value.is_floating_point()]
         like = floating[0] if floating else torch.empty(())
+        _check_precision(like.dtype)
         for name, value in intrinsics.items():
-            tensor = None if value is None else torch.as_tensor(value, dtype=like.dtype, device=like.device)
-            setattr(self, name, tensor)
+            setattr(self, name, None if value is None else _checked_numbers(name, value, like))
         self.max_angle = _checked_angle(max_angle, like)
+        self._check_sizes()
+        self._broadcast()
+
+    def _check_sizes(self) -> None:
+        """Raise unless the last dimensions are those of the model, and focal lengths above 0."""
+        for name, sizes in self.sizes.items():
+            tensor = getattr(self, name)
+            if tensor is not None and sizes and (tensor.ndim == 0 or tensor.shape[-1] not in sizes):
+                shapes = " or ".join(f"(*, {size})" for size in sizes)
+                raise ShapeError(f"{name}: expected shape {shapes}, got {tuple(tensor.shape)}")
+        focal_length = getattr(self, "focal_length", None)
+        if isinstance(focal_length, Tensor) and not (is_traced() or bool((focal_length > 0).all())):
+            raise ArgumentError(f"focal_length: expected pixels above 0, got {focal_length.tolist()}")
+
+    def _broadcast(self) -> None:
+        """Give all intrinsics and ``max_angle`` the batch dimensions that they share."""
+        names = self._tensor_names()
+        leads = {name: self._batch_of(name) for name in names}
+        try:
+            batch = torch.broadcast_shapes(*leads.values())
+        except RuntimeError:
+            shapes = ", ".join(f"{name} {tuple(getattr(self, name).shape)}" for name in names)
+            raise ShapeError(
+                f"intrinsics: expected batch dimensions that broadcast with each other, got {shapes}"
+            ) from None
+        for name in names:
+            tensor = getattr(self, name)
+            if leads[name] != batch:
+                setattr(self, name, tensor.expand(*batch, *tensor.shape[len(leads[name]) :]))
+
+    def _batch_of(self, name: str) -> tuple[int, ...]:
+        """Batch dimensions of an intrinsic: all but the last one, or all of those that are one number a camera."""
+        shape = tuple(getattr(self, name).shape)
+        return shape if name == "max_angle" or self.sizes.get(name) == () else shape[:-1]
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -123,6 +163,7 @@ class Camera(ABC):
             ShapeError: ``points`` is not (*, 3), or does not start with the camera's batch dimensions.
         """
         check_last_dim("points", points, 3)
+        points = at_least_float32("points", points)
         points = torch.stack(points.unbind(-1)).movedim(0, -1)  # with contiguous components
         pixels, valid = self._project(points)
         return Projection(pixels, valid & self._within_max_angle(points) & self.contains(pixels))
@@ -136,6 +177,7 @@ class Camera(ABC):
             ShapeError: ``pixels`` is not (*, 2), or does not start with the camera's batch dimensions.
         """
         check_last_dim("pixels", pixels, 2)
+        pixels = at_least_float32("pixels", pixels)
         directions, valid = self._unproject(pixels)
         return Unprojection(
             directions, valid & self._looks_within_max_angle(directions) & self.contains(pixels)
@@ -155,7 +197,13 @@ class Camera(ABC):
 
         Raises:
             ShapeError: the image is not of the camera's size.
+            ArgumentError: the image is no tensor.
         """
+        if not isinstance(image, Tensor):
+            raise ArgumentError(
+                f"image: expected a tensor (*b, c, h, w), got {type(image).__name__}; "
+                "torch.from_numpy(image).movedim(-1, -3) makes one of an array (h, w, c)"
+            )
         if image.ndim < 3 or tuple(image.shape[-2:]) != self.image_size:
             height, width = self.image_size
             raise ShapeError(
@@ -182,8 +230,14 @@ class Camera(ABC):
         return torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1)
 
     def to(self: AnyCamera, *args: Any, **kwargs: Any) -> AnyCamera:
-        """The same camera with its tensors moved or converted, as ``torch.Tensor.to``."""
-        return self._map(lambda tensor: tensor.to(*args, **kwargs))
+        """The same camera with its tensors moved or converted, as ``torch.Tensor.to``.
+
+        Raises:
+            ArgumentError: to half precision, which cannot hold intrinsics.
+        """
+        moved = self._map(lambda tensor: tensor.to(*args, **kwargs))
+        _check_precision(moved.dtype)
+        return moved
 
     def with_max_angle(self: AnyCamera, max_angle: float | Tensor) -> AnyCamera:
         """The same camera with another limit of its field of view, in radians from the optical axis."""
@@ -283,6 +337,11 @@ class Camera(ABC):
         image_size: tuple[int, int],
     ) -> AnyCamera:
         """The camera whose pixels are ``scale * pixels + offset``; here for models with a focal length."""
+        if not {"focal_length", "principal_point"} <= set(self.intrinsic_names):
+            raise ArgumentError(
+                f"resized, cropped: {type(self).__name__} has no focal length and principal point; its class must "
+                "override _on_pixels"
+            )
         changed = copy.copy(self)
         focal_length, principal_point = vars(self)["focal_length"], vars(self)["principal_point"]
         stretch = principal_point.new_tensor(scale)
@@ -331,15 +390,6 @@ class Camera(ABC):
         lowest = torch.cos(self._widest(directions).clamp_max(math.pi))
         return directions[..., 2] >= lowest - 4 * torch.finfo(directions.dtype).eps
 
-    def _set_batch(self, *shape: int) -> None:
-        """Give ``max_angle`` the batch dimensions of the intrinsics."""
-        if self.max_angle.ndim > len(shape):
-            raise ShapeError(
-                f"max_angle: expected a number or shape {shape}, as the other intrinsics, got "
-                f"{tuple(self.max_angle.shape)}"
-            )
-        self.max_angle = self.max_angle.expand(shape)
-
     def _tensor_names(self) -> tuple[str, ...]:
         return tuple(name for name in (*self.intrinsic_names, "max_angle") if getattr(self, name) is not None)
 
@@ -354,9 +404,28 @@ class Camera(ABC):
         return mapped
 
 
+def _check_precision(dtype: torch.dtype) -> None:
+    if dtype in HALF:
+        raise ArgumentError(
+            f"dtype: cameras keep their intrinsics in float32 or float64, got {dtype}; points and images may be in "
+            "half precision"
+        )
+
+
+def _checked_numbers(name: str, value: Any, like: Tensor) -> Tensor:
+    """A tensor of finite numbers."""
+    try:
+        tensor = torch.as_tensor(value, dtype=like.dtype, device=like.device)
+    except (TypeError, ValueError, RuntimeError):
+        raise ArgumentError(f"{name}: expected numbers, got {value!r:.80}") from None
+    if not (is_traced() or bool(tensor.isfinite().all())):
+        raise ArgumentError(f"{name}: expected finite numbers, got {tensor.tolist()!s:.200}")
+    return tensor
+
+
 def _checked_angle(max_angle: float | Tensor, like: Tensor) -> Tensor:
-    angle = torch.as_tensor(max_angle, dtype=like.dtype, device=like.device)
-    if not bool(((angle > 0) & (angle <= torch.pi + 1e-6)).all()):
+    angle = _checked_numbers("max_angle", max_angle, like)
+    if not angle.numel() or not bool(((angle > 0) & (angle <= torch.pi + 1e-6)).all()):
         raise ArgumentError(
             f"max_angle: expected radians from the optical axis in (0, π], got {max_angle}; it is half the field of "
             "view, e.g. math.radians(110) for a lens of 220°"

@@ -182,8 +182,9 @@ class CameraRig:
         down = transform_from_axis_angle(torch.stack((-angle, zero, zero), -1), poses.new_zeros(3))
         poses = poses @ down
         if rotation is not None:
-            if rotation.shape[-2:] != (3, 3):
+            if tuple(rotation.shape[-2:]) != (3, 3):
                 raise ShapeError(f"rotation: expected shape (*, 3, 3), got {tuple(rotation.shape)}")
+            _check_rotation("rotation", rotation)
             turn = torch.eye(4, dtype=poses.dtype, device=poses.device).repeat(*rotation.shape[:-2], 1, 1)
             turn[..., :3, :3] = rotation.to(poses)
             poses = turn[..., None, :, :] @ poses
@@ -449,14 +450,18 @@ def _check_poses(names: list[str], poses: Tensor) -> None:
             raise ArgumentError(
                 f"world_from_camera: the pose of {name} has NaN or infinite numbers; correct it"
             )
-    rotation = detached[..., :3, :3].double()
-    eye = torch.eye(3, dtype=torch.float64, device=poses.device)
+    _check_rotation("world_from_camera", detached[..., :3, :3])
+
+
+def _check_rotation(name: str, rotation: Tensor) -> None:
+    rotation = rotation.detach().double()
+    eye = torch.eye(3, dtype=torch.float64, device=rotation.device)
     rigid = ((rotation @ rotation.mT - eye).abs().amax() < 1e-3) and bool(
         (torch.linalg.det(rotation) > 0).all()
     )
     if not rigid:
         raise ArgumentError(
-            "world_from_camera: expected rotations (orthonormal, determinant +1) in the upper left 3 x 3"
+            f"{name}: expected rotations (3 x 3, orthonormal, determinant +1), but these stretch, mirror or hold NaN"
         )
 
 

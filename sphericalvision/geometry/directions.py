@@ -26,6 +26,7 @@ __all__ = [
     "from_components",
     "is_at_least",
     "is_greater",
+    "is_traced",
     "lifted_radius",
     "longitude_latitude_from_directions",
     "normalize",
@@ -75,7 +76,7 @@ def is_at_least(a: Tensor | float, b: Tensor) -> Tensor:
         >>> is_at_least(1.0, torch.tensor([1.0, 2.0, float("nan")]))
         tensor([ True, False, False])
     """
-    if _is_traced():
+    if is_traced():
         return b <= a
     return (a - b).detach().ge_(0).bool()
 
@@ -87,13 +88,13 @@ def is_greater(a: Tensor, b: Tensor | float) -> Tensor:
         >>> is_greater(torch.tensor([1.0, 0.0, float("nan")]), 0.0)
         tensor([ True, False, False])
     """
-    if _is_traced():
+    if is_traced():
         return a > b
     difference = a.detach() - b.detach() if isinstance(b, Tensor) else a.detach().clone()
     return difference.gt_(0 if isinstance(b, Tensor) else b).bool()
 
 
-def _is_traced() -> bool:
+def is_traced() -> bool:
     """Whether a compiler or a transform such as ``vmap`` looks on: neither gains from comparisons in place."""
     return torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active()
 

@@ -43,7 +43,7 @@ def bilinear_sample(
     """Values (*b, c, n) of ``image`` (*b, c, h, w) at ``pixels`` (*b, n, 2), given as (u, v).
 
     Args:
-        image: floating point; its leading dimensions broadcast with those of ``pixels``.
+        image: floating point, as then are the values; its leading dimensions broadcast with those of ``pixels``.
         pixels: (u, v) with integer pixel centres.
         wrap_longitude: the image is a full equirectangular panorama: its left and right edges meet, and beyond
             a pole the panorama continues on the opposite side.
@@ -78,8 +78,10 @@ def bilinear_sample(
         image, size = wrap_panorama(image), size + 2
     batch = torch.broadcast_shapes(image.shape[:-3], pixels.shape[:-2])
     flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
+    if image.dtype in (torch.float16, torch.bfloat16):  # whose places would be half a pixel off
+        flat_image = flat_image.float()
     # grid_sample(align_corners=False) puts the centre of pixel i at (2 i + 1) / size - 1.
-    grid = ((2 * pixels + 1) / size - 1).to(image.dtype).expand(*batch, *pixels.shape[-2:])
+    grid = ((2 * pixels + 1) / size - 1).to(flat_image.dtype).expand(*batch, *pixels.shape[-2:])
     grid = grid.reshape(-1, 1, *pixels.shape[-2:])
     values = F.grid_sample(flat_image, grid, padding_mode=padding, align_corners=False)
-    return values.reshape(*batch, image.shape[-3], pixels.shape[-2])
+    return values.reshape(*batch, image.shape[-3], pixels.shape[-2]).to(image.dtype)

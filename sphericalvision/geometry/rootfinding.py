@@ -78,15 +78,18 @@ def polynomial_with_curvature(coefficients: Tensor, x: Tensor) -> tuple[Tensor, 
     return value, derivative, 2 * half
 
 
-def increasing_limit(derivative: Callable[[Tensor], Tensor], upper: Tensor, samples: int = 128) -> Tensor:
+def increasing_limit(
+    derivative: Callable[[Tensor], Tensor], upper: Tensor, samples: int = 128, refinements: int = 2
+) -> Tensor:
     """How far from 0 towards ``upper`` (*) a function increases.
 
-    The first of ``samples`` at which it does not is looked for, and the place before it where the derivative, drawn as
-    a straight line, is 0. The limit (*) carries no derivative. ``derivative`` maps (*, samples) to (*, samples).
+    The first of ``samples`` at which it does not is looked for. Between it and the sample before, the zero of the
+    derivative is found by the rule of false position, ``refinements`` times. The limit (*) carries no derivative.
+    ``derivative`` maps (*, samples) and (*, 1) to the same shape.
 
     Examples:
-        >>> round(increasing_limit(torch.cos, torch.tensor(3.2), samples=65).item(), 2)  # sin rises up to π/2
-        1.57
+        >>> round(increasing_limit(torch.cos, torch.tensor(3.2), samples=65).item(), 5)  # sin rises up to π/2
+        1.5708
     """
     with torch.no_grad():
         steps = torch.linspace(0, 1, samples, dtype=upper.dtype, device=upper.device)
@@ -94,10 +97,25 @@ def increasing_limit(derivative: Callable[[Tensor], Tensor], upper: Tensor, samp
         slope = derivative(at)
         rising = (slope > 0).to(torch.long).cumprod(-1).sum(-1, keepdim=True)
         last, following = (rising - 1).clamp_min(0), rising.clamp_max(samples - 1)
+        low, high = (
+            at.gather(-1, last),
+            at.gather(-1, following),
+        )  # the same place where all samples rise, or none does
         positive, negative = slope.gather(-1, last), slope.gather(-1, following)
-        share = (positive / (positive - negative)).nan_to_num(0.0).clamp(0, 1)
-        share = torch.where(rising < samples, share, 1.0)
-        return torch.lerp(at.gather(-1, last), at.gather(-1, following), share).squeeze(-1)
+        for _ in range(refinements):
+            middle = _false_position(low, high, positive, negative)
+            slope = derivative(middle)
+            above = slope > 0
+            low, positive = torch.where(above, middle, low), torch.where(above, slope, positive)
+            high, negative = torch.where(above, high, middle), torch.where(above, negative, slope)
+        limit = _false_position(low, high, positive, negative)
+        return torch.where(rising < samples, limit, upper.unsqueeze(-1)).squeeze(-1)
+
+
+def _false_position(low: Tensor, high: Tensor, positive: Tensor, negative: Tensor) -> Tensor:
+    """Where the straight line from (low, positive) to (high, negative) meets 0."""
+    share = (positive / (positive - negative)).nan_to_num(0.0).clamp(0, 1)
+    return torch.lerp(low, high, share)
 
 
 def refine_root(

@@ -26,7 +26,7 @@ from sphericalvision.cameras import (
     focal_length_on_axis,
 )
 from sphericalvision.core import ArgumentError
-from tests.cameras.test_camera_laws import MODELS
+from tests.laws.cameras import MODELS
 
 F, C, SIZE = [210.0, 208.0], [318.2, 322.7], (640, 640)
 EXACT = 1e-6  # pixels

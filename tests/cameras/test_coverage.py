@@ -21,7 +21,7 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
-from tests.cameras.test_camera_laws import MODELS
+from tests.laws.cameras import MODELS
 
 
 def test_counts_are_those_of_asking_each_camera_for_each_point() -> None:

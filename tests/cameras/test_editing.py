@@ -8,7 +8,7 @@ import torch
 
 from sphericalvision.cameras import Camera, EquirectangularCamera, PinholeCamera
 from sphericalvision.core import ArgumentError
-from tests.cameras.test_camera_laws import MODELS
+from tests.laws.cameras import MODELS
 
 SIZES = [(48, 56), (192, 224), (96, 200), (31, 112)]  # halved, doubled, stretched, squeezed, of (96, 112)
 CROP = (11, 7, 60, 90)  # top, left, height, width

@@ -17,7 +17,10 @@ from sphericalvision.cameras import (
     KannalaBrandtCamera,
     PinholeCamera,
     project_fisheye,
+    project_kannala_brandt,
+    unproject_kannala_brandt,
 )
+from sphericalvision.core import ArgumentError, ShapeError
 
 FOCAL, CENTER, SIZE = [190.97, 188.3], [254.93, 256.9], (512, 512)
 DISTORTION = [0.0034823894, 0.0007150348, -0.0020532361, 0.0002029367]
@@ -89,6 +92,74 @@ def test_fisheye_radii_are_the_textbook_formulas(projection: str, radius: object
         pixels, valid = project_fisheye(point, *double([100.0], [0.0, 0.0]), projection)
         assert bool(valid) == (projection != "orthographic" or angle < math.pi / 2)
         assert pixels[1].item() == pytest.approx(-100 * radius(angle), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("projection", "edge"),
+    [("equidistant", math.pi), ("equisolid", 2.0), ("orthographic", 1.0)],
+)
+def test_pixels_beyond_what_a_projection_can_show_are_not_valid(projection: str, edge: float) -> None:
+    """The whole sphere ends at π focal lengths (equidistant), 2 (equisolid), and half of it at 1 (orthographic)."""
+    camera = FisheyeCamera(projection, *double(100.0, [400.0, 400.0]), (801, 801))
+    radii = 100 * edge * torch.tensor([0.999, 1.001, 1.2], dtype=torch.float64)
+    pixels = torch.stack((400 + radii, torch.full_like(radii, 400.0)), -1)
+    assert camera.contains(pixels).all()
+    assert camera.unproject(pixels).valid.tolist() == [True, False, False]
+
+
+def test_a_fold_is_found_to_a_millionth_of_a_radian() -> None:
+    """θ − θ³/3 turns at 1 rad, which lies between the samples that look for it."""
+    camera = KannalaBrandtCamera(*double([100.0, 100.0], [200.0, 200.0], [-1 / 3, 0.0, 0.0, 0.0]), (401, 401))
+    assert camera.max_angle.item() == pytest.approx(1.0, abs=1e-7)
+    angles = 1 + torch.tensor([-1e-6, 1e-6], dtype=torch.float64)
+    points = torch.stack((angles.sin(), torch.zeros(2), angles.cos()), -1)
+    assert camera.with_max_angle(math.pi).project(points).valid.tolist() == [True, False]
+
+
+def test_models_end_where_they_end_by_default() -> None:
+    sphere = DoubleSphereCamera([100.0, 100.0], [99.5, 99.5], -0.2, 0.6, (200, 200))
+    edge = sphere.max_angle.item()
+    wider = sphere.with_max_angle(math.pi)
+    angles = edge + torch.tensor([-1e-3, 1e-3])
+    points = torch.stack((angles.sin(), torch.zeros(2), angles.cos()), -1)
+    assert wider._project(points).valid.tolist() == [True, False]
+    assert FisheyeCamera("orthographic", 50.0, [99.5, 99.5], (200, 200)).max_angle.item() == pytest.approx(
+        math.pi / 2
+    )
+
+
+def test_one_focal_length_for_each_camera_or_for_each_direction() -> None:
+    centers = torch.tensor([[10.0, 20.0], [30.0, 40.0]])
+    same = FisheyeCamera("equidistant", torch.tensor([50.0, 50.0]), centers, (100, 100), 1.0)
+    pair = FisheyeCamera("equidistant", torch.tensor([[50.0, 50.0]]), centers, (100, 100), 1.0)
+    assert same.batch_shape == pair.batch_shape == (2,)
+    points = torch.tensor([0.3, 0.2, 1.0]).expand(2, 1, 3)
+    torch.testing.assert_close(same.project(points).pixels, pair.project(points).pixels)
+    with pytest.raises(ArgumentError, match=r"write \(2, 1\) or \(1, 2\)"):
+        FisheyeCamera("equidistant", torch.tensor([50.0, 60.0]), centers, (100, 100), 1.0)
+    each = FisheyeCamera("equidistant", torch.tensor([50.0, 60.0, 70.0]), [10.0, 20.0], (100, 100), 1.0)
+    assert each.batch_shape == (3,)
+    assert each.select(1).focal_length.tolist() == [60.0]
+
+
+def test_batches_that_do_not_fit_each_other_are_named() -> None:
+    with pytest.raises(ShapeError, match=r"focal_length \(3, 2\), principal_point \(2, 2\)"):
+        PinholeCamera(torch.ones(3, 2), torch.ones(2, 2), (10, 10))
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_convention_half_precision_is_computed_in_float32(dtype: torch.dtype) -> None:
+    lens = [torch.tensor(values).to(dtype) for values in (FOCAL, CENTER, DISTORTION)]
+    points = torch.tensor([[0.3, 0.2, 1.0], [1.0, 0.5, -0.1]]).to(dtype)
+    pixels, valid = project_kannala_brandt(points, *lens)
+    assert torch.equal(
+        pixels, project_kannala_brandt(points.float(), *(tensor.float() for tensor in lens)).pixels
+    )
+    assert valid.all()
+    directions = unproject_kannala_brandt(pixels.to(dtype), *lens).directions
+    assert directions.dtype == torch.float32
+    with pytest.raises(ArgumentError, match="points: expected floating point"):
+        project_kannala_brandt(torch.tensor([[0, 0, 1]]), *lens)
 
 
 def test_fisheye_from_field_of_view_fills_the_shorter_side() -> None:

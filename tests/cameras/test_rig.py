@@ -48,6 +48,8 @@ def test_rotation_turns_the_whole_rig() -> None:
     torch.testing.assert_close(turned.world_from_camera, rig.permuted([1, 2, 3, 0]).world_from_camera)
     with pytest.raises(ValueError, match="rotation="):
         rig.rotated(quarter)
+    with pytest.raises(ValueError, match="rotation: expected rotations"):
+        rig.rotated(rotation=2 * torch.eye(3))
 
 
 def test_subset_and_permutation_keep_names_poses_and_masks_together() -> None:

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
-from tests.laws.camera_laws import inner_angle, replaced
+from tests.laws.camera_laws import directions_seen, inner_angle, replaced
+from tests.laws.cameras import CameraCase
 
 BOTH = ("project", "unproject")
 ANGLES = (0.0, 1e-6, 0.7, math.pi / 2, math.radians(100.5))  # and the edge
@@ -48,9 +49,9 @@ def _function(camera: Camera, verb: str) -> Callable[..., Tensor]:
     return call
 
 
-def law_second_derivatives_are_right(camera: Camera, on_axis: bool = True) -> None:
+def law_second_derivatives_are_right(camera: Camera, case: CameraCase) -> None:
     """Finite differences of values and of first derivatives, by points, pixels and intrinsics, in float64."""
-    camera = camera.to(torch.float64)
+    camera, on_axis = camera.to(torch.float64), case.smooth_on_axis
     points = (
         telling_directions(camera, on_axis)
         * torch.tensor([[1.0], [2.5]], dtype=torch.float64).repeat(3, 1)[
@@ -119,13 +120,13 @@ def _traced_equals_eager(camera: Camera, traced: Callable[..., tuple[Tensor, ...
         torch.testing.assert_close(found, wanted, rtol=1e-12, atol=1e-10)
 
 
-def law_compiles_without_graph_breaks(camera: Camera, backend: str) -> None:
+def compiles_without_graph_breaks(camera: Camera, backend: str) -> None:
     """``torch.compile(fullgraph=True)`` of both directions gives what eager does."""
     torch._dynamo.reset()
     _traced_equals_eager(camera, torch.compile(Both(camera), fullgraph=True, backend=backend))
 
 
-def law_compiled_gradients(camera: Camera, backend: str) -> None:
+def compiled_gradients(camera: Camera, backend: str) -> None:
     """Compiled derivatives, too."""
     torch._dynamo.reset()
     points = telling_directions(camera).to(camera.dtype).requires_grad_()
@@ -140,10 +141,32 @@ def law_compiled_gradients(camera: Camera, backend: str) -> None:
         torch.testing.assert_close(found, wanted, rtol=1e-9, atol=1e-9)
 
 
-def law_exports(camera: Camera) -> None:
+def exports(camera: Camera) -> None:
     """``torch.export`` of both directions, for any number of points."""
     points = telling_directions(camera).to(camera.dtype)
     pixels = camera.project(points).pixels
     number = torch.export.Dim("number", min=2, max=10**6)
     program = torch.export.export(Both(camera), (points, pixels), dynamic_shapes=({0: number}, {0: number}))
     _traced_equals_eager(camera, program.module())
+
+
+def law_gradients_are_right(camera: Camera) -> None:
+    """Finite differences in float64 with respect to points, pixels and intrinsics, on the axis too."""
+    camera = camera.to(torch.float64)
+    names = [name for name in camera.intrinsic_names if getattr(camera, name) is not None]
+    tensors = [getattr(camera, name).detach() for name in names]
+    scales = [
+        torch.where(tensor == 0, 1.0, tensor.abs()) for tensor in tensors
+    ]  # powers of pixels differ vastly
+    changes = [torch.zeros_like(tensor, requires_grad=True) for tensor in tensors]
+    seen = directions_seen(camera)
+    axis = seen.new_tensor([[0.0, 0.0, 1.0], [0.0, 0.0, 2.5]])
+    points = torch.cat((axis, seen[:: len(seen) // 5])).requires_grad_()
+    pixels = camera.project(points.detach()).pixels.requires_grad_()
+    for name, values in (("project", points), ("unproject", pixels)):
+
+        def call(values: Tensor, *changes: Tensor, name: str = name) -> Tensor:
+            changed = [t + c * s for t, c, s in zip(tensors, changes, scales, strict=True)]
+            return getattr(replaced(camera, names, changed), name)(values)[0]
+
+        assert torch.autograd.gradcheck(call, (values, *changes), eps=1e-6, atol=2e-4, rtol=1e-4)

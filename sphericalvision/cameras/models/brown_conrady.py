@@ -13,13 +13,19 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import PLANE_REACH, solve_linear, with_shapes
-from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.models.image_plane import (
+    IMAGE_PLANE,
+    pixels_from_plane,
+    plane_from_pixels,
+    unit_directions,
+)
 from sphericalvision.cameras.models.plane_distortion import (
     distort_inside,
     fold_radius,
     radius_limit,
     undistort,
 )
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components, is_greater
@@ -76,6 +82,7 @@ def _untilt(u: Tensor, v: Tensor, angles: Tensor) -> tuple[Tensor, Tensor, Tenso
     return x / depth, y / depth, valid
 
 
+@computed_in_float32
 def project_brown_conrady(
     points: Tensor,
     focal_length: Tensor,
@@ -121,6 +128,7 @@ def project_brown_conrady(
     return Projection(pixels_from_plane(u, v, focal_length, principal_point), valid)
 
 
+@computed_in_float32
 def unproject_brown_conrady(
     pixels: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
 ) -> Unprojection:
@@ -168,6 +176,7 @@ class BrownConradyCamera(Camera):
 
     model = "brown_conrady"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = IMAGE_PLANE
 
     focal_length: Tensor
     principal_point: Tensor
@@ -188,17 +197,9 @@ class BrownConradyCamera(Camera):
             principal_point=principal_point,
             distortion=distortion,
         )
-        check_last_dim("focal_length", self.focal_length, 2)
-        check_last_dim("principal_point", self.principal_point, 2)
         _check_distortion(self.distortion)
-        batch = torch.broadcast_shapes(
-            self.focal_length.shape[:-1], self.principal_point.shape[:-1], self.distortion.shape[:-1]
-        )
-        for name in self.intrinsic_names:
-            setattr(self, name, getattr(self, name).expand(*batch, -1))
         if max_angle is None:
             self.max_angle = torch.atan(fold_radius(self.distortion))
-        self._set_batch(*batch)
         self._end_before_second_fold()
 
     def with_max_angle(self, max_angle: float | Tensor) -> BrownConradyCamera:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -12,7 +13,13 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
-from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.models.image_plane import (
+    IMAGE_PLANE,
+    pixels_from_plane,
+    plane_from_pixels,
+    unit_directions,
+)
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components, is_greater, safe_sqrt
@@ -20,6 +27,13 @@ from sphericalvision.geometry import components, is_greater, safe_sqrt
 __all__ = ["DoubleSphereCamera", "project_double_sphere", "unproject_double_sphere"]
 
 
+def _widest_cosine(xi: Tensor, alpha: Tensor) -> Tensor:
+    """Minus the cosine of the angle at which the model ends, w2 of eq. 43."""
+    w1 = torch.where(alpha <= 0.5, alpha / (1 - alpha).clamp_min(1e-9), (1 - alpha) / alpha.clamp_min(1e-9))
+    return (w1 + xi) / safe_sqrt(2 * w1 * xi + xi * xi + 1)
+
+
+@computed_in_float32
 def project_double_sphere(
     points: Tensor, focal_length: Tensor, principal_point: Tensor, xi: Tensor, alpha: Tensor
 ) -> Projection:
@@ -52,12 +66,11 @@ def project_double_sphere(
     denominator = torch.addcmul(alpha * second, 1 - alpha, shifted)
     least = limits.eps * first
     shrink = torch.maximum(denominator, least).reciprocal()
-    w1 = torch.where(alpha <= 0.5, alpha / (1 - alpha).clamp_min(1e-9), (1 - alpha) / alpha.clamp_min(1e-9))
-    w2 = (w1 + xi) / safe_sqrt(2 * w1 * xi + xi * xi + 1)
-    valid = is_greater(denominator, least) & is_greater(z, -w2 * first)
+    valid = is_greater(denominator, least) & is_greater(z, -_widest_cosine(xi, alpha) * first)
     return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), valid)
 
 
+@computed_in_float32
 def unproject_double_sphere(
     pixels: Tensor, focal_length: Tensor, principal_point: Tensor, xi: Tensor, alpha: Tensor
 ) -> Unprojection:
@@ -88,7 +101,7 @@ class DoubleSphereCamera(Camera):
         xi: (*b,).
         alpha: (*b,) in [0, 1].
         image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,).
+        max_angle: half the field of view in radians, a number or (*b,); by default where the model ends.
 
     Raises:
         ArgumentError: ``alpha`` outside [0, 1] or |``xi``| not below 1.
@@ -101,6 +114,7 @@ class DoubleSphereCamera(Camera):
 
     model = "double_sphere"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "xi", "alpha")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "xi": (), "alpha": ()}
 
     focal_length: Tensor
     principal_point: Tensor
@@ -114,25 +128,22 @@ class DoubleSphereCamera(Camera):
         xi: float | Tensor,
         alpha: float | Tensor,
         image_size: Sequence[int],
-        max_angle: float | Tensor,
+        max_angle: float | Tensor | None = None,
     ) -> None:
         super().__init__(
             image_size,
-            max_angle,
+            math.pi if max_angle is None else max_angle,
             focal_length=focal_length,
             principal_point=principal_point,
             xi=xi,
             alpha=alpha,
         )
-        check_last_dim("focal_length", self.focal_length, 2)
-        check_last_dim("principal_point", self.principal_point, 2)
         if not bool(((self.alpha >= 0) & (self.alpha <= 1)).all()):
             raise ArgumentError(f"alpha: expected numbers in [0, 1], got {self.alpha.tolist()}")
         if not bool((self.xi.abs() < 1).all()):
             raise ArgumentError(f"xi: expected numbers in (-1, 1), got {self.xi.tolist()}")
-        batch = self.principal_point.shape[:-1]
-        self.xi, self.alpha = self.xi.expand(batch), self.alpha.expand(batch)
-        self._set_batch(*batch)
+        if max_angle is None:
+            self.max_angle = torch.acos(-_widest_cosine(self.xi, self.alpha)).detach()
 
     def _project(self, points: Tensor) -> Projection:
         return project_double_sphere(points, *self._aligned(points))

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import (
@@ -25,6 +26,7 @@ from sphericalvision.geometry import (
 __all__ = ["EquirectangularCamera", "project_equirectangular", "unproject_equirectangular"]
 
 
+@computed_in_float32
 def project_equirectangular(
     points: Tensor, image_size: Sequence[int], vertical_field_of_view: float = math.pi
 ) -> Projection:
@@ -45,6 +47,7 @@ def project_equirectangular(
     return Projection(from_components(u, v), x.abs() + y.abs() + z.abs() > 0)
 
 
+@computed_in_float32
 def unproject_equirectangular(
     pixels: Tensor, image_size: Sequence[int], vertical_field_of_view: float = math.pi
 ) -> Unprojection:

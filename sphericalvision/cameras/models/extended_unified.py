@@ -13,7 +13,13 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
-from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.models.image_plane import (
+    IMAGE_PLANE,
+    pixels_from_plane,
+    plane_from_pixels,
+    unit_directions,
+)
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components, is_greater, safe_sqrt
@@ -28,6 +34,7 @@ def _widest_cosine(alpha: Tensor) -> Tensor:
     return -smaller / larger
 
 
+@computed_in_float32
 def project_extended_unified(
     points: Tensor, focal_length: Tensor, principal_point: Tensor, alpha: Tensor, beta: Tensor
 ) -> Projection:
@@ -64,6 +71,7 @@ def project_extended_unified(
     return Projection(pixels, valid)
 
 
+@computed_in_float32
 def unproject_extended_unified(
     pixels: Tensor, focal_length: Tensor, principal_point: Tensor, alpha: Tensor, beta: Tensor
 ) -> Unprojection:
@@ -106,6 +114,7 @@ class ExtendedUnifiedCamera(Camera):
 
     model = "extended_unified"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "alpha", "beta")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "alpha": (), "beta": ()}
 
     focal_length: Tensor
     principal_point: Tensor
@@ -129,21 +138,12 @@ class ExtendedUnifiedCamera(Camera):
             alpha=alpha,
             beta=beta,
         )
-        check_last_dim("focal_length", self.focal_length, 2)
-        check_last_dim("principal_point", self.principal_point, 2)
         if not bool(((self.alpha >= 0) & (self.alpha <= 1)).all()):
             raise ArgumentError(f"alpha: expected numbers in [0, 1], got {self.alpha.tolist()}")
         if not bool((self.beta > 0).all()):
             raise ArgumentError(f"beta: expected numbers above 0, got {self.beta.tolist()}")
-        pairs = self.focal_length, self.principal_point
-        batch = torch.broadcast_shapes(
-            self.alpha.shape, self.beta.shape, *(tensor.shape[:-1] for tensor in pairs)
-        )
-        self.focal_length, self.principal_point = (tensor.expand(*batch, -1) for tensor in pairs)
-        self.alpha, self.beta = self.alpha.expand(batch), self.beta.expand(batch)
         if max_angle is None:
             self.max_angle = self._widest_angle()
-        self._set_batch(*batch)
 
     @torch.no_grad()
     def _widest_angle(self) -> Tensor:

@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,6 +16,7 @@ from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_choice, check_last_dim
 from sphericalvision.geometry import (
@@ -68,6 +70,7 @@ def _length_plus_z(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Ten
     return length, torch.maximum(total, least), total > least
 
 
+@computed_in_float32
 def project_fisheye(
     points: Tensor, focal_length: Tensor, principal_point: Tensor, projection: str = "equidistant"
 ) -> Projection:
@@ -111,6 +114,7 @@ def project_fisheye(
     return Projection(pixels_from_plane(x * scale, y * scale, focal_length, principal_point), valid)
 
 
+@computed_in_float32
 def unproject_fisheye(
     pixels: Tensor, focal_length: Tensor, principal_point: Tensor, projection: str = "equidistant"
 ) -> Unprojection:
@@ -144,6 +148,27 @@ def unproject_fisheye(
     return Unprojection(directions, valid)
 
 
+def _along_both(focal_length: Any, principal_point: Any) -> Any:
+    """The focal lengths with a last dimension: one for both directions or, where there are two, one for each."""
+    shape, batch = _shape_of(focal_length), _shape_of(principal_point)[:-1]
+    if shape and shape[-1] in (1, 2) and shape != batch:
+        return focal_length
+    if shape == batch and shape and shape[-1] == 2:  # read one way or the other
+        first, second = torch.as_tensor(focal_length).detach().unbind(-1)
+        if not bool((first == second).all()):
+            raise ArgumentError(
+                f"focal_length: shape {shape} with a batch of {batch} cameras is one number for each camera or one for "
+                f"each direction; write {(*shape, 1)} or {(1,) * len(batch) + (2,)}"
+            )
+    if isinstance(focal_length, Tensor):
+        return focal_length.unsqueeze(-1)
+    return np.asarray(focal_length)[..., None].tolist()
+
+
+def _shape_of(values: Any) -> tuple[int, ...]:
+    return tuple(values.shape) if isinstance(values, Tensor) else np.shape(values)
+
+
 @register_camera
 class FisheyeCamera(Camera):
     """An ideal fisheye camera.
@@ -153,7 +178,7 @@ class FisheyeCamera(Camera):
         focal_length: (*b,), or (*b, 2) for different scales along u and v, in pixels.
         principal_point: (*b, 2) as (u, v).
         image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,).
+        max_angle: half the field of view in radians, a number or (*b,); by default where the projection ends.
 
     Examples:
         >>> camera = FisheyeCamera.from_field_of_view((800, 800), math.radians(220))
@@ -164,6 +189,7 @@ class FisheyeCamera(Camera):
 
     model = "fisheye"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {"focal_length": (1, 2), "principal_point": (2,)}
     option_names: ClassVar[tuple[str, ...]] = ("projection",)
 
     projection: str
@@ -176,16 +202,16 @@ class FisheyeCamera(Camera):
         focal_length: float | Tensor,
         principal_point: Sequence[float] | Tensor,
         image_size: Sequence[int],
-        max_angle: float | Tensor,
+        max_angle: float | Tensor | None = None,
     ) -> None:
         check_choice("projection", projection, FISHEYE_PROJECTIONS)
-        super().__init__(image_size, max_angle, focal_length=focal_length, principal_point=principal_point)
-        check_last_dim("principal_point", self.principal_point, 2)
+        super().__init__(
+            image_size,
+            _WIDEST[projection] if max_angle is None else max_angle,
+            focal_length=_along_both(focal_length, principal_point),
+            principal_point=principal_point,
+        )
         self.projection = projection
-        batch = self.principal_point.shape[:-1]
-        if self.focal_length.ndim <= len(batch):  # one focal length for both directions
-            self.focal_length = self.focal_length.expand(batch).unsqueeze(-1)
-        self._set_batch(*batch)
 
     @classmethod
     def from_field_of_view(

@@ -8,7 +8,11 @@ from torch import Tensor
 
 from sphericalvision.geometry import components, from_components
 
-__all__ = ["pixels_from_plane", "plane_from_pixels", "unit_directions"]
+__all__ = ["IMAGE_PLANE", "pixels_from_plane", "plane_from_pixels", "unit_directions"]
+
+
+IMAGE_PLANE: dict[str, tuple[int, ...]] = {"focal_length": (2,), "principal_point": (2,)}
+"""Sizes of the intrinsics of models that end in ``pixels_from_plane``."""
 
 
 def pixels_from_plane(x: Tensor, y: Tensor, focal_length: Tensor, principal_point: Tensor) -> Tensor:

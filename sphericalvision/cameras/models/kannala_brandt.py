@@ -13,7 +13,13 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import solve_linear, with_shapes
-from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.models.image_plane import (
+    IMAGE_PLANE,
+    pixels_from_plane,
+    plane_from_pixels,
+    unit_directions,
+)
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import check_last_dim
 from sphericalvision.geometry import (
@@ -87,6 +93,7 @@ def _tabulated(coefficients: Tensor, widest: Tensor) -> _Inverse:
         return _Inverse(tabulate_inverse(squared, _spread(squared_radius, most)), most.squeeze(-1))
 
 
+@computed_in_float32
 def project_kannala_brandt(
     points: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
 ) -> Projection:
@@ -119,6 +126,7 @@ def project_kannala_brandt(
     return Projection(pixels, angle <= _widest_angle(coefficients))
 
 
+@computed_in_float32
 def unproject_kannala_brandt(
     pixels: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
 ) -> Unprojection:
@@ -160,7 +168,7 @@ class KannalaBrandtCamera(Camera):
         principal_point: (*b, 2) as (u, v).
         distortion: (*b, 4) as (k1, k2, k3, k4), OpenCV's and Kalibr's order.
         image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,).
+        max_angle: half the field of view in radians, a number or (*b,); by default where the radius stops growing.
 
     Examples:
         >>> camera = KannalaBrandtCamera([190.0, 190.0], [255.0, 257.0], [0.003, 0.0, -0.002, 0.0], (512, 512), 1.7)
@@ -170,6 +178,7 @@ class KannalaBrandtCamera(Camera):
 
     model = "kannala_brandt"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "distortion": (4,)}
 
     focal_length: Tensor
     principal_point: Tensor
@@ -181,19 +190,17 @@ class KannalaBrandtCamera(Camera):
         principal_point: Sequence[float] | Tensor,
         distortion: Sequence[float] | Tensor,
         image_size: Sequence[int],
-        max_angle: float | Tensor,
+        max_angle: float | Tensor | None = None,
     ) -> None:
         super().__init__(
             image_size,
-            max_angle,
+            math.pi if max_angle is None else max_angle,
             focal_length=focal_length,
             principal_point=principal_point,
             distortion=distortion,
         )
-        check_last_dim("focal_length", self.focal_length, 2)
-        check_last_dim("principal_point", self.principal_point, 2)
-        check_last_dim("distortion", self.distortion, 4)
-        self._set_batch(*self.principal_point.shape[:-1])
+        if max_angle is None:
+            self.max_angle = _widest_angle(_with_leading_one(self.distortion))
 
     def _project(self, points: Tensor) -> Projection:
         return project_kannala_brandt(points, *self._aligned(points))

@@ -19,6 +19,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import solve_linear
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import (
@@ -108,6 +109,7 @@ def _scale_by_root(
     return scale * shrink, inside & converged
 
 
+@computed_in_float32
 def project_ocam(
     points: Tensor,
     direct_polynomial: Tensor,
@@ -150,6 +152,7 @@ def project_ocam(
     return Projection(from_components(e * row + column + cu, c * row + d * column + cv), valid)
 
 
+@computed_in_float32
 def unproject_ocam(
     pixels: Tensor, direct_polynomial: Tensor, principal_point: Tensor, affine: Tensor
 ) -> Unprojection:
@@ -204,6 +207,7 @@ class OCamCamera(Camera):
         "principal_point",
         "affine",
     )
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {"principal_point": (2,), "affine": (3,)}
     optional_names: ClassVar[tuple[str, ...]] = ("inverse_polynomial",)
 
     polynomial: Tensor
@@ -228,8 +232,6 @@ class OCamCamera(Camera):
             principal_point=principal_point,
             affine=affine,
         )
-        check_last_dim("principal_point", self.principal_point, 2)
-        check_last_dim("affine", self.affine, 3)
         c, d, e = self.affine.detach().unbind(-1)
         if not bool((self.polynomial.detach()[..., 0] < 0).all()):
             raise ArgumentError(
@@ -238,7 +240,6 @@ class OCamCamera(Camera):
             )
         if bool((c - d * e == 0).any()):
             raise ArgumentError(f"affine: expected c − d·e ≠ 0, got (c, d, e) = {self.affine.tolist()}")
-        self._set_batch(*self.principal_point.shape[:-1])
 
     def exact(self) -> OCamCamera:
         """This camera with the exact inverse of its direct polynomial in place of the inverse polynomial."""

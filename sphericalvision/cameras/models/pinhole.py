@@ -13,7 +13,13 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
 from sphericalvision.cameras.fitting.starts import PLANE_REACH, shape_grid
-from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.models.image_plane import (
+    IMAGE_PLANE,
+    pixels_from_plane,
+    plane_from_pixels,
+    unit_directions,
+)
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import check_last_dim
 from sphericalvision.geometry import components, is_greater
@@ -21,6 +27,7 @@ from sphericalvision.geometry import components, is_greater
 __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
 
 
+@computed_in_float32
 def project_pinhole(points: Tensor, focal_length: Tensor, principal_point: Tensor) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3): (x, y)/z times ``focal_length`` (*, 2) plus ``principal_point`` (*, 2).
 
@@ -38,6 +45,7 @@ def project_pinhole(points: Tensor, focal_length: Tensor, principal_point: Tenso
     )
 
 
+@computed_in_float32
 def unproject_pinhole(pixels: Tensor, focal_length: Tensor, principal_point: Tensor) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_pinhole``.
 
@@ -69,6 +77,7 @@ class PinholeCamera(Camera):
 
     model = "pinhole"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = IMAGE_PLANE
 
     focal_length: Tensor
     principal_point: Tensor
@@ -81,9 +90,6 @@ class PinholeCamera(Camera):
         max_angle: float | Tensor = math.pi / 2,
     ) -> None:
         super().__init__(image_size, max_angle, focal_length=focal_length, principal_point=principal_point)
-        check_last_dim("focal_length", self.focal_length, 2)
-        check_last_dim("principal_point", self.principal_point, 2)
-        self._set_batch(*self.principal_point.shape[:-1])
 
     def _project(self, points: Tensor) -> Projection:
         return project_pinhole(points, *self._aligned(points))

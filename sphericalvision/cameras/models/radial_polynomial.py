@@ -14,6 +14,7 @@ from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import solve_linear
 from sphericalvision.cameras.models.image_plane import unit_directions
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import (
@@ -62,6 +63,7 @@ def _start(coefficients: Tensor, widest: Tensor, target: Tensor) -> Tensor:
         )
 
 
+@computed_in_float32
 def project_radial_polynomial(
     points: Tensor, coefficients: Tensor, principal_point: Tensor, aspect_ratio: Tensor
 ) -> Projection:
@@ -95,6 +97,7 @@ def project_radial_polynomial(
     return Projection(torch.stack((u, v), dim=-1), valid)
 
 
+@computed_in_float32
 def unproject_radial_polynomial(
     pixels: Tensor, coefficients: Tensor, principal_point: Tensor, aspect_ratio: Tensor
 ) -> Unprojection:
@@ -145,6 +148,7 @@ class RadialPolynomialCamera(Camera):
 
     model = "radial_polynomial"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("polynomial", "principal_point", "aspect_ratio")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {"principal_point": (2,), "aspect_ratio": ()}
 
     polynomial: Tensor
     principal_point: Tensor
@@ -165,7 +169,6 @@ class RadialPolynomialCamera(Camera):
             principal_point=principal_point,
             aspect_ratio=aspect_ratio,
         )
-        check_last_dim("principal_point", self.principal_point, 2)
         if self.polynomial.ndim == 0 or not bool((self.polynomial[..., 0] > 0).all()):
             raise ArgumentError(
                 "polynomial: expected coefficients (*, k) of θ, θ², ... in pixels, the first above 0, got "
@@ -173,13 +176,8 @@ class RadialPolynomialCamera(Camera):
             )
         if not bool((self.aspect_ratio > 0).all()):
             raise ArgumentError(f"aspect_ratio: expected numbers above 0, got {self.aspect_ratio.tolist()}")
-        pairs = self.polynomial, self.principal_point
-        batch = torch.broadcast_shapes(self.aspect_ratio.shape, *(tensor.shape[:-1] for tensor in pairs))
-        self.polynomial, self.principal_point = (tensor.expand(*batch, -1) for tensor in pairs)
-        self.aspect_ratio = self.aspect_ratio.expand(batch)
         if max_angle is None:
             self.max_angle = _widest_angle(self.polynomial)
-        self._set_batch(*batch)
 
     def _project(self, points: Tensor) -> Projection:
         return project_radial_polynomial(points, *self._aligned(points))

@@ -13,8 +13,14 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
-from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels, unit_directions
+from sphericalvision.cameras.models.image_plane import (
+    IMAGE_PLANE,
+    pixels_from_plane,
+    plane_from_pixels,
+    unit_directions,
+)
 from sphericalvision.cameras.models.plane_distortion import distort_inside, fold_radius, undistort
+from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import components, is_greater, safe_sqrt
@@ -36,6 +42,7 @@ def _lift(x: Tensor, y: Tensor, xi: Tensor) -> Unprojection:
     return Unprojection(unit_directions(scale * x, scale * y, scale - xi), under_root >= 0)
 
 
+@computed_in_float32
 def project_unified(
     points: Tensor,
     focal_length: Tensor,
@@ -79,6 +86,7 @@ def project_unified(
     return Projection(pixels_from_plane(x, y, focal_length, principal_point), valid)
 
 
+@computed_in_float32
 def unproject_unified(
     pixels: Tensor,
     focal_length: Tensor,
@@ -127,6 +135,7 @@ class UnifiedCamera(Camera):
 
     model = "unified"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "xi", "distortion")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "xi": ()}
     optional_names: ClassVar[tuple[str, ...]] = ("distortion",)
 
     focal_length: Tensor
@@ -151,8 +160,6 @@ class UnifiedCamera(Camera):
             xi=xi,
             distortion=distortion,
         )
-        check_last_dim("focal_length", self.focal_length, 2)
-        check_last_dim("principal_point", self.principal_point, 2)
         if self.distortion is not None and self.distortion.shape[-1:] not in ((4,), (5,)):
             raise ArgumentError(
                 "distortion: expected (*, 5) coefficients k1 k2 p1 p2 k3, (*, 4) without k3, or None, got shape "
@@ -160,14 +167,8 @@ class UnifiedCamera(Camera):
             )
         if not bool((self.xi > -1).all()):
             raise ArgumentError(f"xi: expected numbers above -1, got {self.xi.tolist()}")
-        pairs = [self.focal_length, self.principal_point]
-        pairs += [] if self.distortion is None else [self.distortion]
-        batch = torch.broadcast_shapes(self.xi.shape, *(tensor.shape[:-1] for tensor in pairs))
-        self.focal_length, self.principal_point, *rest = (tensor.expand(*batch, -1) for tensor in pairs)
-        self.xi, self.distortion = self.xi.expand(batch), rest[0] if rest else None
         if max_angle is None:
             self.max_angle = self._widest_angle()
-        self._set_batch(*batch)
 
     @torch.no_grad()
     def _widest_angle(self) -> Tensor:

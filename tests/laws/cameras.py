@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cameras that every law is tried on: a new model is one more entry of ``CAMERAS``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+from sphericalvision.cameras import (
+    BrownConradyCamera,
+    Camera,
+    DoubleSphereCamera,
+    EquirectangularCamera,
+    ExtendedUnifiedCamera,
+    FisheyeCamera,
+    KannalaBrandtCamera,
+    OCamCamera,
+    PinholeCamera,
+    RadialPolynomialCamera,
+    UnifiedCamera,
+)
+
+
+@dataclass(frozen=True)
+class CameraCase:
+    """A camera, and the little that laws must know of it.
+
+    Attributes:
+        name: in the names of tests.
+        make: from a factor near 1 that makes another camera of the kind.
+        own_tolerance: pixels by which the two polynomials of a file disagree.
+        smooth_on_axis: whether differences can be taken there; not across the hole that an inverse polynomial may
+            leave, and θ² has a kink.
+        traced: compiled and exported in the quick tests: of most kinds one, and none with distortion of the plane,
+            which takes the tracer ten seconds.
+    """
+
+    name: str
+    make: Callable[[float], Camera]
+    own_tolerance: float = 0.0
+    smooth_on_axis: bool = True
+    traced: bool = False
+
+
+SIZE = (96, 112)
+CENTER = (55.2, 47.1)  # off the middle, and not a whole pixel
+# rho = 24 * angle, and the direct polynomial that comes closest to it up to 110° (0.003 px). In float64, so that rho
+# is 0 on the axis: else there is a hole of 1e-7 px, across which finite differences cannot look.
+INVERSE = [24 * math.pi / 2, 24.0]
+
+
+def _direct_polynomial() -> list[float]:
+    """Least squares fit of f(rho) = -rho / tan(rho / 24)."""
+    rho = torch.linspace(1e-3, 24 * math.radians(112), 400, dtype=torch.float64)
+    powers = [0, 2, 3, 4, 5, 6, 7, 8]
+    scale = rho.max()
+    columns = torch.stack([(rho / scale) ** power for power in powers], -1)
+    solution = torch.linalg.lstsq(columns, -rho / torch.tan(rho / 24)).solution
+    coefficients = [0.0] * 9
+    for power, value in zip(powers, solution.tolist(), strict=True):
+        coefficients[power] = value / float(scale) ** power
+    return coefficients
+
+
+def _fisheye(projection: str, degrees: float, focal_length: float = 23.0) -> Callable[[float], Camera]:
+    return lambda s: FisheyeCamera(
+        projection, [focal_length * s, focal_length - 1], CENTER, SIZE, math.radians(degrees)
+    )
+
+
+OPENCV_14 = [-0.28, 0.07, 1.1e-3, -7e-4, 0.01, 0.05, -0.02, 3e-3, 1e-3, -5e-4, 8e-4, 2e-4, 0.03, -0.02]
+CAMERAS = [
+    CameraCase("equidistant", _fisheye("equidistant", 110), traced=True),
+    CameraCase("equisolid", _fisheye("equisolid", 120)),
+    CameraCase("stereographic", _fisheye("stereographic", 95)),
+    CameraCase(
+        "orthographic",
+        _fisheye("orthographic", 85, 44.0),
+    ),
+    CameraCase("equirectangular", lambda s: EquirectangularCamera((48, 96)), traced=True),
+    CameraCase("band", lambda s: EquirectangularCamera((40, 160), vertical_field_of_view=math.pi / 2)),
+    CameraCase(
+        "ocam",
+        lambda s: OCamCamera(
+            torch.tensor(_direct_polynomial(), dtype=torch.float64),
+            [x * s for x in INVERSE],
+            CENTER,
+            [1.0003, -2.7e-4, -9.2e-4],
+            SIZE,
+            math.radians(110),
+        ),
+        own_tolerance=0.01,
+        smooth_on_axis=False,
+        traced=True,
+    ),
+    CameraCase(
+        "ocam exact",
+        lambda s: OCamCamera(
+            [x * s for x in _direct_polynomial()], None, CENTER, [0.98, 0.01, -0.02], SIZE, math.radians(110)
+        ),
+        traced=True,
+    ),
+    CameraCase(
+        "double sphere",
+        lambda s: DoubleSphereCamera([24.0 * s, 23.8], CENTER, -0.2, 0.58, SIZE, math.radians(110)),
+        traced=True,
+    ),
+    CameraCase(
+        "double sphere, xi > 0",
+        lambda s: DoubleSphereCamera([40.0 * s, 39.0], CENTER, 0.46, 0.766, SIZE, math.radians(110)),
+    ),
+    CameraCase(
+        "kannala brandt",
+        lambda s: KannalaBrandtCamera(
+            [24.0 * s, 23.8], CENTER, [-0.007, 0.045, -0.0435, 0.0084], SIZE, math.radians(100)
+        ),
+        traced=True,
+    ),
+    CameraCase(
+        "brown conrady",
+        lambda s: BrownConradyCamera(
+            [60.0 * s, 61.0], CENTER, [-0.12, 0.03, 1e-3, -7e-4, 0.002], SIZE, math.radians(50)
+        ),
+    ),
+    CameraCase(
+        "brown conrady, 14",
+        lambda s: BrownConradyCamera([60.0 * s, 61.0], CENTER, OPENCV_14, SIZE, math.radians(42)),
+    ),
+    CameraCase(
+        "unified", lambda s: UnifiedCamera([48.0 * s, 47.0], CENTER, 0.9, None, SIZE, math.radians(110))
+    ),
+    CameraCase("unified, xi > 1", lambda s: UnifiedCamera([75.0 * s, 74.0], CENTER, 2.2, None, SIZE)),
+    CameraCase(
+        "mei", lambda s: UnifiedCamera([75.0 * s, 74.0], CENTER, 2.2, [0.017, 0.9, 4e-4, 4e-4, 0.01], SIZE)
+    ),
+    CameraCase(
+        "extended unified",
+        lambda s: ExtendedUnifiedCamera([24.0 * s, 23.8], CENTER, 0.63, 1.04, SIZE),
+        traced=True,
+    ),
+    CameraCase(
+        "radial polynomial",
+        lambda s: RadialPolynomialCamera([24.0 * s, -2.3, 3.4, -0.51], CENTER, 1.02, SIZE, math.radians(110)),
+        smooth_on_axis=False,
+        traced=True,
+    ),
+    CameraCase("pinhole", lambda s: PinholeCamera([60.0 * s, 61.0], CENTER, SIZE), traced=True),
+    CameraCase("pinhole, 80°", lambda s: PinholeCamera([60.0 * s, 61.0], CENTER, SIZE, math.radians(40))),
+]
+MODELS: dict[str, Callable[[float], Camera]] = {case.name: case.make for case in CAMERAS}

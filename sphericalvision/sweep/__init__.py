@@ -9,7 +9,7 @@ from sphericalvision.sweep.aggregation import (
     named_aggregation,
     register_aggregation,
 )
-from sphericalvision.sweep.cost import photo_consistency
+from sphericalvision.sweep.correlation import correlation_evidence
 from sphericalvision.sweep.hypotheses import (
     depth_from_index,
     index_from_depth,
@@ -17,16 +17,21 @@ from sphericalvision.sweep.hypotheses import (
     inverse_depth_from_index,
     inverse_depth_hypotheses,
 )
-from sphericalvision.sweep.matching import best_pairs_cost
 from sphericalvision.sweep.panorama_sweep import PanoramaSweep, PanoramaTables
+from sphericalvision.sweep.photo_consistency import photo_consistency
 from sphericalvision.sweep.regression import (
     DepthEstimate,
-    DepthIndex,
     depth_estimate,
     soft_argmax,
     soft_argmax_confidence,
 )
-from sphericalvision.sweep.semi_global import semi_global_sweep
+from sphericalvision.sweep.semi_global import (
+    SemiGlobalTables,
+    SmoothedCosts,
+    semi_global_costs,
+    semi_global_sweep,
+    semi_global_tables,
+)
 from sphericalvision.sweep.smoothing import semi_global_smoothing
 from sphericalvision.sweep.sphere_sweep import (
     SphereSweep,
@@ -40,14 +45,15 @@ __all__ = [
     "Aggregation",
     "Concatenation",
     "DepthEstimate",
-    "DepthIndex",
     "MeanVariance",
     "PanoramaSweep",
     "PanoramaTables",
+    "SemiGlobalTables",
+    "SmoothedCosts",
     "SphereSweep",
     "SweepTables",
     "SweepVolume",
-    "best_pairs_cost",
+    "correlation_evidence",
     "depth_estimate",
     "depth_from_index",
     "index_from_depth",
@@ -58,8 +64,10 @@ __all__ = [
     "named_aggregation",
     "photo_consistency",
     "register_aggregation",
+    "semi_global_costs",
     "semi_global_smoothing",
     "semi_global_sweep",
+    "semi_global_tables",
     "soft_argmax",
     "soft_argmax_confidence",
     "sphere_sweep",

@@ -10,14 +10,7 @@ from torch import Tensor
 
 from sphericalvision.core import ShapeError
 
-__all__ = ["DepthEstimate", "DepthIndex", "depth_estimate", "soft_argmax", "soft_argmax_confidence"]
-
-
-class DepthIndex(NamedTuple):
-    """A hypothesis index and the confidence in it (0 to 1), both ``(*b, V)``."""
-
-    index: Tensor  # type: ignore[assignment]  # hides tuple.index, which nobody needs here
-    confidence: Tensor
+__all__ = ["DepthEstimate", "depth_estimate", "soft_argmax", "soft_argmax_confidence"]
 
 
 class DepthEstimate(NamedTuple):

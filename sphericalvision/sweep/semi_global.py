@@ -9,61 +9,102 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import Icosphere, level_from_num_vertices
-from sphericalvision.sweep.cost import winner_takes_all
+from sphericalvision.icosphere import check_level, icosphere_vertices, level_from_num_vertices
+from sphericalvision.sweep.confidence import sweep_confidence
+from sphericalvision.sweep.correlation import LEAST_SHARE, NOISE, correlation_evidence
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
-from sphericalvision.sweep.matching import best_pairs_cost
-from sphericalvision.sweep.regression import DepthIndex
+from sphericalvision.sweep.regression import DepthEstimate
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.smoothing import semi_global_smoothing
-from sphericalvision.sweep.sphere_sweep import sphere_sweep, sweep_tables
+from sphericalvision.sweep.sphere_sweep import sphere_sweep
+from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
+from sphericalvision.sweep.visibility import check_seen, seen_in_view
+from sphericalvision.sweep.winner import at_nearest_hypothesis, winner_takes_all
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["semi_global_sweep"]
+__all__ = [
+    "SemiGlobalTables",
+    "SmoothedCosts",
+    "semi_global_costs",
+    "semi_global_sweep",
+    "semi_global_tables",
+]
+
+
+class SemiGlobalTables(NamedTuple):
+    """A rig made ready for ``semi_global_sweep``.
+
+    Attributes:
+        sweep: tables of the points of all tried hypotheses.
+        seen: ``([B,] n, V_image)`` True where a camera's field of view and mask leave something to be seen.
+    """
+
+    sweep: SweepTables
+    seen: Tensor
+
+    def to(self, device: torch.device | str) -> SemiGlobalTables:
+        """Return the tables on another device."""
+        return SemiGlobalTables(self.sweep.to(device), self.seen.to(device))
+
+
+class SmoothedCosts(NamedTuple):
+    """What ``semi_global_sweep`` chooses from, of M tried hypotheses.
+
+    Attributes:
+        evidence: ``(B, 3, M, V)`` of ``correlation_evidence``.
+        cost: ``(B, M, V)`` smoothed; negative, they are logits. The smallest is the answer.
+    """
+
+    evidence: Tensor
+    cost: Tensor
 
 
 @torch.no_grad()
 def semi_global_sweep(
     sphere_images: Tensor,
-    rig: CameraRig,
+    rig: CameraRig | SemiGlobalTables,
     num_hypotheses: int,
     min_depth: float,
     level: int | None = None,
     cost_level: int | None = None,
     substeps: int = 2,
-    window: int = 1,
     small_penalty: float = 0.3,
     large_penalty: float = 3.6,
     contrast: float = 0.4,
-) -> DepthIndex:
+    seen: Tensor | None = None,
+) -> DepthEstimate:
     """Return depth without training: the best cameras' correlation, and semi-global smoothing on the icosphere.
 
     At each vertex and hypothesis the pairs of cameras that see the point are compared by the correlation of what
-    they see around it, and the better half of them counts (``best_pairs_cost``). These costs are smoothed along
+    they see around it, and the better half of them counts (``correlation_evidence``). These costs are smoothed along
     the straight lines of the icosphere (``semi_global_smoothing``), less where the colours change; the smallest
     wins, refined to a fraction by a parabola. Any rig, any number of cameras, no weights.
 
-    Where nothing is seen by two cameras, or nothing can be told, the index is that of the surroundings; the
-    confidence tells.
+    Where nothing is seen by two cameras, or nothing can be told, the index is that of the surroundings; confidence
+    and ``seen`` tell.
 
     Args:
         sphere_images: ``(B, n, 3, V_image)`` in [-1, 1] on icospheres aligned with the world, in the order of
-            ``rig.names``; 0 in all colours where there is nothing (masked).
-        rig: of n cameras, two or more, for all samples or, with batched poses, a rig a sample.
+            ``rig.names``.
+        rig: of n cameras, two or more, for all samples or, with batched poses, a rig a sample; or
+            ``semi_global_tables`` of either, which is most of the work saved where a rig is used again. Tables bring
+            their own ``cost_level`` and ``substeps``.
         num_hypotheses: N, which index is returned in.
         min_depth: smallest depth in metres.
         level: of the result; two below the images' when not given, as ``IcoSweepNet`` has it.
         cost_level: at which cameras are compared; one below the images' when not given.
         substeps: hypotheses tried for each of the N: two are about a vertex of the images apart when one is two.
-        window: rounds of averaging over neighbours within which cameras are compared, 0 or more.
         small_penalty: of a change by one (tried) hypothesis between neighbours; a cost is 0 to 1.
         large_penalty: of any larger change, where colours do not change.
         contrast: change of colour that halves the large penalty, in the unit of the images.
+        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something; all that the rig's
+            fields of view and masks hold when not given.
 
     Returns:
-        Index ``(B, V_level)``, 0 to N - 1, and confidence ``(B, V_level)``: the correlation of the best cameras
-        at the nearest tried hypothesis, 0 where fewer than two cameras see that point. Neither has a gradient.
+        Index ``(B, V_level)``, 0 to N - 1; confidence ``(B, V_level)``; and whether two cameras see the point at the
+        nearest tried hypothesis, without which the confidence is 0. None has a gradient.
 
     Raises:
         ShapeError: if the images have another shape.
@@ -78,7 +119,7 @@ def semi_global_sweep(
     Examples:
         >>> from sphericalvision.cameras import ring_rig
         >>> images = torch.rand(1, 4, 3, 642, generator=torch.Generator().manual_seed(0))
-        >>> index, confidence = semi_global_sweep(images, ring_rig(4), num_hypotheses=8, min_depth=0.5)
+        >>> index, confidence, seen = semi_global_sweep(images, ring_rig(4), num_hypotheses=8, min_depth=0.5)
         >>> index.shape
         torch.Size([1, 42])
     """
@@ -89,59 +130,125 @@ def semi_global_sweep(
         )
     check_hypotheses(num_hypotheses, min_depth)
     image_level = level_from_num_vertices(sphere_images.shape[-1])
-    level = max(image_level - 2, 0) if level is None else level
-    cost_level = max(image_level - 1, level) if cost_level is None else cost_level
+    level = max(image_level - 2, 0) if level is None else check_level(level)
+    if isinstance(rig, SemiGlobalTables):
+        tables = rig
+        cost_level = level_from_num_vertices(tables.sweep.ids.shape[-3])
+    else:
+        cost_level = max(image_level - 1, level) if cost_level is None else cost_level
+        _check_levels(level, cost_level, image_level)
+        tables = semi_global_tables(rig, num_hypotheses, min_depth, image_level, cost_level, substeps)
+    _check_levels(level, cost_level, image_level)
+    substeps, rest = divmod(tables.sweep.ids.shape[-4] - 1, num_hypotheses - 1)
+    if rest:
+        raise ArgumentError(
+            f"rig: expected tables for {num_hypotheses} hypotheses, got {tables.sweep.ids.shape[-4]} tried ones"
+        )
+    evidence, smooth = semi_global_costs(
+        sphere_images,
+        tables.sweep,
+        tables.seen if seen is None else seen,
+        small_penalty,
+        large_penalty,
+        contrast,
+    )
+    index = winner_takes_all(smooth, subhypothesis=True)
+    cameras = at_nearest_hypothesis(evidence[:, 2], index)
+    correlation = at_nearest_hypothesis(evidence[:, 1], index)
+    confidence = sweep_confidence(smooth, correlation, index, substeps).where(cameras >= 2, 0.0)
+    ids = ids_of_coarser_level(cost_level, level, smooth.device)
+    return DepthEstimate(index[:, ids] / substeps, confidence[:, ids], cameras[:, ids] >= 2)
+
+
+def semi_global_tables(
+    rig: CameraRig,
+    num_hypotheses: int,
+    min_depth: float,
+    image_level: int,
+    cost_level: int | None = None,
+    substeps: int = 2,
+) -> SemiGlobalTables:
+    """Return what ``semi_global_sweep`` needs to know of a rig; arguments as there.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> tables = semi_global_tables(ring_rig(4), num_hypotheses=8, min_depth=0.5, image_level=3)
+        >>> tables.sweep.ids.shape, tables.seen.shape
+        (torch.Size([15, 162, 4, 3]), torch.Size([4, 642]))
+    """
+    cost_level = max(check_level(image_level) - 1, 0) if cost_level is None else check_level(cost_level)
+    if substeps < 1:
+        raise ArgumentError(f"substeps: expected at least 1, got {substeps}")
+    check_hypotheses(num_hypotheses, min_depth)
+    device, dtype = rig.world_from_camera.device, rig.world_from_camera.dtype
+    number = (num_hypotheses - 1) * substeps + 1
+    inverse_depths = inverse_depth_hypotheses(number, min_depth, dtype, device)
+    sweep = sweep_tables(icosphere_vertices(cost_level, dtype, device), inverse_depths, rig, image_level)
+    return SemiGlobalTables(sweep, seen_in_view(rig, image_level))
+
+
+def semi_global_costs(
+    images: Tensor,
+    tables: SweepTables,
+    seen: Tensor | None = None,
+    small_penalty: float = 0.3,
+    large_penalty: float = 3.6,
+    contrast: float = 0.4,
+    noise: float = NOISE,
+) -> SmoothedCosts:
+    """Return correlations and smoothed costs at the level and hypotheses of a sweep's tables.
+
+    A network that starts from the geometry's answer takes the costs, less than zero, as logits.
+
+    Args:
+        images: ``(B, n, C, V_image)``, see ``correlation_evidence``.
+        tables: of the sweep.
+        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something.
+        small_penalty: see ``semi_global_smoothing``.
+        large_penalty: see there.
+        contrast: see there.
+        noise: see ``correlation_evidence``.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> tables = semi_global_tables(ring_rig(4), 8, 0.5, image_level=3, substeps=1)
+        >>> images = torch.rand(1, 4, 3, 642, generator=torch.Generator().manual_seed(0))
+        >>> evidence, cost = semi_global_costs(images, tables.sweep, tables.seen)
+        >>> cost.shape
+        torch.Size([1, 8, 162])
+    """
+    evidence = correlation_evidence(images, tables, seen, noise=noise)
+    _, best, cameras = evidence.unbind(1)
+    known = cameras >= 2
+    # What two cameras do not see speaks neither for nor against: it costs as much as what they see on average.
+    count = known.sum(1, keepdim=True)
+    cost = 1 - best
+    average = torch.where(known, cost, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
+    cost = torch.where(known, cost, average.where(count > 0, 1.0))
+    winner = torch.where(known, cost, torch.inf).argmin(1)
+    shown = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
+    guide = _colors_at(images, shown, tables, winner)
+    return SmoothedCosts(evidence, semi_global_smoothing(cost, small_penalty, large_penalty, guide, contrast))
+
+
+def _colors_at(images: Tensor, shown: Tensor, tables: SweepTables, winner: Tensor) -> Tensor:
+    """Mean ``(B, C, V)`` over the cameras that see it of the colours at hypotheses ``(B, V)``."""
+    batch, _, channels, _ = images.shape
+    place = winner.view(batch, 1, -1, 1)
+    chosen = []
+    for table in (tables.ids, tables.weights, tables[2].unsqueeze(-1)):
+        entries = table.view(-1, *table.shape[-4:])
+        entries = entries.expand(batch, *entries.shape[1:])
+        chosen.append(entries.gather(1, place[..., None].expand(-1, -1, -1, *entries.shape[-2:])))
+    at_winner = SweepTables(chosen[0], chosen[1], chosen[2].squeeze(-1))
+    features = torch.cat((images * shown[:, :, None], shown[:, :, None]), 2)
+    values = sphere_sweep(features, at_winner).values.squeeze(3).sum(1)  # over the cameras
+    return values[:, :channels] / values[:, channels:].clamp(min=LEAST_SHARE)
+
+
+def _check_levels(level: int, cost_level: int, image_level: int) -> None:
     if not 0 <= level <= cost_level <= image_level:
         raise ArgumentError(
             f"level, cost_level: expected 0 <= level <= cost_level <= {image_level}, the level of the images, "
             f"got {level} and {cost_level}"
         )
-    if substeps < 1 or window < 0:
-        raise ArgumentError(f"substeps, window: expected at least 1 and 0, got {substeps} and {window}")
-
-    number = (num_hypotheses - 1) * substeps + 1
-    inverse_depths = inverse_depth_hypotheses(number, min_depth, device=sphere_images.device)
-    cost, guide = _sweep(sphere_images, rig, inverse_depths, cost_level, window)
-    smooth = semi_global_smoothing(_neutral(cost), small_penalty, large_penalty, guide, contrast)
-    for finer_level in range(cost_level, level, -1):
-        ids = Icosphere(finer_level, device=cost.device).coarse_ids
-        smooth, cost = smooth[..., ids], cost[..., ids]
-    index = winner_takes_all(smooth, subhypothesis=True).index
-    at_winner = cost.gather(1, index.round().long()[:, None]).squeeze(1)
-    return DepthIndex(index / substeps, 1 - at_winner.clamp(max=1))
-
-
-class _SweptCosts(NamedTuple):
-    """Costs ``(B, N, V)``, infinite below two cameras, and the colours ``(B, 3, V)`` of the least of them."""
-
-    cost: Tensor
-    guide: Tensor
-
-
-def _sweep(images: Tensor, rig: CameraRig, inverse_depths: Tensor, level: int, window: int) -> _SweptCosts:
-    """Compare the cameras at one hypothesis after the other; no more than one is in memory in colours."""
-    grid = Icosphere(level, images.dtype, images.device)
-    image_level = level_from_num_vertices(images.shape[-1])
-    costs: list[Tensor] = []
-    least = images.new_full((len(images), grid.num_vertices), torch.inf)
-    guide = images.new_zeros(len(images), 3, grid.num_vertices)
-    for inverse_depth in inverse_depths:
-        tables = sweep_tables(grid.vertices, inverse_depth[None], rig, image_level)
-        swept = sphere_sweep(images, tables)
-        values, mask = swept.values.squeeze(3), swept.seen.squeeze(2)
-        mask = mask & (values != 0).any(2)
-        cost = best_pairs_cost(values, mask, window)
-        mean = values.sum(1) / mask.sum(1)[:, None].clamp(min=1)
-        better = (cost < least) | (len(costs) == 0)  # of the first where nothing is seen by two
-        guide = torch.where(better[:, None], mean, guide)
-        least = torch.minimum(least, cost)
-        costs.append(cost)
-    return _SweptCosts(torch.stack(costs, 1), guide)
-
-
-def _neutral(cost: Tensor) -> Tensor:
-    """Give unseen hypotheses the mean of the seen ones at their vertex, so that nothing speaks for or against them."""
-    seen = cost.isfinite()
-    count = seen.sum(1, keepdim=True)
-    mean = torch.where(seen, cost, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
-    return torch.where(seen, cost, mean.where(count > 0, 1.0))

@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
+
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -66,32 +70,46 @@ def semi_global_smoothing(
     if guide is not None and (guide.ndim != 3 or guide.shape[::2] != cost.shape[::2]):
         expected = f"({cost.shape[0]}, C, {cost.shape[2]})"
         raise ShapeError(f"guide: expected shape {expected}, got {tuple(guide.shape)}")
-    rows = cost.permute(2, 0, 1).contiguous()  # (V, B, N): what a step looks up lies side by side
-    colors = None if guide is None else guide.permute(2, 0, 1).contiguous()
-    total, count = torch.zeros_like(rows), rows.new_zeros(len(rows))
+    planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
+    total, count = torch.zeros_like(planes), planes.new_zeros(planes.shape[-1])
     for paths, first in smoothing_paths(level, lead, cost.device):
-        reached = rows.index_select(0, paths[0])
-        for step, ids in enumerate(paths):
-            if step > 0:
-                best = reached.amin(-1, keepdim=True)
-                jump = best + large_penalty
-                if colors is not None:
-                    change = (colors[ids] - colors[paths[step - 1]]).abs().mean(-1, keepdim=True)
-                    jump = best + (large_penalty / (1 + change / contrast)).clamp(min=small_penalty)
-                least = torch.minimum(reached, jump)
-                beside = reached + small_penalty
-                least[..., 1:] = torch.minimum(least[..., 1:], beside[..., :-1])
-                least[..., :-1] = torch.minimum(least[..., :-1], beside[..., 1:])
-                reached = rows.index_select(0, ids) + (least - best)
-            if step >= first:
-                total.index_add_(0, ids, reached)
-                count.index_add_(0, ids, count.new_ones(len(ids)))
-    return (total / count[:, None, None]).permute(1, 2, 0)
+        ids, shape = paths.flatten(), (*planes.shape[:2], *paths.shape)
+        steps = planes.index_select(2, ids).view(shape).unbind(2)
+        jumps = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
+        reached = [steps[0]]
+        for step in range(1, len(paths)):
+            reached.append(_extended(reached[-1], steps[step], small_penalty, jumps[step - 1]))
+        arrived = torch.stack(reached[first:], 2).flatten(2)
+        ids = paths[first:].flatten()
+        total = total.index_add(2, ids, arrived)
+        count.index_add_(0, ids, count.new_ones(len(ids)))
+    return (total / count).transpose(0, 1)
 
 
+def _extended(reached: Tensor, cost: Tensor, small_penalty: float, jump: Tensor | float) -> Tensor:
+    """Costs ``(N, B, P)`` of P paths extended by a vertex of costs ``(N, B, P)``."""
+    best = reached.amin(0)
+    beside = F.pad(reached + small_penalty, (0, 0, 0, 0, 1, 1), value=torch.inf)
+    least = torch.minimum(torch.minimum(reached, best + jump), torch.minimum(beside[:-2], beside[2:]))
+    return cost + (least - best)
+
+
+def _jump_penalties(
+    guide: Tensor | None, paths: Tensor, small_penalty: float, large_penalty: float, contrast: float
+) -> Sequence[Tensor | float]:
+    """P2 of each step of paths ``(steps, P)``: a number, or ``(B, P)`` of a guide ``(B, C, V)``."""
+    if guide is None:
+        return [large_penalty] * (len(paths) - 1)
+    colors = guide.index_select(2, paths.flatten()).unflatten(2, paths.shape)
+    change = (colors[:, :, 1:] - colors[:, :, :-1]).abs().mean(1)
+    return (large_penalty / (1 + change / contrast)).clamp(min=small_penalty).unbind(1)
+
+
+@lru_cache(maxsize=8)
+@torch.inference_mode(False)  # what is kept must be usable where gradients are wanted
 def smoothing_paths(
     level: int, lead: float = 1.0, device: torch.device | str | None = None
-) -> list[tuple[Tensor, int]]:
+) -> tuple[tuple[Tensor, int], ...]:
     """Return vertex ids along paths, step by step ``(steps, P)``, and the step from which their results count.
 
     Closed lines are cut into fifths where they cross certain edges of the icosahedron, which its rotations (72
@@ -106,4 +124,4 @@ def smoothing_paths(
     # Backwards, a fifth starts at the same edge of the icosahedron.
     both = torch.cat((loops[:, columns % (5 * size)], loops[:, -columns % (5 * size)]))
     ends = torch.cat((edges, edges.flip(1)))
-    return [(both.transpose(0, 1).flatten(1), ahead), (ends.T.contiguous(), 1)]
+    return (both.transpose(0, 1).flatten(1), ahead), (ends.T.contiguous(), 1)

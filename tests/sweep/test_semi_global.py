@@ -7,30 +7,21 @@ import math
 
 import pytest
 import torch
-from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import RotateFivefold
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.sweep import best_pairs_cost, depth_from_index, photo_consistency, semi_global_sweep
-from sphericalvision.sweep.matching import ring_mean
+from sphericalvision.sweep import (
+    depth_from_index,
+    photo_consistency,
+    semi_global_costs,
+    semi_global_sweep,
+    semi_global_tables,
+)
+from tests.sweep.textured_sphere import textured_sphere
 
 NUM_HYPOTHESES, MIN_DEPTH = 9, 0.5
-
-
-def textured_sphere(rig: CameraRig, depth: float, level: int = 5) -> Tensor:
-    """Images ``(1, n, 3, V)`` from inside a textured sphere of radius ``depth`` around the rig."""
-    generator = torch.Generator().manual_seed(3)
-    waves = 8 * torch.randn(40, 3, generator=generator)
-    phases = 2 * math.pi * torch.rand(3, 40, generator=generator)
-    rays = Icosphere(level).vertices
-    start = (rig.positions - rig.center)[:, None]
-    along = (start * rays).sum(-1)
-    reach = -along + (along.square() + depth**2 - start.square().sum(-1)).sqrt()
-    points = torch.nn.functional.normalize(start + reach[..., None] * rays, dim=-1)
-    colors = ((points @ waves.T)[..., None, :] + phases).sin().mean(-1) * 3
-    return colors.clamp(-1, 1).movedim(-1, 1)[None]
 
 
 @pytest.mark.parametrize("index", [0, 2, 4, 7])
@@ -38,8 +29,8 @@ def test_the_radius_of_a_textured_sphere_is_found_everywhere(index: int) -> None
     rig = ring_rig(4)
     depth = depth_from_index(torch.tensor(float(index)), NUM_HYPOTHESES, MIN_DEPTH).item()
     images = textured_sphere(rig, min(depth, 1e4))
-    found, confidence = semi_global_sweep(images, rig, NUM_HYPOTHESES, MIN_DEPTH)
-    assert found.shape == confidence.shape == (1, 642)
+    found, confidence, seen = semi_global_sweep(images, rig, NUM_HYPOTHESES, MIN_DEPTH)
+    assert found.shape == confidence.shape == seen.shape == (1, 642)
     assert (found - index).abs().max() < 1
     assert ((found - index).abs() < 0.5).float().mean() > 0.99
     assert (found - index).abs().mean() < 0.1
@@ -83,16 +74,100 @@ def test_a_camera_that_sees_something_else_does_no_harm() -> None:
     assert ((found - 5).abs() < 1).float().mean() > 0.95
 
 
-def test_what_is_masked_does_not_count() -> None:
+def test_what_is_masked_does_not_count_whatever_is_in_its_place() -> None:
     rig = ring_rig(4)
     depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
     images = textured_sphere(rig, depth)
-    masked = Icosphere(5).vertices[:, 0] > 0.5  # no camera there, so nothing is known
-    images[..., masked] = 0
-    _, confidence = semi_global_sweep(images, rig, NUM_HYPOTHESES, MIN_DEPTH)
-    directions = Icosphere(3).vertices[:, 0]
-    assert (confidence[0, directions > 0.9] == 0).all()
-    assert (confidence[0, directions < 0] > 0.5).float().mean() > 0.95
+    seen = Icosphere(5).vertices[:, 0] < 0.5  # no camera on the right, so nothing is known there
+    results = []
+    for filling in (0.0, -1.0, 0.7):
+        filled = images.where(seen, filling)
+        tables = semi_global_tables(rig, NUM_HYPOTHESES, MIN_DEPTH, image_level=5)
+        results.append(semi_global_costs(filled, tables.sweep, seen.expand(4, -1)).evidence)
+    for other in results[1:]:
+        torch.testing.assert_close(other, results[0])
+    found = semi_global_sweep(images, rig, NUM_HYPOTHESES, MIN_DEPTH, seen=seen.expand(1, 4, -1))
+    right = Icosphere(3).vertices[:, 0]
+    assert not found.seen[0, right > 0.9].any()
+    assert not found.confidence[0, right > 0.9].any()
+    assert found.seen[0, right < 0].all()
+    assert (found.confidence[0, right < 0] > 0.5).float().mean() > 0.95
+
+
+def test_what_is_out_of_view_does_not_count_whatever_is_in_its_place() -> None:
+    rig = ring_rig(4)
+    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
+    images = textured_sphere(rig, depth)
+    view = semi_global_tables(rig, NUM_HYPOTHESES, MIN_DEPTH, image_level=5).seen
+    there, again = (
+        semi_global_sweep(pictures, rig, NUM_HYPOTHESES, MIN_DEPTH)
+        for pictures in (images, images.where(view[:, None], 0.0))
+    )
+    torch.testing.assert_close(again.index, there.index, atol=2e-2, rtol=0)  # the guide sees the border
+    assert again.seen.equal(there.seen)
+
+
+def test_cameras_that_see_nothing_change_nothing(generator: torch.Generator) -> None:
+    rig = ring_rig(4, radius=0.1, field_of_view=2 * math.pi)
+    images = torch.rand(1, 4, 3, 642, generator=generator) * 2 - 1
+    view = semi_global_tables(rig, 8, 0.5, image_level=3).seen
+    seen = torch.tensor([True, False, True, False])[:, None] & view
+    kept = [0, 2]  # opposite each other, so that the centre stays
+    alone = semi_global_sweep(images[:, kept], rig.subset([rig.names[k] for k in kept]), 8, 0.5)
+    together = semi_global_sweep(images, rig, 8, 0.5, seen=seen)
+    for value, expected in zip(together, alone, strict=True):
+        torch.testing.assert_close(value, expected, atol=1e-4, rtol=0)
+
+
+def test_tables_stand_for_the_rig(generator: torch.Generator) -> None:
+    rig = ring_rig(4)
+    images = torch.rand(2, 4, 3, 642, generator=generator) * 2 - 1
+    tables = semi_global_tables(rig, 8, 0.5, image_level=3, cost_level=2, substeps=3)
+    fast = semi_global_sweep(images, tables, 8, 0.5)
+    plain = semi_global_sweep(images, rig, 8, 0.5, cost_level=2, substeps=3)
+    for value, expected in zip(fast, plain, strict=True):
+        assert value.equal(expected)
+
+
+def test_a_batch_equals_a_loop(generator: torch.Generator) -> None:
+    rig = ring_rig(3)
+    images = torch.rand(3, 3, 3, 642, generator=generator) * 2 - 1
+    together = semi_global_sweep(images, rig, 8, 0.5)
+    for sample in range(3):
+        alone = semi_global_sweep(images[sample : sample + 1], rig, 8, 0.5)
+        for value, expected in zip(together, alone, strict=True):
+            torch.testing.assert_close(value[sample], expected[0])
+
+
+def test_gain_and_offset_of_each_camera_leave_the_costs(generator: torch.Generator) -> None:
+    tables = semi_global_tables(ring_rig(4).to(torch.float64), 8, 0.5, image_level=3)
+    images = torch.rand(1, 4, 3, 642, generator=generator, dtype=torch.float64) * 2 - 1
+    gains = torch.tensor([1.0, 0.5, 3.0, 0.1], dtype=torch.float64)[:, None, None]
+    offsets = torch.tensor([0.0, 0.3, -0.2, 9.0], dtype=torch.float64)[:, None, None]
+    there, again = (
+        semi_global_costs(pictures, tables.sweep, tables.seen, noise=0.0).evidence
+        for pictures in (images, images * gains + offsets)
+    )
+    torch.testing.assert_close(again, there)
+
+
+def test_gray_images_are_enough() -> None:
+    rig = ring_rig(4)
+    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
+    gray = textured_sphere(rig, depth).mean(2, keepdim=True).expand(-1, -1, 3, -1)
+    found = semi_global_sweep(gray, rig, NUM_HYPOTHESES, MIN_DEPTH).index
+    assert ((found - 4).abs() < 0.5).float().mean() > 0.98
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003])
+def test_bare_scenes_have_little_confidence(noise: float, generator: torch.Generator) -> None:
+    rig = ring_rig(4)
+    bare = torch.full((1, 4, 3, 10242), 0.2) + noise * torch.randn(1, 4, 3, 10242, generator=generator)
+    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
+    clear = semi_global_sweep(textured_sphere(rig, depth), rig, NUM_HYPOTHESES, MIN_DEPTH).confidence
+    unclear = semi_global_sweep(bare, rig, NUM_HYPOTHESES, MIN_DEPTH).confidence
+    assert unclear.median() < 0.3
+    assert clear.median() > 0.9
 
 
 def test_the_order_of_cameras_does_not_matter() -> None:
@@ -120,16 +195,17 @@ def test_turning_the_world_by_a_fifth_turns_the_depth() -> None:
 
 def test_points_seen_by_fewer_than_two_cameras_have_no_confidence() -> None:
     rig = ring_rig(2, field_of_view=math.radians(150))  # back to back: no point is in both views
-    index, confidence = semi_global_sweep(torch.rand(1, 2, 3, 642), rig, 8, 0.5)
+    index, confidence, seen = semi_global_sweep(torch.rand(1, 2, 3, 642), rig, 8, 0.5)
     assert index.isfinite().all()
     assert not confidence.any()
+    assert not seen.any()
 
 
 def test_what_two_cameras_do_not_see_takes_the_depth_around_it() -> None:
     rig = ring_rig(4, field_of_view=math.radians(200))  # straight up and down is between the views
     depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    found, confidence = semi_global_sweep(textured_sphere(rig, depth), rig, NUM_HYPOTHESES, MIN_DEPTH)
-    assert (confidence == 0).any()
+    found, _, seen = semi_global_sweep(textured_sphere(rig, depth), rig, NUM_HYPOTHESES, MIN_DEPTH)
+    assert not seen.all()
     assert ((found - 4).abs() < 1).all()
 
 
@@ -145,40 +221,9 @@ def test_a_rig_a_sample() -> None:
 def test_has_no_gradient_and_follows_the_dtype() -> None:
     rig = ring_rig(2).to(torch.float64)
     images = torch.rand(1, 2, 3, 162, dtype=torch.float64, requires_grad=True)
-    index, confidence = semi_global_sweep(images, rig, 4, 0.5)
+    index, confidence, _ = semi_global_sweep(images, rig, 4, 0.5)
     assert not index.requires_grad
     assert index.dtype == confidence.dtype == torch.float64
-
-
-def test_ring_mean_is_the_mean_of_a_vertex_and_its_neighbors(generator: torch.Generator) -> None:
-    values = torch.rand(162, 2, 3, generator=generator, dtype=torch.float64)
-    mean = ring_mean(values)
-    for vertex, around in enumerate(Icosphere(2).neighbors.tolist()):
-        expected = values[[vertex, *(n for n in around if n >= 0)]].mean(0)
-        torch.testing.assert_close(mean[vertex], expected)
-
-
-def test_the_cost_is_one_minus_the_correlation_of_the_best_pair(generator: torch.Generator) -> None:
-    values = torch.randn(1, 3, 1, 162, generator=generator, dtype=torch.float64)
-    values[:, 2] = 0.5 * values[:, 0] + 0.1 * values[:, 2]
-    mask = torch.ones(1, 3, 162, dtype=torch.bool)
-    mask[:, 1] = False
-    cost = best_pairs_cost(values, mask, rounds=1, noise=0.0)[0]
-    around = Icosphere(2).neighbors
-    windows = torch.cat((torch.arange(162)[:, None], around), 1)
-    local = torch.stack([values[0, :, 0, w[w >= 0]].mean(1) for w in windows], 1)
-    rest = values[0, :, 0] - local
-    for vertex, window in enumerate(windows):
-        first, _, last = rest[:, window[window >= 0]]
-        expected = 1 - (first @ last) / (first.norm() * last.norm())
-        torch.testing.assert_close(cost[vertex], expected.clamp(0, 1))
-
-
-def test_the_cost_of_one_camera_is_infinite_and_bare_views_tell_nothing() -> None:
-    mask = torch.zeros(1, 2, 42, dtype=torch.bool)
-    mask[:, 0] = True
-    assert best_pairs_cost(torch.rand(1, 2, 3, 42), mask).isinf().all()
-    assert (best_pairs_cost(torch.full((1, 2, 3, 42), 0.3), mask | True) > 0.99).all()
 
 
 def test_errors_name_the_argument() -> None:
@@ -191,5 +236,9 @@ def test_errors_name_the_argument() -> None:
         semi_global_sweep(images, rig, 8, 0.5, substeps=0)
     with pytest.raises(ArgumentError, match="P1 <= P2"):
         semi_global_sweep(images, rig, 8, 0.5, small_penalty=5.0)
-    with pytest.raises(ShapeError, match="mask"):
-        best_pairs_cost(torch.zeros(1, 2, 3, 42), torch.zeros(1, 3, 42, dtype=torch.bool))
+    with pytest.raises(ArgumentError, match="level"):
+        semi_global_sweep(images, rig, 8, 0.5, level=11)
+    with pytest.raises(ShapeError, match="seen"):
+        semi_global_sweep(images, rig, 8, 0.5, seen=torch.ones(3, 642, dtype=torch.bool))
+    with pytest.raises(ArgumentError, match="tables for 8 hypotheses"):
+        semi_global_sweep(images, semi_global_tables(rig, 9, 0.5, image_level=3, substeps=1), 8, 0.5)

@@ -7,29 +7,17 @@ import math
 
 import pytest
 import torch
-from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sweep import depth_from_index, photo_consistency
-from sphericalvision.sweep.cost import local_appearance, winner_takes_all
+from sphericalvision.sweep.appearance import local_appearance
+from sphericalvision.sweep.photo_consistency import deviation_cost
+from sphericalvision.sweep.winner import winner_takes_all
+from tests.sweep.textured_sphere import textured_sphere
 
 NUM_HYPOTHESES, MIN_DEPTH = 9, 0.5
-
-
-def images_of_textured_sphere(rig: CameraRig, depth: float, level: int) -> Tensor:
-    """Return what the cameras see inside a textured sphere of radius ``depth`` around the rig."""
-    generator = torch.Generator().manual_seed(3)
-    waves = 8 * torch.randn(40, 3, generator=generator)
-    phases = 2 * math.pi * torch.rand(3, 40, generator=generator)
-    rays = Icosphere(level).vertices
-    start = rig.positions[:, None] - rig.center
-    along = (start * rays).sum(-1)
-    reach = -along + (along.square() + depth**2 - start.square().sum(-1)).sqrt()
-    points = torch.nn.functional.normalize(start + reach[..., None] * rays, dim=-1)
-    colors = ((points @ waves.T)[..., None, :] + phases).sin().mean(-1) * 3
-    return colors.clamp(-1, 1).movedim(-1, 1)[None]
 
 
 @pytest.mark.parametrize("index", [0, 2, 4, 7])
@@ -37,9 +25,12 @@ def images_of_textured_sphere(rig: CameraRig, depth: float, level: int) -> Tenso
 def test_finds_the_radius_of_a_textured_sphere(index: int, aggregation: int) -> None:
     rig = ring_rig(4)
     depth = depth_from_index(torch.tensor(float(index)), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = images_of_textured_sphere(rig, min(depth, 1e4), level=5)
-    found, confidence = photo_consistency(images, rig, NUM_HYPOTHESES, MIN_DEPTH, aggregation=aggregation)
-    assert found.shape == confidence.shape == (1, 642)
+    images = textured_sphere(rig, min(depth, 1e4), level=5)
+    found, confidence, seen = photo_consistency(
+        images, rig, NUM_HYPOTHESES, MIN_DEPTH, aggregation=aggregation
+    )
+    assert found.shape == confidence.shape == seen.shape == (1, 642)
+    assert seen.all()
     assert ((found - index).abs() <= 1).float().mean() > 0.9
     assert (found == index).float().mean() > (0.9 if aggregation else 0.75)
     assert confidence.min() >= 0
@@ -49,7 +40,7 @@ def test_finds_the_radius_of_a_textured_sphere(index: int, aggregation: int) -> 
 def test_between_two_hypotheses_the_parabola_is_closer() -> None:
     rig = ring_rig(4)
     depth = depth_from_index(torch.tensor(4.4), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = images_of_textured_sphere(rig, depth, level=5)
+    images = textured_sphere(rig, depth, level=5)
     whole, fraction = (
         photo_consistency(images, rig, NUM_HYPOTHESES, MIN_DEPTH, subhypothesis=refine).index
         for refine in (False, True)
@@ -60,7 +51,7 @@ def test_between_two_hypotheses_the_parabola_is_closer() -> None:
 def test_exposure_changes_little() -> None:
     rig = ring_rig(4)
     depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = images_of_textured_sphere(rig, depth, level=5)
+    images = textured_sphere(rig, depth, level=5)
     gains = torch.tensor([1.0, 0.7, 0.8, 0.6])[:, None, None]
     found = photo_consistency(images * gains, rig, NUM_HYPOTHESES, MIN_DEPTH).index
     assert ((found - 4).abs() <= 1).float().mean() > 0.8
@@ -68,9 +59,42 @@ def test_exposure_changes_little() -> None:
 
 def test_points_seen_by_fewer_than_two_cameras_are_at_infinity_without_confidence() -> None:
     rig = ring_rig(2, field_of_view=math.radians(150))  # back to back: no point is in both views
-    index, confidence = photo_consistency(torch.rand(1, 2, 3, 642), rig, 8, 0.5)
+    index, confidence, seen = photo_consistency(torch.rand(1, 2, 3, 642), rig, 8, 0.5)
     assert not index.any()
     assert not confidence.any()
+    assert not seen.any()
+
+
+def test_what_is_masked_does_not_count_whatever_is_in_its_place() -> None:
+    rig = ring_rig(4)
+    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
+    images = textured_sphere(rig, depth)
+    seen = Icosphere(5).vertices[:, 0] < 0.5
+    results = []
+    for filling in (0.0, -1.0, 0.7):
+        filled = images.where(seen, filling)
+        results.append(photo_consistency(filled, rig, NUM_HYPOTHESES, MIN_DEPTH, seen=seen.expand(4, -1)))
+    for other in results[1:]:
+        for first, second in zip(results[0], other, strict=True):
+            assert first.equal(second)
+    right = Icosphere(3).vertices[:, 0]
+    assert not results[0].seen[0, right > 0.9].any()
+    assert results[0].seen[0, right < 0].all()
+
+
+def test_a_mid_gray_pixel_is_seen() -> None:
+    rig = ring_rig(2, radius=0.1, field_of_view=2 * math.pi)
+    assert photo_consistency(torch.zeros(1, 2, 3, 162), rig, 4, 0.5).seen.all()
+
+
+@pytest.mark.parametrize("cameras", [3, 4, 6])
+def test_more_cameras_do_not_disagree_more(cameras: int, generator: torch.Generator) -> None:
+    values = torch.randn(1, 6, 1, 20000, generator=generator)
+    few = torch.arange(6)[:, None].expand(1, 6, 20000) < 2
+    many = torch.arange(6)[:, None].expand(1, 6, 20000) < cameras
+    # Of independent noise, whatever the number of cameras: else two would always seem to agree better.
+    ratio = deviation_cost(values, many).mean() / deviation_cost(values, few).mean()
+    assert ratio == pytest.approx(1, abs=0.02)
 
 
 def test_a_rig_a_sample() -> None:
@@ -88,6 +112,14 @@ def test_local_appearance_ignores_gain_in_its_brightness_channels(generator: tor
     torch.testing.assert_close(once[:, :4], twice[:, :4], rtol=0.02, atol=0.2)
 
 
+def test_local_appearance_leaves_out_what_is_not_seen(generator: torch.Generator) -> None:
+    images = torch.randn(1, 3, 642, generator=generator)
+    seen = Icosphere(3).vertices[:, 0] < 0.3
+    there = local_appearance(images, seen[None])
+    again = local_appearance(images.where(seen, 9.0), seen[None])
+    assert again[..., seen].equal(there[..., seen])
+
+
 def test_local_appearance_gradient_points_uphill() -> None:
     vertices = Icosphere(4).vertices
     up = torch.tensor([0.0, -1.0, 0.0])
@@ -101,9 +133,7 @@ def test_local_appearance_gradient_points_uphill() -> None:
 
 def test_winner_takes_all_leaves_out_infinite_costs() -> None:
     cost = torch.tensor([[[torch.inf, torch.inf], [2.0, torch.inf], [1.0, torch.inf]]])
-    index, confidence = winner_takes_all(cost, subhypothesis=True)
-    assert index.tolist() == [[2.0, 0.0]]
-    assert confidence[0].tolist() == pytest.approx([1 / 3, 0])
+    assert winner_takes_all(cost, subhypothesis=True).tolist() == [[2.0, 0.0]]
 
 
 def test_errors_name_the_argument() -> None:

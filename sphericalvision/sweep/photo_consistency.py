@@ -9,15 +9,21 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.icosphere import Icosphere, check_level, level_from_num_vertices
+from sphericalvision.sweep.appearance import local_appearance
+from sphericalvision.sweep.correlation import LEAST_SHARE
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
-from sphericalvision.sweep.regression import DepthIndex
-from sphericalvision.sweep.sphere_sweep import sphere_sweep, sweep_tables
+from sphericalvision.sweep.regression import DepthEstimate
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level
+from sphericalvision.sweep.sphere_sweep import sphere_sweep
+from sphericalvision.sweep.sweep_tables import sweep_tables
+from sphericalvision.sweep.visibility import check_seen, seen_in_view
+from sphericalvision.sweep.winner import winner_takes_all
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["local_appearance", "photo_consistency", "winner_takes_all"]
+__all__ = ["deviation_cost", "photo_consistency"]
 
 
 def photo_consistency(
@@ -28,7 +34,8 @@ def photo_consistency(
     level: int | None = None,
     aggregation: int = 0,
     subhypothesis: bool = False,
-) -> DepthIndex:
+    seen: Tensor | None = None,
+) -> DepthEstimate:
     """Return, at each vertex, the hypothesis at which the cameras that see the point agree best.
 
     The cost of a hypothesis is the mean absolute deviation of the cameras' ``local_appearance`` from their
@@ -45,10 +52,12 @@ def photo_consistency(
         aggregation: rounds of averaging the cost over the neighbours of a vertex. With one or more, costs are
             computed at the level of the images: steadier, and 16 times the work at the default ``level``.
         subhypothesis: whether to refine the winner to a fraction by a parabola through its neighbours' costs.
+        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something; all that the rig's
+            fields of view and masks hold when not given.
 
     Returns:
-        Index ``(B, V_level)``, 0 to N - 1, and confidence ``(B, V_level)``: 1 minus the ratio of the best to
-        the mean cost.
+        Index ``(B, V_level)``, 0 to N - 1; confidence ``(B, V_level)``: 1 minus the ratio of the best to the mean cost;
+        and where two cameras see the point at any hypothesis.
 
     Raises:
         ShapeError: if the images have another shape.
@@ -60,7 +69,7 @@ def photo_consistency(
     Examples:
         >>> from sphericalvision.cameras import ring_rig
         >>> rig = ring_rig(2, radius=0.1)
-        >>> index, confidence = photo_consistency(torch.rand(1, 2, 3, 642), rig, num_hypotheses=8,
+        >>> index, confidence, seen = photo_consistency(torch.rand(1, 2, 3, 642), rig, num_hypotheses=8,
         ...     min_depth=0.5)
         >>> index.shape
         torch.Size([1, 42])
@@ -69,86 +78,48 @@ def photo_consistency(
         raise ShapeError(f"sphere_images: expected shape (B, n, 3, V), got {tuple(sphere_images.shape)}")
     check_hypotheses(num_hypotheses, min_depth)
     image_level = level_from_num_vertices(sphere_images.shape[-1])
-    level = max(image_level - 2, 0) if level is None else level
-    if not 0 <= level <= image_level:
+    level = max(image_level - 2, 0) if level is None else check_level(level)
+    if level > image_level:
         raise ArgumentError(f"level: expected 0 to {image_level}, the level of the images, got {level}")
     if aggregation < 0:
         raise ArgumentError(f"aggregation: expected 0 or more rounds, got {aggregation}")
 
     grid = Icosphere(image_level if aggregation else level, sphere_images.dtype, sphere_images.device)
-    appearance = local_appearance(sphere_images)
+    seen = seen_in_view(rig, image_level).to(sphere_images.device) if seen is None else seen
+    seen = check_seen(seen, sphere_images)
+    shown = seen.to(sphere_images)[:, :, None]
+    features = torch.cat((local_appearance(sphere_images, seen) * shown, shown), 2)
     costs = []
     for inverse_depth in inverse_depth_hypotheses(num_hypotheses, min_depth, device=grid.vertices.device):
         tables = sweep_tables(grid.vertices, inverse_depth[None], rig, image_level)
-        values, mask = sphere_sweep(appearance, tables)
-        costs.append(_disagreement(values.squeeze(3), mask.squeeze(2)))
+        values, share = sphere_sweep(features, tables).values.squeeze(3).split((7, 1), 2)
+        # As in the sweep for correlations: a view ends where half of what is interpolated is out of it.
+        costs.append(deviation_cost(values / share.clamp(min=LEAST_SHARE), share.squeeze(2) > LEAST_SHARE))
     cost = torch.stack(costs, 1)
     for _ in range(aggregation):
         cost = _neighborhood_mean(cost, grid.neighbors)
-    for finer_level in range(grid.level, level, -1):
-        cost = cost[..., Icosphere(finer_level, device=cost.device).coarse_ids]
-    return winner_takes_all(cost, subhypothesis)
+    cost = cost[..., ids_of_coarser_level(grid.level, level, cost.device)]
+    finite = cost.isfinite()
+    mean = torch.where(finite, cost, 0.0).sum(1) / finite.sum(1).clamp(min=1)
+    known = finite.any(1)
+    confidence = torch.where(known, 1 - cost.amin(1) / mean.clamp(min=1e-12), 0.0).clamp(0, 1)
+    return DepthEstimate(winner_takes_all(cost, subhypothesis), confidence, known)
 
 
-def local_appearance(images: Tensor) -> Tensor:
-    """Describe the neighbourhood of each vertex of images ``(*, 3, V)`` by seven channels ``(*, 7, V)``.
+def deviation_cost(values: Tensor, seen: Tensor) -> Tensor:
+    """Return how far cameras' values ``(B, n, C, V)``, seen where ``(B, n, V)``, lie from their mean: ``(B, V)``.
 
-    Brightness less the mean of the vertex and its neighbours, and the brightness gradient as a vector in
-    space, both divided by the neighbourhood's contrast (so that exposure does not matter), and the three
-    colours at half weight. A vector in space needs no tangent frame, so cameras agree wherever they look.
-
-    Examples:
-        >>> local_appearance(torch.zeros(2, 3, 162)).shape
-        torch.Size([2, 7, 162])
-    """
-    if images.ndim < 2 or images.shape[-2] != 3:
-        raise ShapeError(f"images: expected shape (*, 3, V), got {tuple(images.shape)}")
-    grid = Icosphere(level_from_num_vertices(images.shape[-1]), images.dtype, images.device)
-    neighbors = grid.neighbors
-    present = (neighbors >= 0).to(images.dtype)
-    count = present.sum(1)
-    brightness = images.mean(-2)
-    around = (brightness[..., neighbors.clamp(min=0)] - brightness[..., None]) * present
-    mean = around.sum(-1) / (count + 1)
-    contrast = ((around - mean[..., None]).square() * present).sum(-1) / count
-    scale = (contrast.sqrt() + 0.05).reciprocal()
-    edges = grid.vertices[neighbors.clamp(min=0)] - grid.vertices[:, None]
-    edges = torch.nn.functional.normalize(edges, dim=-1) * present[..., None]
-    gradient = torch.einsum("...vk,vkd->...dv", around, edges) * (2 / count)
-    relative = torch.cat((-mean[..., None, :], gradient), -2) * scale[..., None, :]
-    return torch.cat((relative, 0.5 * images), -2)
-
-
-def winner_takes_all(cost: Tensor, subhypothesis: bool = False) -> DepthIndex:
-    """Return the hypothesis of the smallest cost ``(B, N, V)``; infinite ones are left out.
-
-    With ``subhypothesis`` the index is moved to the minimum of the parabola through the winner and its two
-    neighbours, by less than half a hypothesis.
+    Infinite where fewer than two cameras see the point.
 
     Examples:
-        >>> winner_takes_all(torch.tensor([[[4.0], [1.0], [2.0]]]), subhypothesis=True).index
-        tensor([[1.2500]])
+        >>> values = torch.tensor([[[[1.0]], [[3.0]]]])  # two cameras, one channel, one vertex
+        >>> deviation_cost(values, torch.ones(1, 2, 1, dtype=torch.bool))  # the standard deviation
+        tensor([[1.4142]])
     """
-    best, winner = cost.min(1)
-    index = winner.to(cost.dtype)
-    if subhypothesis:
-        before = cost.gather(1, (winner - 1).clamp(min=0)[:, None]).squeeze(1)
-        after = cost.gather(1, (winner + 1).clamp(max=cost.shape[1] - 1)[:, None]).squeeze(1)
-        curvature = before - 2 * best + after
-        fits = (winner > 0) & (winner < cost.shape[1] - 1) & curvature.isfinite() & (curvature > 0)
-        index = index + torch.where(fits, (before - after) / (2 * curvature), 0.0)
-    seen = cost.isfinite()
-    mean = torch.where(seen, cost, 0.0).sum(1) / seen.sum(1).clamp(min=1)
-    confidence = torch.where(seen.any(1), 1 - best / mean.clamp(min=1e-12), 0.0)
-    return DepthIndex(index, confidence.clamp(0, 1))
-
-
-def _disagreement(values: Tensor, mask: Tensor) -> Tensor:
-    """Return the cost ``(B, V)`` of values ``(B, n, C, V)`` with mask ``(B, n, V)``; infinite below two."""
-    seen = mask[:, :, None].to(values.dtype)
-    count = seen.sum(1)
-    mean = (values * seen).sum(1) / count.clamp(min=1)
-    deviation = ((values - mean[:, None]).abs() * seen).sum(1) / count.clamp(min=1)
+    counts = seen[:, :, None].to(values.dtype)
+    count = counts.sum(1)
+    mean = (values * counts).sum(1) / count.clamp(min=1)
+    deviation = ((values - mean[:, None]).abs() * counts).sum(1) / count.clamp(min=1)
     # The deviation of k samples from their own mean is too small on average by this factor; without it, two
     # cameras would always agree better than three.
     unbiased = (count / (count - 1).clamp(min=1)).sqrt().squeeze(1)

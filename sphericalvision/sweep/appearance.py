@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Local appearance: a description of each vertex of an image that does not depend on exposure or viewing direction."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ShapeError
+from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+
+__all__ = ["local_appearance"]
+
+
+def local_appearance(images: Tensor, seen: Tensor | None = None) -> Tensor:
+    """Describe the neighbourhood of each vertex of images ``(*, 3, V)`` by seven channels ``(*, 7, V)``.
+
+    Brightness less the mean of the vertex and its neighbours, and the brightness gradient as a vector in
+    space, both divided by the neighbourhood's contrast (so that exposure does not matter), and the three
+    colours at half weight. A vector in space needs no tangent frame, so cameras agree wherever they look.
+
+    Args:
+        images: on an icosphere.
+        seen: ``(*, V)`` bool; neighbours that are not seen do not count.
+
+    Examples:
+        >>> local_appearance(torch.zeros(2, 3, 162)).shape
+        torch.Size([2, 7, 162])
+    """
+    if images.ndim < 2 or images.shape[-2] != 3:
+        raise ShapeError(f"images: expected shape (*, 3, V), got {tuple(images.shape)}")
+    grid = Icosphere(level_from_num_vertices(images.shape[-1]), images.dtype, images.device)
+    ids = grid.neighbors.clamp(min=0)
+    known = grid.neighbors >= 0
+    if seen is not None:
+        known = known & seen[..., ids]
+    present = known.to(images.dtype)
+    count = present.sum(-1)
+    brightness = images.mean(-2)
+    around = (brightness[..., ids] - brightness[..., None]) * present
+    mean = around.sum(-1) / (count + 1)
+    contrast = ((around - mean[..., None]).square() * present).sum(-1) / count.clamp(min=1)
+    scale = (contrast.sqrt() + 0.05).reciprocal()
+    edges = torch.nn.functional.normalize(grid.vertices[ids] - grid.vertices[:, None], dim=-1)
+    gradient = torch.einsum("...vk,vkd->...dv", around, edges) * (2 / count.clamp(min=1))[..., None, :]
+    relative = torch.cat((-mean[..., None, :], gradient), -2) * scale[..., None, :]
+    return torch.cat((relative, 0.5 * images), -2)

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Correlation of cameras: how well what they see around the points of a sweep agrees, pair by pair.
+
+Two cameras are compared by zero-mean normalised cross-correlation (ZNCC), whose windows are a vertex and its neighbours
+on the swept sphere: what is compared is what the cameras would see if a surface lay there. Everything runs with
+vertices first and hypotheses last, ``(V, planes, N)``: windows gather whole rows, one for all hypotheses, cameras and
+colours at once, and what is done to a plane runs over contiguous memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import check_level, level_from_num_vertices
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
+from sphericalvision.sweep.sphere_sweep import sphere_sweep
+from sphericalvision.sweep.sweep_tables import SweepTables
+from sphericalvision.sweep.visibility import check_seen
+
+__all__ = ["LEAST_SHARE", "NOISE", "correlation_evidence", "mean_of_better_half", "window_correlations"]
+
+#: Contrast below which nothing is told, in the unit of images in [-1, 1]: about one step of 8 bits.
+NOISE = 0.01
+#: How much of what is interpolated at a point must be seen for the point to count as seen.
+LEAST_SHARE = 0.5
+
+
+def correlation_evidence(
+    images: Tensor,
+    tables: SweepTables,
+    seen: Tensor | None = None,
+    level: int | None = None,
+    noise: float = NOISE,
+) -> Tensor:
+    """Return how well cameras agree at every point of a sweep, for a network or ``semi_global_sweep`` to start from.
+
+    Two cameras agree as far as what they see around the point correlates, whatever their exposures: each colour less
+    its mean around the point, divided by the contrast of all colours together. Where there is nothing but ``noise``
+    to compare the correlation is near 0 whatever the hypothesis, and so it is where cameras contradict each other.
+
+    Args:
+        images: ``(B, n, C, V_image)`` of two or more cameras: colours in [-1, 1], or other features.
+        tables: of the n cameras, for all of the batch or with a batch dimension B.
+        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something; everywhere when not
+            given. A point counts as seen if it is in the field of view, and that holds for more than half of what is
+            interpolated there.
+        level: of the result, up to that of the tables, which windows are taken from; theirs when not given.
+        noise: contrast below which nothing is told, in the unit of the images.
+
+    Returns:
+        ``(B, 3, N, V_level)``, differentiable in the images:
+
+        * the mean correlation of the pairs of cameras that see the point, -1 to 1, 0 where there is no pair;
+        * the mean of the better half of them, rounded up, each at least 0: a camera whose view is blocked does no harm;
+        * the number of cameras that see the point.
+
+    Raises:
+        ShapeError: if images, tables and ``seen`` do not fit, or there is one camera only.
+        ArgumentError: if the level is above that of the tables.
+
+    References:
+        Goesele et al. (2007), "Multi-view stereo for community photo collections", section 6 (view selection); Kang,
+        Szeliski and Chai (2001), "Handling occlusions in dense multi-view stereo" (best half).
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.sweep import SphereSweep
+        >>> tables = SphereSweep(level=2, num_hypotheses=8, min_depth=0.5, feature_level=4).tables(ring_rig(4))
+        >>> images = torch.rand(1, 4, 3, 2562, generator=torch.Generator().manual_seed(0)) * 2 - 1
+        >>> mean, best, cameras = correlation_evidence(images, tables)[0]
+        >>> mean.shape, bool((best >= mean).all()), cameras[0].unique().tolist()  # at infinity
+        (torch.Size([8, 162]), True, [2.0, 3.0, 4.0])
+    """
+    if images.ndim != 4 or images.shape[1] < 2:
+        raise ShapeError(
+            f"images: expected shape (B, n, C, V) of two or more cameras, got {tuple(images.shape)}"
+        )
+    batch = len(images)
+    table_level = level_from_num_vertices(tables.ids.shape[-3])
+    level = table_level if level is None else check_level(level)
+    if level > table_level:
+        raise ArgumentError(f"level: expected 0 to {table_level}, the level of the tables, got {level}")
+    shared = tables.ids.ndim == 4
+    if not shared and len(tables.ids) != batch:
+        raise ShapeError(f"tables: expected those of {batch} rigs or of one for all, got {len(tables.ids)}")
+    known = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
+    return torch.stack(
+        [
+            _evidence(
+                images[sample],
+                known[sample],
+                tables if shared else SweepTables(*(table[sample] for table in tables)),
+                level,
+                noise,
+            )
+            for sample in range(
+                batch
+            )  # one after the other, so that what belongs together stays in the cache
+        ]
+    )
+
+
+def _evidence(images: Tensor, known: Tensor, tables: SweepTables, level: int, noise: float) -> Tensor:
+    """Evidence ``(3, N, V)`` of images ``(n, C, V_image)``, known where ``(n, V_image)`` is 1."""
+    colors, seen = _sweep(images, known, tables)
+    correlations = window_correlations(colors, seen, level, noise)
+    seen = seen[ids_of_coarser_level(level_from_num_vertices(len(seen)), level, seen.device)]
+    both = [seen[:, a] * seen[:, b] for a, b in _pairs(seen.shape[1])]
+    count = torch.stack(both).sum(0)
+    mean = torch.stack([c * weight for c, weight in zip(correlations, both, strict=True)]).sum(0)
+    ranked = [c.clamp(0, 1).where(b > 0, -1.0) for c, b in zip(correlations, both, strict=True)]
+    best = mean_of_better_half(ranked, count)
+    return torch.stack((mean / count.clamp(min=1), best, seen.sum(1))).transpose(1, 2)
+
+
+def _sweep(images: Tensor, known: Tensor, tables: SweepTables) -> tuple[Tensor, Tensor]:
+    """What cameras see: colours ``(V, n, C, N)``, 0 where they see nothing, and where they do ``(V, n, N)``, 0 or 1.
+
+    Colours are less their mean over the image, on which no correlation depends, and which would cost digits. What is
+    known is swept with them: its share tells how much of what is interpolated there is to be seen, and the colours are
+    divided by it, so that a view ends where it does and nothing from beyond its limits leaks in.
+
+    References:
+        Knutsson and Westin (1993), "Normalized and differential convolution".
+    """
+    known = known[:, None]
+    mean = (images * known).sum(-1, keepdim=True) / known.sum(-1, keepdim=True).clamp(min=1)
+    values = sphere_sweep(torch.cat(((images - mean) * known, known), 1)[None], tables).values[0]
+    planes = values.permute(3, 0, 1, 2).contiguous()
+    share = planes[:, :, -1]
+    seen = (share > LEAST_SHARE).to(images.dtype)
+    return planes[:, :, :-1] * (seen / share.clamp(min=LEAST_SHARE))[:, :, None], seen
+
+
+def window_correlations(colors: Tensor, seen: Tensor, level: int, noise: float) -> list[Tensor]:
+    """Return the correlation ``(V_level, N)`` of each pair of cameras in the windows around the vertices of a level.
+
+    The mean of a window is taken off at each of its vertices, as it is in the window around that vertex, so that
+    squares and products can be averaged afterwards for all cameras and pairs. Where the limits of a view cut a window
+    what is left of it counts; for a pair, as much as is left to the camera that has less.
+
+    Args:
+        colors: ``(V, n, C, N)``, 0 where not seen.
+        seen: ``(V, n, N)``, 0 or 1.
+        level: of the vertices around which windows lie.
+        noise: contrast below which nothing is told.
+    """
+    num_cameras = seen.shape[1]
+    share = ring_mean(seen).clamp(min=1e-6)
+    local = (colors - ring_mean(colors) / share[:, :, None]) * seen[:, :, None]
+    products = [(local[:, a] * local[:, b]).sum(1) for a, b in _pairs(num_cameras)]
+    planes = torch.cat((local.square().sum(2), torch.stack(products, 1)), 1)
+    planes = ring_mean(planes, level)
+    share = share[ids_of_coarser_level(level_from_num_vertices(len(seen)), level, seen.device)]
+    variance = planes[:, :num_cameras] / share + noise**2
+    scale = variance.clamp(min=1e-20).rsqrt()  # so that 0 stays 0 without noise, too
+    return [
+        planes[:, num_cameras + pair] / torch.minimum(share[:, a], share[:, b]) * scale[:, a] * scale[:, b]
+        for pair, (a, b) in enumerate(_pairs(num_cameras))
+    ]
+
+
+def mean_of_better_half(values: Sequence[Tensor], count: Tensor) -> Tensor:
+    """Average the greater half, rounded up, of the first ``count`` of values in descending order; 0 if there are none.
+
+    A sorting network compares whole tensors, which is many times faster than sorting each place for itself.
+
+    References:
+        Batcher (1968), "Sorting networks and their applications" (odd-even merge sort).
+
+    Examples:
+        >>> low, middle, high = torch.tensor([[0.1], [0.3], [0.7]])
+        >>> mean_of_better_half([middle, low, high], torch.tensor([3]))  # two of three
+        tensor([0.5000])
+    """
+    ordered = list(values)
+    for a, b in _comparators(len(ordered)):
+        ordered[a], ordered[b] = torch.maximum(ordered[a], ordered[b]), torch.minimum(ordered[a], ordered[b])
+    half = (count + 1).div(2, rounding_mode="floor")
+    total = torch.zeros_like(ordered[0])
+    for rank, value in enumerate(ordered[: (len(ordered) + 1) // 2]):
+        total = total + value.where(rank < half, 0.0)
+    return total / half.clamp(min=1)
+
+
+def _pairs(num_cameras: int) -> list[tuple[int, int]]:
+    return list(combinations(range(num_cameras), 2))
+
+
+def _comparators(length: int) -> Iterator[tuple[int, int]]:
+    """Places to compare, one pair after the other, so that any sequence of this length ends up sorted."""
+    merged = 1
+    while merged < length:
+        distance = merged
+        while distance >= 1:
+            for start in range(distance % merged, length - distance, 2 * distance):
+                for place in range(start, min(start + distance, length - distance)):
+                    if place // (2 * merged) == (place + distance) // (2 * merged):
+                        yield place, place + distance
+            distance //= 2
+        merged *= 2

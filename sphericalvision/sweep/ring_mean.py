@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Means over a vertex of an icosphere and its neighbours: the windows within which cameras are compared."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.icosphere import (
+    coarse_vertex_ids,
+    icosphere_neighbors,
+    level_from_num_vertices,
+    num_icosphere_vertices,
+)
+
+__all__ = ["ids_of_coarser_level", "ring_mean"]
+
+
+def ring_mean(values: Tensor, level: int | None = None) -> Tensor:
+    """Average values ``(V, *)`` over each vertex of an icosphere and its neighbours.
+
+    Vertices come first, unlike elsewhere: what is averaged together then lies side by side in memory.
+
+    Args:
+        values: on an icosphere.
+        level: of the vertices whose means are wanted, up to that of the values; theirs when not given. Neighbours
+            are always those of the values' icosphere.
+
+    Examples:
+        >>> peak = torch.zeros(42, 1)
+        >>> peak[0] = 6.0  # the north pole, which has five neighbours
+        >>> ring_mean(peak)[:2].flatten()
+        tensor([1.0000, 0.8571])
+        >>> ring_mean(peak, level=0).shape
+        torch.Size([12, 1])
+    """
+    own_level = level_from_num_vertices(len(values))
+    ids, weights = _rings(own_level, own_level if level is None else level, values.device)
+    rows = F.embedding_bag(ids, values.flatten(1), per_sample_weights=weights.to(values.dtype), mode="sum")
+    return rows.view(len(ids), *values.shape[1:])
+
+
+def ids_of_coarser_level(level: int, coarser: int, device: torch.device | str | None = None) -> Tensor:
+    """Return the ids at ``level`` of the vertices of a coarser icosphere, or of the same one.
+
+    Examples:
+        >>> ids_of_coarser_level(2, 0)[:3]
+        tensor([ 0, 13, 29])
+    """
+    ids = torch.arange(num_icosphere_vertices(coarser), device=device)
+    for finer in range(coarser + 1, level + 1):
+        ids = coarse_vertex_ids(finer, device)[ids]
+    return ids
+
+
+@lru_cache(maxsize=16)
+@torch.inference_mode(False)  # what is kept must be usable where gradients are wanted
+def _rings(level: int, coarser: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Ids ``(V, 7)`` of a coarser level's vertices and their neighbours, and the share of each in the mean."""
+    own = ids_of_coarser_level(level, coarser, device)[:, None]
+    neighbors = icosphere_neighbors(level, device)[own[:, 0]]
+    present = torch.cat((own, neighbors), 1) >= 0
+    weights = present / present.sum(1, keepdim=True).to(torch.float64)
+    return torch.cat((own, neighbors.clamp(min=0)), 1), weights

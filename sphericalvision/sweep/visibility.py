@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What cameras see of the icospheres that their images are on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ShapeError
+from sphericalvision.icosphere import icosphere_vertices
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import CameraRig
+
+__all__ = ["check_seen", "seen_in_view"]
+
+
+def seen_in_view(rig: CameraRig, level: int) -> Tensor:
+    """Return which vertices of its icosphere each camera sees, ``(*b, n, V)`` bool: its field of view less its mask.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> seen_in_view(ring_rig(4), level=3).sum(-1)  # of 642 vertices; 220 degrees are two thirds of the sphere
+        tensor([432, 427, 432, 427])
+    """
+    poses = rig.world_from_camera
+    far = torch.zeros(1, dtype=poses.dtype, device=poses.device)
+    return rig.points_seen(icosphere_vertices(level, poses.dtype, poses.device), far).squeeze(-2)
+
+
+def check_seen(seen: Tensor, images: Tensor) -> Tensor:
+    """Return ``seen`` ``([B,] n, V)`` as ``(B, n, V)`` for images ``(B, n, C, V)``, or raise ``ShapeError``.
+
+    Examples:
+        >>> check_seen(torch.ones(2, 42, dtype=torch.bool), torch.zeros(5, 2, 3, 42)).shape
+        torch.Size([5, 2, 42])
+    """
+    batch, num_cameras, num_vertices = (images.shape[dim] for dim in (0, 1, -1))
+    shape = (batch, num_cameras, num_vertices)
+    if tuple(seen.shape) not in (shape, shape[1:]):
+        raise ShapeError(f"seen: expected shape {shape} or {shape[1:]}, got {tuple(seen.shape)}")
+    return seen.expand(shape)

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Winner takes all: from costs of hypotheses to the index of the smallest, refined to a fraction."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+__all__ = ["at_nearest_hypothesis", "winner_takes_all"]
+
+
+def winner_takes_all(cost: Tensor, subhypothesis: bool = False) -> Tensor:
+    """Return the index ``(B, V)`` of the smallest cost ``(B, N, V)``; infinite ones are left out.
+
+    With ``subhypothesis`` the index is moved to the minimum of the parabola through the winner and its two
+    neighbours, by less than half a hypothesis.
+
+    Examples:
+        >>> winner_takes_all(torch.tensor([[[4.0], [1.0], [2.0]]]), subhypothesis=True)
+        tensor([[1.2500]])
+    """
+    best, winner = cost.min(1)
+    index = winner.to(cost.dtype)
+    if not subhypothesis:
+        return index
+    before = cost.gather(1, (winner - 1).clamp(min=0)[:, None]).squeeze(1)
+    after = cost.gather(1, (winner + 1).clamp(max=cost.shape[1] - 1)[:, None]).squeeze(1)
+    curvature = before - 2 * best + after
+    fits = (winner > 0) & (winner < cost.shape[1] - 1) & curvature.isfinite() & (curvature > 0)
+    return index + torch.where(fits, (before - after) / (2 * curvature), 0.0)
+
+
+def at_nearest_hypothesis(values: Tensor, index: Tensor) -> Tensor:
+    """Return the values ``(B, N, V)`` of the hypothesis nearest to a fractional index ``(B, V)``.
+
+    Examples:
+        >>> at_nearest_hypothesis(torch.tensor([[[5.0], [6.0], [7.0]]]), torch.tensor([[1.3]]))
+        tensor([[6.]])
+    """
+    return values.gather(1, index.round().long()[:, None]).squeeze(1)

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Correlation of cameras against a slow formula that anybody can read, and what must not change it."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations, permutations
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import Icosphere, icosphere_vertices
+from sphericalvision.sweep import (
+    SphereSweep,
+    SweepTables,
+    correlation_evidence,
+    sphere_sweep,
+    sweep_tables,
+)
+from sphericalvision.sweep.correlation import mean_of_better_half
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
+from sphericalvision.sweep.visibility import seen_in_view
+
+
+def windows(level: int) -> list[list[int]]:
+    """Each vertex of an icosphere with its neighbours."""
+    around = Icosphere(level).neighbors.tolist()
+    return [[vertex, *(n for n in ids if n >= 0)] for vertex, ids in enumerate(around)]
+
+
+def correlation(first: Tensor, last: Tensor, window: list[int], level: int, noise: float) -> float:
+    """Zero-mean normalised cross-correlation of colours ``(C, V)``, each vertex less the mean around itself."""
+    around = windows(level)
+    a, b = (
+        torch.stack([values[:, v] - values[:, around[v]].mean(1) for v in window]) for values in (first, last)
+    )
+    size = len(window)
+    scale = math.sqrt(a.square().sum() / size + noise**2) * math.sqrt(b.square().sum() / size + noise**2)
+    return float((a * b).sum() / size / scale)
+
+
+def tables_of(rig: CameraRig, level: int = 2, number: int = 4, feature_level: int = 3) -> SweepTables:
+    inverse_depths = torch.linspace(0, 2, number, dtype=torch.float64)
+    return sweep_tables(icosphere_vertices(level, torch.float64), inverse_depths, rig, feature_level)
+
+
+def all_around(cameras: int) -> CameraRig:
+    """Cameras that see everything."""
+    return ring_rig(cameras, radius=0.1, field_of_view=2 * math.pi).to(torch.float64)
+
+
+@pytest.mark.parametrize("level", [1, 2])
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_equals_the_formula(level: int, noise: float, generator: torch.Generator) -> None:
+    tables = tables_of(all_around(4))
+    images = torch.randn(1, 4, 2, 642, generator=generator, dtype=torch.float64)
+    evidence = correlation_evidence(images, tables, level=level, noise=noise)[0]
+    values = sphere_sweep(images, tables).values[0]  # (n, C, N, V)
+    ids = ids_of_coarser_level(2, level).tolist()
+    around = windows(2)
+    for hypothesis in (0, 3):
+        for vertex in range(0, len(ids), 7):
+            window = around[ids[vertex]]
+            pairs = [
+                correlation(values[a, :, hypothesis], values[b, :, hypothesis], window, 2, noise)
+                for a, b in combinations(range(4), 2)
+            ]
+            mean, best, cameras = evidence[:, hypothesis, vertex].tolist()
+            assert mean == pytest.approx(sum(pairs) / 6, abs=1e-9)
+            assert best == pytest.approx(sum(max(p, 0) for p in sorted(pairs)[3:]) / 3, abs=1e-9)
+            assert cameras == 4
+
+
+def test_only_pairs_that_see_the_point_count(generator: torch.Generator) -> None:
+    tables = tables_of(all_around(3))
+    images = torch.randn(1, 3, 1, 642, generator=generator, dtype=torch.float64)
+    seen = torch.tensor([True, False, True])[:, None].expand(3, 642)
+    some = correlation_evidence(images, tables, seen)
+    pair = SweepTables(
+        *(table[..., [0, 2], :] if table.ndim == 5 - 1 else table[..., [0, 2]] for table in tables)
+    )
+    alone = correlation_evidence(images[:, [0, 2]], pair)
+    torch.testing.assert_close(some, alone)
+    assert (some[:, 2] == 2).all()
+    one = correlation_evidence(images, tables, seen & (torch.arange(3)[:, None] == 0))
+    assert not one[:, :2].any()
+    assert (one[:, 2] == 1).all()
+
+
+def test_the_number_of_cameras_is_that_of_the_views() -> None:
+    rig = ring_rig(4).to(torch.float64)
+    tables = tables_of(rig)
+    evidence = correlation_evidence(torch.zeros(1, 4, 3, 642, dtype=torch.float64), tables)
+    assert evidence[:, 2].equal(tables[2].sum(-1).to(evidence)[None])
+    assert not evidence[:, :2].any()  # nothing is told by images without contrast
+
+
+def test_what_is_interpolated_from_unseen_vertices_is_not_seen(generator: torch.Generator) -> None:
+    rig = ring_rig(4).to(torch.float64)
+    tables = tables_of(rig, feature_level=4)
+    images = torch.randn(1, 4, 3, 2562, generator=generator, dtype=torch.float64)
+    view = seen_in_view(rig, 4)
+    there, again = (
+        correlation_evidence(pictures, tables, view)
+        for pictures in (images, images.where(view[:, None], 5.0))
+    )
+    torch.testing.assert_close(again, there)
+    assert there[:, 2].sum() < tables[2].sum()
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2, 3), (3, 1, 0, 2)])
+def test_the_order_of_cameras_does_not_matter(order: tuple[int, ...], generator: torch.Generator) -> None:
+    tables = tables_of(ring_rig(4).to(torch.float64))
+    images = torch.randn(1, 4, 3, 642, generator=generator, dtype=torch.float64)
+    there = correlation_evidence(images, tables)
+    again = correlation_evidence(images[:, order], tables.permuted(torch.tensor(order)))
+    torch.testing.assert_close(again, there)
+
+
+def test_a_batch_equals_a_loop_with_one_rig_or_a_rig_a_sample(generator: torch.Generator) -> None:
+    rigs = [all_around(3), ring_rig(3).to(torch.float64)]
+    images = torch.randn(2, 3, 3, 642, generator=generator, dtype=torch.float64)
+    each = tables_of(CameraRig.stack(rigs))
+    several = correlation_evidence(images, each)
+    shared = correlation_evidence(images, tables_of(rigs[1]))
+    for sample, rig in enumerate(rigs):
+        one = images[sample : sample + 1]
+        torch.testing.assert_close(several[sample], correlation_evidence(one, tables_of(rig))[0])
+        torch.testing.assert_close(shared[sample], correlation_evidence(one, tables_of(rigs[1]))[0])
+
+
+def test_is_differentiable_in_the_images(generator: torch.Generator) -> None:
+    tables = tables_of(all_around(3), level=0, number=2, feature_level=1)
+    images = torch.randn(1, 3, 1, 42, generator=generator, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(
+        lambda x: correlation_evidence(x, tables, noise=0.1)[:, 0], images, fast_mode=True
+    )
+    correlation_evidence(images, tables, noise=0.1)[:, 1].sum().backward()
+    assert images.grad is not None
+    assert images.grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 6, 10, 15])
+def test_better_half_against_sorting(length: int, generator: torch.Generator) -> None:
+    values = torch.rand(length, 50, generator=generator)
+    count = torch.randint(0, length + 1, (50,), generator=generator)
+    absent = torch.arange(length)[:, None] >= count
+    found = mean_of_better_half(list(values.masked_fill(absent, -1.0)), count)
+    for place, number in enumerate(count.tolist()):
+        ordered = sorted(values[:number, place].tolist(), reverse=True)[: math.ceil(number / 2)]
+        expected = sum(ordered) / len(ordered) if ordered else 0.0
+        assert found[place].item() == pytest.approx(expected, abs=1e-6)
+
+
+def test_every_order_of_four_is_sorted() -> None:
+    orders = torch.tensor(list(permutations([1.0, 2.0, 3.0, 4.0])))
+    found = mean_of_better_half(list(orders.T), torch.full((24,), 4))
+    assert found.tolist() == [3.5] * 24
+
+
+def test_ring_mean_is_the_mean_of_a_vertex_and_its_neighbors(generator: torch.Generator) -> None:
+    values = torch.rand(162, 2, 3, generator=generator, dtype=torch.float64)
+    mean, coarse = ring_mean(values), ring_mean(values, level=1)
+    for vertex, window in enumerate(windows(2)):
+        torch.testing.assert_close(mean[vertex], values[window].mean(0))
+    assert coarse.equal(mean[ids_of_coarser_level(2, 1)])
+
+
+def test_coarser_vertices_stay_where_they_are() -> None:
+    for coarser in range(4):
+        moved = icosphere_vertices(3)[ids_of_coarser_level(3, coarser)]
+        torch.testing.assert_close(moved, icosphere_vertices(coarser))
+
+
+def test_errors_name_the_argument() -> None:
+    tables = SphereSweep(level=1, num_hypotheses=4, min_depth=0.5, feature_level=2).tables(ring_rig(2))
+    images = torch.zeros(2, 2, 3, 162)
+    with pytest.raises(ShapeError, match="images"):
+        correlation_evidence(images[0], tables)
+    with pytest.raises(ShapeError, match="images"):
+        correlation_evidence(images[:, :1], tables)
+    with pytest.raises(ShapeError, match="seen"):
+        correlation_evidence(images, tables, torch.ones(162, dtype=torch.bool))
+    with pytest.raises(ArgumentError, match="level"):
+        correlation_evidence(images, tables, level=2)
+    batched = SphereSweep(1, 4, 0.5, 2).tables(CameraRig.stack([ring_rig(2)] * 3))
+    with pytest.raises(ShapeError, match="tables"):
+        correlation_evidence(images, batched)

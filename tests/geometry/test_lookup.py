@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lookups against sums written out and against interpolation without tables, in every way they are computed."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.core import reference_kernels
+from sphericalvision.geometry import bilinear_sample
+from sphericalvision.geometry.image_edges import taps_across_edges
+from sphericalvision.geometry.lookup import ImageLookup, Lookup, weighted_sums
+
+DOUBLE = torch.float64
+SIZE = (5, 8)
+
+
+def rand(*shape: int, seed: int = 0) -> Tensor:
+    return torch.rand(*shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(seed))
+
+
+def positions(*shape: int) -> Tensor:
+    """Up to half a pixel beyond the outermost centres, where edges matter."""
+    return rand(*shape, 2, seed=1) * torch.tensor([SIZE[1], SIZE[0]]) - 0.5
+
+
+@pytest.mark.parametrize("count", [3, 400])  # less and more than there are values
+@pytest.mark.parametrize("batched", [False, True])
+def test_weighted_sums_are_sums(count: int, batched: bool) -> None:
+    values, shape = rand(2, 3, 50), ((2, count, 4) if batched else (count, 4))
+    ids = torch.randint(50, shape, generator=torch.Generator().manual_seed(2))
+    weights = rand(*shape, seed=3)
+    dense = torch.zeros(*shape[:-1], 50, dtype=DOUBLE).scatter_add_(-1, ids, weights)
+    expected = values @ dense.mT
+    torch.testing.assert_close(weighted_sums(values, ids, weights), expected)
+    with reference_kernels():
+        torch.testing.assert_close(weighted_sums(values, ids, weights), expected)
+    values.requires_grad_()
+    torch.testing.assert_close(weighted_sums(values, ids, weights), expected)
+    few = slice(0, 3)
+    assert torch.autograd.gradcheck(
+        lambda v, w: weighted_sums(v, ids[..., few, :], w),
+        (values, weights[..., few, :].clone().requires_grad_()),
+        fast_mode=True,
+    )
+
+
+@pytest.mark.parametrize("edges", ["border", "around", "sphere"])
+@pytest.mark.parametrize("size", [SIZE, (5, 7)])
+def test_images_are_interpolated_across_their_edges(edges: str, size: tuple[int, int]) -> None:
+    """As ``bilinear_sample`` does without a table; shared and batched lookups agree, also with sums written out."""
+    images = rand(2, 3, *size)
+    pixels = rand(40, 2, seed=1) * torch.tensor([size[1], size[0]]) - 0.5
+    seen = torch.ones(40, 1, dtype=torch.bool)
+    inside = (
+        pixels if edges == "sphere" else torch.stack((pixels[:, 0], pixels[:, 1].clamp(0, size[0] - 1)), -1)
+    )
+    expected = bilinear_sample(images, inside, wrap_longitude=edges != "border")
+    shared = ImageLookup(pixels[:, None], seen, size, edges=edges)
+    torch.testing.assert_close(shared(images), expected)
+    batched = ImageLookup(pixels.expand(2, 40, 2)[:, :, None], seen.expand(2, 40, 1), size, edges=edges)
+    torch.testing.assert_close(batched(images), expected)
+    torch.testing.assert_close(
+        weighted_sums(images.flatten(-2), *taps_across_edges(pixels, size, edges)), expected
+    )
+
+
+def test_threads_share_the_results_of_one_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    images, pixels = rand(3, *SIZE), positions(36, 2)
+    lookup = ImageLookup(pixels, torch.ones(36, 2, dtype=torch.bool), SIZE, rand(36, 2), "sphere")
+    expected = lookup(images)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
+    assert lookup._parts(images[None]) == 6
+    torch.testing.assert_close(lookup(images), expected)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    torch.testing.assert_close(lookup(images), expected)
+
+
+@pytest.mark.parametrize("size", [SIZE, (1, 8), (5, 1)])
+def test_what_is_not_seen_is_zero_whatever_the_image_holds(size: tuple[int, int]) -> None:
+    images = torch.full((1, *size), torch.nan, dtype=DOUBLE)
+    pixels = torch.zeros(4, 1, 2, dtype=DOUBLE)
+    seen = torch.tensor([[False], [True], [False], [True]])
+    found = ImageLookup(pixels, seen, size)(images)[0]
+    assert found[[0, 2]].tolist() == [0, 0]
+    assert found[[1, 3]].isnan().all()
+    rows = Lookup(torch.tensor([[0, 1], [1, 0]]), torch.ones(2, 2), seen=torch.tensor([False, True]))
+    assert rows(torch.tensor([[torch.inf, 1.0]]))[0].tolist() == [0, torch.inf]
+    picked = Lookup(torch.tensor([1, 0]), seen=torch.tensor([False, True]))(torch.tensor([[True, True]]))
+    assert picked.dtype == torch.bool
+    assert picked[0].tolist() == [False, True]
+
+
+def test_means_over_places() -> None:
+    """Places count by their shares, those not seen as zero."""
+    images, pixels = rand(2, *SIZE), positions(6, 3)
+    shares, seen = rand(6, 3, seed=4), rand(6, 3, seed=5) > 0.3
+    each = bilinear_sample(images, pixels.flatten(0, 1)).view(2, 6, 3) * seen
+    torch.testing.assert_close(ImageLookup(pixels, seen, SIZE, shares)(images), (each * shares).sum(-1))
+    torch.testing.assert_close(ImageLookup(pixels, seen, SIZE)(images), each.mean(-1))
+
+
+def test_gradients() -> None:
+    images, pixels = rand(1, *SIZE).requires_grad_(), positions(4, 1).requires_grad_()
+    seen = torch.tensor([[True], [True], [False], [True]])
+
+    def look(images: Tensor, pixels: Tensor) -> Tensor:
+        return ImageLookup(pixels, seen, SIZE, edges="sphere")(images)
+
+    assert torch.autograd.gradcheck(look, (images, pixels))
+
+
+def test_tables_are_copied_and_moved_and_not_saved() -> None:
+    lookup = ImageLookup(positions(4, 1), torch.ones(4, 1, dtype=torch.bool), SIZE, edges="around")
+    images = rand(1, *SIZE)
+    for other in (copy.deepcopy(lookup), pickle.loads(pickle.dumps(lookup))):
+        assert torch.equal(other(images), lookup(images))
+    assert lookup.state_dict() == {}
+    assert lookup.to("meta")(images.to("meta")).shape == (1, 4)

@@ -40,7 +40,7 @@ from sphericalvision.sphere import (
     Resample,
     SphereConv2d,
     TangentImages,
-    make_circular,
+    make_seamless,
 )
 
 
@@ -97,7 +97,7 @@ NETWORKS: dict[str, tuple[Callable[[], nn.Module], tuple[int, ...]]] = {
     ),
     "cube": (lambda: nn.Sequential(CubePad2d(1), nn.Conv2d(2, 3, 3)), (6, 2, 4, 4)),
     "circular": (
-        lambda: make_circular(nn.Sequential(nn.Conv2d(2, 3, 3, padding=1), nn.ReLU())),
+        lambda: make_seamless(nn.Sequential(nn.Conv2d(2, 3, 3, padding=1), nn.ReLU())),
         (1, 2, 6, 12),
     ),
     "instance_norms": (crown_instance_norms, (2, 3, 42)),

@@ -8,7 +8,7 @@ from sphericalvision.sphere.convolutions.padding import (
     cube_pad,
     equirectangular_pad,
 )
-from sphericalvision.sphere.convolutions.seamless import PaddedConv2d, make_circular
+from sphericalvision.sphere.convolutions.seamless import PaddedConv2d, make_seamless
 from sphericalvision.sphere.convolutions.sphere_conv import SphereConv2d, sphere_conv2d
 from sphericalvision.sphere.convolutions.tangent_taps import sphere_taps
 from sphericalvision.sphere.grids.base import SphereGrid
@@ -44,7 +44,7 @@ __all__ = [
     "cube_pad",
     "cube_to_layout",
     "equirectangular_pad",
-    "make_circular",
+    "make_seamless",
     "nested_from_ring",
     "resample",
     "resample_mask",

@@ -19,7 +19,7 @@ from sphericalvision.sphere import (
     SphereConv2d,
     cube_pad,
     equirectangular_pad,
-    make_circular,
+    make_seamless,
     world_from_cube_face,
 )
 
@@ -109,7 +109,7 @@ def test_isotropic_networks_on_padded_cubes_commute_with_quarter_turns() -> None
     network = nn.Sequential(nn.Conv2d(2, 4, 3, padding=1), nn.ReLU(), nn.MaxPool2d(3, 1, 1)).double()
     kernel = torch.tensor([[1.0, 2.0, 1.0], [2.0, 3.0, 2.0], [1.0, 2.0, 1.0]], dtype=torch.float64)
     network[0].weight.data.copy_(random_values(4, 2, 1, 1) * kernel)
-    network = make_circular(network, CubePad2d)
+    network = make_seamless(network, CubePad2d)
 
     def run(faces: Tensor) -> Tensor:
         return network(faces.transpose(1, 2).flatten(0, 1)).unflatten(0, (-1, 6)).transpose(1, 2)
@@ -147,7 +147,7 @@ def test_rolling_commutes_with_a_network_made_circular() -> None:
     images, planar = random_values(2, 2, 8, 13), planar_network().eval()
     unlike = (planar(images.roll(5, -1)) - planar(images).roll(5, -1)).abs().max()
     assert unlike > 0.01
-    network = make_circular(planar)
+    network = make_seamless(planar)
     expected = network(images)
     for yaw in range(13):
         torch.testing.assert_close(network(images.roll(yaw, -1)), expected.roll(yaw, -1))
@@ -155,7 +155,7 @@ def test_rolling_commutes_with_a_network_made_circular() -> None:
 
 def test_upside_down_commutes_with_a_symmetric_network_made_circular() -> None:
     """Over the poles as across the seam: a turn about the forward axis by 180° is both flips."""
-    network = make_circular(planar_network().eval())
+    network = make_seamless(planar_network().eval())
     for layer in network.modules():
         if getattr(layer, "weight", None) is not None and layer.weight.ndim == 4:
             layer.weight.data.copy_((layer.weight + layer.weight.flip(-1, -2)) / 2)
@@ -168,7 +168,7 @@ def test_a_network_made_circular_keeps_its_parameters_and_its_inside() -> None:
     state, images = planar.state_dict(), random_values(1, 2, 32, 64)
     inside = planar[:3](images)
     parameters = dict(planar.named_parameters())
-    network = make_circular(planar)
+    network = make_seamless(planar)
     assert network is planar
     assert all(parameters[name] is value for name, value in network.named_parameters())
     assert list(network.state_dict()) == list(state)
@@ -177,7 +177,7 @@ def test_a_network_made_circular_keeps_its_parameters_and_its_inside() -> None:
 
 
 def test_a_single_layer_is_replaced() -> None:
-    layer = make_circular(nn.Conv2d(2, 3, 3, padding=1))
+    layer = make_seamless(nn.Conv2d(2, 3, 3, padding=1))
     images = torch.rand(1, 2, 4, 8)
     torch.testing.assert_close(layer(images.roll(3, -1)), layer(images).roll(3, -1))
 
@@ -201,6 +201,6 @@ def test_errors_name_the_argument() -> None:
     with pytest.raises(ArgumentError, match="padding: expected at most the size 4"):
         CubePad2d(5)(torch.zeros(6, 3, 4, 4))
     with pytest.raises(ArgumentError, match="1 is ConvTranspose2d"):
-        make_circular(nn.Sequential(nn.Conv2d(1, 1, 3, padding=1), nn.ConvTranspose2d(1, 1, 3)))
+        make_seamless(nn.Sequential(nn.Conv2d(1, 1, 3, padding=1), nn.ConvTranspose2d(1, 1, 3)))
     with pytest.raises(ArgumentError, match="Upsample"):
-        make_circular(nn.Upsample(scale_factor=2, mode="bilinear"))
+        make_seamless(nn.Upsample(scale_factor=2, mode="bilinear"))

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 
 import pytest
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, reference_kernels
 from sphericalvision.sphere import (
     Equirectangular,
     SphereConv2d,
@@ -156,14 +157,34 @@ def test_sums_of_rows_are_the_sampled_image(
     monkeypatch.setattr(row_sums, "CACHE_BYTES", 10_000)
     images, weight = random_values(2, 4, *size).requires_grad_(), random_values(6, 2, 3, 3).requires_grad_()
     results = []
-    for quick in (True, False):
-        if not quick:
-            monkeypatch.setattr(sphere_conv, "_in_rows", lambda *_: False)
+    for context in (nullcontext, reference_kernels):
+        with context():
+            result = sphere_conv2d(images, weight, None, stride, groups=2)
+            gradient = torch.ones_like(result).cumsum(-1).sin()
+            results.append((result, *torch.autograd.grad(result, (images, weight), gradient)))
+    with monkeypatch.context() as patch:
+        patch.setattr(sphere_conv, "conv_in_rows", lambda *_: None)  # as on other devices: by grid_sample
         result = sphere_conv2d(images, weight, None, stride, groups=2)
-        gradient = torch.ones_like(result).cumsum(-1).sin()
         results.append((result, *torch.autograd.grad(result, (images, weight), gradient)))
-    for ours, theirs in zip(*results, strict=True):
-        torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-11)
+    for answers in zip(*results, strict=True):
+        for answer in answers[1:]:
+            torch.testing.assert_close(answer, answers[0], rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_the_reference_is_differentiable_twice(stride: int) -> None:
+    images = random_values(1, 2, 5, 8).requires_grad_()
+    weight = random_values(3, 2, 3, 3).requires_grad_()
+
+    def second(images: Tensor, weight: Tensor) -> tuple[Tensor, ...]:
+        total = sphere_conv2d(images, weight, stride=stride).square().sum()
+        first = torch.autograd.grad(total, (images, weight), create_graph=True)
+        return torch.autograd.grad(sum(x.square().sum() for x in first), (images, weight))
+
+    fast = second(images, weight)
+    with reference_kernels():
+        for ours, theirs in zip(fast, second(images, weight), strict=True):
+            torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-9)
 
 
 def test_gradients_of_one_input_only() -> None:

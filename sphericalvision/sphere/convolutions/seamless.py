@@ -12,7 +12,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.sphere.convolutions.padding import EquirectangularPad2d
 from sphericalvision.sphere.convolutions.sphere_conv import SphereConv2d
 
-__all__ = ["PaddedConv2d", "make_circular"]
+__all__ = ["PaddedConv2d", "make_seamless"]
 
 # Layers that look across the border in ways that padding before them does not mend.
 UNSUPPORTED = (nn.ConvTranspose2d, nn.Fold, nn.Unfold, nn.FractionalMaxPool2d)
@@ -45,7 +45,7 @@ class PaddedConv2d(nn.Module):
         return f"{in_channels * self.groups}, {out_channels}, kernel_size={tuple(kernel_size)}, stride={self.stride}"
 
 
-def make_circular(
+def make_seamless(
     module: nn.Module,
     pad: Callable[[tuple[int, int, int, int]], nn.Module] = EquirectangularPad2d,
 ) -> nn.Module:
@@ -67,7 +67,7 @@ def make_circular(
         ArgumentError: if the network has a layer whose borders cannot be mended so, such as ``nn.ConvTranspose2d``.
 
     Examples:
-        >>> network = make_circular(nn.Sequential(nn.Conv2d(3, 8, 3, padding=1), nn.ReLU()))
+        >>> network = make_seamless(nn.Sequential(nn.Conv2d(3, 8, 3, padding=1), nn.ReLU()))
         >>> list(network.state_dict())
         ['0.weight', '0.bias']
     """

@@ -7,10 +7,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, uses_reference_kernels
 from sphericalvision.geometry import bilinear_sample
-from sphericalvision.sphere.convolutions.tangent_taps import sphere_taps, sums_of_taps
-from sphericalvision.sphere.fast.row_sums import conv_of_row_sums
+from sphericalvision.geometry.image_edges import taps_across_edges
+from sphericalvision.geometry.lookup import weighted_sums
+from sphericalvision.sphere.convolutions.tangent_taps import sphere_taps
+from sphericalvision.sphere.fast import conv_in_rows
 
 __all__ = ["SphereConv2d", "sphere_conv2d"]
 
@@ -55,34 +57,21 @@ def sphere_conv2d(
     height, width = images.shape[-2:]
     rows, columns = weight.shape[-2:]
     stride, dilation = _pair(stride), _pair(dilation)
-    if _in_rows(images, weight, stride):
-        forward, backward = sums_of_taps((height, width), (rows, columns), stride, dilation)
-        phases = images.unflatten(-1, (-1, stride[1])).transpose(-1, -2).flatten(2, 3)
-        result = conv_of_row_sums(phases, weight.flatten(2), forward, backward, groups)
+    result = conv_in_rows(images, weight, stride, dilation, groups, sphere_taps)
+    if result is not None:
         return result if bias is None else result + bias[:, None, None]
     taps = sphere_taps((height, width), (rows, columns), stride, dilation, images.dtype, images.device)
     shift = torch.arange(0, width, stride[1], dtype=taps.dtype, device=taps.device)
     # One tap of one kernel beside the other, as in a picture, for a planar convolution that steps by the kernel.
     u = taps[..., 0].flatten(0, 1)[:, None] + shift[:, None]
     v = taps[..., 1].flatten(0, 1)[:, None].expand_as(u)
-    read = bilinear_sample(images, torch.stack((u, v), -1).view(-1, 2), wrap_longitude=True)
+    pixels = torch.stack((u, v), -1).view(-1, 2)
+    if uses_reference_kernels():  # slower, and differentiable any number of times
+        read = weighted_sums(images.flatten(-2), *taps_across_edges(pixels, (height, width), "sphere"))
+    else:
+        read = bilinear_sample(images, pixels, wrap_longitude=True)
     picture = read.view(*images.shape[:2], len(taps) * rows, len(shift) * columns)
     return F.conv2d(picture, weight, bias, (rows, columns), groups=groups)
-
-
-def _in_rows(images: Tensor, weight: Tensor, stride: tuple[int, int]) -> bool:
-    """Whether sums of rows are the way to go: on a CPU, several times faster; not in graphs for other machines."""
-    return (
-        images.device.type == weight.device.type == "cpu"
-        and images.dtype == weight.dtype
-        and images.dtype in (torch.float32, torch.float64)
-        and min(stride) > 0
-        and images.shape[-1] % stride[1] == 0
-        and images.numel() > 0
-        and not torch.compiler.is_compiling()
-        and not torch.jit.is_tracing()
-        and not torch.is_autocast_enabled("cpu")
-    )
 
 
 class SphereConv2d(nn.Conv2d):

@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the kernels of ``sphere_conv2d`` read: in pixels, and as sums of rows."""
+"""Where the kernels of ``sphere_conv2d`` read, in pixels."""
 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.sphere.fast.row_sums import RowSums, adjoint, row_sums
 
-__all__ = ["sphere_taps", "sums_of_taps"]
+__all__ = ["sphere_taps"]
 
 
 def sphere_taps(
@@ -78,41 +76,3 @@ def sphere_taps(
     u = longitude * (width / (2 * math.pi))
     v = (height - 1) / 2 - tap_latitude * (height / math.pi)
     return torch.stack((u, v), -1).to(dtype or torch.get_default_dtype())
-
-
-@lru_cache(maxsize=32)
-@torch.inference_mode(False)  # the tables outlive the mode they are asked for in
-def sums_of_taps(
-    image_size: tuple[int, int],
-    kernel_size: tuple[int, int],
-    stride: tuple[int, int],
-    dilation: tuple[int, int],
-) -> tuple[RowSums, RowSums]:
-    """What ``sphere_taps`` read between pixels, and the adjoint; columns stand apart by the horizontal stride.
-
-    A row of pixels counts as ``stride`` rows, one for every phase, in which neighbours lie a stride apart.
-    """
-    (height, width), step = image_size, stride[1]
-    taps = sphere_taps(image_size, kernel_size, stride, dilation, torch.float64, "cpu").flatten(0, 2)
-    made, entries = torch.arange(len(taps), device="cpu"), []
-    base, part = taps.floor().long(), taps - taps.floor()
-    for right in (0, 1):
-        for down in (0, 1):
-            column, row = base[:, 0] + right, base[:, 1] + down
-            share = (part[:, 0] if right else 1 - part[:, 0]) * (part[:, 1] if down else 1 - part[:, 1])
-            over = (row < 0) | (
-                row >= height
-            )  # beyond a pole, on the other side: between two for an odd width
-            row = row.clamp(0, height - 1)
-            for turn in (width // 2, (width + 1) // 2):
-                there = torch.where(over, column + turn, column) % width
-                entries.append((made, row * step + there % step, there // step, share / 2))
-    made, row, shift, weight = (torch.cat(parts) for parts in zip(*entries, strict=True))
-    # The same pixel twice is one entry, and what has no weight is none.
-    length = width // step
-    keys, index = torch.unique((made * height * step + row) * length + shift, return_inverse=True)
-    weight = weight.new_zeros(len(keys)).index_add_(0, index, weight)
-    keys, weight = keys[weight > 0], weight[weight > 0]
-    made, row, shift = keys // length // (height * step), keys // length % (height * step), keys % length
-    forward = row_sums(made, row, shift, weight, len(taps))
-    return forward, adjoint(forward, height * step, kernel_size[0] * kernel_size[1], length)

@@ -131,19 +131,19 @@ class _Convolution(torch.autograd.Function):
             found = torch.autograd.grad(
                 _gathered(rows, weight, ctx.sums, groups), wanted, gradient, create_graph=True
             )
-            of_inputs = iter(found)
-            return (*(next(of_inputs) if t.requires_grad else None for t in (rows, weight)), None, None, None)
+            gradients = iter(found)
+            return (*(next(gradients) if t.requires_grad else None for t in (rows, weight)), None, None, None)
         # In and out change places: (in, out / groups, K, 1).
         turned = weight.unflatten(0, (groups, -1)).transpose(1, 2).flatten(0, 1).unsqueeze(-1).contiguous()
-        of_weight = torch.zeros_like(turned)
-        of_rows = []
-        for sample, of_sample in zip(rows, gradient, strict=True):
+        grad_weight = torch.zeros_like(turned)
+        grad_rows = []
+        for sample, grad_sample in zip(rows, gradient, strict=True):
             parts = []
-            for place, read in _read(of_sample, ctx.adjoint, num_taps):
+            for place, read in _read(grad_sample, ctx.adjoint, num_taps):
                 if want_rows:
                     parts.append(F.conv2d(read, turned, None, (num_taps, 1), groups=groups))
                 if want_weight:
-                    of_weight += torch.ops.aten.convolution_backward(
+                    grad_weight += torch.ops.aten.convolution_backward(
                         sample[None, :, place].contiguous(memory_format=torch.channels_last),
                         read,
                         turned,
@@ -156,11 +156,11 @@ class _Convolution(torch.autograd.Function):
                         groups,
                         (False, True, False),
                     )[1]
-            of_rows += [torch.cat(parts, 2)] if want_rows else []
-        found_weight = of_weight.squeeze(-1).unflatten(0, (groups, -1)).transpose(1, 2).flatten(0, 1)
+            grad_rows += [torch.cat(parts, 2)] if want_rows else []
+        grad_weight = grad_weight.squeeze(-1).unflatten(0, (groups, -1)).transpose(1, 2).flatten(0, 1)
         return (
-            torch.cat(of_rows) if want_rows else None,
-            found_weight if want_weight else None,
+            torch.cat(grad_rows) if want_rows else None,
+            grad_weight if want_weight else None,
             None,
             None,
             None,

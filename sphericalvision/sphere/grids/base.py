@@ -44,4 +44,8 @@ class SphereGrid(Protocol):
         """Interpolate ``(*b, c, *shape)`` at ``(*b, n, 3)`` or ``(n, 3)``, giving ``(*b, c, n)``."""
 
     def nearest(self, directions: Tensor) -> Tensor:
-        """Return the index ``(*)``, into the flattened grid, of the value nearest to ``(*, 3)``."""
+        """Return the index ``(*)``, into the flattened grid, of the value in whose cell ``(*, 3)`` lies.
+
+        That is the value nearest by angle on an icosphere. Pixels of a panorama, a cube map, HEALPix or a tangent image
+        are no Voronoi cells: beside their edges another centre may be nearer, by less than a pixel.
+        """

@@ -9,7 +9,25 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 
-__all__ = ["check_positive", "check_values"]
+__all__ = ["MAX_CELLS", "check_cells", "check_positive", "check_values"]
+
+
+MAX_CELLS = 2**27
+"""The largest grid: a panorama of 8192 x 16384 pixels, whose directions take 1.5 GB in float32."""
+
+
+def check_cells(count: int, **sizes: int) -> None:
+    """Raise ``ArgumentError`` unless a grid of these sizes has no more than ``MAX_CELLS`` values.
+
+    Examples:
+        >>> check_cells(4 * 8, height=4, width=8)
+    """
+    if count > MAX_CELLS:
+        given = ", ".join(map(str, sizes.values()))
+        raise ArgumentError(
+            f"{', '.join(sizes)}: expected a grid of {MAX_CELLS:,} values at most (8192 x 16384), got {given}, "
+            f"which makes {count:,}; take a smaller one"
+        )
 
 
 def check_positive(**sizes: int) -> None:

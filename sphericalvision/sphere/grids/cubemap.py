@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from sphericalvision.core import check_last_dim
 from sphericalvision.geometry import bilinear_sample, normalize, safe_sqrt
-from sphericalvision.sphere.grids.checks import check_positive, check_values
+from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
 
@@ -56,7 +56,7 @@ class Cubemap(nn.Module):
         device: of all tables.
 
     Raises:
-        ArgumentError: if the size is not a positive integer.
+        ArgumentError: if the size is not a positive integer, or too large.
 
     Examples:
         >>> grid = Cubemap(3)
@@ -74,6 +74,7 @@ class Cubemap(nn.Module):
     ) -> None:
         super().__init__()
         check_positive(size=size)
+        check_cells(6 * size**2, size=size)
         self.size = size
         directions = self.cell_samples(1, torch.float64, device)[0].view(*self.shape, 3)
         self.register_buffer(

@@ -15,7 +15,7 @@ from sphericalvision.geometry import (
     longitude_latitude_from_directions,
     wrap_panorama,
 )
-from sphericalvision.sphere.grids.checks import check_positive, check_values
+from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 
 __all__ = ["Equirectangular"]
 
@@ -38,7 +38,7 @@ class Equirectangular(nn.Module):
         max_latitude: in radians, of the upper edge; π/2, the whole sphere, if not given.
 
     Raises:
-        ArgumentError: if a size is not a positive integer, or the latitude is not in (0, π/2].
+        ArgumentError: if a size is not a positive integer or too large, or the latitude is not in (0, π/2].
 
     Examples:
         >>> grid = Equirectangular(3, 5)
@@ -63,6 +63,7 @@ class Equirectangular(nn.Module):
     ) -> None:
         super().__init__()
         check_positive(height=height, width=width)
+        check_cells(height * width, height=height, width=width)
         if not 0 < max_latitude <= math.pi / 2 + 1e-9:
             raise ArgumentError(f"max_latitude: expected radians in (0, π/2], got {max_latitude!r}")
         self.height, self.width = height, width

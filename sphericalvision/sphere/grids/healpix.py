@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from sphericalvision.core import check_choice, check_last_dim
 from sphericalvision.geometry import longitude_latitude_from_directions, normalize, safe_hypot
 from sphericalvision.geometry.lookup import weighted_sums
-from sphericalvision.sphere.grids.checks import check_positive, check_values
+from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.healpix_pixels import (
     direction_of_place,
     nested_from_place,
@@ -43,7 +43,7 @@ class Healpix(nn.Module):
         device: of all tables.
 
     Raises:
-        ArgumentError: if nside is not a positive integer, or for the nested order no power of two.
+        ArgumentError: if nside is not a positive integer or too large, or for the nested order no power of two.
 
     References:
         K. M. Górski et al. (2005), "HEALPix: a framework for high-resolution discretization and fast analysis of
@@ -68,6 +68,7 @@ class Healpix(nn.Module):
     ) -> None:
         super().__init__()
         check_positive(nside=nside)
+        check_cells(12 * nside**2, nside=nside)
         self.nside = nside
         self.nested = bool(nested)
         self.num_pixels = 12 * nside**2

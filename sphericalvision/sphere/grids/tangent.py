@@ -10,8 +10,14 @@ from torch import Tensor, nn
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import bilinear_sample
-from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
-from sphericalvision.sphere.grids.checks import check_positive, check_values
+from sphericalvision.icosphere import (
+    check_level,
+    icosphere_faces,
+    icosphere_vertices,
+    locate,
+    num_icosphere_vertices,
+)
+from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
 from sphericalvision.sphere.grids.pixel_solid_angles import solid_angles_in_triangle
 
@@ -40,7 +46,7 @@ class TangentImages(nn.Module):
         device: of all tables.
 
     Raises:
-        ArgumentError: if the patches are too small for a face and its margin, or the level is negative.
+        ArgumentError: if the patches are too small for a face and its margin, or too large, or the level is negative.
 
     References:
         M. Eder et al. (2020), "Tangent images for mitigating spherical distortion", CVPR.
@@ -73,7 +79,8 @@ class TangentImages(nn.Module):
         self.base_level = base_level
         self.size = size
         self.margin = margin
-        self.num_patches = len(icosphere_faces(base_level))
+        self.num_patches = 20 * 4 ** check_level(base_level)
+        check_cells(self.num_patches * size**2, base_level=base_level, size=size)
         reach = _corners_in_plane(base_level, device)[0].abs().max().item()
         self.pixel_size = 2 * reach / (size - 1 - 2 * margin)
         directions = self.cell_samples(1, torch.float64, device)[0].view(*self.shape, 3)

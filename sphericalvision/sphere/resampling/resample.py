@@ -39,7 +39,8 @@ def resample(
             then seen in ``rotation @ d``.
         mode: ``"bilinear"`` interpolates between the nearest values (linear in each triangle of an icosphere), and
             aliases where the target is coarser. ``"area"`` is bilinear where it is not, and the mean over each cell of
-            the target where it is. ``"nearest"`` makes up no values: for labels, of any dtype.
+            the target where it is. ``"nearest"`` makes up no values: for labels, of any dtype. It takes the
+            value in whose cell a direction lies, see ``SphereGrid.nearest``.
         fill: value where the source or the target sees nothing, see ``resample_mask``.
         mask: ``(*b, *source_shape)``, values that may be used (bool, or nonzero). Results are means over usable values.
 

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``sphere_conv2d`` asks before it reads tap by tap: whether sums of rows are faster, and their result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import uses_reference_kernels
+from sphericalvision.sphere.fast.row_sums import RowSums, adjoint, conv_of_row_sums, row_sums
+
+__all__ = ["conv_in_rows"]
+
+Pair = tuple[int, int]
+
+
+def conv_in_rows(
+    images: Tensor, weight: Tensor, stride: Pair, dilation: Pair, groups: int, taps_of: Callable[..., Tensor]
+) -> Tensor | None:
+    """Convolve panoramas ``(B, in, H, W)`` by sums of rows, or None where that does not pay.
+
+    Args:
+        images: full panoramas.
+        weight: ``(out, in / groups, kernel height, kernel width)``.
+        stride: of the centres, vertical and horizontal.
+        dilation: of the taps.
+        groups: of channels that are convolved apart.
+        taps_of: ``sphere_taps``, or a function of the same arguments.
+    """
+    if not _pays(images, weight, stride):
+        return None
+    height, width = images.shape[-2:]
+    rows, columns = weight.shape[-2:]
+    forward, backward = _sums_of_taps(taps_of, (height, width), (rows, columns), stride, dilation)
+    phases = images.unflatten(-1, (-1, stride[1])).transpose(-1, -2).flatten(2, 3)
+    return conv_of_row_sums(phases, weight.flatten(2), forward, backward, groups)
+
+
+def _pays(images: Tensor, weight: Tensor, stride: Pair) -> bool:
+    """On a CPU it is several times faster; not in graphs for other machines."""
+    return (
+        not uses_reference_kernels()
+        and images.device.type == weight.device.type == "cpu"
+        and images.dtype == weight.dtype
+        and images.dtype in (torch.float32, torch.float64)
+        and min(stride) > 0
+        and images.shape[-1] % stride[1] == 0
+        and images.numel() > 0
+        and not torch.compiler.is_compiling()
+        and not torch.jit.is_tracing()
+        and not torch.is_autocast_enabled("cpu")
+    )
+
+
+@lru_cache(maxsize=32)
+@torch.inference_mode(False)  # the tables outlive the mode they are asked for in
+def _sums_of_taps(
+    taps_of: Callable[..., Tensor], image_size: Pair, kernel_size: Pair, stride: Pair, dilation: Pair
+) -> tuple[RowSums, RowSums]:
+    """What taps read between pixels, and the adjoint; columns stand apart by the horizontal stride.
+
+    A row of pixels counts as ``stride`` rows, one for every phase, in which neighbours lie a stride apart.
+    """
+    (height, width), step = image_size, stride[1]
+    taps = taps_of(image_size, kernel_size, stride, dilation, torch.float64, "cpu").flatten(0, 2)
+    made, entries = torch.arange(len(taps), device="cpu"), []
+    base, part = taps.floor().long(), taps - taps.floor()
+    for right in (0, 1):
+        for down in (0, 1):
+            column, row = base[:, 0] + right, base[:, 1] + down
+            share = (part[:, 0] if right else 1 - part[:, 0]) * (part[:, 1] if down else 1 - part[:, 1])
+            over = (row < 0) | (
+                row >= height
+            )  # beyond a pole, on the other side: between two for an odd width
+            row = row.clamp(0, height - 1)
+            for turn in (width // 2, (width + 1) // 2):
+                there = torch.where(over, column + turn, column) % width
+                entries.append((made, row * step + there % step, there // step, share / 2))
+    made, row, shift, weight = (torch.cat(parts) for parts in zip(*entries, strict=True))
+    # The same pixel twice is one entry, and what has no weight is none.
+    length = width // step
+    keys, index = torch.unique((made * height * step + row) * length + shift, return_inverse=True)
+    weight = weight.new_zeros(len(keys)).index_add_(0, index, weight)
+    keys, weight = keys[weight > 0], weight[weight > 0]
+    made, row, shift = keys // length // (height * step), keys // length % (height * step), keys % length
+    forward = row_sums(made, row, shift, weight, len(taps))
+    return forward, adjoint(forward, height * step, kernel_size[0] * kernel_size[1], length)

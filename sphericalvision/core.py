@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from reprlib import Repr
+from typing import Any
 
 import torch
 
@@ -24,6 +26,7 @@ __all__ = [
     "check_file",
     "check_last_dim",
     "reference_kernels",
+    "short_repr",
     "uses_reference_kernels",
 ]
 
@@ -50,6 +53,28 @@ class MissingFileError(SphericalVisionError, FileNotFoundError):
 
 class MissingCompilerError(SphericalVisionError, RuntimeError):
     """What is to be compiled on this machine could not be; the message says what is needed."""
+
+
+def short_repr(value: Any) -> str:
+    """Show any value in an error message in at most 200 characters, whatever it holds.
+
+    A file of a few hundred bytes can hold lists whose full text would fill the memory (YAML's aliases); only what is
+    shown is looked at.
+
+    Examples:
+        >>> short_repr({"model": "ocam", "poly": list(range(100))})
+        "{'model': 'ocam', 'poly': [0, 1, 2, 3, 4, 5, 6, 7, ...]}"
+    """
+    try:
+        text = _SHORT.repr(value)
+    except ValueError:  # of integers with thousands of digits, which Python does not turn into text
+        text = f"a huge {type(value).__name__}"
+    return text if len(text) <= 200 else f"{text[:196]} ..."
+
+
+_SHORT = Repr()
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 100, 100
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = _SHORT.maxfrozenset = 8
 
 
 def check_last_dim(name: str, tensor: torch.Tensor, size: int) -> None:

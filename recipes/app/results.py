@@ -15,7 +15,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
-from sphericalvision.io.images import whole_file, write_image
+from sphericalvision.io.files import atomic_write
+from sphericalvision.io.images import write_image
 from sphericalvision.models import IcoSweepNet, OmniMVS
 from sphericalvision.recipes.evaluation.training_free import SemiGlobalSweep
 from sphericalvision.sphere import Equirectangular
@@ -99,6 +100,6 @@ def save_result(
     }
     path = folder / f"{prefix}depth.npz"
     stored: dict[str, Any] = {key: value.cpu().numpy() for key, value in arrays.items()}
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         np.savez_compressed(temporary, **stored)
     return [*written, path]

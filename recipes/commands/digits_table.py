@@ -15,7 +15,7 @@ from typing import NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.io.images import whole_file
+from sphericalvision.io.files import atomic_write
 from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier
 from sphericalvision.recipes.app.cli import print_table
 
@@ -98,7 +98,7 @@ def save_table(folder: Path, rows: dict[str, dict[str, float]]) -> None:
     lines += [f"| {' | '.join(cells)} |" for cells in cells_of(rows)]
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in (("digits.md", "\n".join(lines)), ("digits.json", json.dumps(rows, indent=2))):
-        with whole_file(folder / name) as temporary:
+        with atomic_write(folder / name) as temporary:
             Path(temporary).write_text(text + "\n")
 
 

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from sphericalvision.core import check_file
-from sphericalvision.io.images import whole_file
+from sphericalvision.io.files import atomic_write
 from sphericalvision.recipes.app.cli import choose_device
 from sphericalvision.recipes.study.data import View, study_frames, training_depths
 from sphericalvision.recipes.study.measures import Measured, Yardstick, measure
@@ -79,7 +79,7 @@ class Job(NamedTuple):
             "errors": measured.errors,
             "frames": measured.frames,
         }
-        with whole_file(self.path.with_suffix(".npz")) as temporary:
+        with atomic_write(self.path.with_suffix(".npz")) as temporary:
             np.savez_compressed(temporary, index=measured.drawn.numpy())
         write_json(self.path, result)
         return result

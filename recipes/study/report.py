@@ -14,7 +14,8 @@ from omegaconf import DictConfig, OmegaConf
 from sphericalvision.cameras import seen_by
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import collate_samples
-from sphericalvision.io.images import whole_file, write_image
+from sphericalvision.io.files import atomic_write
+from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import print_table
 from sphericalvision.recipes.study.data import View, study_frames
@@ -164,5 +165,5 @@ def _save_page(folder: Path, tables: dict[str, Table], notes: list[str]) -> None
         if name in tables:
             parts.append(f"## {heading}\n\n{tables[name].markdown().rstrip()}")
     parts.append("![Error against angle](errors_against_angle.png)\n\n![Depth maps](panels.png)")
-    with whole_file(folder / "study.md") as temporary:
+    with atomic_write(folder / "study.md") as temporary:
         Path(temporary).write_text("\n\n".join(parts) + "\n")

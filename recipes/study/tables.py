@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sphericalvision.io.images import whole_file
+from sphericalvision.io.files import atomic_write
 from sphericalvision.metrics import DepthIndexError
 
 __all__ = [
@@ -205,7 +205,7 @@ def save_table(stem: Path, table: Table) -> None:
     """Write ``.md``, ``.csv`` and ``.tex``."""
     writers: dict[str, Callable[[], str]] = {".md": table.markdown, ".csv": table.csv, ".tex": table.latex}
     for suffix, text in writers.items():
-        with whole_file(stem.with_suffix(suffix)) as temporary:
+        with atomic_write(stem.with_suffix(suffix)) as temporary:
             Path(temporary).write_text(text())
 
 

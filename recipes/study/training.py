@@ -18,7 +18,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import ArgumentError, SphericalVisionError, check_choice
-from sphericalvision.io.images import whole_file
+from sphericalvision.io.files import atomic_write
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.words import quote_paths
 from sphericalvision.recipes.study.models import StudyModel
@@ -195,7 +195,7 @@ def check_alike(trainings: list[Training]) -> list[str]:
 def write_json(path: Path, content: Any) -> None:
     """Write a whole file or none; folders are made."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         Path(temporary).write_text(json.dumps(content, indent=2) + "\n")
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from pytorch_lightning.plugins.io import TorchCheckpointIO
 from torch import nn
 
+from sphericalvision.io.files import atomic_write
 from sphericalvision.models import IcoSweepNet, OmniMVS, save_weights
 
 __all__ = ["WeightsBesideCheckpoint"]
@@ -27,17 +28,13 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None
     ) -> None:
-        """Write both files, each to a temporary name first."""
+        """Write both files."""
         path = Path(path)
-        temporary = path.with_name(f".{path.name}.tmp")
-        super().save_checkpoint(checkpoint, temporary, storage_options)
-        temporary.replace(path)
+        with atomic_write(path) as temporary:
+            super().save_checkpoint(checkpoint, temporary, storage_options)
         if not isinstance(self.net, IcoSweepNet | OmniMVS):
             return
-        weights = path.with_suffix(".safetensors")
-        temporary = weights.with_name(f".{weights.stem}.tmp.safetensors")
-        save_weights(self.net, temporary)
-        temporary.replace(weights)
+        save_weights(self.net, path.with_suffix(".safetensors"))
 
     def remove_checkpoint(self, path: Any) -> None:
         """Remove both files."""

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images from and to disk as tensors: reads say what is wrong, writes appear whole or not at all."""
+"""Images and masks from and to disk as tensors: reads say what is wrong, writes appear whole or not at all."""
 
 from __future__ import annotations
 
-import os
-import uuid
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+import io
+import warnings
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,46 +15,34 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from sphericalvision.core import FileFormatError, MissingFileError, ShapeError, check_file
+from sphericalvision.core import FileFormatError, ShapeError, check_file
+from sphericalvision.io.files import write_bytes
 
-__all__ = ["list_folder", "read_image", "read_pages", "whole_file", "write_image", "write_pages"]
+__all__ = ["MAX_PIXELS", "read_image", "read_mask", "read_pages", "write_image", "write_mask", "write_pages"]
+
+MAX_PIXELS = 2**27
+"""Pixels of all pages of an image file together; a file that says it has more is refused before it is decoded."""
 
 Array = npt.NDArray[Any]
+Size = tuple[int, int]
 
 
-@contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
-    """Give a temporary name beside ``path``; move it onto ``path`` when the block ends well, else remove it.
-
-    An interrupted program therefore never leaves half a file that a later run would take for a whole one.
-
-    Examples:
-        >>> import tempfile
-        >>> folder = Path(tempfile.mkdtemp())
-        >>> with whole_file(folder / "note.txt") as temporary:
-        ...     _ = temporary.write_text("done")
-        >>> [file.name for file in folder.iterdir()]
-        ['note.txt']
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}-{uuid.uuid4().hex}{path.suffix}")
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def read_pages(path: str | Path, what: str = "an image") -> list[Array]:
+def read_pages(path: str | Path, what: str = "an image", image_size: Size | None = None) -> list[Array]:
     """Read all pages of an image file as stored (colour pages as RGB), without scaling.
+
+    Args:
+        path: any format OpenCV reads.
+        what: what is expected there, for the error messages.
+        image_size: the ``(height, width)`` that the first page must have, if given.
 
     Raises:
         MissingFileError: there is no such file; the message says that ``what`` was expected.
-        FileFormatError: the file is not an image, or is cut short.
+        FileFormatError: the file is not an image, is cut short, has another size, or says that it has more than
+            ``MAX_PIXELS`` pixels.
     """
     path = check_file(path, what)
     encoded = np.fromfile(path, dtype=np.uint8)
+    _check_sizes(path, _sizes(encoded), image_size)
     pages: Sequence[Array] = ()
     if encoded.size:
         with suppress(cv2.error):
@@ -65,12 +53,11 @@ def read_pages(path: str | Path, what: str = "an image") -> list[Array]:
             f"short, or of an unknown format. {what[:1].upper() + what[1:]} was expected: "
             f"copy or download the file again."
         )
+    _check_sizes(path, [(page.shape[0], page.shape[1]) for page in pages], image_size)
     return [_to_rgb(np.asarray(page)) for page in pages]
 
 
-def read_image(
-    path: str | Path, image_size: tuple[int, int] | None = None, what: str = "an image"
-) -> torch.Tensor:
+def read_image(path: str | Path, image_size: Size | None = None, what: str = "an image") -> torch.Tensor:
     """Read an image as float32 ``(3, h, w)`` in [0, 1]; grey gets three equal channels, alpha is dropped.
 
     Args:
@@ -82,46 +69,56 @@ def read_image(
         MissingFileError: there is no such file.
         FileFormatError: the file is not readable, is no 8- or 16-bit image, or has another size.
     """
-    page = read_pages(path, what)[0]
-    if page.dtype not in (np.uint8, np.uint16):
-        raise FileFormatError(f"{path}: expected 8 or 16 bits a channel, got {page.dtype} pixels")
-    height, width = page.shape[:2]
-    if image_size is not None and (height, width) != tuple(image_size):
-        raise FileFormatError(
-            f"{path}: expected {image_size[1]} x {image_size[0]} pixels (width x height, from the "
-            f"calibration), got {width} x {height}. "
-            f"Use the calibration made at this size; resized images need their own."
-        )
+    page = _first_page(path, image_size, what)
     if page.ndim == 2:
         page = np.repeat(page[..., None], 3, axis=-1)
     scaled = page.astype(np.float32) / np.float32(np.iinfo(page.dtype).max)
     return torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))
 
 
+def read_mask(path: str | Path, image_size: Size | None = None, what: str = "a mask image") -> torch.Tensor:
+    """Read a mask as bool ``(h, w)``, True where the image is at least half white.
+
+    Args:
+        path: any format OpenCV reads, with 8 or 16 bits a channel; of a colour image the brightness counts.
+        image_size: the ``(height, width)`` of the camera's images, checked if given.
+        what: what is expected there, for the error messages.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: the file is not readable, is no 8- or 16-bit image, or has another size.
+    """
+    page = _first_page(path, image_size, what)
+    if page.ndim == 3:
+        page = cv2.cvtColor(page, cv2.COLOR_RGB2GRAY)
+    return torch.from_numpy(2 * page.astype(np.int64) > np.iinfo(page.dtype).max)
+
+
 def write_pages(path: str | Path, pages: list[Array]) -> None:
     """Write arrays as they are (``(h, w)`` or RGB ``(h, w, 3)``); more than one page makes a multi-page TIFF.
 
+    The file is encoded in memory first, so that a full disk is an error and never a shorter image.
+
     Raises:
         FileFormatError: the format named by the suffix cannot hold these pages.
+        OSError: the file cannot be written.
     """
     path = Path(path)
     stored = [page[..., ::-1] if page.ndim == 3 else page for page in pages]
     stored = [np.ascontiguousarray(page) for page in stored]
-    with whole_file(path) as temporary:
-        try:
-            if len(stored) == 1:
-                ok = cv2.imwrite(str(temporary), stored[0])
-            else:
-                ok = cv2.imwritemulti(str(temporary), stored)
-        except cv2.error as error:
-            raise FileFormatError(
-                f"{path}: cannot be written in the format of the suffix {path.suffix!r}: {error.err}"
-            ) from error
-        if not ok:
-            kinds = ", ".join(f"{page.dtype} {page.shape}" for page in stored)
-            raise FileFormatError(
-                f"{path}: writing failed (disk full, or {path.suffix!r} cannot hold {kinds})"
-            )
+    try:
+        if len(stored) == 1:
+            ok, encoded = cv2.imencode(path.suffix, stored[0])
+        else:
+            ok, encoded = cv2.imencodemulti(path.suffix, stored)
+    except cv2.error as error:
+        raise FileFormatError(
+            f"{path}: cannot be written in the format of the suffix {path.suffix!r}: {error.err}"
+        ) from error
+    if not ok:
+        kinds = ", ".join(f"{page.dtype} {page.shape}" for page in stored)
+        raise FileFormatError(f"{path}: the format of the suffix {path.suffix!r} cannot hold {kinds}")
+    write_bytes(path, encoded.tobytes())
 
 
 def write_image(path: str | Path, image: torch.Tensor | Array) -> None:
@@ -134,6 +131,8 @@ def write_image(path: str | Path, image: torch.Tensor | Array) -> None:
 
     Raises:
         ShapeError: the image is none of these.
+        FileFormatError: the suffix names no format.
+        OSError: the file cannot be written.
     """
     if isinstance(image, torch.Tensor):
         if image.ndim != 3 or image.shape[0] not in (1, 3) or not image.is_floating_point():
@@ -148,17 +147,55 @@ def write_image(path: str | Path, image: torch.Tensor | Array) -> None:
     write_pages(path, [image[..., 0] if image.ndim == 3 and image.shape[-1] == 1 else image])
 
 
-def list_folder(folder: str | Path, what: str) -> set[str]:
-    """Names of the files in a folder, from one directory scan.
+def write_mask(path: str | Path, mask: torch.Tensor) -> None:
+    """Write a mask ``(h, w)`` as an image, white where it is True.
 
     Raises:
-        MissingFileError: there is no such folder.
+        FileFormatError: the suffix names no format.
+        OSError: the file cannot be written.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise MissingFileError(f"{folder}: no such folder ({what} expected)")
-    with os.scandir(folder) as entries:
-        return {entry.name for entry in entries if not entry.name.startswith(".")}
+    write_pages(path, [mask.to("cpu", torch.uint8).numpy() * 255])
+
+
+def _first_page(path: str | Path, image_size: Size | None, what: str) -> Array:
+    """The first page, if it has 8 or 16 bits a channel."""
+    page = read_pages(path, what, image_size)[0]
+    if page.dtype not in (np.uint8, np.uint16):
+        raise FileFormatError(f"{path}: expected 8 or 16 bits a channel, got {page.dtype} pixels")
+    return page
+
+
+def _sizes(encoded: Array) -> list[Size]:
+    """(height, width) of every page as the headers say; nothing for formats that only OpenCV knows.
+
+    Pixels are not decoded, so a small file that claims to be a huge image costs nothing.
+    """
+    from PIL import Image  # only who reads files pays for it
+
+    sizes: list[Size] = []
+    with warnings.catch_warnings(), suppress(OSError, ValueError, SyntaxError, EOFError):
+        warnings.simplefilter("ignore")
+        try:
+            with Image.open(io.BytesIO(encoded.tobytes())) as image:
+                while sum(height * width for height, width in sizes) <= MAX_PIXELS:
+                    image.seek(len(sizes))  # the first page, then one after the other until there is none
+                    sizes.append((image.height, image.width))
+        except Image.DecompressionBombError:  # whose own bound is a little higher
+            sizes.append((MAX_PIXELS, MAX_PIXELS))
+    return sizes
+
+
+def _check_sizes(path: Path, sizes: list[Size], image_size: Size | None) -> None:
+    if image_size is not None and sizes and sizes[0] != tuple(image_size):
+        raise FileFormatError(
+            f"{path}: expected {image_size[1]} x {image_size[0]} pixels (width x height, from the "
+            f"calibration), got {sizes[0][1]} x {sizes[0][0]}. "
+            f"Use the calibration made at this size; resized images need their own."
+        )
+    if sum(height * width for height, width in sizes) > MAX_PIXELS:
+        raise FileFormatError(
+            f"{path}: expected an image of at most {MAX_PIXELS} pixels on all of its pages together, got more"
+        )
 
 
 def _to_rgb(page: Array) -> Array:

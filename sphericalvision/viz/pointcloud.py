@@ -12,7 +12,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.io.images import whole_file
+from sphericalvision.io.files import atomic_write
 from sphericalvision.sphere import Equirectangular
 
 __all__ = ["PointCloud", "panorama_point_cloud", "save_point_cloud"]
@@ -91,6 +91,6 @@ def save_point_cloud(path: str | Path, points: Float[Tensor, "n 3"], colors: Sha
     import trimesh  # a second to import
 
     cloud = trimesh.PointCloud(points.detach().cpu().numpy(), colors=colors.detach().cpu().numpy())
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         cloud.export(temporary)
     return path

@@ -144,7 +144,7 @@ def test_mixed_scales_are_refused_with_both_numbers(tmp_path: Path, min_depth: f
     [
         ("config: {omnimvs_sweep_min_depth: near}", "omnimvs_sweep_min_depth: expected a positive number"),
         ("config: {omnimvs_sweep_min_depth: -1}", "omnimvs_sweep_min_depth: expected a positive number"),
-        ("config: [", "not readable as YAML"),
+        ("config: [", "not valid YAML"),
     ],
 )
 def test_bad_minimum_depth_names_file_and_key(tmp_path: Path, text: str, fault: str) -> None:

@@ -20,16 +20,14 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import load, whole_file
+from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
     entry,
     focal_lengths,
     number,
-    read_mask,
     size_from_width_height,
-    write_mask,
 )
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
@@ -39,8 +37,10 @@ from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, check_file
+from sphericalvision.core import FileFormatError, check_file, short_repr
 from sphericalvision.geometry import transform_from_quaternion
+from sphericalvision.io.files import atomic_write
+from sphericalvision.io.images import read_mask, write_mask
 
 __all__ = ["contents", "read_basalt", "recognizes", "write_basalt"]
 
@@ -121,7 +121,9 @@ def _pose(values: Any, where: str) -> list[float]:
 def _camera(values: Any, image_size: tuple[int, int], where: str) -> Camera:
     kind = entry(values, "camera_type", where)
     if not isinstance(kind, str) or kind not in _PARAMETERS:
-        raise FileFormatError(f"{where}, camera_type: expected one of {', '.join(_PARAMETERS)}, got {kind!r}")
+        raise FileFormatError(
+            f"{where}, camera_type: expected one of {', '.join(_PARAMETERS)}, got {short_repr(kind)}"
+        )
     intrinsics = entry(values, "intrinsics", where)
     keys = ("fx", "fy", "cx", "cy", *_PARAMETERS[kind])
     fx, fy, cx, cy, *more = (number(intrinsics, key, where) for key in keys)
@@ -173,8 +175,8 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
         if name in rig.masks:
             folder = path.parent / f"cam{index}"
             folder.mkdir(exist_ok=True)
-            write_mask(rig.masks[name], folder / "mask.png")
-    with whole_file(path) as unfinished:
+            write_mask(folder / "mask.png", rig.masks[name])
+    with atomic_write(path) as unfinished:
         unfinished.write_text(json.dumps({"value0": value0}, indent=1) + "\n", encoding="utf-8")
 
 

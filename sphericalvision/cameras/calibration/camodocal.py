@@ -34,7 +34,7 @@ from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.unified import UnifiedCamera
-from sphericalvision.core import FileFormatError, MissingFileError
+from sphericalvision.core import FileFormatError, MissingFileError, short_repr
 
 __all__ = ["KITTI360_POSES", "contents", "kitti360_contents", "recognizes"]
 
@@ -72,7 +72,9 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 def _camera(values: dict[str, Any], where: str) -> Camera:
     kind = entry(values, "model_type", where)
     if not isinstance(kind, str) or kind.upper() not in _MODELS:
-        raise FileFormatError(f"{where}, model_type: expected one of {', '.join(_MODELS)}, got {kind!r}")
+        raise FileFormatError(
+            f"{where}, model_type: expected one of {', '.join(_MODELS)}, got {short_repr(kind)}"
+        )
     size = size_from_width_height(
         [entry(values, key, where) for key in ("image_width", "image_height")],
         f"{where}, image_width and image_height",

@@ -21,7 +21,7 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import data_lines, whole_file
+from sphericalvision.cameras.calibration.files import data_lines
 from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
@@ -33,6 +33,7 @@ from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.io.files import atomic_write
 
 __all__ = ["contents", "recognizes", "write_colmap"]
 
@@ -113,7 +114,7 @@ def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> No
     lines = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"]
     for place, (name, camera) in enumerate(named.items(), start=1):
         lines.append(f"{int(name[3:]) if known else place} {_line(camera)}")
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML, JSON and OpenCV's XML, parsed without running anything, and files written whole.
+"""YAML, JSON and OpenCV's XML, parsed without running anything.
 
 OpenCV's FileStorage writes a YAML of its own: its first line is ``%YAML:1.0``, and matrices carry the tag
 ``!!opencv-matrix``. Both are understood here, so that all mappings reach their readers as plain dictionaries.
@@ -8,8 +8,7 @@ OpenCV's FileStorage writes a YAML of its own: its first line is ``%YAML:1.0``, 
 from __future__ import annotations
 
 import json
-from collections.abc import Hashable, Iterator
-from contextlib import contextmanager
+from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -18,10 +17,12 @@ import yaml
 
 from sphericalvision.core import FileFormatError
 
-__all__ = ["STRUCTURED", "data_lines", "load", "looks_structured", "read_text", "whole_file", "write_yaml"]
+__all__ = ["STRUCTURED", "data_lines", "load", "looks_structured", "read_text"]
 
 STRUCTURED = (".yaml", ".yml", ".json", ".xml")
 """Suffixes of files that hold keys with values."""
+MOST_KEYS = 10_000
+"""Of one mapping."""
 
 
 def read_text(path: Path) -> str:
@@ -85,6 +86,13 @@ class _Loader(yaml.SafeLoader):
                 seen.add(key.value)
         return super().construct_mapping(node, deep)
 
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        super().flatten_mapping(node)
+        if len(node.value) > MOST_KEYS:  # merges of merges of aliases: a short file, and no end of keys
+            raise yaml.constructor.ConstructorError(
+                None, None, f"expected at most {MOST_KEYS} keys", node.start_mark
+            )
+
     def construct_matrix(self, node: yaml.Node) -> Any:
         if not isinstance(node, yaml.MappingNode):
             raise yaml.constructor.ConstructorError(
@@ -116,22 +124,3 @@ def _from_element(element: ElementTree.Element) -> Any:
     if element.tag == "data":
         return words
     return words[0].strip('"') if len(words) == 1 else words
-
-
-@contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
-    """A name beside ``path``, of the same suffix, that takes its place once everything is written."""
-    path = Path(path)
-    unfinished = path.with_name(f".unfinished.{path.name}")
-    try:
-        yield unfinished
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
-def write_yaml(path: str | Path, content: dict[str, Any]) -> None:
-    """Write keys with values in their order, lists on one line."""
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
-    with whole_file(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")

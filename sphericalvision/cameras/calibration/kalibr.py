@@ -22,7 +22,6 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import write_yaml
 from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
@@ -39,8 +38,9 @@ from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError
+from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
+from sphericalvision.io.files import write_yaml
 
 __all__ = ["contents", "recognizes", "write_kalibr"]
 
@@ -95,12 +95,13 @@ def _camera(values: Any, where: str) -> Camera:
     kind = entry(values, "camera_model", where)
     if not isinstance(kind, str) or kind not in _INTRINSICS:
         raise FileFormatError(
-            f"{where}, camera_model: expected one of {', '.join(_INTRINSICS)}, got {kind!r}"
+            f"{where}, camera_model: expected one of {', '.join(_INTRINSICS)}, got {short_repr(kind)}"
         )
     distortion = values.get("distortion_model", "none")
     if distortion not in _DISTORTIONS[kind]:
         raise FileFormatError(
-            f"{where}, distortion_model: expected {' or '.join(_DISTORTIONS[kind])} with {kind}, got {distortion!r}"
+            f"{where}, distortion_model: expected {' or '.join(_DISTORTIONS[kind])} with {kind}, got "
+            f"{short_repr(distortion)}"
         )
     order = _INTRINSICS[kind]
     found = numbers(

@@ -19,20 +19,19 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.capabilities import check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import write_yaml
 from sphericalvision.cameras.calibration.parsing import (
     as_told,
     entry,
     mapping,
     numbers,
-    read_mask,
     size_from_width_height,
-    write_mask,
 )
 from sphericalvision.cameras.registry import camera_model, camera_model_names, check_registered
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.cameras.verbs import implements
-from sphericalvision.core import FileFormatError
+from sphericalvision.core import FileFormatError, short_repr
+from sphericalvision.io.files import write_yaml
+from sphericalvision.io.images import read_mask, write_mask
 
 __all__ = [
     "CAMERA_FORMAT",
@@ -84,7 +83,7 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
     model = camera_model(name) if isinstance(name, str) else None
     if model is None:
         raise FileFormatError(
-            f"{where}, model: expected one of {', '.join(camera_model_names())}, got {name!s:.80}"
+            f"{where}, model: expected one of {', '.join(camera_model_names())}, got {short_repr(name)}"
         )
     dtype = dtype or torch.get_default_dtype()
     height, width = numbers(entry(values, "image_size", where), f"{where}, image_size", 2)
@@ -129,7 +128,7 @@ def write_rig(rig: CameraRig, path: str | Path) -> None:
         values = {"name": name, **camera_to_dict(camera), "world_from_camera": pose.tolist()}
         if name in rig.masks:
             values["mask"] = f"{path.stem}_{name}_mask.png"
-            write_mask(rig.masks[name], path.parent / values["mask"])
+            write_mask(path.parent / values["mask"], rig.masks[name])
         cameras.append(values)
     write_yaml(path, {"format": RIG_FORMAT, "version": VERSION, "cameras": cameras})
 
@@ -150,7 +149,9 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         return Contents({path.stem: _limited(camera_from_dict(content, str(path), options.dtype), options)})
     version = entry(content, "version", str(path))
     if version != VERSION:
-        raise FileFormatError(f"{path}, version: this release reads version {VERSION}, got {version!r}")
+        raise FileFormatError(
+            f"{path}, version: this release reads version {VERSION}, got {short_repr(version)}"
+        )
     cameras: dict[str, Camera] = {}
     poses, masks = [], {}
     entries = entry(content, "cameras", str(path))
@@ -160,7 +161,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         where = f"{path}, cameras[{index}]"
         name = str(entry(values, "name", where))
         if name in cameras:
-            raise FileFormatError(f"{where}, name: a second camera named {name!r}")
+            raise FileFormatError(f"{where}, name: a second camera named {short_repr(name)}")
         cameras[name] = _limited(camera_from_dict(mapping(values, where), where, options.dtype), options)
         rows = entry(values, "world_from_camera", where)
         flat = [value for row in rows for value in row] if _is_matrix(rows) else rows

@@ -15,7 +15,7 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of
-from sphericalvision.cameras.calibration.files import data_lines, whole_file
+from sphericalvision.cameras.calibration.files import data_lines
 from sphericalvision.cameras.calibration.parsing import (
     as_told,
     bounded,
@@ -28,6 +28,7 @@ from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.io.files import atomic_write
 
 __all__ = ["make_ocam", "ocam_numbers", "read_ocam_folder", "read_ocam_text", "write_ocam_text"]
 
@@ -208,5 +209,5 @@ def write_ocam_text(camera: Camera, path: str | Path) -> None:
     lines = []
     for title, found in zip(_LINES, values.values(), strict=True):
         lines += [f"# {title}", "", " ".join(map(repr, found)), ""]
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_text("\n".join(lines), encoding="utf-8")

@@ -18,14 +18,15 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.capabilities import check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import write_yaml
 from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
-from sphericalvision.cameras.calibration.parsing import entry, numbers, read_mask, write_mask
+from sphericalvision.cameras.calibration.parsing import entry, numbers
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError
+from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.io.files import write_yaml
+from sphericalvision.io.images import read_mask, write_mask
 
 __all__ = ["contents", "recognizes", "write_omnimvs"]
 
@@ -66,7 +67,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 def _camera(values: Any, where: str, max_angle: float | None) -> OCamCamera:
     model = values.get("model", "ocam")
     if model != "ocam":
-        raise FileFormatError(f"{where}, model: expected ocam, got {model!r}")
+        raise FileFormatError(f"{where}, model: expected ocam, got {short_repr(model)}")
     if max_angle is None and "max_fov" in values:
         max_angle = math.radians(numbers(values["max_fov"], f"{where}, max_fov", 1)[0]) / 2
     inverse = numbers(values["inv_poly"], f"{where}, inv_poly") if values.get("inv_poly") else None
@@ -117,5 +118,5 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
             }
         )
         if name in rig.masks:
-            write_mask(~rig.masks[name], path.with_name(f"mask{cam_id}.png"))
+            write_mask(path.with_name(f"mask{cam_id}.png"), ~rig.masks[name])
     write_yaml(path, {"cameras": entries})

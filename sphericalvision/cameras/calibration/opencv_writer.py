@@ -11,7 +11,7 @@ import numpy as np
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
-from sphericalvision.cameras.calibration.files import STRUCTURED, whole_file
+from sphericalvision.cameras.calibration.files import STRUCTURED
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
@@ -19,6 +19,7 @@ from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import invert_transform
+from sphericalvision.io.files import atomic_write
 
 __all__ = ["write_opencv"]
 
@@ -55,7 +56,7 @@ def write_opencv(cameras: Camera | CameraRig, path: str | Path) -> None:
         }
     else:
         values = _values(cameras, "")
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         storage = cv2.FileStorage(str(unfinished), cv2.FILE_STORAGE_WRITE)
         for key, value in values.items():
             storage.write(key, value)

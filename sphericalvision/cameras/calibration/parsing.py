@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every calibration reader needs: checked numbers, units, fields of view, masks and a plausible rig."""
+"""What every calibration reader needs: checked numbers, units, fields of view and a plausible rig."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import cv2
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import AnyCamera, Camera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, SphericalVisionError, check_choice, check_file
+from sphericalvision.core import FileFormatError, SphericalVisionError, check_choice, short_repr
 
 __all__ = [
     "METRES_PER_UNIT",
@@ -29,10 +28,8 @@ __all__ = [
     "metres_per",
     "number",
     "numbers",
-    "read_mask",
     "size_from_width_height",
     "widest_angle",
-    "write_mask",
 ]
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -66,9 +63,9 @@ def numbers(values: Any, where: str, count: int | None = None) -> list[float]:
             raise ValueError
         result = [float(value) for value in values]
     except (TypeError, ValueError, OverflowError):
-        raise FileFormatError(f"{where}: expected numbers, got {_shortened(values)}") from None
+        raise FileFormatError(f"{where}: expected numbers, got {short_repr(values)}") from None
     if not all(math.isfinite(value) for value in result):
-        raise FileFormatError(f"{where}: expected finite numbers, got {_shortened(values)}; correct the file")
+        raise FileFormatError(f"{where}: expected finite numbers, got {short_repr(values)}; correct the file")
     return result
 
 
@@ -99,11 +96,6 @@ def size_from_width_height(values: Any, where: str) -> tuple[int, int]:
     return int(height), int(width)
 
 
-def _shortened(values: list[Any]) -> str:
-    text = str(values)
-    return text if len(text) <= 200 else f"{text[:200]} ..."
-
-
 def mapping(value: Any, where: str) -> Mapping[str, Any]:
     """``value`` if it is a mapping, else ``FileFormatError``."""
     if not isinstance(value, Mapping):
@@ -118,31 +110,6 @@ def entry(values: Any, key: str, where: str) -> Any:
             f"{where}: the key {key!r} is missing; found {', '.join(map(str, values)) or 'none'}"
         )
     return values[key]
-
-
-def read_mask(path: Path, image_size: tuple[int, int]) -> Tensor:
-    """A mask image (h, w) as bool, True where it is at least half white.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it cannot be read as an image, or has another size than the camera's images.
-    """
-    check_file(path, "a mask image")
-    pixels = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if pixels is None:
-        raise FileFormatError(f"{path}: not an image that OpenCV can read (a mask was expected)")
-    if tuple(pixels.shape) != image_size:
-        raise FileFormatError(
-            f"{path}: the camera's images are {image_size[0]} x {image_size[1]} (height x width), this mask is "
-            f"{pixels.shape[0]} x {pixels.shape[1]}"
-        )
-    return torch.from_numpy(pixels >= 128)
-
-
-def write_mask(mask: Tensor, path: Path) -> None:
-    """Write a mask (h, w) as an image, white where it is True."""
-    if not cv2.imwrite(str(path), mask.to("cpu", torch.uint8).numpy() * 255):
-        raise OSError(f"{path}: cannot be written")
 
 
 @contextmanager

@@ -30,7 +30,7 @@ from sphericalvision.cameras.calibration.parsing import (
     size_from_width_height,
 )
 from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
-from sphericalvision.core import FileFormatError
+from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import transform_from_quaternion
 
 __all__ = ["contents", "joined", "recognizes"]
@@ -54,7 +54,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     values = mapping(entry(content, "intrinsic", str(path)), where)
     model = values.get("model", "radial_poly")
     if model != "radial_poly":
-        raise FileFormatError(f"{where}, model: expected radial_poly, got {model!r}")
+        raise FileFormatError(f"{where}, model: expected radial_poly, got {short_repr(model)}")
     order = number(values, "poly_order", where) if "poly_order" in values else 4
     if order != int(order) or not 1 <= order <= 20:
         raise FileFormatError(f"{where}, poly_order: expected a count from 1 to 20, got {order:g}")
@@ -103,8 +103,8 @@ def joined(parts: list[tuple[Path, Contents]]) -> Contents:
         for name, camera in part.cameras.items():
             if name in cameras:
                 raise FileFormatError(
-                    f"{path}: a second camera named {name!r} (the first is in {source[name]}); WoodScape has a file "
-                    "for each image: copy those of one moment into a folder of their own"
+                    f"{path}: a second camera named {short_repr(name)} (the first is in {source[name]}); WoodScape "
+                    "has a file for each image: copy those of one moment into a folder of their own"
                 )
             if part.world_from_camera is None:
                 raise FileFormatError(

@@ -8,10 +8,16 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path, PurePath
 
-import yaml
-
-from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_choice, check_file
-from sphericalvision.io.images import list_folder
+from sphericalvision.cameras.calibration.files import load
+from sphericalvision.core import (
+    ArgumentError,
+    FileFormatError,
+    MissingFileError,
+    check_choice,
+    check_file,
+    short_repr,
+)
+from sphericalvision.io.files import list_folder
 
 __all__ = [
     "DESCRIBED_AT",
@@ -170,17 +176,14 @@ def read_min_depth(config: str | Path) -> float | None:
         FileFormatError: the file is no YAML mapping, or the depth is not a positive number.
     """
     config = check_file(config, "calibration and minimum depth")
-    try:
-        content = yaml.safe_load(config.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{config}: not readable as YAML: {' '.join(str(error).split())}") from None
+    content = load(config)
     section = content.get("config") if isinstance(content, dict) else None
     if not isinstance(section, dict) or section.get("omnimvs_sweep_min_depth") is None:
         return None
     value = section["omnimvs_sweep_min_depth"]
     if not isinstance(value, int | float) or not 0 < value < float("inf"):
         raise FileFormatError(
-            f"{config}: config.omnimvs_sweep_min_depth: expected a positive number of metres, got {value!r}"
+            f"{config}: config.omnimvs_sweep_min_depth: expected a positive number of metres, got {short_repr(value)}"
         )
     return float(value)
 

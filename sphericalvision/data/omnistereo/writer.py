@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
-import yaml
 
 from sphericalvision.cameras import (
     CameraRig,
@@ -19,14 +18,15 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
-from sphericalvision.cameras.calibration.files import write_yaml
+from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.omnistereo.files import RELEASES, Release, check_scale, index_frames, read_min_depth
 from sphericalvision.data.omnistereo.ground_truth import write_ground_truth
 from sphericalvision.data.omnistereo.ocam_fit import ocam_from_camera
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.io.images import whole_file, write_image
+from sphericalvision.io.files import write_bytes, write_yaml
+from sphericalvision.io.images import write_image
 
 __all__ = ["write_omnistereo"]
 
@@ -136,9 +136,7 @@ def _calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) 
             config = Path(folder) / layout.calibration
             ocam = all(isinstance(camera, OCamCamera) for camera in rig.cameras.values())
             save_rig(rig, config, format="omnimvs" if ocam else "native")
-            write_yaml(
-                config, {**_description(root, layout, min_depth), **yaml.safe_load(config.read_text())}
-            )
+            write_yaml(config, {**_description(root, layout, min_depth), **load(config)})
         return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
 
 
@@ -163,8 +161,7 @@ def _description(root: Path, layout: Release, min_depth: float) -> dict[str, Any
 
 def _write_calibration(root: Path, files: Mapping[str, bytes]) -> None:
     for name, content in files.items():
-        with whole_file(root / name) as temporary:
-            temporary.write_bytes(content)
+        write_bytes(root / name, content)
 
 
 def _refuse_other_calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) -> None:

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
-from sphericalvision.io.images import whole_file
+from sphericalvision.io.files import atomic_write
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.weights.filling import filled
 from sphericalvision.models.weights.registry import network_class, network_name
@@ -34,9 +33,8 @@ def save_weights(net: DepthNetwork, path: str | Path) -> Path:
         raise ArgumentError(f"path: expected a name ending in .safetensors, got {path.name!r}")
     metadata = {"format": PREFIX + network_name(net), "hyperparameters": json.dumps(net.hyperparameters)}
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         save_file(state, temporary, metadata)
-        temporary.chmod(0o666 & ~_umask())  # safetensors lets nobody else read
     return path
 
 
@@ -75,10 +73,3 @@ def load_weights(path: str | Path) -> DepthNetwork:
             f"{metadata['hyperparameters']:.1000}: {error}"
         ) from error
     return filled(net, state, path).eval()
-
-
-def _umask() -> int:
-    """Which permissions new files do not get."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

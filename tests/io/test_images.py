@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images survive the disk, failures say what is wrong, and half-written files never appear."""
+"""Images and masks survive the disk, failures say what is wrong, and no file makes the memory burst."""
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -11,14 +13,7 @@ import pytest
 import torch
 
 from sphericalvision.core import FileFormatError, MissingFileError, ShapeError
-from sphericalvision.io.images import (
-    list_folder,
-    read_image,
-    read_pages,
-    whole_file,
-    write_image,
-    write_pages,
-)
+from sphericalvision.io.images import read_image, read_mask, read_pages, write_image, write_mask, write_pages
 
 
 def test_eight_bit_colours_come_back_and_channels_are_red_green_blue(tmp_path: Path) -> None:
@@ -72,8 +67,6 @@ def test_errors_name_file_cause_and_remedy(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "float.tiff"), np.zeros((2, 2), np.float32))
     with pytest.raises(FileFormatError, match="8 or 16 bits"):
         read_image(tmp_path / "float.tiff")
-    with pytest.raises(MissingFileError, match=r"none: no such folder \(images expected\)"):
-        list_folder(tmp_path / "none", "images")
     with pytest.raises(ShapeError, match=r"expected a float tensor \(3, h, w\)"):
         write_image(tmp_path / "a.png", torch.zeros(4, 6))
     with pytest.raises(FileFormatError, match=r"a\.nonsense"):
@@ -89,16 +82,55 @@ def test_a_cut_off_file_is_refused(tmp_path: Path) -> None:
         read_image(tmp_path / "cut.png")
 
 
-def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
-    target = tmp_path / "a.txt"
-    target.write_text("old")
+def test_masks_come_back_and_are_true_from_half_white(tmp_path: Path) -> None:
+    mask = torch.rand(5, 7, generator=torch.Generator().manual_seed(0)) > 0.5
+    write_mask(tmp_path / "mask.png", mask)
+    assert torch.equal(read_mask(tmp_path / "mask.png", (5, 7)), mask)
+    cv2.imwrite(str(tmp_path / "grey.png"), np.array([[0, 127, 128, 255]], np.uint8))
+    assert read_mask(tmp_path / "grey.png").tolist() == [[False, False, True, True]]
+    cv2.imwrite(str(tmp_path / "deep.png"), np.array([[32767, 32768]], np.uint16))
+    assert read_mask(tmp_path / "deep.png").tolist() == [[False, True]]
+    cv2.imwrite(str(tmp_path / "green.png"), np.array([[[0, 255, 0], [255, 0, 0]]], np.uint8))
+    assert read_mask(tmp_path / "green.png").tolist() == [[True, False]]  # by brightness
+    with pytest.raises(FileFormatError, match=r"mask\.png: expected 5 x 7 .* got 7 x 5"):
+        read_mask(tmp_path / "mask.png", (7, 5))
+    with pytest.raises(MissingFileError, match="a mask image expected"):
+        read_mask(tmp_path / "nowhere.png")
 
-    def interrupted() -> None:
-        with whole_file(target) as temporary:
-            temporary.write_text("half of the n")
-            raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert target.read_text() == "old"
-    assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]
+def claims(width: int, height: int) -> bytes:
+    """A PNG of a hundred bytes that says it is a grey image of any size."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        )
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
+    pixels = chunk(b"IDAT", zlib.compress(bytes(50)))
+    return b"\x89PNG\r\n\x1a\n" + header + pixels + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("size", [(20_000, 20_000), (11_600, 11_600)])
+def test_a_small_file_that_claims_to_be_huge_costs_no_memory(
+    size: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "bomb.png").write_bytes(claims(*size))
+    monkeypatch.setattr(cv2, "imdecodemulti", lambda *_: pytest.fail("decoded"))
+    with pytest.raises(FileFormatError, match=r"bomb\.png: expected an image of at most"):
+        read_image(tmp_path / "bomb.png")
+    with pytest.raises(FileFormatError, match=r"bomb\.png: expected 48 x 50 pixels"):
+        read_image(tmp_path / "bomb.png", (50, 48))
+
+
+def test_the_size_is_checked_before_pixels_are_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for suffix in (".png", ".jpg", ".tiff", ".bmp"):
+        path = tmp_path / f"a{suffix}"
+        write_image(path, torch.rand(3, 6, 9))
+        assert read_image(path, (6, 9)).shape == (3, 6, 9)
+        with monkeypatch.context() as patch:
+            patch.setattr(cv2, "imdecodemulti", lambda *_: pytest.fail("decoded"))
+            with pytest.raises(FileFormatError, match=r"expected 6 x 9 .* got 9 x 6"):
+                read_image(path, (9, 6))

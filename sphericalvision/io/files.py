@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that appear whole or not at all, whatever is written and however it ends."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sphericalvision.core import MissingFileError
+
+__all__ = ["atomic_write", "list_folder", "write_bytes", "write_yaml"]
+
+
+@contextmanager
+def atomic_write(path: str | Path) -> Iterator[Path]:
+    """Give a temporary file in the folder of ``path``; it takes the place of ``path`` once the block ends well.
+
+    Whoever reads ``path`` finds the old file or the new one, never half of one; an interrupted or failed block leaves
+    the old file and nothing else. The temporary file has the suffix of ``path``, by which many writers choose their
+    format, and the permissions that the process gives to any new file, even where a writer makes it anew with fewer.
+
+    Args:
+        path: what is to be written; missing folders are made.
+
+    Raises:
+        OSError: if the folder cannot be made or the file not be moved into place.
+
+    Examples:
+        >>> import tempfile
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> with atomic_write(folder / "note.txt") as temporary:
+        ...     _ = temporary.write_text("done")
+        >>> [file.name for file in folder.iterdir()]
+        ['note.txt']
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{uuid.uuid4().hex}{path.suffix}")
+    try:
+        with temporary.open("xb") as created:
+            mode = stat.S_IMODE(os.fstat(created.fileno()).st_mode)  # what the umask leaves
+        yield temporary
+        temporary.chmod(mode)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        OSError: if it cannot be written, also where a full disk takes a part of it without a complaint.
+    """
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content)
+        written = temporary.stat().st_size
+        if written != len(content):
+            raise OSError(errno.ENOSPC, f"{written} of {len(content)} bytes were written", str(path))
+
+
+def write_yaml(path: str | Path, content: dict[str, Any]) -> None:
+    """Write keys with values in their order, lists on one line.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
+    write_bytes(path, text.encode())
+
+
+def list_folder(folder: str | Path, what: str) -> set[str]:
+    """Names of the files in a folder, from one directory scan.
+
+    Raises:
+        MissingFileError: there is no such folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise MissingFileError(f"{folder}: no such folder ({what} expected)")
+    with os.scandir(folder) as entries:
+        return {entry.name for entry in entries if not entry.name.startswith(".")}

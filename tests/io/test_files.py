@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files appear whole or not at all: interrupted, on a full disk, beside readers, and with usual permissions."""
+
+from __future__ import annotations
+
+import os
+import resource
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from safetensors.torch import save_file
+
+from sphericalvision.core import MissingFileError
+from sphericalvision.io.files import atomic_write, list_folder, write_bytes, write_yaml
+from sphericalvision.io.images import write_image, write_mask, write_pages
+
+
+def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+
+    def interrupted() -> None:
+        with atomic_write(target) as temporary:
+            temporary.write_text("half of the n")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert target.read_text() == "old"
+    assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_until_the_end_readers_find_the_old_file(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "folder" / ("long" * 60 + ".txt")
+    write_bytes(target, b"old")
+    with atomic_write(target) as temporary:
+        assert temporary.suffix == ".txt"
+        assert temporary.parent == target.parent
+        temporary.write_bytes(b"new")
+        assert target.read_bytes() == b"old"
+    assert target.read_bytes() == b"new"
+    assert list(target.parent.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("umask", [0o022, 0o027, 0o077])
+def test_permissions_are_those_of_any_new_file(umask: int, tmp_path: Path) -> None:
+    """Also where a writer puts a private file of its own in place, as some do."""
+
+    def weights(path: Path) -> None:
+        with atomic_write(path) as temporary:
+            save_file({"a": torch.zeros(2)}, temporary)
+
+    def private(path: Path) -> None:
+        with atomic_write(path) as temporary:
+            temporary.unlink()
+            os.close(os.open(temporary, os.O_CREAT | os.O_WRONLY, 0o600))
+
+    before = os.umask(umask)
+    try:
+        (tmp_path / "usual").write_text("")
+        expected = stat.S_IMODE((tmp_path / "usual").stat().st_mode)
+        for number, write in enumerate((weights, private, lambda path: write_bytes(path, b"text"))):
+            path = tmp_path / f"{number}.safetensors"
+            write(path)
+            assert stat.S_IMODE(path.stat().st_mode) == expected
+    finally:
+        os.umask(before)
+
+
+@contextmanager
+def files_up_to(size: int) -> Iterator[None]:
+    """The system refuses every byte of a file beyond ``size``, as a full disk does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+NOISE = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
+WRITERS: dict[str, Callable[[Path], None]] = {
+    "image.png": lambda path: write_image(path, NOISE),
+    "image.jpg": lambda path: write_image(path, NOISE),
+    "pages.tiff": lambda path: write_pages(path, [NOISE[0].numpy(), NOISE[1].numpy()]),
+    "mask.png": lambda path: write_mask(path, NOISE[0] > 0.5),
+    "text.yaml": lambda path: write_yaml(path, {"numbers": NOISE.flatten().tolist()}),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_is_an_error_and_leaves_what_was_there(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    with files_up_to(100), pytest.raises(OSError, match="File too large"):
+        WRITERS[name](path)
+    assert list(tmp_path.iterdir()) == []
+    WRITERS[name](path)
+    whole = path.read_bytes()
+    with files_up_to(len(whole) - 1), pytest.raises(OSError, match="File too large"):
+        WRITERS[name](path)
+    assert path.read_bytes() == whole
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_part_written_without_a_complaint_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half(path: Path, content: bytes) -> int:
+        with path.open("wb") as file:
+            return file.write(content[: len(content) // 2])
+
+    monkeypatch.setattr(Path, "write_bytes", half)
+    with pytest.raises(OSError, match=r"3 of 6 bytes were written.*a\.txt"):
+        write_bytes(tmp_path / "a.txt", b"abcdef")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_yaml_keeps_its_order_and_arrays_their_values(tmp_path: Path) -> None:
+    content = {"z": [1, 2.5], "a": {"name": "cam1 é"}}
+    write_yaml(tmp_path / "a.yaml", content)
+    read = yaml.safe_load((tmp_path / "a.yaml").read_text())
+    assert read == content
+    assert list(read) == ["z", "a"]
+    with atomic_write(tmp_path / "a.npz") as temporary:
+        np.savez(temporary, a=np.arange(3))
+    assert np.load(tmp_path / "a.npz")["a"].tolist() == [0, 1, 2]
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match=r"none: no such folder \(images expected\)"):
+        list_folder(tmp_path / "none", "images")

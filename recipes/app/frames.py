@@ -9,23 +9,12 @@ from typing import Any
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data.scenes.recipes import make_scene, ray_depth, render_rig
+from sphericalvision.core import ArgumentError
+from sphericalvision.data.scenes.recipes import kind_of, make_scene, ray_depth, render_rig
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["RenderedFrames", "SceneDepths", "kind_of"]
-
-
-def kind_of(kind: str, seed: int) -> str:
-    """The kind of scene of a seed: ``"mixed"`` takes turns.
-
-    Examples:
-        >>> kind_of("mixed", 4), kind_of("mixed", 5), kind_of("room", 5)
-        ('room', 'floating', 'room')
-    """
-    check_choice("kind", kind, ("room", "floating", "mixed"))
-    return ("room", "floating")[seed % 2] if kind == "mixed" else kind
+__all__ = ["RenderedFrames", "SceneDepths"]
 
 
 class RenderedFrames(Dataset[dict[str, Any]]):

@@ -16,7 +16,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import FisheyeSceneDataset, RotateFivefold, SceneDataset
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
-from sphericalvision.data.seeded_scenes import SeededScenes
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 
 __all__ = ["Augmented", "FisheyeSceneDataModule", "SceneDataModule"]
@@ -110,11 +109,11 @@ class SceneDataModule(SampleDataModule):
             return scenes
         return Augmented(scenes, Compose(RotateFivefold(), PhotometricAugmentation()))
 
-    def plain_train_dataset(self) -> SeededScenes:
+    def plain_train_dataset(self) -> SceneDataset:
         """Training scenes without augmentation."""
         return self.scene_dataset("train")
 
-    def scene_dataset(self, split: str) -> SeededScenes:
+    def scene_dataset(self, split: str) -> SceneDataset:
         """Scenes of one split, as rendered."""
         number, first_seed = self.scenes[split]
         return SceneDataset(number, self.rig, first_seed=first_seed, cache_dir=self.cache_dir, **self.options)
@@ -167,7 +166,7 @@ class FisheyeSceneDataModule(SceneDataModule):
             )
         self.options |= {"panorama": tuple(panorama_size), "entries": tuple(entries)}
 
-    def scene_dataset(self, split: str) -> SeededScenes:
+    def scene_dataset(self, split: str) -> SceneDataset:
         """Scenes of one split, as rendered."""
         number, first_seed = self.scenes[split]
         return FisheyeSceneDataset(

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.sweep import PanoramaSweep, PanoramaTables, SphereSweep, SweepTables
 
 __all__ = ["RigTables"]
@@ -33,11 +34,11 @@ class RigTables:
 
     def __init__(self, sweep: SphereSweep | PanoramaSweep, capacity: int = 16) -> None:
         self.sweep, self.capacity = sweep, capacity
-        self._tables: OrderedDict[tuple[object, ...], SweepTables | PanoramaTables] = OrderedDict()
+        self._tables: OrderedDict[tuple[str, str], SweepTables | PanoramaTables] = OrderedDict()
 
     def of(self, rig: CameraRig) -> SweepTables | PanoramaTables:
         """Return what ``sweep.tables(rig)`` returns, made only once for equal cameras and poses."""
-        key = (str(self.sweep.directions.device), *_parameters(rig))
+        key = (str(self.sweep.directions.device), rig_fingerprint(rig, digits=7))
         if key not in self._tables:
             with torch.no_grad():
                 self._tables[key] = self.sweep.tables(rig)
@@ -50,18 +51,3 @@ class RigTables:
         return sum(
             part.nbytes for tables in self._tables.values() for part in tables if isinstance(part, Tensor)
         )
-
-
-def _parameters(rig: CameraRig) -> list[object]:
-    """All that tables may depend on. Poses that differ by rounding alone are one pose."""
-    poses = (rig.world_from_camera.detach().cpu().double() * 1e6).round().long()
-    key: list[object] = [poses.numpy().tobytes()]
-    for name, camera in rig.cameras.items():
-        options = [getattr(camera, option) for option in camera.option_names]
-        key.append(repr((name, camera.model, camera.image_size, options)))
-        for parameter in (*camera.intrinsic_names, "max_angle"):
-            value = getattr(camera, parameter)
-            key.append(None if value is None else value.detach().cpu().numpy().tobytes())
-        if name in rig.masks:
-            key.append(rig.masks[name].cpu().numpy().tobytes())
-    return key

@@ -14,13 +14,12 @@ from sphericalvision.data.augmentation.sphere_rotation import (
 from sphericalvision.data.augmentation.sphere_transforms import RandomSphereRotation, RandomYaw
 from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
 from sphericalvision.data.collate import collate_samples
-from sphericalvision.data.fisheye_scenes import FisheyeSceneDataset
 from sphericalvision.data.omnistereo.dataset import OmniStereoDataset
 from sphericalvision.data.omnistereo.files import split_frames
 from sphericalvision.data.omnistereo.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from sphericalvision.data.omnistereo.ocam_fit import ocam_from_camera
 from sphericalvision.data.omnistereo.writer import write_omnistereo
-from sphericalvision.data.scene_dataset import SceneDataset
+from sphericalvision.data.scene_dataset import FisheyeSceneDataset, SceneDataset
 from sphericalvision.data.scenes.recipes import (
     Scene,
     make_scene,

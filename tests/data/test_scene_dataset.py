@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import io
 import math
+import random
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -84,7 +87,7 @@ def test_cached_and_fresh_samples_are_equal(rig: CameraRig, tmp_path: Path) -> N
     for index in range(2):
         assert same(fresh[index], cached[index])
         assert same(fresh[index], cached[index])
-    assert len(list(tmp_path.rglob("*.npz"))) == 2
+    assert len(list(tmp_path.rglob("*.npz"))) == 4  # images, and depths
 
 
 def test_the_cache_is_read(rig: CameraRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,20 +122,38 @@ def test_another_parameter_never_reads_a_stale_sample(
     folders = set()
     for variant in variants:
         arguments = {"num_scenes": 1, "rig": rig, "level": 3, "cache_dir": tmp_path} | variant
-        folders.add(SceneDataset(**arguments).cache_folder)
-    assert len(folders) == len(variants)
+        folders.add(tuple(SceneDataset(**arguments).cache_folders))
+    assert len({images for images, _ in folders}) == len(variants)
     again = SceneDataset(5, make_rig(image_size=(16, 16)), level=3, first_seed=9, cache_dir=tmp_path)
-    assert again.cache_folder in folders
+    assert tuple(again.cache_folders) in folders
 
 
-def test_a_damaged_file_is_made_anew_and_nothing_temporary_stays(rig: CameraRig, tmp_path: Path) -> None:
+def test_whatever_happens_to_a_file_it_is_made_anew(rig: CameraRig, tmp_path: Path) -> None:
+    """Cut, flipped, replaced: the sample is the same, and the file is whole again; nothing temporary stays."""
     data = SceneDataset(1, rig, level=3, cache_dir=tmp_path)
     first = data[0]
-    (path,) = tmp_path.rglob("*.npz")
-    for broken in (b"", b"not a zip file", path.read_bytes()[:500]):
-        path.write_bytes(broken)
-        assert same(first, data[0])
-    assert [p for p in tmp_path.rglob("*") if p.is_file()] == [path]
+    paths = sorted(tmp_path.rglob("*.npz"))
+    rng = random.Random(0)
+    for path in paths:
+        whole = path.read_bytes()
+        damaged = [b"", b"not a zip file", bytes(len(whole)), whole + whole, whole[5:]]
+        damaged += [whole[: rng.randrange(len(whole))] for _ in range(15)]
+        for _ in range(60):
+            flipped = bytearray(whole)
+            for _ in range(rng.choice((1, 1, 3, 30))):
+                # headers and the directory at the end are where surprises are
+                place = rng.choice((rng.randrange(150), -1 - rng.randrange(150), rng.randrange(len(whole))))
+                flipped[place] ^= 1 << rng.randrange(8)
+            damaged.append(bytes(flipped))
+        other = io.BytesIO()
+        np.savez(other, images=np.zeros((4, 3, 42), np.uint8), inverse_depth=np.zeros(12))
+        objects = io.BytesIO()
+        np.savez(objects, images=np.array([{}]))
+        for content in (*damaged, other.getvalue(), objects.getvalue()):
+            path.write_bytes(content)
+            assert same(first, data[0])
+    assert [p for p in sorted(tmp_path.rglob("*")) if p.is_file()] == paths
+    assert same(first, SceneDataset(1, rig, level=3, cache_dir=tmp_path)[0])
 
 
 def test_several_workers_share_a_cache(rig: CameraRig, tmp_path: Path) -> None:
@@ -140,7 +161,7 @@ def test_several_workers_share_a_cache(rig: CameraRig, tmp_path: Path) -> None:
     with ThreadPoolExecutor(4) as pool:
         samples = list(pool.map(data.__getitem__, [0, 1, 0, 1, 0, 1]))
     assert all(same(samples[k], samples[k % 2]) for k in range(6))
-    assert len(list(tmp_path.rglob("*.npz"))) == 2
+    assert len(list(tmp_path.rglob("*.npz"))) == 4
 
 
 def test_bad_arguments_are_named(rig: CameraRig, make_rig: Callable[..., CameraRig]) -> None:

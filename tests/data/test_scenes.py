@@ -15,7 +15,7 @@ from sphericalvision.cameras import CameraRig, EquirectangularCamera, FisheyeCam
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.data.scenes.primitives import Part, pack
 from sphericalvision.data.scenes.recipes import (
-    KINDS,
+    SCENE_KINDS,
     make_scene,
     ray_depth,
     render_camera,
@@ -53,7 +53,7 @@ def floor(y: float = 1.0, size: float = 10.0, material: int = 0) -> Part:
     return Part("box", (0.0, y + 0.5, 0.0), (size, 0.5, size), material)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCENE_KINDS)
 def test_same_seed_same_picture_and_another_seed_another(kind: str) -> None:
     directions = torch.nn.functional.normalize(torch.randn(500, 3), dim=-1)
     first, again, other = (
@@ -63,14 +63,14 @@ def test_same_seed_same_picture_and_another_seed_another(kind: str) -> None:
     assert (first - other).abs().mean() > 0.05
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCENE_KINDS)
 def test_making_a_scene_leaves_the_global_generator_alone(kind: str) -> None:
     state = torch.get_rng_state()
     make_scene(kind, 0)
     assert torch.equal(torch.get_rng_state(), state)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCENE_KINDS)
 @pytest.mark.parametrize("seed", range(6))
 def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: str, seed: int) -> None:
     scene = make_scene(kind, seed)
@@ -81,7 +81,7 @@ def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: s
     assert depth[depth.isfinite()].max() > 2.0
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCENE_KINDS)
 def test_pictures_are_neither_dark_nor_washed_out(kind: str) -> None:
     directions = torch.nn.functional.normalize(torch.randn(2000, 3), dim=-1)
     pictures = torch.stack(

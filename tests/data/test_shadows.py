@@ -16,7 +16,13 @@ from sphericalvision.data.rendering.raycast import first_hits
 from sphericalvision.data.rendering.shading import SHADOW_GAP, Points, irradiance
 from sphericalvision.data.rendering.surfaces import describe
 from sphericalvision.data.scenes.primitives import SHAPES, Part, Primitives, pack
-from sphericalvision.data.scenes.recipes import KINDS, make_scene, ray_depth, render_camera, render_directions
+from sphericalvision.data.scenes.recipes import (
+    SCENE_KINDS,
+    make_scene,
+    ray_depth,
+    render_camera,
+    render_directions,
+)
 from sphericalvision.data.scenes.scene import Lamp, Material, Scene, pack_lamps, pack_materials
 
 ORIGIN = torch.zeros(3)
@@ -57,7 +63,7 @@ def rays(camera: FisheyeCamera | EquirectangularCamera) -> Tensor:
     return seen.directions[seen.valid]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCENE_KINDS)
 def test_depth_is_that_of_testing_everything(kind: str) -> None:
     scene = make_scene(kind, 3)
     directions = rays(FisheyeCamera.from_field_of_view((96, 96), math.radians(220)))
@@ -68,7 +74,7 @@ def test_depth_is_that_of_testing_everything(kind: str) -> None:
     assert close.float().mean() > 0.9995  # rays through edges, by rounding
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCENE_KINDS)
 @pytest.mark.parametrize("seed", [0, 5])
 def test_light_is_that_of_tracing_every_shadow_ray(kind: str, seed: int) -> None:
     """Points as a camera sees them, in its bundles: most on several primitives."""
@@ -96,7 +102,7 @@ def test_light_is_that_of_tracing_every_shadow_ray(kind: str, seed: int) -> None
     assert same.float().mean() > 0.995
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCENE_KINDS)
 def test_leaving_out_the_own_primitive_changes_no_light(kind: str) -> None:
     """The shadow that a convex primitive throws on itself is where it turns away from the lamp."""
     scene = make_scene(kind, 2)

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from sphericalvision.data import OmniStereoDataset
-from sphericalvision.recipes.app.frames import RenderedFrames, kind_of
+from sphericalvision.data.scenes.recipes import kind_of
+from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
 

@@ -21,7 +21,7 @@ from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
 
 __all__ = ["num_yaw_steps", "random_rotations", "rotate_on_sphere", "yaw_on_sphere", "yaw_rotation"]
 
-KINDS = ("image", "depth", "normals", "labels", "seen")
+CONTENTS = ("image", "depth", "normals", "labels", "seen")
 
 #: Of the weights with which an interpolated value is made, what must come from places that were seen.
 SEEN_SHARE = 0.999
@@ -174,7 +174,7 @@ def random_rotations(
 
 def _flat(values: Tensor, grid: SphereGrid, batch: torch.Size, batched: int, kind: str) -> Tensor:
     """Return values as ``(c, n)``, or ``(B, c, n)`` for a batch of rotations, once everything fits together."""
-    check_choice("kind", kind, KINDS)
+    check_choice("kind", kind, CONTENTS)
     shape = tuple(grid.shape)
     leading = values.shape[: values.ndim - len(shape)]
     size = ", ".join(map(str, shape))

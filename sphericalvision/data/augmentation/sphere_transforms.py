@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
 from sphericalvision.data.augmentation.sphere_rotation import (
-    KINDS,
+    CONTENTS,
     num_yaw_steps,
     random_rotations,
     rotate_on_sphere,
@@ -64,7 +64,7 @@ class _SphereAugmentation(nn.Module):
             raise ArgumentError(f"p: expected a probability from 0 to 1, got {p!r}")
         self.kinds = dict(USUAL_KINDS if kinds is None else kinds)
         for key, kind in self.kinds.items():
-            check_choice(f"kinds[{key!r}]", kind, (*KINDS, "rig"))
+            check_choice(f"kinds[{key!r}]", kind, (*CONTENTS, "rig"))
         self.grid, self.p, self.same_on_batch, self.generator = grid, p, same_on_batch, generator
         self._params: Parameters = {}
 

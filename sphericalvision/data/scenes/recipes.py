@@ -19,6 +19,7 @@ Examples:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -31,8 +32,9 @@ from sphericalvision.data.scenes.rooms import random_room
 from sphericalvision.data.scenes.scene import Scene
 
 __all__ = [
-    "KINDS",
+    "SCENE_KINDS",
     "Scene",
+    "kind_of",
     "make_scene",
     "random_floating_objects",
     "random_room",
@@ -42,8 +44,34 @@ __all__ = [
     "render_rig",
 ]
 
-#: Recipes that `make_scene` knows.
-KINDS = ("room", "floating")
+#: Recipes that `make_scene` knows, by the names of their scenes.
+RECIPES: dict[str, Callable[[torch.Generator, float], Scene]] = {
+    "room": random_room,
+    "floating": random_floating_objects,
+}
+SCENE_KINDS = tuple(RECIPES)
+#: Kinds that take turns from seed to seed, by the name of the mixture.
+MIXTURES = {"mixed": ("room", "floating"), "all": SCENE_KINDS}
+
+
+def kind_of(kind: str, seed: int) -> str:
+    """Tell the kind of scene of a seed: mixtures take turns, any other kind is itself.
+
+    Args:
+        kind: of ``make_scene``; or ``"mixed"``: rooms for even seeds, floating objects for odd ones; or ``"all"``: every
+            kind of ``make_scene``.
+        seed: of the scene.
+
+    Raises:
+        ArgumentError: an unknown kind.
+
+    Examples:
+        >>> kind_of("mixed", 4), kind_of("mixed", 5), kind_of("room", 5)
+        ('room', 'floating', 'room')
+    """
+    check_choice("kind", kind, (*SCENE_KINDS, *MIXTURES))
+    turns = MIXTURES.get(kind, (kind,))
+    return turns[seed % len(turns)]
 
 
 def make_scene(
@@ -68,7 +96,7 @@ def make_scene(
     Raises:
         ArgumentError: unknown kind, scale not positive, or a clear radius outside (0, 1).
     """
-    check_choice("kind", kind, KINDS)
+    check_choice("kind", kind, SCENE_KINDS)
     if not scale > 0:
         raise ArgumentError(f"scale: expected a positive factor, got {scale}")
     if not 0 < clear_radius < 1:
@@ -76,8 +104,7 @@ def make_scene(
             f"clear_radius: expected metres in (0, 1), got {clear_radius}; use scale for larger rigs"
         )
     generator = torch.Generator().manual_seed(seed)
-    recipe = random_room if kind == "room" else random_floating_objects
-    scene = recipe(generator, clear_radius)
+    scene = RECIPES[kind](generator, clear_radius)
     yaw = 2 * math.pi * torch.rand((), generator=generator).item()
     sin, cos = math.sin(yaw), math.cos(yaw)
     scene = scene.transformed(torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]))

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A few characters that stand for a rig: for tables and files that depend on it."""
+
+from __future__ import annotations
+
+from hashlib import sha256
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.rig import CameraRig
+
+__all__ = ["rig_fingerprint", "rounded_text"]
+
+
+def rig_fingerprint(rig: CameraRig, beside: object = "", digits: int = 5) -> str:
+    """Sixteen characters for the poses, cameras and masks of a rig; names of cameras play no part.
+
+    Args:
+        rig: single, or a batch.
+        beside: whatever else shall tell fingerprints apart, by its ``repr``.
+        digits: significant digits of numbers; rigs that differ in later ones only have the same fingerprint.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig_fingerprint(ring_rig(4)) == rig_fingerprint(ring_rig(4).to(torch.float64))
+        True
+        >>> rig_fingerprint(ring_rig(4)) == rig_fingerprint(ring_rig(4).rotated(tilt=0.1))
+        False
+    """
+    digest = sha256(repr(beside).encode())
+    digest.update(rounded_text(rig.world_from_camera, digits))
+    for name, camera in rig.cameras.items():
+        options = [getattr(camera, option) for option in camera.option_names]
+        digest.update(repr((camera.model, camera.image_size, options)).encode())
+        for parameter in (*camera.intrinsic_names, "max_angle"):
+            value = getattr(camera, parameter)
+            digest.update(b"" if value is None else rounded_text(value, digits))
+        if name in rig.masks:
+            digest.update(rig.masks[name].cpu().numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+def rounded_text(values: Tensor, digits: int = 5) -> bytes:
+    """Numbers as text of a few digits: float32 and float64, and other ways to compute them, give the same."""
+    flat = values.detach().cpu().double().flatten()
+    return " ".join(
+        f"{value:.{digits}g}" for value in torch.where(flat.abs() < 1e-6, 0.0, flat).tolist()
+    ).encode()

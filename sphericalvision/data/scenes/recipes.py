@@ -27,7 +27,12 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.rendering.render import ray_depth, render_camera, render_directions, render_rig
+from sphericalvision.data.scenes.bare_rooms import random_bare_room
+from sphericalvision.data.scenes.corridors import random_corridor
 from sphericalvision.data.scenes.floating import random_floating_objects
+from sphericalvision.data.scenes.halls import random_hall
+from sphericalvision.data.scenes.outdoors import random_outdoor_place
+from sphericalvision.data.scenes.polished_rooms import random_polished_room
 from sphericalvision.data.scenes.rooms import random_room
 from sphericalvision.data.scenes.scene import Scene
 
@@ -48,6 +53,11 @@ __all__ = [
 RECIPES: dict[str, Callable[[torch.Generator, float], Scene]] = {
     "room": random_room,
     "floating": random_floating_objects,
+    "hall": random_hall,
+    "corridor": random_corridor,
+    "bare": random_bare_room,
+    "polished": random_polished_room,
+    "outdoors": random_outdoor_place,
 }
 SCENE_KINDS = tuple(RECIPES)
 #: Kinds that take turns from seed to seed, by the name of the mixture.
@@ -58,8 +68,8 @@ def kind_of(kind: str, seed: int) -> str:
     """Tell the kind of scene of a seed: mixtures take turns, any other kind is itself.
 
     Args:
-        kind: of ``make_scene``; or ``"mixed"``: rooms for even seeds, floating objects for odd ones; or ``"all"``: every
-            kind of ``make_scene``.
+        kind: of ``make_scene``; or ``"mixed"``: rooms for even seeds, floating objects for odd ones; or ``"all"``: all
+            kinds of ``make_scene`` in turn.
         seed: of the scene.
 
     Raises:
@@ -86,7 +96,9 @@ def make_scene(
     """The scene of a seed, well exposed for a rig at its centre.
 
     Args:
-        kind: ``"room"`` (furnished, lit by lamps) or ``"floating"`` (objects in mid-air before a far shell).
+        kind: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects in mid-air before a far shell), ``"hall"``,
+            ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a floor that mirrors) or ``"outdoors"`` (ground
+            below an infinitely far sky).
         seed: the same seed makes the same scene.
         device: where the scene lives; the CPU by default.
         center: ``(3,)`` where the rig's centre is, metres; the origin by default.

@@ -13,14 +13,27 @@ from sphericalvision.data.scenes.palette import Palette
 from sphericalvision.data.scenes.primitives import Part, pack
 from sphericalvision.data.scenes.scene import Lamp, Scene, pack_lamps, pack_materials
 
-__all__ = ["random_room"]
+__all__ = [
+    "Opening",
+    "Room",
+    "add_door",
+    "add_window",
+    "build_shell",
+    "decorate",
+    "furnish",
+    "hang_lamps",
+    "hang_small_things",
+    "random_opening",
+    "random_room",
+    "wall_piece",
+]
 
 #: (from, to, upper, lower) along and down a wall, metres.
 Opening = tuple[float, float, float, float]
 
 
 @dataclass
-class _Room:
+class Room:
     """A room being furnished, from ``low`` to ``high`` (x, z); floor and ceiling are values of y."""
 
     palette: Palette
@@ -83,27 +96,27 @@ def random_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     sides = [palette.log_uniform(1.2, 6.0) for _ in range(4)]
     height = palette.uniform(2.3, 3.4) if palette.chance(0.8) else palette.uniform(3.4, 5.0)
     floor = palette.uniform(0.75, min(1.7, height - 0.8))
-    room = _Room(palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius)
+    room = Room(palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius)
     order = torch.randperm(4, generator=generator).tolist()
     openings: dict[int, tuple[str, Opening]] = {}
     if palette.chance(0.75):
         openings[order[0]] = (
             "door",
-            _opening(room, order[0], palette.uniform(0.8, 1.6), 0.0, palette.uniform(1.9, 2.2)),
+            random_opening(room, order[0], palette.uniform(0.8, 1.6), 0.0, palette.uniform(1.9, 2.2)),
         )
     if palette.chance(0.5):
         bottom = palette.uniform(0.4, 1.0)
         openings[order[1]] = (
             "window",
-            _opening(room, order[1], palette.uniform(0.8, 2.0), bottom, palette.uniform(1.6, 2.1)),
+            random_opening(room, order[1], palette.uniform(0.8, 2.0), bottom, palette.uniform(1.6, 2.1)),
         )
-    _shell(room, {side: opening for side, (_, opening) in openings.items()})
-    _light(room, palette.integer(1, 2))
+    build_shell(room, {side: opening for side, (_, opening) in openings.items()})
+    hang_lamps(room, palette.integer(1, 2))
     for side, (kind, opening) in openings.items():
-        (_door if kind == "door" else _window)(room, side, opening)
-    _furnish(room, palette.integer(8, 18))
-    _decorate(room)
-    _hang(room)
+        (add_door if kind == "door" else add_window)(room, side, opening)
+    furnish(room, palette.integer(8, 18))
+    decorate(room)
+    hang_small_things(room)
     ambient = palette.uniform(0.06, 0.14)
     return Scene(
         primitives=pack(room.parts),
@@ -115,7 +128,7 @@ def random_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     )
 
 
-def _opening(room: _Room, side: int, width: float, bottom: float, top: float) -> Opening:
+def random_opening(room: Room, side: int, width: float, bottom: float, top: float) -> Opening:
     """An opening somewhere in a wall, ``bottom`` and ``top`` metres above the floor."""
     _, _, _, start, end = room.sides()[side]
     width = min(width, 0.8 * (end - start))
@@ -123,7 +136,7 @@ def _opening(room: _Room, side: int, width: float, bottom: float, top: float) ->
     return first, first + width, max(room.floor - top, room.ceiling + 0.1), room.floor - bottom
 
 
-def _rectangle(
+def wall_piece(
     material: int, yaw: float, x: float, z: float, extent: Opening, casts: bool, lift: float = 0.0
 ) -> list[Part]:
     """A piece of a wall in the wall's own frame, ``lift`` metres in front of it; nothing where it has no
@@ -137,7 +150,7 @@ def _rectangle(
     return place([flat], x, down, z, yaw)
 
 
-def _shell(room: _Room, openings: dict[int, Opening], skip: int | None = None) -> None:
+def build_shell(room: Room, openings: dict[int, Opening], skip: int | None = None) -> None:
     """Floor, ceiling and walls, with holes where the openings are."""
     palette = room.palette
     (x0, z0), (x1, z1) = room.low, room.high
@@ -160,7 +173,7 @@ def _shell(room: _Room, openings: dict[int, Opening], skip: int | None = None) -
             continue
         material = wall if palette.chance(0.6) else palette.any_surface(2.5)
         if side not in openings:
-            room.parts += _rectangle(material, yaw, x, z, (start, end, room.ceiling, room.floor), casts)
+            room.parts += wall_piece(material, yaw, x, z, (start, end, room.ceiling, room.floor), casts)
             continue
         first, last, upper, lower = openings[side]
         pieces = (
@@ -170,10 +183,10 @@ def _shell(room: _Room, openings: dict[int, Opening], skip: int | None = None) -
             (first, last, lower, room.floor),
         )
         for piece in pieces:
-            room.parts += _rectangle(material, yaw, x, z, piece, casts=True)
+            room.parts += wall_piece(material, yaw, x, z, piece, casts=True)
 
 
-def _frame(room: _Room, side: int, opening: Opening, material: int) -> None:
+def _add_frame(room: Room, side: int, opening: Opening, material: int) -> None:
     """A frame around an opening."""
     yaw, x, z, _, _ = room.sides()[side]
     first, last, upper, lower = opening
@@ -185,13 +198,13 @@ def _frame(room: _Room, side: int, opening: Opening, material: int) -> None:
     room.add(place(bars, x, 0.0, z, yaw))
 
 
-def _door(room: _Room, side: int, opening: Opening) -> None:
+def add_door(room: Room, side: int, opening: Opening) -> None:
     """A frame, an open leaf, and a furnished second room behind."""
     palette = room.palette
     yaw, x, z, _, _ = room.sides()[side]
     first, last, upper, lower = opening
     material = palette.wood() if palette.chance(0.5) else palette.paint()
-    _frame(room, side, opening, material)
+    _add_frame(room, side, opening, material)
     half = ((last - first) / 2 - 0.02, (lower - upper) / 2 - 0.02, 0.02)
     leaf = [Part("box", (half[0], 0.0, 0.0), half, palette.any_surface(1.5))]
     swung = place(leaf, first + 0.04, (upper + lower) / 2, 0.0, -palette.uniform(0.7, 2.0))
@@ -199,11 +212,11 @@ def _door(room: _Room, side: int, opening: Opening) -> None:
     # The second room in the wall's frame: it starts at z = 0 there, and shares its wall with the first.
     left, right, depth = palette.uniform(0.5, 2.0), palette.uniform(0.5, 2.0), palette.uniform(1.8, 4.5)
     ceiling = min(upper - 0.1, room.floor - palette.uniform(2.3, 2.8))
-    other = _Room(palette, (first - left, 0.0), (last + right, depth), room.floor, ceiling, -1.0)
-    _shell(other, {}, skip=2)
+    other = Room(palette, (first - left, 0.0), (last + right, depth), room.floor, ceiling, -1.0)
+    build_shell(other, {}, skip=2)
     other.circles.append(((first + last) / 2, 0.0, 0.6))
-    _light(other, 1)
-    _furnish(other, palette.integer(2, 4))
+    hang_lamps(other, 1)
+    furnish(other, palette.integer(2, 4))
     room.parts += place(other.parts, x, 0.0, z, yaw)
     sin, cos = math.sin(yaw), math.cos(yaw)
     for lamp in other.lamps:
@@ -213,13 +226,13 @@ def _door(room: _Room, side: int, opening: Opening) -> None:
     room.circles.append((in_front[0], in_front[2], 0.5))
 
 
-def _window(room: _Room, side: int, opening: Opening) -> None:
+def add_window(room: Room, side: int, opening: Opening) -> None:
     """A frame with a cross of bars, and mostly a bright view behind; else open sky."""
     palette = room.palette
     yaw, x, z, _, _ = room.sides()[side]
     first, last, upper, lower = opening
     material = palette.paint()
-    _frame(room, side, opening, material)
+    _add_frame(room, side, opening, material)
     along, down = (first + last) / 2, (upper + lower) / 2
     bars = [
         Part("box", (along, down, 0.0), (0.02, (lower - upper) / 2, 0.02), material),
@@ -230,10 +243,10 @@ def _window(room: _Room, side: int, opening: Opening) -> None:
         away = palette.uniform(3.0, 15.0)
         view = palette.photograph(palette.uniform(0.8, 1.6) * away, emission=palette.uniform(0.3, 0.7))
         wide = (along - 6 * away, along + 6 * away, down - 6 * away, down + 6 * away)
-        room.parts += _rectangle(view, yaw, x, z, wide, casts=False, lift=-away)
+        room.parts += wall_piece(view, yaw, x, z, wide, casts=False, lift=-away)
 
 
-def _light(room: _Room, count: int) -> None:
+def hang_lamps(room: Room, count: int) -> None:
     """Lamps under the ceiling, each with a bulb and a cable."""
     palette = room.palette
     (x0, z0), (x1, z1) = room.low, room.high
@@ -258,7 +271,7 @@ def _light(room: _Room, count: int) -> None:
         room.lamps.append(Lamp((x, y, z), color, reach=palette.uniform(1.0, 2.0)))
 
 
-def _furnish(room: _Room, count: int) -> None:
+def furnish(room: Room, count: int) -> None:
     """Furniture along the walls and in the middle."""
     palette = room.palette
     (x0, z0), (x1, z1) = room.low, room.high
@@ -281,8 +294,8 @@ def _furnish(room: _Room, count: int) -> None:
             room.stand(parts, spot_x, spot_z, palette.uniform(0, 2 * math.pi))
 
 
-def _decorate(room: _Room) -> None:
-    """Pictures on the walls and a rug."""
+def decorate(room: Room, rug: bool = True) -> None:
+    """Pictures on the walls, and perhaps a rug where one is welcome."""
     palette = room.palette
     for yaw, x, z, start, end in room.sides():
         for _ in range(palette.integer(0, 2)):
@@ -300,7 +313,7 @@ def _decorate(room: _Room) -> None:
             spot = place(board, x, 0.0, z, yaw)
             if not any(_over(spot[0], other) for other in room.parts if other.shape == "box"):
                 room.add(spot)
-    if palette.chance(0.5):
+    if rug and palette.chance(0.5):
         (x0, z0), (x1, z1) = room.low, room.high
         half = (palette.uniform(0.2, 0.4) * (x1 - x0), 0.004, palette.uniform(0.2, 0.4) * (z1 - z0))
         middle = ((x0 + x1) / 2, room.floor - 0.004, (z0 + z1) / 2)
@@ -312,7 +325,7 @@ def _over(part: Part, other: Part) -> bool:
     return math.dist(part.center, other.center) < math.hypot(*part.half) + 0.6 * math.hypot(*other.half)
 
 
-def _hang(room: _Room) -> None:
+def hang_small_things(room: Room) -> None:
     """Thin and small things at the height of the rig, so that near depths occur too."""
     palette = room.palette
     for _ in range(palette.integer(1, 4)):

@@ -9,13 +9,6 @@ from sphericalvision.cameras.calibration import (
     read_rig,
     save_camera,
     save_rig,
-    write_basalt,
-    write_camera,
-    write_colmap,
-    write_kalibr,
-    write_ocam_text,
-    write_omnimvs,
-    write_opencv,
 )
 from sphericalvision.cameras.conversion.convert import InverseFit, convert, fit_inverse_polynomial
 from sphericalvision.cameras.coverage import Overlap, coverage, overlap, seen_by
@@ -126,12 +119,5 @@ __all__ = [
     "unproject_radial_polynomial",
     "unproject_unified",
     "visible_angle",
-    "write_basalt",
-    "write_camera",
-    "write_colmap",
-    "write_kalibr",
-    "write_ocam_text",
-    "write_omnimvs",
-    "write_opencv",
     "z_from_depth",
 ]

@@ -7,7 +7,7 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -18,7 +18,7 @@ from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry.directions import components, is_at_least, is_greater, is_traced
 from sphericalvision.geometry.interpolation import bilinear_sample
 
-__all__ = ["Camera", "Conversion", "Projection", "Unprojection"]
+__all__ = ["Camera", "Conversion", "Projection", "Unprojection", "check_single"]
 
 AnyCamera = TypeVar("AnyCamera", bound="Camera")
 
@@ -402,6 +402,24 @@ class Camera(ABC):
         for name in self._tensor_names():
             setattr(mapped, name, function(getattr(self, name)))
         return mapped
+
+
+class Batched(Protocol):
+    """A camera or a rig, or a batch of them."""
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """No dimensions for a single one."""
+        ...
+
+
+def check_single(thing: Batched) -> None:
+    """Raise ``ArgumentError`` for a batch of cameras or rigs."""
+    if thing.batch_shape:
+        name = "camera" if isinstance(thing, Camera) else "rig"
+        raise ArgumentError(
+            f"{name}: expected a single {name}, got a batch {thing.batch_shape}; take one with {name}.select(i)"
+        )
 
 
 def _check_precision(dtype: torch.dtype) -> None:

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera
-from sphericalvision.core import ArgumentError
+from sphericalvision.cameras.base import Camera, check_single
 
 __all__ = ["FieldOfView", "field_of_view", "focal_length_on_axis", "visible_angle"]
 
@@ -108,11 +107,3 @@ def focal_length_on_axis(camera: Camera) -> Tensor:
     u, v = pixels[0, :, 0], pixels[1, :, 1]
     slope = torch.stack([(x[1] - x[0] + x[3] - x[2]) / 2e-4 for x in (u, v)])
     return torch.where(valid.all(), slope, torch.nan)
-
-
-def check_single(camera: Camera) -> None:
-    """Raise ``ArgumentError`` if the camera is a batch."""
-    if camera.batch_shape:
-        raise ArgumentError(
-            f"camera: expected a single camera, got a batch {camera.batch_shape}; take one with camera.select(i)"
-        )

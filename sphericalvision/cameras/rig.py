@@ -76,6 +76,11 @@ class CameraRig:
         return len(self.cameras)
 
     @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """The leading dimensions ``*b`` of the poses: none for a single rig."""
+        return tuple(self.world_from_camera.shape[:-3])
+
+    @property
     def camera_from_world(self) -> Tensor:
         """Inverse poses ``(*b, n, 4, 4)``."""
         return invert_transform(self.world_from_camera)

@@ -18,10 +18,8 @@ from sphericalvision.core import check_last_dim
 
 __all__ = [
     "angle_from_axis",
-    "angle_over_radius",
     "components",
     "cosine_and_lifted_sinc",
-    "cosine_and_sinc",
     "directions_from_longitude_latitude",
     "from_components",
     "is_at_least",
@@ -173,51 +171,10 @@ def angle_from_axis(points: Tensor) -> Tensor:
     return torch.atan2(safe_hypot(x, y), z)
 
 
-def angle_over_radius(points: Tensor) -> Tensor:
-    """Angle from the axis divided by ``hypot(x, y)`` for ``points`` (*, 3), shape (*).
-
-    The quotient is smooth on the forward axis (there it is 1/z), so a lens model written with it has exact
-    first and second derivatives there. On the backward axis, where no limit exists, it is 0.
-
-    Examples:
-        >>> angle_over_radius(torch.tensor([0.0, 0.0, 4.0])).item()
-        0.25
-    """
-    x, y, z = points.unbind(-1)
-    squared = x * x + y * y
-    near = (z > 0) & (squared < torch.finfo(points.dtype).eps ** (1 / 3) * z * z)
-    forward = torch.where(near, z, 1.0)
-    q = torch.where(near, squared, 0.0) / (forward * forward)
-    series = (1 - q / 3 + q * q / 5 - q * q * q / 7) / forward
-    regular = ~near & (squared > torch.finfo(points.dtype).tiny)
-    radius = torch.sqrt(torch.where(regular, squared, 1.0))
-    quotient = torch.atan2(radius, torch.where(regular, z, 0.0)) / radius
-    return torch.where(near, series, torch.where(regular, quotient, 0.0))
-
-
-def cosine_and_sinc(angle_squared: Tensor) -> tuple[Tensor, Tensor]:
-    """``cos(a)`` and ``sin(a)/a`` from the squared angle (*) in rad², smooth at zero.
-
-    Examples:
-        >>> [value.item() for value in cosine_and_sinc(torch.tensor(0.0))]
-        [1.0, 1.0]
-    """
-    near = angle_squared < torch.finfo(angle_squared.dtype).eps ** (1 / 4)
-    small = torch.where(near, angle_squared, 0.0)
-    cosine_series = 1 - small / 2 * (1 - small / 12 * (1 - small / 30 * (1 - small / 56)))
-    sinc_series = 1 - small / 6 * (1 - small / 20 * (1 - small / 42 * (1 - small / 72)))
-    angle = torch.sqrt(torch.where(near, 1.0, angle_squared))
-    return (
-        torch.where(near, cosine_series, torch.cos(angle)),
-        torch.where(near, sinc_series, torch.sin(angle) / angle),
-    )
-
-
 def cosine_and_lifted_sinc(angle_squared: Tensor) -> tuple[Tensor, Tensor]:
-    """As ``cosine_and_sinc``, for ``x * sinc`` and ``y * sinc`` with x² + y² = c · ``angle_squared``.
+    """``cos(a)`` and ``sin(a)/a`` from the squared angle (*) in rad², for ``x * sinc`` with x² + y² = c · a².
 
-    Half as costly, exact to rounding; the derivatives of such products are right at zero, those of ``sinc`` alone are
-    not.
+    Exact to rounding; the derivatives of such products are right at zero, those of ``sinc`` alone are not.
 
     Examples:
         >>> [value.item() for value in cosine_and_lifted_sinc(torch.tensor(0.0))]

@@ -16,7 +16,6 @@ __all__ = [
     "polynomial_value",
     "polynomial_with_curvature",
     "refine_root",
-    "solve_increasing",
 ]
 
 
@@ -159,59 +158,3 @@ def _halley_step(
     newton = (value - target) / slope
     one = torch.ones((), dtype=slope.dtype, device=slope.device)
     return newton / torch.addcmul(one, newton, curvature / slope, value=-0.5).clamp_min(0.25)
-
-
-def solve_increasing(
-    function: Callable[[Tensor], tuple[Tensor, Tensor]],
-    target: Tensor,
-    lower: Tensor,
-    upper: Tensor,
-    start: Tensor | None = None,
-    iterations: int = 24,
-) -> Root:
-    """Solve ``function(x) = target`` for ``x`` (*) in [lower, upper], where the function increases.
-
-    Newton steps that would leave the bracket are replaced by bisection, so the search cannot diverge. The
-    search itself is not recorded by autograd: two Newton steps from the solution are, and they carry exact
-    first and second derivatives with respect to the target and to everything that ``function`` depends on
-    (implicit function theorem). Where the target lies outside the bracket's values the nearer end is returned,
-    without derivatives.
-
-    Args:
-        function: maps x (*) to its value and derivative, each (*).
-        target: wanted values (*).
-        lower: one end of the bracket, broadcastable to (*).
-        upper: the other end.
-        start: where to start, broadcastable to (*); the middle of the bracket by default.
-        iterations: fixed number of steps, so that the computation has no branch that depends on data.
-
-    Examples:
-        >>> square = lambda x: (x * x, 2 * x)
-        >>> two = torch.tensor(2.0, dtype=torch.float64, requires_grad=True)
-        >>> root = solve_increasing(square, two, torch.tensor(0.0), torch.tensor(2.0))
-        >>> (slope,) = torch.autograd.grad(root.value, two)
-        >>> round(root.value.item(), 12), round(slope.item(), 12)  # √2 and 1 / (2 √2)
-        (1.414213562373, 0.353553390593)
-    """
-    with torch.no_grad():
-        shape = torch.broadcast_shapes(target.shape, lower.shape, upper.shape)
-        low, high = lower.to(target.dtype).expand(shape), upper.to(target.dtype).expand(shape)
-        x = (low + high) / 2 if start is None else start.to(target.dtype).expand(shape).clamp(low, high)
-        slack = 16 * torch.finfo(target.dtype).eps * target.abs()
-        inside = (function(low)[0] <= target + slack) & (target - slack <= function(high)[0])
-        for _ in range(iterations):
-            value, slope = function(x)
-            below = value < target
-            low, high = torch.where(below, x, low), torch.where(below, high, x)
-            step = x - (value - target) / slope
-            x = torch.where((step >= low) & (step <= high), step, (low + high) / 2)  # False for NaN: bisect
-        found = x
-        end = function(found)[0]
-    wanted = torch.where(inside, target, end)
-    root = found
-    for _ in range(2):
-        value, slope = function(root)
-        usable = slope.abs() > torch.finfo(target.dtype).tiny
-        step = (value - wanted) / torch.where(usable, slope, 1.0)
-        root = root - torch.where(inside & usable, step, 0.0)
-    return Root(root, inside)

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig, coverage, overlap, visible_angle
-from sphericalvision.core import ArgumentError
+from sphericalvision.cameras.base import check_single
 from sphericalvision.geometry import longitude_latitude_from_directions
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.figure import figure_pixels
@@ -54,7 +54,7 @@ def rig_picture(rig: CameraRig, title: str | None = None) -> Picture:
     """
     from matplotlib.figure import Figure
 
-    _check_single(rig)
+    check_single(rig)
     rig = rig.to("cpu", torch.float64)
     positions = rig.positions - rig.center
     baseline = float(rig.baselines.max())
@@ -110,7 +110,7 @@ def coverage_panorama(
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    _check_single(rig)
+    check_single(rig)
     rig = rig.to("cpu", torch.float64)
     grid = Equirectangular(height, 2 * height, dtype=torch.float64)
     solid_angles = grid.solid_angles.flatten()
@@ -158,11 +158,6 @@ def coverage_panorama(
     numbers = f"{where}: {100 * seen:.1f} % seen, {100 * shared:.1f} % by two or more, {mean:.2f} cameras on average"
     axes.set_title(f"{title}\n{numbers}" if title else numbers, fontsize=10)
     return figure_pixels(figure)
-
-
-def _check_single(rig: CameraRig) -> None:
-    if rig.world_from_camera.ndim != 3:
-        raise ArgumentError("rig: expected a single rig, got a batch; use rig.select(index)")
 
 
 def _around_axis(angle: Tensor, azimuth: Tensor) -> Tensor:

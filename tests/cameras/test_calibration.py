@@ -25,8 +25,8 @@ from sphericalvision.cameras import (
     read_camera,
     read_rig,
     ring_rig,
-    write_camera,
 )
+from sphericalvision.cameras.calibration import write_camera
 from sphericalvision.core import SphericalVisionError
 
 OCAM = """#polynomial coefficients for the DIRECT mapping function

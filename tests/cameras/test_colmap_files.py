@@ -18,8 +18,8 @@ from sphericalvision.cameras import (
     read_cameras,
     read_rig,
     save_camera,
-    write_colmap,
 )
+from sphericalvision.cameras.calibration import write_colmap
 from tests.cameras.calibration_samples import (
     COLMAP,
     assert_projects,

@@ -68,13 +68,13 @@ def test_unknown_format_names_the_known_ones(tmp_path: Path) -> None:
 @pytest.mark.parametrize("format", CAMERA_FORMATS)
 def test_batch_of_cameras_is_refused(tmp_path: Path, format: str) -> None:
     batch = KannalaBrandtCamera(torch.ones(2, 2), torch.ones(2, 2), torch.zeros(2, 4), SIZE, 1.0)
-    with pytest.raises(ValueError, match=r"got a batch \(2,\); use select"):
+    with pytest.raises(ValueError, match=r"got a batch \(2,\); .*camera\.select"):
         save_camera(batch, tmp_path / "camera.yaml", format=format)
 
 
 @pytest.mark.parametrize("format", RIG_FORMATS)
 def test_batch_of_rigs_is_refused(tmp_path: Path, format: str) -> None:
-    with pytest.raises(ValueError, match=r"got a batch; use rig\.select"):
+    with pytest.raises(ValueError, match=r"got a batch .*rig\.select"):
         save_rig(CameraRig.stack([ring_rig(), ring_rig()]), tmp_path / "rig.yaml", format=format)
 
 

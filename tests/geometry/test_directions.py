@@ -5,20 +5,16 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
 
 from sphericalvision.geometry import (
     angle_from_axis,
-    angle_over_radius,
-    cosine_and_sinc,
     directions_from_longitude_latitude,
     longitude_latitude_from_directions,
     normalize,
-    safe_hypot,
-    safe_sqrt,
 )
+from sphericalvision.geometry.directions import safe_hypot, safe_sqrt
 
 
 def test_convention_axes() -> None:
@@ -61,36 +57,6 @@ def test_poles_have_longitude_zero_and_finite_gradients() -> None:
     torch.testing.assert_close(latitude, torch.tensor([math.pi / 2, -math.pi / 2]))
     (gradient,) = torch.autograd.grad((longitude + latitude).sum(), poles)
     assert torch.isfinite(gradient).all()
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_angle_over_radius_against_numpy(dtype: torch.dtype) -> None:
-    ratio = np.concatenate([np.logspace(-30, 4, 400), -np.logspace(-2, 4, 100)])  # radius over z
-    z = np.sign(ratio)
-    points = torch.tensor(np.stack([np.abs(ratio) * 0.6, np.abs(ratio) * 0.8, z], -1), dtype=dtype)
-    exact = points.double().numpy()
-    radius = np.hypot(exact[:, 0], exact[:, 1])
-    expected = torch.tensor(np.arctan2(radius, exact[:, 2]) / radius)
-    eps = torch.finfo(dtype).eps
-    torch.testing.assert_close(angle_over_radius(points).double(), expected, rtol=20 * eps, atol=0)
-
-
-def test_angle_over_radius_has_right_first_and_second_derivatives_on_the_axis() -> None:
-    points = torch.tensor(
-        [[0.0, 0.0, 1.5], [1e-5, 0.0, 1.0], [0.3, 0.2, -0.1]], dtype=torch.float64, requires_grad=True
-    )
-    assert torch.autograd.gradcheck(angle_over_radius, points)
-    assert torch.autograd.gradgradcheck(angle_over_radius, points)
-
-
-def test_cosine_and_sinc_are_smooth_at_zero() -> None:
-    angle = torch.tensor([0.0, 1e-9, 1e-3, 0.1, 0.3, 2.0], dtype=torch.float64)
-    cosine, sinc = cosine_and_sinc(angle * angle)
-    torch.testing.assert_close(cosine, angle.cos(), rtol=1e-14, atol=0)
-    torch.testing.assert_close(sinc, torch.sinc(angle / math.pi), rtol=1e-14, atol=0)
-    squared = (angle * angle).requires_grad_()
-    assert torch.autograd.gradcheck(cosine_and_sinc, squared)
-    assert torch.autograd.gradgradcheck(cosine_and_sinc, squared)
 
 
 def test_safe_functions_have_finite_gradients_at_zero() -> None:

@@ -7,11 +7,10 @@ from collections.abc import Iterable
 
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.core import ArgumentError
 
-__all__ = ["MODELS_OF_FORMAT", "check_holds", "check_single", "numbers_of", "without_trailing_zeros"]
+__all__ = ["MODELS_OF_FORMAT", "check_holds", "numbers_of", "without_trailing_zeros"]
 
 MODELS_OF_FORMAT: dict[str, tuple[str, ...]] = {
     "native": (),  # every model
@@ -48,17 +47,6 @@ def check_holds(format: str, camera: Camera) -> None:
         raise ArgumentError(
             f"camera: the format {format!r} has no {camera.model} model, it has {', '.join(models)}. Write it as "
             f"{' or '.join(map(repr, others))}, or convert the camera first: camera.convert(to=...)"
-        )
-
-
-def check_single(thing: Camera | CameraRig) -> None:
-    """Raise ``ArgumentError`` for a batch of cameras or rigs: files hold one."""
-    if isinstance(thing, CameraRig):
-        if thing.world_from_camera.ndim != 3:
-            raise ArgumentError("rig: expected a single rig, got a batch; use rig.select(index)")
-    elif thing.batch_shape:
-        raise ArgumentError(
-            f"camera: expected a single camera, got a batch {thing.batch_shape}; use select(index)"
         )
 
 

@@ -16,8 +16,7 @@ from typing import Any
 
 import torch
 
-from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.capabilities import check_single
+from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.parsing import (
     as_told,

@@ -7,9 +7,8 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.basalt import write_basalt
-from sphericalvision.cameras.calibration.capabilities import check_single
 from sphericalvision.cameras.calibration.colmap import write_colmap
 from sphericalvision.cameras.calibration.kalibr import write_kalibr
 from sphericalvision.cameras.calibration.native import write_camera, write_rig
@@ -77,7 +76,8 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
         rig: a single rig of cameras whose models the format has; each format's page says which.
         path: the file, replaced at once when everything is written.
         format: ``"native"`` (this package's own YAML, also when ``None``), ``"omnimvs"``, ``"basalt"``, ``"kalibr"`` or
-            ``"opencv"`` (two cameras). COLMAP's file has no poses: ``write_colmap(rig.cameras, path)`` writes cameras.
+            ``"opencv"`` (two cameras). COLMAP's file has no poses: ``write_colmap`` of
+            ``sphericalvision.cameras.calibration`` writes ``rig.cameras`` to it.
 
     Raises:
         ArgumentError: an unknown format, a batch, or a model that the format does not have; the message names formats

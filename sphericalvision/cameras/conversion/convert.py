@@ -8,9 +8,9 @@ import math
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Conversion
+from sphericalvision.cameras.base import Camera, Conversion, check_single
 from sphericalvision.cameras.conversion.fit import ROUNDS, cap, fit_model
-from sphericalvision.cameras.field_of_view import check_single, directions_around_axis, visible_angle
+from sphericalvision.cameras.field_of_view import directions_around_axis, visible_angle
 from sphericalvision.cameras.fitting.model import FittedModel, fit_choices, fitted_classes
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
@@ -20,7 +20,8 @@ from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.registry import camera_model, camera_model_names
 from sphericalvision.cameras.verbs import implements
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.geometry import angle_from_axis, polynomial
+from sphericalvision.geometry import angle_from_axis
+from sphericalvision.geometry.rootfinding import polynomial
 
 __all__ = ["InverseFit", "convert", "fit_inverse_polynomial"]
 

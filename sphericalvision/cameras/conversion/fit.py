@@ -13,7 +13,8 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.field_of_view import directions_around_axis, focal_length_on_axis
 from sphericalvision.cameras.fitting.model import FittedModel, Samples
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry import angle_from_axis, solve_least_squares
+from sphericalvision.geometry import angle_from_axis
+from sphericalvision.geometry.least_squares import solve_least_squares
 
 __all__ = ["ROUNDS", "Fit", "cap", "fit_model"]
 

@@ -28,7 +28,7 @@ from sphericalvision.cameras.models.plane_distortion import (
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import components, is_greater
+from sphericalvision.geometry.directions import components, is_greater
 
 __all__ = ["BrownConradyCamera", "project_brown_conrady", "unproject_brown_conrady"]
 

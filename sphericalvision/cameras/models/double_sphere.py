@@ -22,7 +22,7 @@ from sphericalvision.cameras.models.image_plane import (
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import components, is_greater, safe_sqrt
+from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
 
 __all__ = ["DoubleSphereCamera", "project_double_sphere", "unproject_double_sphere"]
 

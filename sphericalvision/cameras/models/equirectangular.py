@@ -17,11 +17,10 @@ from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import (
     bilinear_sample,
-    components,
     directions_from_longitude_latitude,
-    from_components,
     longitude_latitude_from_directions,
 )
+from sphericalvision.geometry.directions import components, from_components
 
 __all__ = ["EquirectangularCamera", "project_equirectangular", "unproject_equirectangular"]
 

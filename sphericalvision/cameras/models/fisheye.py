@@ -19,12 +19,12 @@ from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_choice, check_last_dim
-from sphericalvision.geometry import (
+from sphericalvision.geometry import normalize
+from sphericalvision.geometry.directions import (
     components,
     cosine_and_lifted_sinc,
     from_components,
     lifted_radius,
-    normalize,
     safe_sqrt,
 )
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sphericalvision.geometry import components, from_components
+from sphericalvision.geometry.directions import components, from_components
 
 __all__ = ["IMAGE_PLANE", "pixels_from_plane", "plane_from_pixels", "unit_directions"]
 

@@ -22,18 +22,14 @@ from sphericalvision.cameras.fitting.starts import solve_linear
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import (
-    InverseTable,
-    components,
-    from_components,
+from sphericalvision.geometry import normalize
+from sphericalvision.geometry.directions import components, from_components, lifted_radius
+from sphericalvision.geometry.inverse_table import InverseTable, samples_towards, tabulate_inverse
+from sphericalvision.geometry.rootfinding import (
     increasing_limit,
-    lifted_radius,
-    normalize,
     polynomial,
     polynomial_with_curvature,
     refine_root,
-    samples_towards,
-    tabulate_inverse,
 )
 
 __all__ = ["OCamCamera", "project_ocam", "unproject_ocam"]

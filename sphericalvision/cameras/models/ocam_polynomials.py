@@ -10,10 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.field_of_view import check_single, directions_around_axis, visible_angle
+from sphericalvision.cameras.base import check_single
+from sphericalvision.cameras.field_of_view import directions_around_axis, visible_angle
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry import polynomial
+from sphericalvision.geometry.rootfinding import polynomial
 
 __all__ = ["InverseFit", "fit_direct", "fit_inverse", "fit_inverse_polynomial"]
 

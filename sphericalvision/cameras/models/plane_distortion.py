@@ -13,7 +13,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, addcmul
 
-from sphericalvision.geometry import increasing_limit, is_greater, tabulate_inverse
+from sphericalvision.geometry.directions import is_greater
+from sphericalvision.geometry.inverse_table import tabulate_inverse
+from sphericalvision.geometry.rootfinding import increasing_limit
 
 __all__ = [
     "Distorted",

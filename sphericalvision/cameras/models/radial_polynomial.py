@@ -17,17 +17,14 @@ from sphericalvision.cameras.models.image_plane import unit_directions
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import (
-    components,
-    cosine_and_lifted_sinc,
+from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, lifted_radius
+from sphericalvision.geometry.inverse_table import samples_towards, tabulate_inverse
+from sphericalvision.geometry.rootfinding import (
     increasing_limit,
-    lifted_radius,
     polynomial,
     polynomial_value,
     polynomial_with_curvature,
     refine_root,
-    samples_towards,
-    tabulate_inverse,
 )
 
 __all__ = ["RadialPolynomialCamera", "project_radial_polynomial", "unproject_radial_polynomial"]

@@ -23,7 +23,7 @@ from sphericalvision.cameras.models.plane_distortion import distort_inside, fold
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry import components, is_greater, safe_sqrt
+from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
 
 __all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
 

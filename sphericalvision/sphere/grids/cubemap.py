@@ -7,7 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.core import check_last_dim
-from sphericalvision.geometry import bilinear_sample, normalize, safe_sqrt
+from sphericalvision.geometry import bilinear_sample, normalize
+from sphericalvision.geometry.directions import safe_sqrt
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.core import check_choice, check_last_dim
-from sphericalvision.geometry import longitude_latitude_from_directions, normalize, safe_hypot
+from sphericalvision.geometry import longitude_latitude_from_directions, normalize
+from sphericalvision.geometry.directions import safe_hypot
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.healpix_pixels import (

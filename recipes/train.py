@@ -19,9 +19,9 @@ __all__ = ["main"]
 @command("train")
 def main(config: DictConfig) -> Any:
     """Command line of training."""
-    from sphericalvision.recipes.commands.train import train
+    from sphericalvision.recipes.commands.train import objective, train
 
-    return train(config, output_folder())
+    return objective(train(config, output_folder()), config.task.monitor)
 
 
 if __name__ == "__main__":

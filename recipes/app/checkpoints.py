@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import pickle
-from inspect import signature
 from pathlib import Path
-from typing import Any
 
 import torch
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
-from sphericalvision.models import IcoSweepNet, OmniMVS
+from sphericalvision.models import DepthNetwork, network_class
 from sphericalvision.models.weights import (
     available_weights,
     load_reference_checkpoint,
@@ -24,41 +22,25 @@ __all__ = ["initialize", "load_network"]
 REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
 
-SHAPED_BY = (
-    "aggregation",
-    "num_cameras",
-    "feature_channels",
-    "volume_channels",
-    "feature_coarsening",
-    "in_channels",
-    "num_scales",
-    "norm",
-)
-"""Hyper-parameters that give parameters their shapes; the others may change after training."""
-
-ARCHITECTURES = {"IcoSweepNet": IcoSweepNet, "OmniMVS": OmniMVS}
-"""Networks by the name that checkpoints hold."""
-
-
 def load_network(
     checkpoint: str | Path | None = None,
     level: int | None = None,
     min_depth: float | None = None,
     native: bool = False,
-) -> IcoSweepNet | OmniMVS:
-    """Load a network of either kind in evaluation mode.
+) -> DepthNetwork:
+    """Load a network of any kind in evaluation mode.
 
     Its parameters depend neither on ``level`` nor on ``min_depth``, so both may be replaced.
 
     Args:
         checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or ``.pth`` in the authors' format, or the
             name of a network that ships with the package; its default one when not given.
-        level: of the images on the icosphere, instead of the level trained at; only ``IcoSweepNet`` has one.
+        level: of the images on the icosphere, instead of the level trained at, where the network has one.
         min_depth: nearest hypothesis in metres, instead of the one trained with.
-        native: whether to use operators in C++; only ``IcoSweepNet`` has some.
+        native: whether to use operators in C++, where the network has some.
 
     Raises:
-        ArgumentError: a level or ``native`` for a network on panoramas.
+        ArgumentError: a level or ``native`` for a network that has no such choice.
         MissingCompilerError: the operators could not be compiled.
         MissingFileError: no such file.
         FileFormatError: the file holds no network of this package.
@@ -67,7 +49,7 @@ def load_network(
     return net.configure(native=native).eval()
 
 
-def initialize(net: IcoSweepNet | OmniMVS, weights: str | Path) -> None:
+def initialize(net: DepthNetwork, weights: str | Path) -> None:
     """Start ``net`` from the parameters of another checkpoint, trained at any level.
 
     Raises:
@@ -78,17 +60,21 @@ def initialize(net: IcoSweepNet | OmniMVS, weights: str | Path) -> None:
         raise ArgumentError(
             f"init_weights: {weights} is {type(other).__name__}, the network to train {type(net).__name__}"
         )
-    mine, theirs = net.hyperparameters, other.hyperparameters
-    for key in (key for key in SHAPED_BY if key in mine):
-        if mine[key] != theirs[key]:
-            raise ArgumentError(
-                f"init_weights: {weights} has {key} = {theirs[key]}, the network to train has {mine[key]}; "
-                f"set model.{key}={theirs[key]} or take other weights"
-            )
-    net.load_state_dict(other.state_dict())
+    state, expected = other.state_dict(), net.state_dict()
+    if {name: tensor.shape for name, tensor in state.items()} != {n: t.shape for n, t in expected.items()}:
+        mine, theirs = net.hyperparameters, other.hyperparameters
+        differ = [key for key in mine if mine[key] != theirs.get(key) and key not in ("level", "min_depth")]
+        raise ArgumentError(
+            f"init_weights: {weights} has "
+            + ", ".join(f"{key} = {theirs.get(key)}" for key in differ)
+            + f", the network to train has {', '.join(str(mine[key]) for key in differ)}; set "
+            + " ".join(f"model.{key}={theirs.get(key)}" for key in differ)
+            + " or take other weights"
+        )
+    net.load_state_dict(state)
 
 
-def _read(checkpoint: str | Path | None) -> Any:
+def _read(checkpoint: str | Path | None) -> DepthNetwork:
     if checkpoint is None:
         return pretrained()
     if str(checkpoint) in available_weights() and not Path(checkpoint).exists():
@@ -103,12 +89,10 @@ def _read(checkpoint: str | Path | None) -> Any:
         raise ArgumentError(f"checkpoint: {path} has none of the suffixes of checkpoints, {known}")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-        hyperparameters, state = content["hyper_parameters"], content["state_dict"]
-        architecture = ARCHITECTURES[content.get("architecture", "IcoSweepNet")]
-        names = signature(architecture).parameters.keys() & hyperparameters.keys()
-        net = architecture(**{name: hyperparameters[name] for name in names})
+        state, name = content["state_dict"], content["architecture"]
+        net = network_class(name)(**content["network_hyperparameters"])
         net.load_state_dict({key[4:]: value for key, value in state.items() if key.startswith("net.")})
-    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
+    except (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeError, OSError) as error:
         raise FileFormatError(
             f"{path}: is not a checkpoint of sphericalvision-train, or is damaged "
             f"({str(error).splitlines()[0]:.200}). Give a .ckpt or .safetensors file from the checkpoints "

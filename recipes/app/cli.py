@@ -8,13 +8,15 @@ from typing import Any
 
 import hydra
 import torch
+from hydra.errors import InstantiationException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from rich.console import Console
 from rich.syntax import Syntax
 from rich.table import Table
 from rich.tree import Tree
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, SphericalVisionError
+from sphericalvision.recipes.app.schema import check_node
 
 __all__ = [
     "build",
@@ -27,9 +29,28 @@ __all__ = [
 console = Console()
 
 
-def build(config: Any, *args: Any, **kwargs: Any) -> Any:
-    """Instantiate a config node's ``_target_``; the only place where configs become objects."""
-    return hydra.utils.instantiate(config, *args, _convert_="all", **kwargs)
+def build(config: Any, where: str = "", **kwargs: Any) -> Any:
+    """Instantiate a config node's ``_target_``; the only place where configs become objects.
+
+    Args:
+        config: the node.
+        where: its key, for messages.
+        **kwargs: further arguments of the target.
+
+    Raises:
+        ArgumentError: the target does not take one of the keys, or refuses a value; the message names it.
+    """
+    check_node(config, where, tuple(kwargs))
+    try:
+        return hydra.utils.instantiate(config, _convert_="all", **kwargs)
+    except InstantiationException as error:
+        cause = error.__cause__
+        if isinstance(cause, (SphericalVisionError, OSError)):
+            raise cause from None
+        if isinstance(cause, (ValueError, TypeError)) or type(cause).__name__ == "MisconfigurationException":
+            target = str(config.get("_target_")).rpartition(".")[2]
+            raise ArgumentError(f"{where}: {target} refuses these values: {cause}") from error
+        raise
 
 
 def print_config(config: DictConfig, folder: Path | None = None) -> None:
@@ -53,7 +74,7 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print rows of text as a table, numbers to the right."""
     table = Table(title=title, title_justify="left")
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right")
+        table.add_column(column, justify="left" if i == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
     console.print(table)

@@ -18,9 +18,11 @@ from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from sphericalvision.recipes.app.help import keys_of
+from sphericalvision.recipes.app.keys import GROUPS, KEYS
+from sphericalvision.recipes.app.schema import check_config
 from sphericalvision.recipes.app.words import CommandLine
 
-__all__ = ["check_overrides", "plain_errors"]
+__all__ = ["check_keys", "check_overrides", "plain_errors"]
 
 
 def plain_errors(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
@@ -48,11 +50,27 @@ def plain_errors(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], An
 def check_overrides(config_name: str, line: CommandLine) -> None:
     """Exit with status 1 and one paragraph if the words of a command line do not fit the config ``config_name``."""
     try:
-        compose(config_name, _first_values(line.overrides) if line.multirun else line.overrides)
+        config = compose(config_name, _first_values(line.overrides) if line.multirun else line.overrides)
+        check_keys(config_name, config)
     except (HydraException, OmegaConfBaseException) as error:
         if os.environ.get("HYDRA_FULL_ERROR") == "1":
             raise
         _exit(_override_message(error, config_name, line))
+    except ValueError as error:  # a key of another type
+        _exit(str(error))
+
+
+def check_keys(config_name: str, config: DictConfig) -> None:
+    """Compare the keys of a command, and those that all options of a group have, with their types.
+
+    Raises:
+        ArgumentError: the first key that does not fit.
+    """
+    if config_name in KEYS:
+        check_config(config, KEYS[config_name])
+    for group, schema in GROUPS.items():
+        if group in config:
+            check_config(config[group], schema, f"{group}.")
 
 
 def _first_values(overrides: list[str]) -> list[str]:

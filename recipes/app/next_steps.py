@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.recipes.app.words import unquote_paths
 
-__all__ = ["evaluate_command", "resume_command"]
+__all__ = ["evaluate_command", "own_configs", "resume_command"]
 
 
 def resume_command(last: Path, max_steps: int | None = None) -> str:
@@ -20,8 +20,14 @@ def resume_command(last: Path, max_steps: int | None = None) -> str:
     replaced = ("resume=", "output=", *(["trainer.max_steps="] if max_steps else []))
     given = [word for word in HydraConfig.get().overrides.task if not word.startswith(replaced)]
     longer = [f"trainer.max_steps={max_steps}"] if max_steps else []
-    words = [*unquote_paths(given), *longer, f"output={last.parent.parent}", f"resume={last}"]
+    words = [*own_configs(), *unquote_paths(given), *longer, f"output={last.parent.parent}", f"resume={last}"]
     return shlex.join(["sphericalvision-train", *words])
+
+
+def own_configs() -> list[str]:
+    """The flag ``--config-dir`` of this run, if it has one."""
+    sources = HydraConfig.get().runtime.config_sources
+    return [word for s in sources if s.provider == "command-line" for word in ("--config-dir", s.path)]
 
 
 def evaluate_command(best: Path, config: DictConfig) -> str:
@@ -37,6 +43,5 @@ def evaluate_command(best: Path, config: DictConfig) -> str:
         if group == "data" or "rig" in config.data
         if OmegaConf.is_missing(usual[group], key) or usual[group][key] != value
     ]
-    return shlex.join(
-        ["sphericalvision-evaluate", f"checkpoint={best.with_suffix('.safetensors')}", *groups, *changes]
-    )
+    words = [*own_configs(), f"checkpoint={best.with_suffix('.safetensors')}", *groups, *changes]
+    return shlex.join(["sphericalvision-evaluate", *words])

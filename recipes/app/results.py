@@ -14,14 +14,12 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import write_image
-from sphericalvision.models import IcoSweepNet, OmniMVS
-from sphericalvision.recipes.evaluation.training_free import SemiGlobalSweep
+from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
-from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama, save_depth_panorama
+from sphericalvision.viz.panorama import rgb_panorama, save_depth_panorama
 from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_cloud
 
 __all__ = ["DepthResult", "estimate_depth", "save_result"]
@@ -35,6 +33,8 @@ class DepthResult:
         directions: ``(V, 3)`` of the network's own grid: the vertices of an icosphere, or the pixels of a panorama.
         index: ``(V,)`` hypothesis index there.
         inverse_depth: ``(V,)`` 1/m.
+        confidence: ``(V,)`` 0 to 1.
+        seen: ``(V,)`` two cameras saw that point; elsewhere the index is a guess from the surroundings.
         panorama: ``(H, 2 * H)`` depth in metres along the rays from the rig's centre; NaN where the network's grid does
             not reach.
         min_depth: nearest hypothesis in metres.
@@ -44,6 +44,8 @@ class DepthResult:
     directions: Tensor
     index: Tensor
     inverse_depth: Tensor
+    confidence: Tensor
+    seen: Tensor
     panorama: Tensor
     min_depth: float
     max_depth: float
@@ -51,27 +53,33 @@ class DepthResult:
 
 @torch.inference_mode()
 def estimate_depth(
-    net: IcoSweepNet | OmniMVS | SemiGlobalSweep, images: Tensor, rig: CameraRig, height: int = 320
+    net: DepthNetwork, images: Tensor, rig: CameraRig, height: int = 320, seen: Tensor | None = None
 ) -> DepthResult:
     """Estimate the depth of one frame of an unbatched rig, on the network's device.
 
-    The images are those that the network wants: ``(n, 3, V)`` on icospheres, or ``(n, 3, H, W)`` of the cameras.
+    The images are those that the network wants: ``(n, 3, V)`` on icospheres, or ``(n, 3, H, W)`` of the cameras;
+    ``seen`` ``(n, V)`` or ``(n, H, W)`` tells where they show something.
     """
-    device = next(net.buffers()).device
-    index = net(images[None].to(device), rig.to(device))[0].float().cpu()
+    device = net.device
+    estimate = net.predict(
+        images[None].to(device), rig.to(device), None if seen is None else seen[None].to(device)
+    )
+    index = estimate.index.float()
     number, min_depth = net.num_hypotheses, net.min_depth
     inverse_depth = inverse_depth_from_index(index, number, min_depth)
-    if isinstance(net, OmniMVS):
-        view, grid = Equirectangular(height, 2 * height).directions, net.grid.cpu()
-        panorama = grid.sample(inverse_depth[None], view.flatten(0, 1)).view(height, 2 * height)
-        panorama = panorama.where(grid.contains(view), math.nan)
-        directions = grid.directions.flatten(0, 1)
-    else:
-        panorama = icosphere_to_panorama(inverse_depth, height)
-        directions = Icosphere(level_from_num_vertices(len(index))).vertices
+    view = Equirectangular(height, 2 * height, device=device)
+    around, reached = net.index_at(inverse_depth, view.directions.reshape(-1, 3))
+    panorama = around[0].where(reached, math.nan).view(view.shape)
     max_depth = float(depth_from_index(torch.tensor(0.5), number, min_depth))
     return DepthResult(
-        directions, index.flatten(), inverse_depth.flatten(), panorama.reciprocal(), min_depth, max_depth
+        net.grid.directions.reshape(-1, 3).cpu(),
+        index.flatten().cpu(),
+        inverse_depth.flatten().cpu(),
+        estimate.confidence.float().flatten().cpu(),
+        estimate.seen.flatten().cpu(),
+        panorama.reciprocal().cpu(),
+        min_depth,
+        max_depth,
     )
 
 
@@ -92,6 +100,8 @@ def save_result(
         "index": result.index,
         "inverse_depth": result.inverse_depth,
         "depth": result.inverse_depth.reciprocal(),
+        "confidence": result.confidence,
+        "seen": result.seen,
         "directions": result.directions,
         "depth_panorama": result.panorama,
         "color_panorama": colors,

@@ -14,11 +14,12 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere, collate_samples
 from sphericalvision.io.images import write_image
-from sphericalvision.models import IcoSweepNet
+from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
 from sphericalvision.recipes.app.frames import RenderedFrames, SceneDepths
 from sphericalvision.recipes.app.results import DepthResult, estimate_depth, save_result
+from sphericalvision.recipes.evaluation.inputs import VertexEstimator
 from sphericalvision.recipes.evaluation.tables import (
     Row,
     constant_estimators,
@@ -40,13 +41,13 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
     """Render a scene, estimate its depth, write everything to ``folder`` and return the table."""
     folder.mkdir(parents=True, exist_ok=True)
     net = load_network(config.checkpoint).to(choose_device(config.device))
-    if not isinstance(net, IcoSweepNet):
+    if net.images != "sphere":
         raise ArgumentError(
-            f"checkpoint: the demonstration shows IcoSweepNet, {config.checkpoint} is {type(net).__name__}"
+            "checkpoint: the demonstration shows networks on the icosphere, "
+            f"{config.checkpoint} is {type(net).__name__}"
         )
-    h = net.hyperparameters
-    scale = h["min_depth"] / NATURAL_MIN_DEPTH
-    rig: CameraRig = build(config.rig)
+    scale = net.min_depth / NATURAL_MIN_DEPTH
+    rig: CameraRig = build(config.rig, "rig")
     with console.status(f"rendering {len(rig)} fisheye images of a {config.kind} (seed {config.scene_seed})"):
         frames = RenderedFrames(
             rig, [1], config.scene_seed, config.kind, config.samples_per_pixel, config.height, scale
@@ -54,22 +55,22 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
         frame = frames[0]
     for name, image in frame["images"].items():
         write_image(folder / f"input_{name}.png", image)
-    with console.status(f"estimating depth: level {h['level']}, {h['num_hypotheses']} hypotheses"):
-        sample = ToSphere(h["level"], antialias=True)(frame)
-        result = estimate_depth(net, sample["images"], rig, config.height)
+    with console.status(f"estimating depth: level {net.level}, {net.num_hypotheses} hypotheses"):
+        sample = ToSphere(net.level, antialias=True)(frame)
+        result = estimate_depth(net, sample["images"], rig, config.height, sample["seen"])
         save_result(folder, "", result, frame["images"], rig)
         _save_comparison(folder, frame, result, net)
-    depths = SceneDepths(rig, config.baseline_scenes, h["level"], config.train_seed, config.kind, scale)
+    depths = SceneDepths(rig, config.baseline_scenes, net.level, config.train_seed, config.kind, scale)
     rows = _table(net, sample, DataLoader(depths, batch_size=8))
-    print_rows(f"errors of this scene, percent of N = {h['num_hypotheses']} (smaller is better)", rows)
+    print_rows(f"errors of this scene, percent of N = {net.num_hypotheses} (smaller is better)", rows)
     save_rows(folder / "metrics", rows)
     _print_contents(folder)
     return rows
 
 
-def _save_comparison(folder: Path, frame: dict[str, Any], result: DepthResult, net: IcoSweepNet) -> None:
+def _save_comparison(folder: Path, frame: dict[str, Any], result: DepthResult, net: DepthNetwork) -> None:
     """Ground truth and error as pictures, and everything side by side."""
-    number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
+    number, min_depth = net.num_hypotheses, net.min_depth
     truth = frame["inverse_depth"]
     estimate = index_from_inverse_depth(result.panorama.reciprocal(), number, min_depth)
     error = (estimate - index_from_inverse_depth(truth, number, min_depth)).abs() * (100 / number)
@@ -85,10 +86,10 @@ def _save_comparison(folder: Path, frame: dict[str, Any], result: DepthResult, n
     write_image(folder / "overview.png", sheet(overview, columns=2))
 
 
-def _table(net: IcoSweepNet, sample: dict[str, Any], depths: DataLoader[dict[str, Any]]) -> list[Row]:
+def _table(net: DepthNetwork, sample: dict[str, Any], depths: DataLoader[dict[str, Any]]) -> list[Row]:
     """Errors of the network and of what it must beat."""
     estimators = {
-        "IcoSweepNet": lambda batch: net(batch["images"], batch["rig"]),
+        type(net).__name__: VertexEstimator(net),
         "photo-consistency sweep": sweep_estimator(net),
         **constant_estimators(depths, net),
     }

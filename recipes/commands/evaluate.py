@@ -6,13 +6,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-import pytorch_lightning as pl
 import torch
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import check_choice
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.models import IcoSweepNet, OmniMVS
+from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
 from sphericalvision.recipes.datamodules.base import SampleDataModule
@@ -34,7 +33,7 @@ __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
 class Evaluation(NamedTuple):
     """A network and the data it is evaluated on."""
 
-    net: IcoSweepNet | OmniMVS
+    net: DepthNetwork
     data: SampleDataModule
 
 
@@ -44,26 +43,27 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     A network on panoramas has no level; it is evaluated at the vertices of level 3 unless ``model.level`` says
     otherwise.
     """
-    net = load_network(config.checkpoint, None, config.model.min_depth, config.native)
-    if isinstance(net, IcoSweepNet) and config.model.level not in (None, net.level):
-        net = load_network(config.checkpoint, config.model.level, config.model.min_depth, config.native)
-    level = net.level if isinstance(net, IcoSweepNet) else config.model.level or 5
-    OmegaConf.update(config, "model.level", level)
+    level = config.model.level
+    net = load_network(config.checkpoint, native=config.native)
+    net = net.with_changes(level=level if net.images == "sphere" else None, min_depth=config.model.min_depth)
+    OmegaConf.update(config, "model.level", net.level if net.images == "sphere" else level or 5)
     OmegaConf.update(config, "model.min_depth", net.min_depth)
-    return Evaluation(net.to(choose_device(config.device)), build(config.data))
+    data: SampleDataModule = build(config.data, "data")
+    data.serve(net, "sphere" if config.baselines else "depth")
+    return Evaluation(net.to(choose_device(config.device)), data)
 
 
 def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
     """Evaluate as ``config`` says; the table goes to ``folder`` as ``metrics.md``, ``.json`` and ``.csv``."""
     check_choice("split", config.split, ("train", "val", "test"))
-    pl.seed_everything(config.seed, verbose=False)
+    torch.manual_seed(config.seed)
     net, data = instantiate_evaluation(config)
     print_config(config, folder)
     data.render(config.split)
     frames = data.plain_train_dataset() if config.split == "train" else data.dataset(config.split)
     name = "IcoSweepNet" if config.checkpoint is None else Path(config.checkpoint).stem
     estimator = VertexEstimator(net)
-    within = estimator.reaches(Icosphere(config.model.level - 2, device=net.sweep.directions.device).vertices)
+    within = estimator.reaches(Icosphere(config.model.level - 2, device=net.device).vertices)
     estimators: dict[str, Estimator] = {name: estimator}
     if config.baselines:
         data.render("train")
@@ -72,8 +72,7 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
         estimators["semi-global sweep"] = semi_global_estimator(net)
     with torch.inference_mode():
         rows = evaluate(estimators, data.loader(frames), net, within)
-    h = net.hyperparameters
-    print_rows(f"{config.split}, level {config.model.level}, percent of N = {h['num_hypotheses']}", rows)
+    print_rows(f"{config.split}, level {config.model.level}, percent of N = {net.num_hypotheses}", rows)
     save_rows(folder / "metrics", rows)
     print(f"Saved in {folder}")
     return rows

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
+import torch
 from omegaconf import DictConfig
 from rich.progress import track
 from torch import Tensor
@@ -13,17 +15,24 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import ToSphere
+from sphericalvision.data.seen import pixels_seen
 from sphericalvision.io.images import read_image
-from sphericalvision.models import IcoSweepNet, OmniMVS
+from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.captures import find_capture, find_masks, read_frame
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.app.results import estimate_depth, save_result
 from sphericalvision.recipes.app.rigs import rig_from_file
-from sphericalvision.recipes.datamodules.entries import ChosenEntries
 from sphericalvision.recipes.evaluation.training_free import SemiGlobalSweep
 
 __all__ = ["load_rig", "network_for", "predict"]
+
+
+class Prepared(NamedTuple):
+    """Images of one frame as a network takes them, and what of them was seen."""
+
+    images: Tensor
+    seen: Tensor
 
 
 def load_rig(config: DictConfig) -> CameraRig:
@@ -39,8 +48,8 @@ def load_rig(config: DictConfig) -> CameraRig:
     return CameraRig(rig.cameras, rig.world_from_camera, masks=masks)
 
 
-def network_for(rig: CameraRig, config: DictConfig) -> IcoSweepNet | OmniMVS:
-    """Load the network at the scale of ``rig``.
+def network_for(rig: CameraRig, config: DictConfig) -> DepthNetwork:
+    """Load the network at the scale of ``rig``, or the sweep without training that stands in its place.
 
     Scaling a rig and everything around it changes no image. A network that was trained with one ring of cameras
     serves any larger or smaller rig once its nearest hypothesis is scaled alike: that is ``min_depth=auto``.
@@ -48,53 +57,69 @@ def network_for(rig: CameraRig, config: DictConfig) -> IcoSweepNet | OmniMVS:
     Raises:
         ArgumentError: the network wants another number of cameras, or ``min_depth`` is no number.
     """
+    check_choice("method", config.method, ("network", "semi_global"))
     net = load_network(config.checkpoint, config.level)
-    expected = net.hyperparameters["num_cameras"]
-    if len(rig) != expected and not net.any_cameras:
+    if len(rig) != net.num_cameras and not net.any_cameras:
         raise ArgumentError(
             f"calibration: {config.calibration} has {len(rig)} cameras ({', '.join(rig.names)}), the "
-            f"checkpoint is for {expected}; choose {expected} with cameras=[...], or train a network with "
-            f"model.num_cameras={len(rig)}"
+            f"checkpoint is for {net.num_cameras}; choose {net.num_cameras} with cameras=[...], or train a network "
+            f"with model.num_cameras={len(rig)}"
         )
-    min_depth = config.min_depth
-    if min_depth == "auto":
-        min_depth = net.hyperparameters["min_depth"] * float(rig.radius) / config.trained_radius
-    if isinstance(min_depth, str) or not min_depth > 0:
+    net = net.with_changes(min_depth=nearest_hypothesis(net, rig, config)).configure(native=config.native)
+    if config.method == "semi_global":
+        net = SemiGlobalSweep.like(net).with_changes(num_hypotheses=config.num_hypotheses)
+    elif config.num_hypotheses is not None:
+        net = net.with_changes(num_hypotheses=config.num_hypotheses)
+    return net.eval().to(choose_device(config.device))
+
+
+def nearest_hypothesis(net: DepthNetwork, rig: CameraRig, config: DictConfig) -> float:
+    """``config.min_depth`` in metres; ``auto`` is what the network was trained with, scaled as the rig is.
+
+    Raises:
+        ArgumentError: another word, or the rig has no size to scale by.
+    """
+    if config.min_depth != "auto":
+        if isinstance(config.min_depth, str):
+            raise ArgumentError(f"min_depth: expected a number of metres or auto, got {config.min_depth!r}")
+        return float(config.min_depth)
+    radius = float(rig.radius)
+    if not radius > 0:
         raise ArgumentError(
-            f"min_depth: expected a positive number of metres or auto, got {config.min_depth!r}"
+            f"min_depth: auto scales with the rig, and {config.calibration} has all its cameras in one place "
+            f"({', '.join(rig.names)}); give metres, min_depth=0.55, or more cameras"
         )
-    net = load_network(config.checkpoint, config.level, float(min_depth), config.native)
-    return net.to(choose_device(config.device))
+    return net.min_depth * radius / float(config.trained_radius)
 
 
-def image_preparation(
-    net: IcoSweepNet | OmniMVS | SemiGlobalSweep, antialias: bool
-) -> Callable[[Mapping[str, Tensor], CameraRig], Tensor]:
-    """What makes images by camera name into those that the network wants."""
-    if not isinstance(net, OmniMVS):
-        return ToSphere(net.level, antialias=antialias).images
-    to_entry = ChosenEntries(("fisheye",), level=2)
-    return lambda images, rig: to_entry({"images": images, "rig": rig})["fisheye"]  # type: ignore[no-any-return]
+def prepare(net: DepthNetwork, images: Mapping[str, Tensor], rig: CameraRig, antialias: bool) -> Prepared:
+    """Images by camera name, and what was seen, as the network wants them."""
+    if net.images == "sphere":
+        to_sphere = ToSphere(net.level, antialias=antialias)
+        return Prepared(to_sphere.images(images, rig), to_sphere.seen(rig))
+    sizes = sorted({tuple(image.shape[-2:]) for image in images.values()})
+    if len(sizes) > 1:
+        raise ArgumentError(f"images: {type(net).__name__} wants images of one size, got {sizes}")
+    seen = torch.stack(list(pixels_seen(rig).values()))
+    stacked = torch.stack([images[name] for name in rig.names]) * 2 - 1
+    return Prepared(stacked * seen[:, None], seen)
 
 
 def predict(config: DictConfig, folder: Path) -> list[Path]:
     """Write picture, point cloud and arrays of each frame to ``folder``; returns the files."""
-    check_choice("method", config.method, ("network", "semi_global"))
     rig = load_rig(config)
     capture = find_capture(config.images, rig.names, config.frames)
-    net: IcoSweepNet | OmniMVS | SemiGlobalSweep = network_for(rig, config)
-    if config.method == "semi_global":
-        net = SemiGlobalSweep.like(net)
+    net = network_for(rig, config)
     print_config(config, folder)
     console.print(
         f"{len(capture.files)} frame(s), {len(rig)} cameras, rig radius {float(rig.radius):.3f} m, "
         f"nearest hypothesis {net.min_depth:.3f} m"
     )
-    prepare = image_preparation(net, config.antialias)
     written = []
     for frame, files in track(capture.files.items(), "estimating depth", console=console):
         images = read_frame(files, rig)
-        result = estimate_depth(net, prepare(images, rig), rig, config.height)
+        prepared = prepare(net, images, rig, config.antialias)
+        result = estimate_depth(net, prepared.images, rig, config.height, prepared.seen)
         written += save_result(folder, f"{frame}_" if frame else "", result, images, rig)
     for path in written:
         print(path)

@@ -43,7 +43,7 @@ def render(config: DictConfig, folder: Path) -> int:
         raise ArgumentError(f"release: expected {' or '.join(RELEASES)}, got {config.release!r}")
     if config.num_frames < 1:
         raise ArgumentError(f"num_frames: expected 1 or more, got {config.num_frames}")
-    rig: CameraRig = build(config.rig)
+    rig: CameraRig = build(config.rig, "rig")
     panoramas = any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values())
     release = config.release or ("tiff" if panoramas else "png")
     frames = range(config.first_frame, config.first_frame + config.num_frames)

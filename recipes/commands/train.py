@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Train a network: ``sphericalvision-train experiment=quickstart`` (depth), ``experiment=spherical_digits``.
+"""Train a network: what ``sphericalvision-train`` does.
 
 Everything goes to one folder: the resolved config, checkpoints with the weights beside them, metrics (CSV and
 TensorBoard), depth panels and the final table.
@@ -8,24 +8,22 @@ TensorBoard), depth panels and the final table.
 from __future__ import annotations
 
 import logging
-import sys
 import warnings
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytorch_lightning as pl
+import torch
 from omegaconf import DictConfig
-from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
+from pytorch_lightning.callbacks import ModelCheckpoint, ProgressBar
 
-from sphericalvision.core import ArgumentError, check_file
+from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.next_steps import evaluate_command, resume_command
 from sphericalvision.recipes.datamodules.base import SampleDataModule
-from sphericalvision.recipes.digits.module import ClassificationModule
 from sphericalvision.recipes.evaluation.tables import Row, print_rows, save_rows
-from sphericalvision.recipes.training.callbacks import training_callbacks
 from sphericalvision.recipes.training.checkpoint_io import WeightsBesideCheckpoint
-from sphericalvision.recipes.training.lit_base import IndexModule
+from sphericalvision.recipes.training.module import TrainingModule, name_of
 
 __all__ = ["Run", "instantiate_run", "train"]
 
@@ -33,7 +31,7 @@ __all__ = ["Run", "instantiate_run", "train"]
 class Run(NamedTuple):
     """The objects of a training run."""
 
-    module: IndexModule | ClassificationModule
+    module: TrainingModule
     data: SampleDataModule
     trainer: pl.Trainer
 
@@ -41,21 +39,40 @@ class Run(NamedTuple):
 def instantiate_run(config: DictConfig, folder: Path) -> Run:
     """Make network, data and trainer of a config; results go to ``folder``."""
     pl.seed_everything(config.seed, workers=True, verbose=False)
-    module = build(config.model, **config.optimizer, seed=config.seed)
-    data = build(config.data)
-    panel_frames = config.panel_frames if isinstance(module, IndexModule) else 0
+    config.paths.run = str(folder)
+    net = build(config.model, "model")
+    parts = {name: build(config[name], name) for name in ("loss", "optimizer", "scheduler")}
+    module: TrainingModule = build(config.task, "task", net=net, **parts)
+    check_optimization(module)
+    data: SampleDataModule = build(config.data, "data")
+    data.serve(net)
+    callbacks = build_all(config, "callbacks")
+    bars = any(isinstance(callback, ProgressBar) for callback in callbacks)
     trainer = build(
         config.trainer,
+        "trainer",
         default_root_dir=str(folder),
-        callbacks=training_callbacks(folder, config.checkpoint_minutes, panel_frames, module.monitor),
-        logger=[
-            CSVLogger(str(folder), name="metrics", flush_logs_every_n_steps=20),
-            TensorBoardLogger(str(folder), name="", version="tensorboard", default_hp_metric=False),
-        ],
-        plugins=[WeightsBesideCheckpoint(module.net)],
-        enable_progress_bar=sys.stdout.isatty(),
+        callbacks=callbacks,
+        logger=build_all(config, "logger") or False,
+        plugins=[WeightsBesideCheckpoint(net)],
+        enable_progress_bar=bars,
+        enable_checkpointing=any(isinstance(callback, ModelCheckpoint) for callback in callbacks),
     )
     return Run(module, data, trainer)
+
+
+def build_all(config: DictConfig, group: str) -> list[Any]:
+    """The objects of a group whose files name several; those that are null are left out."""
+    nodes = config.get(group) or {}
+    return [build(node, f"{group}.{name}") for name, node in nodes.items() if node is not None]
+
+
+def check_optimization(module: TrainingModule) -> None:
+    """Make optimiser and schedule once, so that wrong values are told before anything starts."""
+    try:
+        module.configure_optimizers()
+    except (ValueError, TypeError, ZeroDivisionError) as error:
+        raise ArgumentError(f"optimizer, scheduler: torch refuses these values: {error}") from error
 
 
 def resume_path(resume: str | None, folder: Path) -> Path | None:
@@ -68,26 +85,44 @@ def resume_path(resume: str | None, folder: Path) -> Path | None:
     return check_file(resume, "a Lightning checkpoint to resume from, such as checkpoints/last.ckpt")
 
 
-def check_resume(path: Path | None, module: IndexModule | ClassificationModule) -> None:
+def check_resume(path: Path | None, module: TrainingModule) -> None:
     """Refuse to resume a network of another shape or scale; its step count would mean nothing here.
 
     Raises:
         ArgumentError: the first hyper-parameter that differs, with both values.
+        FileFormatError: the file is no checkpoint.
     """
     if path is None:
         return
-    network = module.stored_network(path)
-    if type(network) is not type(module.net):
+    stored = stored_network(path)
+    mine = {"architecture": name_of(module.net), **module.net.hyperparameters}
+    if stored["architecture"] != mine["architecture"]:
         raise ArgumentError(
-            f"resume: {path} is a training of {type(network).__name__}, this run trains {type(module.net).__name__}"
+            f"resume: {path} is a training of {stored['architecture']}, this run trains {mine['architecture']}"
         )
-    stored = network.hyperparameters
-    for key, value in module.net.hyperparameters.items():
-        if stored[key] != value:
+    for key, value in mine.items():
+        if stored.get(key) != value:
             raise ArgumentError(
-                f"resume: {path} was trained with {key} = {stored[key]}, this run has model.{key} = {value}; "
-                f"set model.{key}={stored[key]} to go on, or start anew from it with init_weights={path}"
+                f"resume: {path} was trained with {key} = {stored.get(key)}, this run has model.{key} = {value}; "
+                f"set model.{key}={stored.get(key)} to go on, or start anew from it with init_weights={path}"
             )
+
+
+def stored_network(path: Path) -> dict[str, Any]:
+    """Name and hyper-parameters of the network in a checkpoint.
+
+    Raises:
+        FileFormatError: the file is no checkpoint of this command.
+    """
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        return {"architecture": content["architecture"], **content["network_hyperparameters"]}
+    except Exception as error:  # whatever a damaged file makes of itself
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise FileFormatError(
+            f"resume: {path} is not a checkpoint of sphericalvision-train, or is damaged ({reason:.200}); give a .ckpt "
+            "file from the checkpoints folder of a training run"
+        ) from error
 
 
 def train(config: DictConfig, folder: Path) -> dict[str, float]:
@@ -98,11 +133,12 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
         ".*many workers.*",
         ".*LeafSpec.*",
         ".*logging interval.*",
+        ".*lr_scheduler.step.*",
     ):
         warnings.filterwarnings("ignore", known)
     logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
-    print_config(config, folder)
     module, data, trainer = instantiate_run(config, folder)
+    print_config(config, folder)
     checkpoint = resume_path(config.resume, folder)
     check_resume(checkpoint, module)
     if config.init_weights is not None and checkpoint is None:
@@ -110,29 +146,40 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
     last = folder / "checkpoints" / "last.ckpt"
     try:
         trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
-    except SystemExit:  # what Lightning makes of Ctrl+C
+    except SystemExit as stopped:  # what Lightning makes of Ctrl+C and of a job queue's signal
         if trainer.is_global_zero and last.is_file():
-            print(f"\nStopped at step {trainer.global_step}. Go on with:\n{resume_command(last)}")
-        raise
+            print(f"\nStopped at step {trainer.global_step}. Go on with:\n{resume_command(last)}", flush=True)
+        raise SystemExit(exit_status(trainer, stopped)) from None
     trainer.save_checkpoint(last)
-    best = Path(trainer.checkpoint_callback.best_model_path or last)  # type: ignore[union-attr]
+    best_path = getattr(trainer.checkpoint_callback, "best_model_path", "")
+    best = Path(best_path or last)
     trainer.validate(module, data, ckpt_path=best, weights_only=True, verbose=False)
     values = logged_values(trainer, module, "val")
     report(f"validation ({module.unit})", folder / "validation", trainer, values)
-    if isinstance(module, ClassificationModule):
+    if type(module).test_step is not pl.LightningModule.test_step:
         trainer.test(module, data, ckpt_path=best, weights_only=True, verbose=False)
         report(f"test ({module.unit})", folder / "test", trainer, logged_values(trainer, module, "test"))
     if trainer.is_global_zero:
         print(f"\nResults are in {folder}")
         print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")
-        if isinstance(module, IndexModule):
+        if best.with_suffix(".safetensors").is_file():
             print(f"Evaluate: {evaluate_command(best, config)}")
     return values
 
 
-def logged_values(
-    trainer: pl.Trainer, module: IndexModule | ClassificationModule, split: str
-) -> dict[str, float]:
+def exit_status(trainer: pl.Trainer, stopped: SystemExit) -> int | str | None:
+    """143 after SIGTERM and 130 after Ctrl+C, as shells have it."""
+    if getattr(trainer, "received_sigterm", False):
+        return 143
+    return 130 if stopped.code in (0, 1, None) else stopped.code
+
+
+def objective(values: dict[str, float], monitor: str) -> float:
+    """The value that a sweep compares."""
+    return values[monitor.rpartition("/")[2].replace("over_", ">")]
+
+
+def logged_values(trainer: pl.Trainer, module: TrainingModule, split: str) -> dict[str, float]:
     """The metrics of the last validation ("val") or test ("test"), by name."""
     keys = {name: f"{split}/{name.replace('>', 'over_')}" for name in module.metric_names}
     return {name: float(trainer.callback_metrics[key]) for name, key in keys.items()}

@@ -76,6 +76,9 @@ class SampleDataModule(pl.LightningDataModule):
         """Samples of "train", "val" or "test", on the icosphere; augmented in "train"."""
         raise NotImplementedError
 
+    def serve(self, net: Any, *more: str) -> None:
+        """Give samples that suit a network, with ``more`` entries; what the configuration says stays."""
+
     def plain_train_dataset(self) -> Dataset[Sample]:
         """The training samples without augmentation, in order."""
         return self.dataset("train")

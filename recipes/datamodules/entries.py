@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The entries of a sample that networks on the icosphere and on panoramas want."""
+"""The entries of samples: which a network wants, and how it gets them from a batch."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,12 +13,80 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import ToSphere
 from sphericalvision.data.seen import pixels_seen
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import DepthNetwork
 
-__all__ = ["ENTRIES", "ChosenEntries"]
+__all__ = ["ENTRIES", "ChosenEntries", "Wanted", "images_of", "truth_of"]
 
 ENTRIES = ("sphere", "fisheye", "panorama")
 
 Sample = dict[str, Any]
+
+
+class Wanted(NamedTuple):
+    """What samples must be like for a network.
+
+    Attributes:
+        entries: that it is trained with, as ``data.entries`` names them.
+        level: icosphere level of the images of "sphere"; depth at vertices is two levels below.
+        panorama_size: (height, width) of depth panoramas.
+        min_depth: nearest hypothesis in metres.
+    """
+
+    entries: tuple[str, ...]
+    level: int
+    panorama_size: tuple[int, int] | None
+    min_depth: float
+
+    @classmethod
+    def by(cls, net: DepthNetwork) -> Wanted:
+        """What a network wants, by its ``images`` and ``grid``."""
+        images = ("sphere",) if net.images == "sphere" else ("fisheye",)
+        if isinstance(net.grid, Icosphere):
+            truth = () if net.images == "sphere" else ("depth",)
+            return cls((*images, *truth), net.grid.level + 2, None, net.min_depth)
+        level = net.level if net.images == "sphere" else 5
+        height, width = net.grid.shape
+        whole = height if net.grid.max_latitude > 1.5 else width // 4
+        return cls((*images, "panorama"), level, (whole, width), net.min_depth)
+
+
+def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:
+    """The images of a batch that a network takes, and what of them was seen (None where samples do not tell).
+
+    Raises:
+        ArgumentError: these samples do not hold them.
+    """
+    key, seen = ("images", "seen") if net.images == "sphere" else ("fisheye", "fisheye_seen")
+    return _entry(batch, key, net), batch.get(seen)
+
+
+def truth_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor]:
+    """Inverse depth in 1/m of a batch on the grid of a network, and where it is known, both ``(B, *grid)``.
+
+    Raises:
+        ArgumentError: these samples do not hold it, or only on another icosphere.
+    """
+    if not isinstance(net.grid, Icosphere):
+        whole = (_entry(batch, f"panorama_{name}", net) for name in ("inverse_depth", "valid"))
+        inverse_depth, valid = (net.grid.rows_of(values) for values in whole)
+        return inverse_depth, valid
+    inverse_depth, valid = _entry(batch, "inverse_depth", net), _entry(batch, "valid", net)
+    if inverse_depth.shape[-1:] != net.grid.shape:
+        raise ArgumentError(
+            f"data.level: samples have depth at {inverse_depth.shape[-1]} vertices, {type(net).__name__} estimates it "
+            f"at {net.grid.shape[0]} (level {net.grid.level}); set data.level={net.grid.level + 2}"
+        )
+    return inverse_depth, valid
+
+
+def _entry(batch: Sample, key: str, net: DepthNetwork) -> Any:
+    if key in batch:
+        return batch[key]
+    raise ArgumentError(
+        f"data: {type(net).__name__} wants the entry '{key}', samples hold {', '.join(batch)}; leave out data.entries, "
+        "or take other data"
+    )
 
 
 class ChosenEntries:

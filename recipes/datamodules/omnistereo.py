@@ -10,7 +10,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
-from sphericalvision.recipes.datamodules.entries import ChosenEntries
+from sphericalvision.recipes.datamodules.entries import ChosenEntries, Wanted
 
 __all__ = ["OmniStereoDataModule"]
 
@@ -41,8 +41,8 @@ class OmniStereoDataModule(SampleDataModule):
     def __init__(
         self,
         root: str,
-        level: int,
-        min_depth: float,
+        level: int | None = None,
+        min_depth: float | None = None,
         dataset: str = "omnithings",
         protocol: str = "paper",
         release: str | None = None,
@@ -55,10 +55,11 @@ class OmniStereoDataModule(SampleDataModule):
         batch_size: int = 4,
         num_workers: int = 4,
         seed: int = 0,
-        entries: Sequence[str] = ("sphere",),
+        entries: Sequence[str] | None = None,
     ) -> None:
         super().__init__(batch_size, num_workers, seed)
-        self.level, self.min_depth, self.entries = level, min_depth, tuple(entries)
+        self.level, self.min_depth = level, min_depth
+        self.entries = None if entries is None else tuple(entries)
         self.splits = {"train": train_split, "val": val_split, "test": test_split}
         self.photometric, self.shift = photometric, shift
         self.options: dict[str, Any] = {
@@ -68,6 +69,14 @@ class OmniStereoDataModule(SampleDataModule):
             "release": release,
             "missing": missing,
         }
+
+    def serve(self, net: Any, *more: str) -> None:
+        """Give samples that suit a network, with ``more`` entries; what the configuration says stays."""
+        wanted = Wanted.by(net)
+        entries = ["sphere" if entry == "depth" else entry for entry in (*wanted.entries, *more)]
+        self.entries = self.entries or tuple(dict.fromkeys(entries))
+        self.level = self.level or wanted.level
+        self.min_depth = self.min_depth or wanted.min_depth
 
     def dataset(self, split: str) -> OmniStereoDataset:
         """Frames of one split, augmented in "train"."""
@@ -84,7 +93,7 @@ class OmniStereoDataModule(SampleDataModule):
         return self._read("train", [])
 
     def _read(self, split: str, stages: list[Callable[[Sample], Sample]]) -> OmniStereoDataset:
-        return self.read(split, *stages, ChosenEntries(self.entries, self.level))
+        return self.read(split, *stages, ChosenEntries(self.entries or ("sphere",), self.level or 7))
 
     def read(self, split: str, *stages: Callable[[Sample], Sample]) -> OmniStereoDataset:
         """Frames of one split through transforms of one's own.
@@ -94,7 +103,7 @@ class OmniStereoDataModule(SampleDataModule):
         """
         transform = Compose(*stages)
         frames = OmniStereoDataset(split=self.splits[split], transform=transform, **self.options)
-        if abs(frames.min_depth / self.min_depth - 1) > 0.02:
+        if self.min_depth is not None and abs(frames.min_depth / self.min_depth - 1) > 0.02:
             raise ArgumentError(
                 f"data.root: {self.options['root']} has the minimum depth {frames.min_depth:g} m "
                 f"({frames.release}), the network {self.min_depth:g} m; set "

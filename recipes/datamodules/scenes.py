@@ -13,12 +13,13 @@ from torch.utils.data import DataLoader, Dataset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import FisheyeSceneDataset, RotateFivefold, SceneDataset
+from sphericalvision.data import RotateFivefold, SceneDataset
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
+from sphericalvision.recipes.datamodules.entries import Wanted
 
-__all__ = ["Augmented", "FisheyeSceneDataModule", "SceneDataModule"]
+__all__ = ["Augmented", "SceneDataModule"]
 
 
 class Augmented(Dataset[Sample]):
@@ -39,8 +40,10 @@ class SceneDataModule(SampleDataModule):
 
     Args:
         rig: what the scenes are seen through.
-        level: icosphere level of the images.
+        level: icosphere level of the images on the sphere; depth at its vertices is two levels below.
         min_depth: nearest hypothesis in metres; nearer points are not valid.
+        entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama".
+        panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
         kind: "room", "floating" or "mixed".
         num_train: number of training scenes.
         num_val: number of validation scenes.
@@ -60,8 +63,10 @@ class SceneDataModule(SampleDataModule):
     def __init__(
         self,
         rig: CameraRig,
-        level: int,
-        min_depth: float,
+        level: int | None = None,
+        min_depth: float | None = None,
+        entries: Sequence[str] | None = None,
+        panorama_size: Sequence[int] | None = None,
         kind: str = "mixed",
         num_train: int = 1000,
         num_val: int = 32,
@@ -86,6 +91,8 @@ class SceneDataModule(SampleDataModule):
             "antialias": antialias,
             "min_depth": min_depth,
         }
+        self.entries = None if entries is None else tuple(entries)
+        self.panorama_size = panorama_size
         self.scenes = {
             "train": (num_train, train_seed),
             "val": (num_val, val_seed),
@@ -102,6 +109,14 @@ class SceneDataModule(SampleDataModule):
                     f"starts at {start}); set data.{other}_seed to {end} or more"
                 )
 
+    def serve(self, net: Any, *more: str) -> None:
+        """Give samples that suit a network, with ``more`` entries; what the configuration says stays."""
+        wanted = Wanted.by(net)
+        self.entries = self.entries or tuple(dict.fromkeys((*wanted.entries, *more)))
+        self.panorama_size = self.panorama_size or wanted.panorama_size
+        for key, value in (("level", wanted.level), ("min_depth", wanted.min_depth)):
+            self.options[key] = value if self.options[key] is None else self.options[key]
+
     def dataset(self, split: str) -> Dataset[Sample]:
         """Scenes of one split, augmented in "train"."""
         scenes = self.scene_dataset(split)
@@ -114,9 +129,27 @@ class SceneDataModule(SampleDataModule):
         return self.scene_dataset("train")
 
     def scene_dataset(self, split: str) -> SceneDataset:
-        """Scenes of one split, as rendered."""
+        """Scenes of one split, as rendered.
+
+        Raises:
+            ArgumentError: the panorama cannot be turned by multiples of 72 degrees.
+        """
         number, first_seed = self.scenes[split]
-        return SceneDataset(number, self.rig, first_seed=first_seed, cache_dir=self.cache_dir, **self.options)
+        entries, size = self.entries or ("sphere",), self.panorama_size or (80, 160)
+        if self.augment and "panorama" in entries and size[1] % 5:
+            raise ArgumentError(
+                "data.panorama_size: turning by multiples of 72 degrees wants a width that is a multiple of 5, got "
+                f"{size[1]}; or set data.augment=false"
+            )
+        return SceneDataset(
+            number,
+            self.rig,
+            first_seed=first_seed,
+            cache_dir=self.cache_dir,
+            entries=entries,
+            panorama=(int(size[0]), int(size[1])),
+            **{key: value for key, value in self.options.items() if value is not None},
+        )
 
     def prepare_data(self) -> None:
         """Render, where a cache keeps it, what training and validation will read, so that its progress shows."""
@@ -135,40 +168,3 @@ class SceneDataModule(SampleDataModule):
         loader = DataLoader(subset, batch_size=None, num_workers=self.num_workers)
         for _ in track(loader, f"rendering {split} scenes", total=len(missing)):
             pass
-
-
-class FisheyeSceneDataModule(SceneDataModule):
-    """Rendered scenes as ``FisheyeSceneDataset`` gives them: for networks on the icosphere, on panoramas, or both.
-
-    Args:
-        rig: what the scenes are seen through.
-        level: icosphere level of the images on the sphere; depth at its vertices is two levels below.
-        min_depth: nearest hypothesis in metres; nearer points are not valid.
-        panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
-        entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama".
-        **options: as of ``SceneDataModule``.
-    """
-
-    def __init__(
-        self,
-        rig: CameraRig,
-        level: int,
-        min_depth: float,
-        panorama_size: Sequence[int] = (80, 160),
-        entries: Sequence[str] = ("sphere", "fisheye", "panorama"),
-        **options: Any,
-    ) -> None:
-        super().__init__(rig, level, min_depth, **options)
-        if self.augment and "panorama" in entries and panorama_size[1] % 5:
-            raise ArgumentError(
-                "data.panorama_size: turning by multiples of 72 degrees wants a width that is a multiple of 5, got "
-                f"{panorama_size[1]}; or set data.augment=false"
-            )
-        self.options |= {"panorama": tuple(panorama_size), "entries": tuple(entries)}
-
-    def scene_dataset(self, split: str) -> SceneDataset:
-        """Scenes of one split, as rendered."""
-        number, first_seed = self.scenes[split]
-        return FisheyeSceneDataset(
-            number, self.rig, first_seed=first_seed, cache_dir=self.cache_dir, **self.options
-        )

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.metrics import DepthIndexError
-from sphericalvision.models import IcoSweepNet, OmniMVS
+from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import print_table
 from sphericalvision.sweep import index_from_inverse_depth, photo_consistency, semi_global_sweep
 
@@ -43,25 +43,24 @@ class Row(NamedTuple):
     values: Mapping[str, float]
 
 
-def index_target(batch: Batch, net: IcoSweepNet | OmniMVS) -> Tensor:
+def index_target(batch: Batch, net: DepthNetwork) -> Tensor:
     """True hypothesis index ``(B, V)`` in the hypotheses of ``net``; not rounded."""
-    h = net.hyperparameters
-    return index_from_inverse_depth(batch["inverse_depth"], h["num_hypotheses"], h["min_depth"])
+    return index_from_inverse_depth(batch["inverse_depth"], net.num_hypotheses, net.min_depth)
 
 
 @torch.inference_mode()
 def evaluate(
     estimators: Mapping[str, Estimator],
     loader: Iterable[Batch],
-    net: IcoSweepNet | OmniMVS,
+    net: DepthNetwork,
     within: Tensor | None = None,
 ) -> list[Row]:
     """Errors of several estimators on the same batches, in the hypotheses of ``net``; shows its progress.
 
     ``within`` ``(V,)`` leaves out all points where it is False.
     """
-    device = next(net.parameters()).device
-    number = net.hyperparameters["num_hypotheses"]
+    device = net.device
+    number = net.num_hypotheses
     metrics = {name: DepthIndexError(number).to(device) for name in estimators}
     for batch in _progress(loader, "evaluating"):
         batch = {key: value.to(device) if hasattr(value, "to") else value for key, value in batch.items()}
@@ -75,7 +74,7 @@ def evaluate(
     ]
 
 
-def constant_estimators(loader: Iterable[Batch], net: IcoSweepNet | OmniMVS) -> dict[str, Estimator]:
+def constant_estimators(loader: Iterable[Batch], net: DepthNetwork) -> dict[str, Estimator]:
     """The best constants of the training set for the mean absolute error: a depth map, and a single depth.
 
     Both are medians of the true index: over the frames for each vertex, and over everything.
@@ -83,7 +82,7 @@ def constant_estimators(loader: Iterable[Batch], net: IcoSweepNet | OmniMVS) -> 
     Raises:
         ArgumentError: there is no valid ground truth.
     """
-    device = next(net.parameters()).device
+    device = net.device
     targets = [
         index_target(batch, net).where(batch["valid"], torch.nan)
         for batch in _progress(loader, "training depths")
@@ -102,9 +101,9 @@ def constant_estimators(loader: Iterable[Batch], net: IcoSweepNet | OmniMVS) -> 
     }
 
 
-def sweep_estimator(net: IcoSweepNet | OmniMVS) -> Estimator:
+def sweep_estimator(net: DepthNetwork) -> Estimator:
     """The training-free photo-consistency sweep with the hypotheses of ``net``."""
-    number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
+    number, min_depth = net.num_hypotheses, net.min_depth
 
     def estimate(batch: Batch) -> Tensor:
         return photo_consistency(batch["images"], batch["rig"], number, min_depth).index
@@ -112,9 +111,9 @@ def sweep_estimator(net: IcoSweepNet | OmniMVS) -> Estimator:
     return estimate
 
 
-def semi_global_estimator(net: IcoSweepNet | OmniMVS) -> Estimator:
+def semi_global_estimator(net: DepthNetwork) -> Estimator:
     """The training-free sweep with semi-global smoothing, with the hypotheses of ``net``."""
-    number, min_depth = net.hyperparameters["num_hypotheses"], net.hyperparameters["min_depth"]
+    number, min_depth = net.num_hypotheses, net.min_depth
 
     def estimate(batch: Batch) -> Tensor:
         return semi_global_sweep(batch["images"], batch["rig"], number, min_depth).index

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth without a network, where a network would stand: the semi-global sweep at a level, scale and number."""
+"""Depth without training, where a network would stand: the semi-global sweep."""
 
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.models import IcoSweepNet, OmniMVS
-from sphericalvision.sweep import semi_global_sweep
+from sphericalvision.models import DepthNetwork
+from sphericalvision.sweep import DepthEstimate, semi_global_sweep
 
 __all__ = ["SemiGlobalSweep"]
 
 
-class SemiGlobalSweep(nn.Module):
-    """``semi_global_sweep`` called like a network: sphere images and a rig to the index at one level below.
+class SemiGlobalSweep(DepthNetwork):
+    """``semi_global_sweep`` as a network without parameters: its answer is one level below the images'.
 
     Args:
         level: of the images.
@@ -23,22 +23,20 @@ class SemiGlobalSweep(nn.Module):
         min_depth: nearest hypothesis in metres.
     """
 
-    directions: Tensor
-
-    def __init__(self, level: int, num_hypotheses: int, min_depth: float) -> None:
-        super().__init__()
-        self.level, self.num_hypotheses, self.min_depth = level, num_hypotheses, min_depth
-        self.register_buffer("directions", Icosphere(level - 1).vertices, persistent=False)
+    def __init__(self, level: int = 6, num_hypotheses: int = 16, min_depth: float = 0.55) -> None:
+        super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
+        self.level, self.grid = level, Icosphere(level - 1)
 
     @classmethod
-    def like(cls, net: IcoSweepNet | OmniMVS) -> SemiGlobalSweep:
-        """With the hypotheses of a network, and its level (5 for one on panoramas), on its device."""
-        level = net.level if isinstance(net, IcoSweepNet) else 5
-        return cls(level, net.num_hypotheses, net.min_depth).to(next(net.parameters()).device)
+    def like(cls, net: DepthNetwork) -> SemiGlobalSweep:
+        """With the hypotheses of a network, and the level of its images (5 if these are not on an icosphere)."""
+        level = net.level if net.images == "sphere" else 5
+        return cls(level, net.num_hypotheses, net.min_depth).to(net.device)
 
-    def forward(self, images: Tensor, rig: CameraRig) -> Tensor:
-        """Index ``(B, V_{level-1})`` of images ``(B, n, 3, V_level)``."""
-        with torch.no_grad():
-            return semi_global_sweep(
-                images, rig, self.num_hypotheses, self.min_depth, level=self.level - 1
-            ).index
+    @torch.no_grad()
+    def predict(self, images: Tensor, rig: CameraRig, seen: Tensor | None = None) -> DepthEstimate:
+        """Index, confidence and where two cameras agree, each ``(B, V_{level-1})``."""
+        index, confidence = semi_global_sweep(
+            images, rig, self.num_hypotheses, self.min_depth, level=self.level - 1
+        )[:2]
+        return DepthEstimate(index, confidence, confidence > 0)

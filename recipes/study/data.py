@@ -75,7 +75,7 @@ def study_frames(config: DictConfig, view: View) -> tuple[SampleDataModule, Data
 
 
 def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
-    rig: CameraRig = build(config.rig if view.inputs == "fisheye" else config.equirect_rig)
+    rig: CameraRig = build(config.rig if view.inputs == "fisheye" else config.equirect_rig, "rig")
     size = config.image_size if view.inputs == "fisheye" else config.equirect_size
     if size is not None:
         rig = rig.resized([int(side) for side in size])
@@ -85,17 +85,17 @@ def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset
             "data: expected data=fisheye_scenes, whose samples hold fisheye images, or a set on disk"
         )
     node |= {"entries": ["sphere", "fisheye", "panorama"], "augment": False}
-    node |= {"panorama_size": list(config.panorama_size)}
+    node |= {"panorama_size": list(config.panorama_size), **dict(config.model)}
     if config.frames is not None:
         node["num_test"] = config.frames
     del node["rig"]
-    data = build(node, rig=rig.rotated(tilt=math.radians(view.angle_deg)))
+    data = build(node, "data", rig=rig.rotated(tilt=math.radians(view.angle_deg)))
     data.render("test")
     return data, data.dataset("test")
 
 
 def _on_disk(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
-    data = build(config.data)
+    data = build({**config.data, **config.model}, "data")
     if not isinstance(data, OmniStereoDataModule):
         raise ArgumentError("data: expected data=fisheye_scenes, or a set on disk such as data=omnihouse")
     size = None if config.image_size is None else [int(side) for side in config.image_size]
@@ -105,7 +105,8 @@ def _on_disk(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[
 
 def training_depths(training: DictConfig, level: int, most: int) -> tuple[Tensor, Tensor]:
     """Inverse depth and validity ``(F, V_{level-2})`` of at most ``most`` frames that a training has, evenly chosen."""
-    data = build(training.data, level=level)
+    settings = {"level": level, "min_depth": training.model.min_depth, "entries": None}
+    data = build({**training.data, **settings}, "data")
     if isinstance(data, SceneDataModule):
         number, first = data.scenes["train"]
         scale = data.options["min_depth"] / NATURAL_MIN_DEPTH

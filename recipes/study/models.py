@@ -16,6 +16,7 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.recipes.datamodules.entries import images_of
 from sphericalvision.recipes.evaluation.tables import Batch
 from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.sweep import index_from_inverse_depth, inverse_depth_from_index, semi_global_sweep
@@ -156,32 +157,29 @@ def make_estimator(
 
 
 def _network_estimator(weights: Path | None, scale: Scale, device: torch.device) -> StudyEstimator:
-    net: Any = load_network(weights)
-    on_icosphere = "level" in net.hyperparameters
-    level = scale.level if on_icosphere else None
-    if level not in (None, net.hyperparameters.get("level")) or net.min_depth != scale.min_depth:
-        net = load_network(weights, level, scale.min_depth)
-    net = net.to(device)
-    tables = RigTables(net.sweep)
+    net = load_network(weights)
+    level = scale.level if net.images == "sphere" else None
+    net = net.with_changes(level=level, min_depth=scale.min_depth).to(device)
+    tables = RigTables(net)
 
-    def in_the_studys_hypotheses(index: Tensor) -> Tensor:
-        inverse_depth = inverse_depth_from_index(index.float(), net.num_hypotheses, net.min_depth)
-        return index_from_inverse_depth(inverse_depth, scale.num_hypotheses, scale.min_depth)
-
-    if on_icosphere:
-        on_grid = _lookups(Icosphere(scale.level - 2, device=device))
-        return lambda batch: on_grid(in_the_studys_hypotheses(net(batch["images"], tables.of(batch["rig"]))))
-
-    def on_a_panorama(batch: Batch) -> Lookup:
-        panorama = net(batch["fisheye"], tables.of(batch["rig"]))
+    def estimator(batch: Batch) -> Lookup:
+        images, seen = images_of(batch, net)
+        index = net(images, tables.of(batch["rig"]), seen)
 
         def look_up(directions: Tensor) -> Estimate:
-            index, inside = net.index_at(panorama, directions)
-            return Estimate(in_the_studys_hypotheses(index), inside)
+            same = directions.shape == net.grid.directions.shape and torch.equal(
+                directions, net.grid.directions
+            )
+            known = torch.ones(len(directions), dtype=torch.bool, device=directions.device)
+            found, known = (index, known) if same else net.index_at(index, directions)
+            inverse_depth = inverse_depth_from_index(found.float(), net.num_hypotheses, net.min_depth)
+            return Estimate(
+                index_from_inverse_depth(inverse_depth, scale.num_hypotheses, scale.min_depth), known
+            )
 
         return look_up
 
-    return on_a_panorama
+    return estimator
 
 
 def _lookups(grid: Icosphere) -> Callable[[Tensor], Lookup]:

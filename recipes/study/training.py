@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from sphericalvision.core import ArgumentError, SphericalVisionError, check_choice
 from sphericalvision.io.files import atomic_write
 from sphericalvision.recipes.app.cli import console
+from sphericalvision.recipes.app.next_steps import own_configs
 from sphericalvision.recipes.app.words import quote_paths
 from sphericalvision.recipes.study.models import StudyModel
 
@@ -28,8 +29,7 @@ __all__ = ["Training", "TrainingError", "check_alike", "training_config", "write
 CHANGES_NOTHING = (
     "output",
     "resume",
-    "checkpoint_minutes",
-    "panel_frames",
+    "tags",
     "data.cache_dir",
     "data.num_workers",
     "trainer.accelerator",
@@ -41,7 +41,6 @@ CHANGES_NOTHING = (
 ALIKE = (
     "trainer.max_steps",
     "trainer.accumulate_grad_batches",
-    "data._target_",
     "data.root",
     "data.batch_size",
     "data.kind",
@@ -107,8 +106,7 @@ class Training(NamedTuple):
     @property
     def command(self) -> list[str]:
         """The command line of this training; the same one starts it and goes on with it."""
-        sources = HydraConfig.get().runtime.config_sources if HydraConfig.initialized() else []
-        own = [word for s in sources if s.provider == "command-line" for word in ("--config-dir", s.path)]
+        own = own_configs() if HydraConfig.initialized() else []
         words = [*own, *self.words, f"output={self.folder}", "resume=auto"]
         return [sys.executable, "-m", "sphericalvision.recipes.train", *words]
 
@@ -161,6 +159,13 @@ def training_config(words: tuple[str, ...]) -> DictConfig:
     return compose("train", quote_paths(list(words)))
 
 
+ROOMS = ("paths.", "callbacks.", "logger.")
+"""Beginnings of keys that leave the result of a training as it is."""
+
+NAMES = "_target_"
+"""Last parts of keys that say where in the package something is: it may move, and a training stays what it was."""
+
+
 def flat_config(config: DictConfig) -> dict[str, Any]:
     """All keys with dots, resolved, without those that change nothing.
 
@@ -175,7 +180,7 @@ def flat_config(config: DictConfig) -> dict[str, Any]:
             name = f"{prefix}{key}"
             if isinstance(value, dict) and value:
                 walk(value, f"{name}.")
-            elif name not in CHANGES_NOTHING:
+            elif name not in CHANGES_NOTHING and not name.startswith(ROOMS) and not name.endswith(NAMES):
                 flat[name] = value
 
     walk(OmegaConf.to_container(config, resolve=True, throw_on_missing=False), "")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytorch_lightning as pl
-from pytorch_lightning.callbacks import Callback, LearningRateMonitor, ModelCheckpoint, RichProgressBar
+from pytorch_lightning.callbacks import Callback, RichProgressBar
 from pytorch_lightning.loggers import TensorBoardLogger
 from pytorch_lightning.utilities.exceptions import SIGTERMException
 
@@ -19,7 +19,7 @@ from sphericalvision.io.images import write_image
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import depth_to_color, error_to_color
 
-__all__ = ["DepthPanels", "PlainProgress", "SaveOnInterrupt", "training_callbacks"]
+__all__ = ["DepthPanels", "PlainProgress", "SaveOnInterrupt", "TrainingBar", "progress"]
 
 
 class DepthPanels(Callback):
@@ -53,7 +53,10 @@ class DepthPanels(Callback):
         if batch_idx or dataloader_idx or trainer.sanity_checking or not trainer.is_global_zero:
             return
         n = self.num_frames
-        panel = self.panel(pl_module, outputs[:n], pl_module.target(batch)[:n], pl_module.valid(batch)[:n])
+        if not n:
+            return
+        target, valid = pl_module.target(batch)
+        panel = self.panel(pl_module, outputs[:n], target[:n], valid[:n])
         write_image(self.folder / f"{trainer.global_step:06d}.png", panel)
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):
@@ -61,7 +64,7 @@ class DepthPanels(Callback):
 
     def panel(self, module: Any, estimate: Any, target: Any, valid: Any) -> np.ndarray:
         """Estimate, ground truth and error of some frames as one picture."""
-        number, nearest = module.hparams["num_hypotheses"], module.hparams["min_depth"]
+        number, nearest = module.net.num_hypotheses, module.net.min_depth
         columns = []
         for index, truth, known in zip(estimate.float(), target.float(), valid, strict=True):
             truth = truth.where(known, float("nan"))
@@ -80,8 +83,8 @@ class DepthPanels(Callback):
 class SaveOnInterrupt(Callback):
     """Write ``path`` when training is interrupted from the keyboard or by a job queue (SIGINT, SIGTERM)."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
 
     def on_exception(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException
@@ -93,6 +96,9 @@ class SaveOnInterrupt(Callback):
 
 class TrainingBar(RichProgressBar):
     """Lightning's bar without its count of epochs: training is counted in iterations."""
+
+    def __init__(self, refresh_rate: int = 1, every_seconds: float | None = None) -> None:
+        super().__init__(refresh_rate)
 
     def _get_train_description(self, current_epoch: int) -> str:
         return "training"
@@ -136,37 +142,6 @@ class PlainProgress(Callback):
             print(f"step {trainer.global_step} validation: {values}", flush=True)
 
 
-def training_callbacks(
-    folder: Path, checkpoint_minutes: float, panel_frames: int, monitor: tuple[str, str]
-) -> list[Callback]:
-    """Callbacks of a training run whose results go to ``folder``.
-
-    ``checkpoints/best.ckpt`` is the best by ``monitor``, a validated value and its best direction, "min" or "max";
-    ``checkpoints/last.ckpt`` is renewed every ``checkpoint_minutes`` and on interruption.
-    """
-    checkpoints = folder / "checkpoints"
-    value, mode = monitor
-    best = ModelCheckpoint(
-        checkpoints,
-        "best",
-        monitor=value,
-        mode=mode,
-        save_on_train_epoch_end=False,
-        enable_version_counter=False,
-    )
-    last = ModelCheckpoint(
-        checkpoints,
-        "last",
-        train_time_interval=timedelta(minutes=checkpoint_minutes),
-        enable_version_counter=False,
-    )
-    callbacks: list[Callback] = [
-        best,
-        last,
-        SaveOnInterrupt(checkpoints / "last.ckpt"),
-        LearningRateMonitor("step"),
-    ]
-    if panel_frames:
-        callbacks.append(DepthPanels(folder / "panels", panel_frames))
-    callbacks.append(TrainingBar() if sys.stdout.isatty() else PlainProgress())
-    return callbacks
+def progress(every_seconds: float = 15.0) -> Callback:
+    """A bar on a terminal, lines elsewhere."""
+    return TrainingBar() if sys.stdout.isatty() else PlainProgress(every_seconds)

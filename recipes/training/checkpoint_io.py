@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
 from pytorch_lightning.plugins.io import TorchCheckpointIO
 from torch import nn
 
+from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
-from sphericalvision.models import IcoSweepNet, OmniMVS, save_weights
+from sphericalvision.models import DepthNetwork, network_name, save_weights
 
 __all__ = ["WeightsBesideCheckpoint"]
 
@@ -24,6 +26,13 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
     def __init__(self, net: nn.Module) -> None:
         super().__init__()
         self.net = net
+        self._has_name = True
+        if isinstance(net, DepthNetwork):
+            try:
+                network_name(net)
+            except ArgumentError as error:
+                warnings.warn(f"weights alone are not written: {error}", stacklevel=2)
+                self._has_name = False
 
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None
@@ -32,7 +41,7 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
         path = Path(path)
         with atomic_write(path) as temporary:
             super().save_checkpoint(checkpoint, temporary, storage_options)
-        if not isinstance(self.net, IcoSweepNet | OmniMVS):
+        if not isinstance(self.net, DepthNetwork) or not self._has_name:
             return
         save_weights(self.net, path.with_suffix(".safetensors"))
 

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
-from sphericalvision.sweep import PanoramaSweep, PanoramaTables, SphereSweep, SweepTables
+from sphericalvision.models import DepthNetwork
 
 __all__ = ["RigTables"]
 
@@ -22,26 +23,27 @@ class RigTables:
     """The tables of the rigs used last; training on one rig, turned by multiples of 72 degrees, meets five.
 
     Args:
-        sweep: what they are tables of.
+        net: whose tables they are.
         capacity: how many to keep.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
-        >>> tables = RigTables(SphereSweep(level=1, num_hypotheses=4, min_depth=0.5))
+        >>> from sphericalvision.models import IcoSweepNet
+        >>> tables = RigTables(IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2, num_cameras=2))
         >>> tables.of(ring_rig(2)) is tables.of(ring_rig(2))
         True
     """
 
-    def __init__(self, sweep: SphereSweep | PanoramaSweep, capacity: int = 16) -> None:
-        self.sweep, self.capacity = sweep, capacity
-        self._tables: OrderedDict[tuple[str, str], SweepTables | PanoramaTables] = OrderedDict()
+    def __init__(self, net: DepthNetwork, capacity: int = 16) -> None:
+        self.net, self.capacity = net, capacity
+        self._tables: OrderedDict[tuple[str, str], Any] = OrderedDict()
 
-    def of(self, rig: CameraRig) -> SweepTables | PanoramaTables:
-        """Return what ``sweep.tables(rig)`` returns, made only once for equal cameras and poses."""
-        key = (str(self.sweep.directions.device), rig_fingerprint(rig, digits=7))
+    def of(self, rig: CameraRig) -> Any:
+        """Return what ``net.tables(rig)`` returns, made only once for equal cameras and poses."""
+        key = (str(self.net.device), rig_fingerprint(rig, digits=7))
         if key not in self._tables:
             with torch.no_grad():
-                self._tables[key] = self.sweep.tables(rig)
+                self._tables[key] = self.net.tables(rig)
         self._tables.move_to_end(key)
         while len(self._tables) > self.capacity or (len(self._tables) > 1 and self._weight() > BYTES):
             self._tables.popitem(last=False)
@@ -49,5 +51,9 @@ class RigTables:
 
     def _weight(self) -> int:
         return sum(
-            part.nbytes for tables in self._tables.values() for part in tables if isinstance(part, Tensor)
+            part.nbytes
+            for tables in self._tables.values()
+            if isinstance(tables, tuple)
+            for part in tables
+            if isinstance(part, Tensor)
         )

@@ -51,7 +51,14 @@ def trained(tmp_path_factory: pytest.TempPathFactory, tiny_training: tuple[str, 
     folder = tmp_path_factory.mktemp("trained")
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        run_recipe(folder, "train", *tiny_training, "trainer.max_steps=2", "output=run", "panel_frames=1")
+        run_recipe(
+            folder,
+            "train",
+            *tiny_training,
+            "trainer.max_steps=2",
+            "output=run",
+            "callbacks.panels.num_frames=1",
+        )
     return Trained(folder / "run", printed.getvalue())
 
 

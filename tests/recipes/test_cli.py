@@ -66,7 +66,7 @@ def test_missing_and_damaged_checkpoints_are_named(failing: Failing, tmp_path: P
 def test_wrong_values_name_their_key(failing: Failing, weights: Path) -> None:
     assert "split: expected one of" in failing("evaluate", f"checkpoint={weights}", "split=trian")
     assert "device: " in failing("evaluate", f"checkpoint={weights}", "device=nonsense")
-    assert "optimizer.schedule" in failing("train", "experiment=quickstart", "optimizer.schedule=linear")
+    assert "scheduler=linear: there is no such option" in failing("train", "scheduler=linear")
     overlap = failing("train", "experiment=quickstart", "data.val_seed=10")
     assert "data.val_seed" in overlap
     assert "expected one of" in failing("train", "experiment=quickstart", *TINY_SCENES, "data.kind=garden")

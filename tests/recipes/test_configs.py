@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -12,16 +13,18 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
 
 import sphericalvision.conf
-from sphericalvision.data import write_omnistereo
-from sphericalvision.models import OmniMVS
+from sphericalvision.data import collate_samples, write_omnistereo
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 
 CONF = Path(sphericalvision.conf.__file__).parent
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 DEPTH_EXPERIMENTS = [name for name in EXPERIMENTS if name != "spherical_digits"]
 FILES = sorted(CONF.rglob("*.yaml"))
+DELTAS = ("experiment", "debug", "hparams", "launcher")
+"""Groups of changes to keys that are explained elsewhere."""
 
 
 def train_config(*overrides: str) -> DictConfig:
@@ -44,24 +47,23 @@ def test_every_experiment_makes_its_network_and_its_first_sample(experiment: str
     scenes = ("data.cache_dir=null", "data.samples_per_pixel=1", "rig.image_size=[32,32]")
     words = scenes if rendered else (f"data.root={omnistereo}", "data.missing=skip")
     config = train_config(f"experiment={experiment}", *words)
-    module = build(config.model, **config.optimizer, seed=config.seed)
-    data = build(config.data)
-    sample = data.dataset("train")[0]
-    if isinstance(module.net, OmniMVS):
-        assert sample["fisheye"].shape == (4, 3, 32, 32)
-        assert sample["panorama_inverse_depth"].shape == module.net.grid.shape
-    else:
-        level = module.net.hyperparameters["level"]
-        assert sample["images"].shape == (4, 3, 2 + 10 * 4**level)
-        assert sample["inverse_depth"].shape == (2 + 10 * 4 ** (level - 2),)
+    net, data = build(config.model), build(config.data)
+    data.serve(net)
+    batch = collate_samples([data.dataset("train")[0]])
+    images, seen = images_of(batch, net)
+    assert seen is not None
+    assert images.shape[:3] == (1, 4, 3)
+    assert (seen[:, :, None] | (images == 0)).all()
+    inverse_depth, valid = truth_of(batch, net)
+    assert inverse_depth.shape == valid.shape == (1, *net.grid.shape)
     assert len(data.dataset("val")) > 0
 
 
 def test_the_digits_make_their_network_and_their_first_sample() -> None:
     config = train_config("experiment=spherical_digits")
-    module = build(config.model, **config.optimizer, seed=config.seed)
+    net = build(config.model)
     sample = build(config.data).dataset("train")[0]
-    assert module(sample["values"][None]).shape == (1, 10)
+    assert net(sample["values"][None]).shape == (1, 10)
 
 
 def test_the_papers_training_has_the_papers_numbers() -> None:
@@ -69,14 +71,43 @@ def test_the_papers_training_has_the_papers_numbers() -> None:
     model, optimizer, data = config.model, config.optimizer, config.data
     assert (model.level, model.num_hypotheses, model.feature_channels, model.min_depth) == (7, 32, 32, 0.55)
     assert (config.trainer.max_steps, data.batch_size) == (54_000, 4)
-    assert (optimizer.learning_rate, optimizer.schedule, optimizer.huber_delta) == (1e-3, "step", 1.0)
-    assert (optimizer.decay_after, optimizer.decay_factor) == (36_000, 0.1)
+    assert (optimizer.lr, config.loss.delta) == (1e-3, 1.0)
     assert (data.dataset, data.protocol, data.photometric, data.shift) == ("omnithings", "paper", True, 0.5)
-    module = build(model, **optimizer, seed=0)
-    configured = module.configure_optimizers()
-    assert isinstance(configured["optimizer"], torch.optim.Adam)
-    factor = configured["lr_scheduler"]["scheduler"].lr_lambdas[0]
-    assert [factor(step) for step in (0, 35_999, 36_000, 53_999)] == [1.0, 1.0, 0.1, 0.1]
+    made = build(optimizer)([torch.nn.Parameter(torch.zeros(1))])
+    assert isinstance(made, torch.optim.Adam)
+    rates = learning_rates(config, 54_000)
+    assert [rates[step] for step in (0, 35_999, 36_000, 53_999)] == pytest.approx([1e-3, 1e-3, 1e-4, 1e-4])
+
+
+def learning_rates(config: DictConfig, steps: int) -> list[float]:
+    """The learning rate of each iteration."""
+    optimizer = build(config.optimizer)([torch.nn.Parameter(torch.zeros(1))])
+    scheduler = build(config.scheduler)(optimizer)
+    rates = []
+    for _ in range(steps):
+        rates.append(optimizer.param_groups[0]["lr"])
+        optimizer.step()
+        scheduler.step()
+    return rates
+
+
+@pytest.mark.parametrize("experiment", ["quickstart", "icosweepnet_small", "spherical_digits"])
+def test_the_learning_rate_is_a_rise_times_half_a_cosine(experiment: str) -> None:
+    """As the weights that ship were trained: (s + 1) / W to 1, times a cosine from 1 to f at the last iteration."""
+    config = train_config(f"experiment={experiment}")
+    steps, highest = config.trainer.max_steps, config.optimizer.lr
+    warmup, final = config.scheduler.warmup.total_iters + 1, config.scheduler.cosine.eta_min / highest
+    assert config.scheduler.warmup.start_factor == 1 / warmup
+    expected = [
+        highest
+        * min(1.0, (s + 1) / warmup)
+        * (final + (1 - final) * 0.5 * (1 + math.cos(math.pi * s / steps)))
+        for s in range(steps + 1)
+    ]
+    rates = learning_rates(config, steps + 1)
+    assert rates == pytest.approx(expected, rel=2e-3)
+    assert rates[-1] == pytest.approx(config.scheduler.cosine.eta_min, rel=2e-3)
+    assert max(rates) < highest
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(CONF)))
@@ -87,14 +118,12 @@ def test_configs_are_short_and_say_what_they_are(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", [p for p in FILES if p.parent.name != "experiment"], ids=lambda path: path.stem
+    "path", [p for p in FILES if p.parent.name not in DELTAS], ids=lambda path: str(path.relative_to(CONF))
 )
 def test_every_key_is_explained(path: Path) -> None:
     text = path.read_text().partition("\nhydra:")[0]
-    keys = [
-        line for line in text.splitlines() if re.match(r"^( {2})?\w+: *\S", line) and "_target_" not in line
-    ]
-    assert keys or "defaults" in text
+    keys = [line for line in text.splitlines() if re.match(r"^( {2})?[a-zA-Z]\w*: *\S", line)]
+    assert keys or "defaults" in text or path.stem == "none"
     for line in keys:
         assert " # " in line, f"{path.name}: no comment on {line!r}"
 

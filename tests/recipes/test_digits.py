@@ -127,8 +127,7 @@ def test_training_and_table(run: Run, tmp_path: Path, network: str) -> None:
     assert (folder / "checkpoints/best.ckpt").is_file()
     (tested,) = json.loads((folder / "test.json").read_text()).values()
     assert set(tested) == {"upright", "rotated"}
-    module = ClassificationModule.load_from_checkpoint(folder / "checkpoints/best.ckpt", weights_only=True)
-    assert module.net.network == network
+    assert ClassificationModule.stored_network(folder / "checkpoints/best.ckpt").network == network
 
     run("digits_table", "runs=runs")
     row = json.loads((tmp_path / "runs/digits.json").read_text())[network]
@@ -153,7 +152,7 @@ def test_test_accuracies_are_those_of_a_loop(run: Run, tmp_path: Path) -> None:
 
 
 def test_resumed_training_equals_uninterrupted_training(run: Run, tmp_path: Path) -> None:
-    words = (*TINY, "data.orientation=rotated", "optimizer.schedule=constant")
+    words = (*TINY, "data.orientation=rotated", "scheduler=constant")
     run("train", *words, "output=first")
     last = tmp_path / "first/checkpoints/last.ckpt"
     run("train", *words, "trainer.max_steps=4", "output=resumed", f"resume={last}")
@@ -171,7 +170,7 @@ def test_training_starts_from_weights_and_refuses_those_of_another_network(
 ) -> None:
     run("train", *TINY, "output=first")
     best = tmp_path / "first/checkpoints/best.ckpt"
-    still = ("trainer.max_steps=1", "optimizer.learning_rate=0.0")
+    still = ("trainer.max_steps=1", "optimizer.lr=0.0")
     run("train", *TINY, *still, "output=second", f"init_weights={best}")
     first, second = (
         ClassificationModule.stored_network(tmp_path / name / "checkpoints/best.ckpt")
@@ -193,7 +192,7 @@ def test_runs_that_only_differ_in_their_seed_are_averaged() -> None:
 def test_mistakes_are_told(failing: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "damaged.ckpt").write_bytes(b"no checkpoint")
     message = failing("train", *TINY, f"resume={tmp_path / 'damaged.ckpt'}")
-    assert "damaged.ckpt: is not a checkpoint of a classifier" in message
+    assert "damaged.ckpt is not a checkpoint of sphericalvision-train" in message
     assert "expected one of 'upright', 'rotated'" in failing("train", *TINY, "data.orientation=tilted")
     assert "level: expected 3 or more" in failing("train", *TINY, "model.level=2")
     assert "--multirun" in failing("digits_table", f"runs={tmp_path}")

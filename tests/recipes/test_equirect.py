@@ -14,7 +14,7 @@ from hydra import compose, initialize_config_module
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.data import OmniStereoDataset, collate_samples
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.datamodules.scenes import FisheyeSceneDataModule
+from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from tests.recipes.tiny import TINY_SCENES, Run
 
 TINY_PANORAMAS = ("rig=equirect4", "rig.image_size=[16,32]")
@@ -32,7 +32,9 @@ def test_networks_are_evaluated_on_panoramas(
 
 def test_networks_are_trained_on_panoramas(run: Run, tmp_path: Path, tiny_training: tuple[str, ...]) -> None:
     words = [word for word in tiny_training if "image_size" not in word]
-    run("train", *words, *TINY_PANORAMAS, "trainer.max_steps=1", "output=run", "panel_frames=1")
+    run(
+        "train", *words, *TINY_PANORAMAS, "trainer.max_steps=1", "output=run", "callbacks.panels.num_frames=1"
+    )
     assert (tmp_path / "run/checkpoints/last.safetensors").is_file()
 
 
@@ -69,24 +71,25 @@ def test_a_file_where_a_rig_is_named_and_the_other_way_round(failing: Callable[.
     assert "scene_rig: there is no such key" in failing("train", "scene_rig=ring")
 
 
-def fisheye_scenes(*words: str) -> FisheyeSceneDataModule:
+def fisheye_scenes(*words: str) -> SceneDataModule:
     tiny = [word for word in TINY_SCENES if "batch_size" not in word]
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         config = compose("train", ["data=fisheye_scenes", "data.cache_dir=null", *tiny, *words])
-    data: FisheyeSceneDataModule = build(config.data)
+    data: SceneDataModule = build(config.data)
+    data.serve(build(config.model))
     return data
 
 
 def test_one_data_module_serves_both_networks() -> None:
-    sphere = ("model=icosweepnet_small", "model.level=3", "data.entries=[sphere]")
-    panorama = ("model=omnimvs_small", "model.output_size=[10,20]", "data.entries=[fisheye,panorama]")
+    sphere = ("model=icosweepnet_small", "model.level=3", "data.entries=null")
+    panorama = ("model=omnimvs_small", "model.output_size=[20,40]", "model.num_scales=2", "data.entries=null")
     first, second = (fisheye_scenes(*words).dataset("val")[1] for words in (sphere, panorama))
     assert first["frame"] == second["frame"] == "floating-01000001"
     assert first["images"].shape == (4, 3, 642)
     expected = {"fisheye", "fisheye_seen", "panorama_inverse_depth", "panorama_valid", "rig", "frame"}
     assert set(second) == expected
     assert second["fisheye"].shape == (4, 3, 32, 32)
-    assert second["panorama_inverse_depth"].shape == (10, 20)
+    assert second["panorama_inverse_depth"].shape == (20, 40)
 
 
 def test_both_kinds_of_samples_are_augmented_alike() -> None:

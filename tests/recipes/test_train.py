@@ -18,7 +18,7 @@ from omegaconf import OmegaConf
 from sphericalvision.models import load_weights
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.datamodules.base import TrainingStream
-from sphericalvision.recipes.training.lit_depth import METRICS, DepthModule
+from sphericalvision.recipes.training.depth_module import METRICS, DepthModule
 from tests.recipes.tiny import Run
 
 Words = tuple[str, ...]
@@ -61,7 +61,7 @@ def test_training_in_mixed_precision_stays_close(run: Run, tmp_path: Path, tiny_
 
 def test_everything_is_in_one_folder(trained: Any) -> None:
     folder = trained.folder
-    assert OmegaConf.load(folder / "config.yaml").data.level == 3
+    assert OmegaConf.load(folder / "config.yaml").model.level == 3
     names = {f"{name}.{suffix}" for name in ("best", "last") for suffix in ("ckpt", "safetensors")}
     assert {path.name for path in (folder / "checkpoints").iterdir()} == names
     assert sorted(path.name for path in (folder / "panels").iterdir()) == ["000001.png", "000002.png"]
@@ -102,13 +102,13 @@ def test_weights_beside_a_checkpoint_are_those_inside(trained: Any) -> None:
 def test_saved_hyperparameters_are_plain_scalars(trained: Any) -> None:
     stored = torch.load(trained.folder / "checkpoints/last.ckpt", weights_only=True)["hyper_parameters"]
     assert stored["level"] == 3
-    assert all(isinstance(value, int | float | str | bool) for value in stored.values())
+    assert all(isinstance(value, int | float | str | bool | None) for value in stored.values())
 
 
 def test_training_starts_from_weights_of_another_level(
     run: Run, tmp_path: Path, weights: Path, tiny_training: Words
 ) -> None:
-    still = ("model.level=4", "trainer.max_steps=1", "optimizer.learning_rate=0.0")
+    still = ("model.level=4", "trainer.max_steps=1", "optimizer.lr=0.0")
     run("train", *tiny_training, *still, "output=run", f"init_weights={weights}")
     after = load_weights(tmp_path / "run/checkpoints/last.safetensors")
     assert after.hyperparameters["level"] == 4

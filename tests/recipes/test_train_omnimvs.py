@@ -28,7 +28,7 @@ WORDS = (
     *TINY_SCENES,
     "trainer.val_check_interval=1",
     "trainer.accelerator=cpu",
-    "optimizer.schedule=constant",
+    "scheduler=constant",
 )
 
 
@@ -45,9 +45,9 @@ def state(path: Path) -> dict[str, torch.Tensor]:
 def test_training_resumes_exactly_and_its_best_is_evaluated(
     run: Run, tmp_path: Path, scenes: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run("train", *WORDS, scenes, "trainer.max_steps=2", "output=straight", "panel_frames=0")
+    run("train", *WORDS, scenes, "trainer.max_steps=2", "output=straight", "callbacks.panels.num_frames=0")
     capsys.readouterr()
-    run("train", *WORDS, scenes, "trainer.max_steps=1", "output=run", "panel_frames=1")
+    run("train", *WORDS, scenes, "trainer.max_steps=1", "output=run", "callbacks.panels.num_frames=1")
     printed = capsys.readouterr().out
     last = tmp_path / "run/checkpoints/last.ckpt"
     run("train", *WORDS, scenes, "trainer.max_steps=2", "output=resumed", f"resume={last}")
@@ -60,7 +60,7 @@ def test_training_resumes_exactly_and_its_best_is_evaluated(
     assert beside.hyperparameters == inside.hyperparameters
     assert all(torch.equal(beside.state_dict()[name], value) for name, value in inside.state_dict().items())
     panel = read_image(tmp_path / "run/panels/000001.png")
-    assert panel.shape == (3, 3 * 120, 240)  # estimate, truth and error of 20 x 40 pixels, six times as large
+    assert panel.shape == (3, 3 * 128, 256)  # estimate, truth and error
 
     (line,) = (line for line in printed.splitlines() if line.startswith("Evaluate: "))
     run("evaluate", *shlex.split(line.removeprefix("Evaluate: "))[1:], "output=table", "device=cpu")
@@ -86,11 +86,12 @@ def test_networks_are_not_mixed_up(
         "train",
         "model=omnimvs_small",
         "data=scenes",
+        "data.entries=[sphere]",
         *sphere_only,
         "data.cache_dir=null",
         "output=wrong",
     )
-    assert "data=fisheye_scenes" in message
+    assert "leave out data.entries" in message
 
 
 def test_a_capture_becomes_depth_within_the_band(run: Run, tmp_path: Path) -> None:

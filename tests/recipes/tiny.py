@@ -22,7 +22,7 @@ TINY_TRAINING = (
     *TINY_SCENES,
     "trainer.val_check_interval=1",
     "trainer.accelerator=cpu",
-    "optimizer.schedule=constant",
+    "scheduler=constant",
 )
 
 Run = Callable[..., None]

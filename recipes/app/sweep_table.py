@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of a sweep: what each run changed, and what came out, written when the last run has ended."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from hydra.core.utils import JobReturn
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf
+
+__all__ = ["SweepTable", "sweep_rows"]
+
+
+class SweepTable(Callback):
+    """A callback of Hydra's: prints the table of a multi-run and writes it, ``sweep.md`` and ``sweep.json``."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Gather the folders of the runs."""
+        folder = Path(config.hydra.sweep.dir).absolute()
+        rows = sweep_rows(folder)
+        if not rows:
+            return
+        columns = list(dict.fromkeys(key for row in rows for key in row))
+        lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
+        lines += [f"| {' | '.join(_text(row.get(column)) for column in columns)} |" for row in rows]
+        (folder / "sweep.md").write_text("\n".join(lines) + "\n")
+        (folder / "sweep.json").write_text(json.dumps(rows, indent=2) + "\n")
+        print("\n".join(["", *lines, "", f"Table of the sweep: {folder / 'sweep.md'}"]))
+
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
+        """Nothing: each run has written its own table."""
+
+
+def sweep_rows(folder: Path) -> list[dict[str, Any]]:
+    """A row for each run that has ended: its number, the words that differ between runs, and its validation."""
+    runs = []
+    for path in folder.glob("*/validation.json"):
+        words = OmegaConf.load(path.parent / ".hydra" / "overrides.yaml")
+        (values,) = json.loads(path.read_text()).values()
+        runs.append((path.parent.name, dict(str(word).split("=", 1) for word in words), values))
+    runs.sort(key=lambda run: (len(run[0]), run[0]))
+    differ = [
+        key
+        for key in dict.fromkeys(k for _, words, _ in runs for k in words)
+        if len({words.get(key) for _, words, _ in runs}) > 1
+    ]
+    return [
+        {"run": name, **{key: words.get(key, "") for key in differ}, **values} for name, words, values in runs
+    ]
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)

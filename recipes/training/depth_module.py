@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training of depth networks: any ``DepthNetwork``, by the error of its hypothesis index."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from sphericalvision.metrics import DepthIndexError
+from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.app.checkpoints import initialize
+from sphericalvision.recipes.datamodules.entries import images_of, truth_of
+from sphericalvision.recipes.training.module import TrainingModule
+from sphericalvision.recipes.training.rig_tables import RigTables
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.sweep import index_from_inverse_depth
+
+__all__ = ["METRICS", "DepthModule"]
+
+METRICS = (">1", ">3", ">5", "MAE", "RMS")
+"""Columns of the paper's tables, in order; percent of the number of hypotheses."""
+
+
+class DepthModule(TrainingModule):
+    """A depth network, a loss on the hypothesis index, and the paper's metrics.
+
+    Args:
+        net: the network; what it takes of a sample follows from ``net.images`` and ``net.grid``.
+        loss: of index, true index and where that is known, all ``(B, *grid)``.
+        optimizer: makes the optimiser of parameters.
+        scheduler: makes the schedule of an optimiser.
+        monitor: the validated value that chooses the best checkpoint.
+        mode: "min" or "max", its best direction.
+        recompute: train in less memory for a third more work; the results are the same.
+        seed: of each training step, with its number.
+    """
+
+    metric_names = METRICS
+    unit = "percent of N"
+
+    def __init__(
+        self,
+        net: DepthNetwork,
+        loss: Callable[[Tensor, Tensor, Tensor], Tensor],
+        optimizer: Callable[..., Optimizer],
+        scheduler: Callable[[Optimizer], LRScheduler],
+        monitor: str = "val/MAE",
+        mode: str = "min",
+        recompute: bool = False,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
+        net.configure(recompute=recompute)
+        self.tables = RigTables(net)
+        self.validation_metric = DepthIndexError(net.num_hypotheses)
+
+    def initialize(self, weights: str | Path) -> None:
+        """Start from the parameters of another network; see ``checkpoints.initialize``."""
+        initialize(self.net, weights)
+
+    def forward(self, images: Tensor, rig: Any, seen: Tensor | None = None) -> Tensor:
+        """Hypothesis index of images seen by ``rig``, on the network's grid."""
+        return self.net(images, rig, seen)  # type: ignore[no-any-return]
+
+    def estimate(self, batch: dict[str, Any]) -> Tensor:
+        """Hypothesis index of a batch."""
+        images, seen = images_of(batch, self.net)
+        return self(images, self.tables.of(batch["rig"]), seen)  # type: ignore[no-any-return]
+
+    def target(self, batch: dict[str, Any]) -> tuple[Tensor, Tensor]:
+        """Hypothesis index of the true inverse depth, fractional, and where it is known."""
+        inverse_depth, valid = truth_of(batch, self.net)
+        return index_from_inverse_depth(inverse_depth, self.net.num_hypotheses, self.net.min_depth), valid
+
+    def panorama(self, values: Tensor, height: int) -> Tensor:
+        """Values ``(*grid)`` of a frame as a panorama of ``height`` rows; NaN where the grid does not reach."""
+        view = Equirectangular(height, 2 * height, device=values.device)
+        seen, reached = self.net.index_at(values[None], view.directions.reshape(-1, 3))
+        return seen[0].where(reached, math.nan).view(view.shape)  # type: ignore[no-any-return]
+
+    def training_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
+        """The loss of one batch."""
+        index = self.estimate(batch)
+        loss: Tensor = self.loss(index, *self.target(batch))
+        self.log("train/loss", loss, prog_bar=True, batch_size=len(index))
+        return loss
+
+    def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
+        """Gather the paper's errors of one batch; returns the index."""
+        index = self.estimate(batch)
+        target, valid = self.target(batch)
+        self.validation_metric.update(index.flatten(1), target.flatten(1), valid.flatten(1))
+        return index
+
+    def on_validation_epoch_end(self) -> None:
+        """Log ``val/over_1``, ``val/over_3``, ``val/over_5``, ``val/MAE`` and ``val/RMS``."""
+        values = self.validation_metric.compute()
+        self.validation_metric.reset()
+        for name in METRICS:
+            self.log(f"val/{name.replace('>', 'over_')}", values[name], prog_bar=name == "MAE")

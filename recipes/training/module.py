@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the training of all networks shares: optimiser, schedule, seeds, and what checkpoints say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytorch_lightning as pl
+import torch
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.models import network_name
+from sphericalvision.recipes.training.schedule import progress_only
+
+__all__ = ["TrainingModule", "name_of"]
+
+
+def name_of(net: Any) -> str:
+    """The registered name of a network, or that of its class."""
+    try:
+        return network_name(net)
+    except ArgumentError:
+        return type(net).__name__
+
+
+class TrainingModule(pl.LightningModule):
+    """A network, a loss, an optimiser and a schedule.
+
+    Args:
+        net: the network, with ``hyperparameters`` that are plain values: they go into checkpoints and loggers.
+        loss: what is made small.
+        optimizer: makes the optimiser of parameters.
+        scheduler: makes the schedule of an optimiser, stepped at every iteration.
+        monitor: the validated value that chooses the best checkpoint.
+        mode: "min" or "max", its best direction.
+        seed: with the iteration's number it seeds each training step, so that resuming changes nothing.
+    """
+
+    metric_names: tuple[str, ...]
+    """Of the values in the final table."""
+    unit: str
+    """Of these values."""
+
+    def __init__(
+        self,
+        net: Any,
+        loss: Callable[..., Any],
+        optimizer: Callable[..., Optimizer],
+        scheduler: Callable[[Optimizer], LRScheduler],
+        monitor: str,
+        mode: str = "min",
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.net: Any = net
+        self.loss = loss
+        self.make_optimizer, self.make_scheduler = optimizer, scheduler
+        self.monitor, self.mode, self.seed = monitor, mode, seed
+        self.save_hyperparameters({"network": type(net).__name__, **net.hyperparameters, "seed": seed})
+
+    def initialize(self, weights: str | Path) -> None:
+        """Start from the parameters of another network."""
+        raise NotImplementedError
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Say in the checkpoint which network's it is."""
+        checkpoint["architecture"] = name_of(self.net)
+        checkpoint["network_hyperparameters"] = self.net.hyperparameters
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Take how far the schedule is from the checkpoint, and its settings from this run."""
+        states = checkpoint.get("lr_schedulers", [])
+        checkpoint["lr_schedulers"] = [progress_only(state) for state in states]
+
+    def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
+        """Seed what is drawn at random inside the step from its number alone."""
+        torch.manual_seed(self.seed * 1_000_003 + self.global_step)
+
+    def configure_optimizers(self) -> Any:
+        """The optimiser, with the schedule stepped at every iteration."""
+        optimizer = self.make_optimizer(self.net.parameters())
+        scheduler = self.make_scheduler(optimizer)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Learning rates of several parts, each one of torch's schedulers: their product, or one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import ChainedScheduler, LRScheduler, SequentialLR
+
+from sphericalvision.core import ArgumentError
+
+__all__ = ["chained", "progress_only", "sequential"]
+
+Part = Callable[[Optimizer], LRScheduler]
+"""One of torch's schedulers that waits for its optimiser, as ``_partial_: true`` makes it."""
+
+PROGRESS = ("last_epoch", "_step_count", "_last_lr", "base_lrs", "_schedulers", "_is_initial")
+"""What a stored scheduler knows of how far it is; the rest are settings, which the configuration has."""
+
+
+def chained(optimizer: Optimizer, **parts: Part) -> ChainedScheduler:
+    """``torch.optim.lr_scheduler.ChainedScheduler`` of named parts: at each iteration all of them act.
+
+    Examples:
+        >>> import torch
+        >>> from functools import partial
+        >>> optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=1.0)
+        >>> warmup = partial(torch.optim.lr_scheduler.LinearLR, start_factor=0.5, total_iters=1)
+        >>> chained(optimizer, warmup=warmup).get_last_lr()
+        [0.5]
+    """
+    if not parts:
+        raise ArgumentError(
+            "scheduler: expected named parts, each a scheduler with _partial_: true, got none"
+        )
+    return ChainedScheduler([part(optimizer) for part in parts.values()], optimizer)
+
+
+def sequential(optimizer: Optimizer, milestones: Sequence[int], **parts: Part) -> SequentialLR:
+    """``torch.optim.lr_scheduler.SequentialLR`` of named parts: each takes over at its milestone."""
+    if len(parts) != len(milestones) + 1:
+        raise ArgumentError(
+            f"scheduler.milestones: expected an iteration between any two parts ({', '.join(parts)}), "
+            f"got {list(milestones)}"
+        )
+    return SequentialLR(optimizer, [part(optimizer) for part in parts.values()], list(milestones))
+
+
+def progress_only(state: dict[str, Any]) -> dict[str, Any]:
+    """The state of a scheduler without its settings, so that a run that goes on takes those it is given now.
+
+    Otherwise a cosine that goes on to more iterations would keep its old end, and rise again behind it.
+    """
+    kept = {key: value for key, value in state.items() if key in PROGRESS}
+    if "_schedulers" in kept:
+        kept["_schedulers"] = [progress_only(part) for part in kept["_schedulers"]]
+    return kept

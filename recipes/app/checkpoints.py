@@ -22,6 +22,7 @@ __all__ = ["initialize", "load_network"]
 REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
 
+
 def load_network(
     checkpoint: str | Path | None = None,
     level: int | None = None,

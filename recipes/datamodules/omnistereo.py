@@ -35,7 +35,7 @@ class OmniStereoDataModule(SampleDataModule):
         num_workers: processes that read samples.
         seed: of order and augmentation in training.
         entries: what samples hold: some of "sphere" (for networks on the icosphere), "fisheye" and "panorama" (for
-            networks on panoramas), with the keys of ``FisheyeSceneDataset``.
+            networks on panoramas), with the keys of ``SceneDataset``.
     """
 
     def __init__(

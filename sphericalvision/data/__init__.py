@@ -19,6 +19,8 @@ from sphericalvision.data.omnistereo.files import split_frames
 from sphericalvision.data.omnistereo.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from sphericalvision.data.omnistereo.ocam_fit import ocam_from_camera
 from sphericalvision.data.omnistereo.writer import write_omnistereo
+from sphericalvision.data.rendering.mesh_scene import MeshScene, read_mesh_scene
+from sphericalvision.data.rendering.to_mesh import mesh_from_scene
 from sphericalvision.data.scene_dataset import FisheyeSceneDataset, SceneDataset
 from sphericalvision.data.scenes.recipes import (
     Scene,
@@ -34,6 +36,7 @@ __all__ = [
     "Compose",
     "FisheyeSceneDataset",
     "GroundTruth",
+    "MeshScene",
     "OmniStereoDataset",
     "PhotometricAugmentation",
     "RandomShift",
@@ -47,12 +50,14 @@ __all__ = [
     "ToSphere",
     "collate_samples",
     "make_scene",
+    "mesh_from_scene",
     "num_yaw_steps",
     "ocam_from_camera",
     "random_rotations",
     "ray_depth",
     "read_ground_truth",
     "read_image",
+    "read_mesh_scene",
     "render_camera",
     "render_directions",
     "render_rig",

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.data.rendering.mesh_scene import MeshScene
 from sphericalvision.data.rendering.ray_packets import RAYS, Bundles, bundled, coherent_order
 from sphericalvision.data.rendering.raycast import chunk_size, trace
 from sphericalvision.data.rendering.shading import Looks, radiance
@@ -27,11 +28,11 @@ __all__ = ["ray_depth", "render_camera", "render_directions", "render_rig"]
 
 
 @torch.no_grad()
-def ray_depth(scene: Scene, origin: Tensor, directions: Tensor) -> Tensor:
+def ray_depth(scene: Scene | MeshScene, origin: Tensor, directions: Tensor) -> Tensor:
     """Exact distances from a point along rays.
 
     Args:
-        scene: the scene.
+        scene: primitives, or a mesh.
         origin: ``(3,)`` metres, for example ``rig.center``.
         directions: ``(*, 3)`` unit directions of any grid, for example ``Icosphere(5).vertices``.
 
@@ -45,17 +46,19 @@ def ray_depth(scene: Scene, origin: Tensor, directions: Tensor) -> Tensor:
         True
     """
     directions = directions.to(scene.device, torch.float32)
+    if isinstance(scene, MeshScene):
+        return scene.trace(origin, directions.reshape(-1, 3))[0].view(directions.shape[:-1])
     return trace(scene.primitives, origin.to(directions), directions).distance
 
 
 @torch.no_grad()
 def render_directions(
-    scene: Scene, origin: Tensor, directions: Tensor, spread: float | Tensor | None = None
+    scene: Scene | MeshScene, origin: Tensor, directions: Tensor, spread: float | Tensor | None = None
 ) -> Tensor:
     """Colours seen from a point along rays.
 
     Args:
-        scene: the scene.
+        scene: primitives, or a mesh.
         origin: ``(3,)`` metres.
         directions: ``(*, 3)`` unit directions.
         spread: angle in radians between neighbouring rays, a number or ``(*)``: textures are averaged over
@@ -80,17 +83,17 @@ def render_directions(
     if len(order):
         bundles = _exposed(scene, origin.to(directions), bundled(rays), bundled(spread))
         light[:, order] = bundles.flatten(1)[:, : len(order)]
-    return _develop(scene, light).view(3, *shape)
+    return _develop(light).view(3, *shape)
 
 
 @torch.no_grad()
 def render_camera(
-    scene: Scene, camera: Camera, world_from_camera: Tensor, samples_per_pixel: int = 1
+    scene: Scene | MeshScene, camera: Camera, world_from_camera: Tensor, samples_per_pixel: int = 1
 ) -> Tensor:
     """The picture that one camera takes.
 
     Args:
-        scene: the scene.
+        scene: primitives, or a mesh.
         camera: any camera (not batched).
         world_from_camera: its pose ``(4, 4)``.
         samples_per_pixel: stratified rays through each pixel; a pixel is the mean over those that the camera
@@ -124,17 +127,17 @@ def render_camera(
         sample[:, pixels.flatten()] = light.flatten(1)
         total += sample
         count += valid
-    picture = _develop(scene, total / count.clamp(min=1))
+    picture = _develop(total / count.clamp(min=1))
     return picture.view(3, height, width)
 
 
-def render_rig(scene: Scene, rig: CameraRig, samples_per_pixel: int = 1) -> dict[str, Tensor]:
+def render_rig(scene: Scene | MeshScene, rig: CameraRig, samples_per_pixel: int = 1) -> dict[str, Tensor]:
     """The pictures that all cameras of a rig take: name -> ``(3, h, w)`` in [0, 1]; see `render_camera`."""
     poses = zip(rig.cameras.items(), rig.world_from_camera, strict=True)
     return {name: render_camera(scene, camera, pose, samples_per_pixel) for (name, camera), pose in poses}
 
 
-def _develop(scene: Scene, light: Tensor) -> Tensor:
+def _develop(light: Tensor) -> Tensor:
     return light.clamp(0, 1) ** (1 / 2.2)
 
 
@@ -172,8 +175,10 @@ def _seen(squares: Tensor, valid: Tensor) -> Tensor:
     return torch.where(inside, squares, squares.gather(1, inside.int().argmax(1, keepdim=True)))
 
 
-def _exposed(scene: Scene, origin: Tensor, direction: Tensor, spread: Tensor) -> Tensor:
+def _exposed(scene: Scene | MeshScene, origin: Tensor, direction: Tensor, spread: Tensor) -> Tensor:
     """Exposed linear light ``(3, b, RAYS)`` along bundled rays ``(3, b, RAYS)`` from one point."""
+    if isinstance(scene, MeshScene):
+        return (scene.light(origin, direction.flatten(1).T) * scene.exposure).T.reshape(direction.shape)
     looks, size = Looks.of(scene), chunk_size(direction.device)
     light = torch.empty_like(direction)
     for start in range(0, direction.shape[1], size):

@@ -19,8 +19,8 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.augmentation.transforms import ToSphere
 from sphericalvision.data.cache import ArrayCache, decode, encode
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
+from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.recipes import ray_depth, render_rig
-from sphericalvision.data.scenes.scene import Scene
 from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, SeededScenes
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
+from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.recipes import kind_of, make_scene
-from sphericalvision.data.scenes.scene import Scene
 
 __all__ = ["GENERATION", "NATURAL_MIN_DEPTH", "SeededScenes"]
 

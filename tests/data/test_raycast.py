@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data.rendering.primitives import SHAPES, Part, Primitives, pack
 from sphericalvision.data.rendering.raycast import Hit, occluded, surface, trace
-from sphericalvision.data.scenes.primitives import SHAPES, Part, Primitives, pack
 
 
 def unit_vectors(count: int, generator: torch.Generator) -> Tensor:

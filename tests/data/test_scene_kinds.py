@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.core import ArgumentError
+from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.recipes import (
     SCENE_KINDS,
     kind_of,
@@ -20,7 +21,6 @@ from sphericalvision.data.scenes.recipes import (
     render_camera,
     render_directions,
 )
-from sphericalvision.data.scenes.scene import Scene
 
 ORIGIN = torch.zeros(3)
 UP, DOWN = torch.tensor([0.0, -1.0, 0.0]), torch.tensor([0.0, 1.0, 0.0])

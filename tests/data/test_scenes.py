@@ -13,7 +13,9 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, FisheyeCamera
 from sphericalvision.core import ArgumentError, MissingFileError
-from sphericalvision.data.scenes.primitives import Part, pack
+from sphericalvision.data.rendering.primitives import Part, pack
+from sphericalvision.data.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
+from sphericalvision.data.rendering.textures import PATTERNS, PHOTOGRAPHS, pattern, photograph, texture_bank
 from sphericalvision.data.scenes.recipes import (
     SCENE_KINDS,
     make_scene,
@@ -22,8 +24,6 @@ from sphericalvision.data.scenes.recipes import (
     render_directions,
     render_rig,
 )
-from sphericalvision.data.scenes.scene import Lamp, Material, Scene, pack_lamps, pack_materials
-from sphericalvision.data.scenes.textures import PATTERNS, PHOTOGRAPHS, pattern, photograph, texture_bank
 
 ORIGIN = torch.zeros(3)
 DOWN = torch.tensor([0.0, 1.0, 0.0])

@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
+from sphericalvision.data.rendering.primitives import SHAPES, Part, Primitives, pack
 from sphericalvision.data.rendering.ray_packets import RAYS, Bundles, bundled, coherent_order, meetings
 from sphericalvision.data.rendering.raycast import first_hits
+from sphericalvision.data.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
 from sphericalvision.data.rendering.shading import SHADOW_GAP, Points, irradiance
 from sphericalvision.data.rendering.surfaces import describe
-from sphericalvision.data.scenes.primitives import SHAPES, Part, Primitives, pack
 from sphericalvision.data.scenes.recipes import (
     SCENE_KINDS,
     make_scene,
@@ -23,7 +24,6 @@ from sphericalvision.data.scenes.recipes import (
     render_camera,
     render_directions,
 )
-from sphericalvision.data.scenes.scene import Lamp, Material, Scene, pack_lamps, pack_materials
 
 ORIGIN = torch.zeros(3)
 

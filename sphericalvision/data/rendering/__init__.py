@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures and exact depth of a scene, through any camera."""
+"""What scenes are made of, and their pictures and exact depth through any camera."""

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from sphericalvision.data.scenes.primitives import Primitives
+from sphericalvision.data.rendering.primitives import Primitives
 
 __all__ = ["FAR", "NEAREST", "RAYS", "Bundles", "Meetings", "bundled", "coherent_order", "meetings"]
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_last_dim
 from sphericalvision.data.rendering.intersections import HUGE, INTERVALS
+from sphericalvision.data.rendering.primitives import Primitives
 from sphericalvision.data.rendering.ray_packets import (
     FAR,
     NEAREST,
@@ -27,7 +28,6 @@ from sphericalvision.data.rendering.ray_packets import (
     meetings,
 )
 from sphericalvision.data.rendering.surfaces import describe
-from sphericalvision.data.scenes.primitives import Primitives
 
 __all__ = ["Hit", "Surface", "blocked", "first_hits", "occluded", "surface", "trace"]
 
@@ -74,7 +74,7 @@ def trace(primitives: Primitives, origins: Tensor, directions: Tensor) -> Hit:
         Distances and rows, both ``(*)``.
 
     Examples:
-        >>> from sphericalvision.data.scenes.primitives import Part, pack
+        >>> from sphericalvision.data.rendering.primitives import Part, pack
         >>> ball = pack([Part("ellipsoid", (0.0, 0.0, 3.0), (1.0, 1.0, 1.0))])
         >>> trace(ball, torch.zeros(3), torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])).distance
         tensor([2., inf])

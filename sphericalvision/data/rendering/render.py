@@ -18,8 +18,8 @@ from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.data.rendering.mesh_scene import MeshScene
 from sphericalvision.data.rendering.ray_packets import RAYS, Bundles, bundled, coherent_order
 from sphericalvision.data.rendering.raycast import chunk_size, trace
+from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.rendering.shading import Looks, radiance
-from sphericalvision.data.scenes.scene import Scene
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import Camera, CameraRig

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from sphericalvision.data.rendering.ray_packets import RAYS, Bundles, bundled
 from sphericalvision.data.rendering.raycast import blocked, first_hits
+from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.rendering.surfaces import describe
-from sphericalvision.data.scenes.scene import Scene
-from sphericalvision.data.scenes.textures import TextureBank, texture_bank
+from sphericalvision.data.rendering.textures import TextureBank, texture_bank
 
 __all__ = ["Looks", "Points", "irradiance", "radiance"]
 

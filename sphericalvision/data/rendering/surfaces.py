@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from sphericalvision.data.scenes.primitives import SHAPES, Primitives
+from sphericalvision.data.rendering.primitives import SHAPES, Primitives
 
 __all__ = ["describe"]
 

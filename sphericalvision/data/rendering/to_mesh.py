@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.data.rendering.primitives import SHAPES
 from sphericalvision.data.rendering.ray_packets import Bundles, bundled
 from sphericalvision.data.rendering.raycast import chunk_size
+from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.rendering.shading import Looks, radiance
-from sphericalvision.data.scenes.primitives import SHAPES
-from sphericalvision.data.scenes.scene import Scene
 
 if TYPE_CHECKING:
     import trimesh

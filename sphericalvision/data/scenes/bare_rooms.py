@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import torch
 
+from sphericalvision.data.rendering.primitives import Part, pack
+from sphericalvision.data.rendering.scene import Color, Scene, pack_lamps, pack_materials
 from sphericalvision.data.scenes.palette import Palette
-from sphericalvision.data.scenes.primitives import Part, pack
 from sphericalvision.data.scenes.rooms import (
     Opening,
     Room,
@@ -17,7 +18,6 @@ from sphericalvision.data.scenes.rooms import (
     random_opening,
     wall_piece,
 )
-from sphericalvision.data.scenes.scene import Color, Scene, pack_lamps, pack_materials
 
 __all__ = ["random_bare_room"]
 

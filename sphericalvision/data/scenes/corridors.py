@@ -7,9 +7,10 @@ import math
 
 import torch
 
+from sphericalvision.data.rendering.primitives import Part, pack
+from sphericalvision.data.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
 from sphericalvision.data.scenes.furniture import place
 from sphericalvision.data.scenes.palette import Palette
-from sphericalvision.data.scenes.primitives import Part, pack
 from sphericalvision.data.scenes.rooms import (
     Opening,
     Room,
@@ -20,7 +21,6 @@ from sphericalvision.data.scenes.rooms import (
     hang_small_things,
     random_opening,
 )
-from sphericalvision.data.scenes.scene import Lamp, Scene, pack_lamps, pack_materials
 
 __all__ = ["random_corridor"]
 

@@ -8,9 +8,9 @@ import math
 
 import torch
 
+from sphericalvision.data.rendering.primitives import SHAPES, Part, pack
+from sphericalvision.data.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
 from sphericalvision.data.scenes.palette import Palette
-from sphericalvision.data.scenes.primitives import SHAPES, Part, pack
-from sphericalvision.data.scenes.scene import Lamp, Scene, pack_lamps, pack_materials
 
 __all__ = ["random_floating_objects"]
 

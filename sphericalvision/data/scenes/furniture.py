@@ -11,8 +11,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from sphericalvision.data.rendering.primitives import Part
 from sphericalvision.data.scenes.palette import Palette
-from sphericalvision.data.scenes.primitives import Part
 
 __all__ = ["AGAINST_WALLS", "FREE_STANDING", "Maker", "footprint_radius", "place"]
 

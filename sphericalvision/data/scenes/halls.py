@@ -7,11 +7,11 @@ import math
 
 import torch
 
+from sphericalvision.data.rendering.primitives import Part, pack
+from sphericalvision.data.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
 from sphericalvision.data.scenes.furniture import place
 from sphericalvision.data.scenes.palette import Palette
-from sphericalvision.data.scenes.primitives import Part, pack
 from sphericalvision.data.scenes.rooms import Room, build_shell, decorate, furnish, hang_small_things
-from sphericalvision.data.scenes.scene import Lamp, Scene, pack_lamps, pack_materials
 
 __all__ = ["random_hall"]
 

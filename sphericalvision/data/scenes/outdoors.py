@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 
 import torch
 
+from sphericalvision.data.rendering.primitives import Part, pack
+from sphericalvision.data.rendering.scene import Color, Lamp, Material, Scene, pack_lamps, pack_materials
+from sphericalvision.data.rendering.textures import PHOTOGRAPHS
 from sphericalvision.data.scenes.furniture import footprint_radius, place
 from sphericalvision.data.scenes.palette import Palette
-from sphericalvision.data.scenes.primitives import Part, pack
-from sphericalvision.data.scenes.scene import Color, Lamp, Material, Scene, pack_lamps, pack_materials
-from sphericalvision.data.scenes.textures import PHOTOGRAPHS
 
 __all__ = ["random_outdoor_place"]
 

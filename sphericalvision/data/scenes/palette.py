@@ -10,8 +10,8 @@ from typing import TypeVar
 
 import torch
 
-from sphericalvision.data.scenes.scene import Color, Material
-from sphericalvision.data.scenes.textures import PATTERNS, PHOTOGRAPHS, VARIANTS
+from sphericalvision.data.rendering.scene import Color, Material
+from sphericalvision.data.rendering.textures import PATTERNS, PHOTOGRAPHS, VARIANTS
 
 __all__ = ["Palette"]
 

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.rendering.render import ray_depth, render_camera, render_directions, render_rig
+from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.bare_rooms import random_bare_room
 from sphericalvision.data.scenes.corridors import random_corridor
 from sphericalvision.data.scenes.floating import random_floating_objects
@@ -34,7 +35,6 @@ from sphericalvision.data.scenes.halls import random_hall
 from sphericalvision.data.scenes.outdoors import random_outdoor_place
 from sphericalvision.data.scenes.polished_rooms import random_polished_room
 from sphericalvision.data.scenes.rooms import random_room
-from sphericalvision.data.scenes.scene import Scene
 
 __all__ = [
     "SCENE_KINDS",

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
+from sphericalvision.data.rendering.primitives import Part, pack
+from sphericalvision.data.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
 from sphericalvision.data.scenes.furniture import AGAINST_WALLS, FREE_STANDING, footprint_radius, place
 from sphericalvision.data.scenes.palette import Palette
-from sphericalvision.data.scenes.primitives import Part, pack
-from sphericalvision.data.scenes.scene import Lamp, Scene, pack_lamps, pack_materials
 
 __all__ = [
     "Opening",

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
-from sphericalvision.data.scenes.primitives import Primitives
+from sphericalvision.data.rendering.primitives import Primitives
 
 __all__ = ["Lamp", "Lamps", "Material", "Materials", "Scene", "pack_lamps", "pack_materials"]
 

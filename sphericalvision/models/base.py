@@ -49,6 +49,7 @@ class DepthNetwork(nn.Module):
             images ``(B, n, 3, H, W)`` as the cameras took them.
         grid: where the result lies: an ``Icosphere``, or a panorama.
         level: of the icospheres that hold the images; only where ``images`` is ``"sphere"``.
+        image_channels: numbers of channels that images may have, 3 unless a subclass says otherwise.
 
     Raises:
         ArgumentError: fewer than two hypotheses or less than one camera, or a depth that is not positive.
@@ -79,6 +80,7 @@ class DepthNetwork(nn.Module):
     images: ClassVar[Literal["sphere", "camera"]] = "sphere"
     grid: Icosphere | Equirectangular
     level: int
+    image_channels: tuple[int, ...] = (3,)
 
     _arguments: dict[str, Any]
 
@@ -131,20 +133,30 @@ class DepthNetwork(nn.Module):
         """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""
         return rig
 
-    def check_images(self, images: Tensor) -> None:
-        """Raise ``ShapeError`` unless images are of the shape and the number of cameras that this network takes."""
+    def check_images(self, images: Tensor, seen: Tensor | None = None) -> None:
+        """Raise ``ShapeError`` unless images and ``seen`` have the shape and the cameras that this network takes."""
         cameras = "n" if self.any_cameras else self.num_cameras
-        if self.images == "sphere":
-            size: tuple[object, ...] = (num_icosphere_vertices(self.level),)
-            where = f" on icospheres of level {self.level}"
-            fits = images.ndim == 4 and images.shape[2:] == (3, *size)
-        else:
-            size, where = ("H", "W"), ""
-            fits = images.ndim == 5 and images.shape[2] == 3
-        if not fits or (images.shape[1] != self.num_cameras and not self.any_cameras):
+        size = (num_icosphere_vertices(self.level),) if self.images == "sphere" else images.shape[3:]
+        fits = images.ndim == (4 if self.images == "sphere" else 5) and images.shape[3:] == size
+        if (
+            not fits
+            or images.shape[2] not in self.image_channels
+            or (images.shape[1] != self.num_cameras and not self.any_cameras)
+        ):
+            channels = " or ".join(map(str, self.image_channels))
+            shape, where = (
+                (size[0], f" on icospheres of level {self.level}")
+                if self.images == "sphere"
+                else ("H, W", "")
+            )
             raise ShapeError(
-                f"images: expected shape (B, {cameras}, 3, {', '.join(map(str, size))}) for {cameras} cameras{where}, "
+                f"images: expected shape (B, {cameras}, {channels}, {shape}) for {cameras} cameras{where}, "
                 f"got {tuple(images.shape)}"
+            )
+        one = (images.shape[1], *size)
+        if seen is not None and tuple(seen.shape) not in (one, (len(images), *one)):
+            raise ShapeError(
+                f"seen: expected shape {one}, or {(len(images), *one)} as the images have, got {tuple(seen.shape)}"
             )
 
     def depth(self, index: Tensor) -> Tensor:

@@ -117,7 +117,7 @@ class IcoSweepNet(DepthNetwork):
         Raises:
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
-        self.check_images(images)
+        self.check_images(images, seen)
         features = self.extract_features(images)
         swept = self.sweep(features, rig, seen)
         volume = self.aggregation(swept)

@@ -113,6 +113,7 @@ class OmniMVS(DepthNetwork):
                 f"num_hypotheses: expected an even number, as every second sphere is swept, got {num_hypotheses}"
             )
         self.in_channels = in_channels
+        self.image_channels = (1, 3) if in_channels == 1 else (3,)
         self.features = FisheyeFeatures(feature_channels, in_channels, norm)
         self.sweep = PanoramaSweep(size, num_hypotheses, min_depth)
         self.grid = self.sweep.grid
@@ -145,7 +146,13 @@ class OmniMVS(DepthNetwork):
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
         tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
-        self.check_images(images, tables)
+        self.check_images(images, seen)
+        if tuple(images.shape[-2:]) != tables.image_size:
+            height, width = tables.image_size
+            raise ShapeError(
+                f"images: the rig is calibrated for {height} x {width} (height x width), "
+                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
+            )
         features = self.extract_features(images)
         swept = self.sweep_features(features, tables, seen)
         volume = self.aggregation(swept).contiguous(memory_format=torch.channels_last_3d)
@@ -192,24 +199,6 @@ class OmniMVS(DepthNetwork):
     @property
     def _recomputes(self) -> bool:
         return self.recompute and self.training and torch.is_grad_enabled()
-
-    def check_images(self, images: Tensor, tables: PanoramaTables | None = None) -> None:
-        """Raise ``ShapeError`` unless images are of the shape that this network, and a rig's tables, ask for."""
-        cameras = "n" if self.any_cameras else self.num_cameras
-        channels = (1, 3) if self.in_channels == 1 else (3,)
-        fits = images.ndim == 5 and images.shape[2] in channels
-        if not fits or (images.shape[1] != self.num_cameras and not self.any_cameras):
-            names = " or ".join(map(str, channels))
-            raise ShapeError(
-                f"images: expected shape (B, {cameras}, {names}, H, W) for {cameras} cameras, "
-                f"got {tuple(images.shape)}"
-            )
-        if tables is not None and tuple(images.shape[-2:]) != tables.image_size:
-            height, width = tables.image_size
-            raise ShapeError(
-                f"images: the rig is calibrated for {height} x {width} (height x width), "
-                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
-            )
 
 
 def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int]:

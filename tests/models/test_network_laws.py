@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every law of ``tests/laws/network_laws.py`` for every network of its table."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.models import network_class, network_names
+from tests.laws.network_laws import LAWS, NETWORKS
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__.removeprefix("law_"))
+def test_law(law: Callable[..., None], name: str, tmp_path: Path) -> None:
+    folder = {"folder": tmp_path} if "folder" in inspect.signature(law).parameters else {}
+    law(NETWORKS[name], **folder)
+
+
+def test_every_network_of_the_package_has_an_example() -> None:
+    examples = {type(example.make()) for example in NETWORKS.values()}
+    assert {network_class(name) for name in network_names()} <= examples

@@ -14,11 +14,11 @@ __all__ = ["depth_index_huber", "solid_angle_cross_entropy", "solid_angle_mean"]
 
 
 def depth_index_huber(
-    pred_index: Float[Tensor, "B V"],
-    target_index: Float[Tensor, "B V"],
-    mask: Bool[Tensor, "B V"] | None = None,
+    pred_index: Float[Tensor, " B *grid"],
+    target_index: Float[Tensor, " B *grid"],
+    mask: Bool[Tensor, " B *grid"] | None = None,
     delta: float = 1.0,
-    weights: Float[Tensor, " V"] | Float[Tensor, "B V"] | None = None,
+    weights: Float[Tensor, " *grid"] | Float[Tensor, " B *grid"] | None = None,
 ) -> Float[Tensor, ""]:
     """Return the mean Huber loss of hypothesis indices over the points of a mask.
 

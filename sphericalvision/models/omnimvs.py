@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.crown import recomputed
@@ -170,8 +169,7 @@ class OmniMVS(DepthNetwork):
         if self.in_channels == 1 and images.shape[2] == 3:
             flat = torch.einsum("bchw,c->bhw", flat, flat.new_tensor(LUMINANCE)).unsqueeze(1)
         flat = flat.contiguous(memory_format=torch.channels_last)
-        features = recomputed(self.features, flat) if self._recomputes else self.features(flat)
-        return features.unflatten(0, images.shape[:2])  # type: ignore[no-any-return]
+        return self.features(flat).unflatten(0, images.shape[:2])  # type: ignore[no-any-return]
 
     def sweep_features(
         self, features: Tensor, tables: PanoramaTables, seen: Tensor | None = None
@@ -181,7 +179,8 @@ class OmniMVS(DepthNetwork):
         volumes = []
         for camera, maps in enumerate(features.unbind(1)):
             run = partial(self._camera_volume, tables=tables, camera=camera)
-            volumes.append(checkpoint(run, maps, use_reentrant=False) if self._recomputes else run(maps))
+            again = self.recompute and self.training
+            volumes.append(recomputed(self.transference, maps, run) if again else run(maps))
         points_seen = self.sweep.seen(tables.every_second_pixel(), seen)
         return SweepVolume(
             torch.stack(volumes, 1), points_seen.expand(len(features), *points_seen.shape[-4:])
@@ -195,10 +194,6 @@ class OmniMVS(DepthNetwork):
         """Whether two cameras see the points of hypotheses ``(B, h, w)``, at the nearest sphere that is swept."""
         sphere = (index / self.sweep.every).round().long().clamp(max=tables.mask.shape[-3] - 1)
         return self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3).sum(-3) >= 2
-
-    @property
-    def _recomputes(self) -> bool:
-        return self.recompute and self.training and torch.is_grad_enabled()
 
 
 def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int]:

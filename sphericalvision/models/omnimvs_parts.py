@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from sphericalvision.crown import recomputed
+from sphericalvision.crown import RecomputedModule
 from sphericalvision.models.omnimvs_layers import ImageConv, VolumeConv, VolumeUpConv
 
 __all__ = ["CostHourglass", "FisheyeFeatures"]
@@ -28,7 +28,7 @@ class DilatedBlock(nn.Module):
         return F.relu(self.second(F.relu(self.first(features))) + features)
 
 
-class FisheyeFeatures(nn.Module):
+class FisheyeFeatures(RecomputedModule):
     """Map images ``(B, in_channels, H, W)`` to features ``(B, channels, ceil(H / 2), ceil(W / 2))``.
 
     Feature pixel (i, j) is centred at image pixel (2 i, 2 j). Five residual blocks and three more with dilations 2, 3
@@ -60,6 +60,14 @@ class FisheyeFeatures(nn.Module):
         return self.last(self.blocks(F.relu(self.entry(images))))  # type: ignore[no-any-return]
 
 
+class EncoderConv(RecomputedModule, VolumeConv):
+    """A convolution that leads from scale to scale; saves memory in training if ``recompute`` says so."""
+
+
+class Across(RecomputedModule, nn.Sequential):
+    """The convolutions that lead from the encoder to the decoder; save memory as ``EncoderConv`` does."""
+
+
 class CostHourglass(nn.Module):
     """Map a volume ``(B, in_channels, D, h, w)`` to a score of each hypothesis and pixel ``(B, 2 D, 2 h, 2 w)``.
 
@@ -72,9 +80,6 @@ class CostHourglass(nn.Module):
         num_scales: how often the size is halved.
         norm: "batch" or "instance".
         circular: whether columns continue at the other edge, or are padded with zeros as in the paper.
-
-    Attributes:
-        recompute: whether to save memory in training by computing the inside of each scale twice.
 
     References:
         Won, Ryu and Lim (2019), "OmniMVS: end-to-end learning for omnidirectional stereo matching", table 1; its
@@ -96,33 +101,27 @@ class CostHourglass(nn.Module):
         circular: bool = False,
     ) -> None:
         super().__init__()
-        self.recompute = False
         widths = [channels, *[2 * channels] * (num_scales - 1), 4 * channels]
-        self.fusion = VolumeConv(in_channels, channels, norm=norm, circular=circular)
+        self.fusion = EncoderConv(in_channels, channels, norm=norm, circular=circular)
         entries, across, ups = [], [], []
         for scale, width in enumerate(widths):
             before = widths[max(scale - 1, 0)]
-            entries.append(VolumeConv(before, width, 1 if scale == 0 else 2, norm, circular))
-            across.append(
-                nn.Sequential(*(VolumeConv(width, width, norm=norm, circular=circular) for _ in range(2)))
-            )
+            entries.append(EncoderConv(before, width, 1 if scale == 0 else 2, norm, circular))
+            across.append(Across(*(VolumeConv(width, width, norm=norm, circular=circular) for _ in range(2))))
             ups.append(VolumeUpConv(width, before, norm, circular) if scale else nn.Identity())
         self.entries, self.across = nn.ModuleList(entries), nn.ModuleList(across)
         self.ups = nn.ModuleList(ups[1:])
         self.score = VolumeUpConv(channels, 1, None, circular)
 
     def forward(self, volume: Tensor) -> Tensor:
-        volume = self._run(self.fusion, volume)
+        volume = self.fusion(volume)
         skips = []
         for entry, across in zip(self.entries, self.across, strict=True):
-            volume = self._run(entry, volume)
-            skips.append(self._run(across, volume))
+            volume = entry(volume)
+            skips.append(across(volume))
         volume = skips.pop()
         for up in reversed(self.ups):
             skip = skips.pop()
             volume = up(volume, skip.shape[2:]) + skip
         spheres, rows, columns = volume.shape[2:]
         return self.score(volume, (2 * spheres, 2 * rows, 2 * columns)).squeeze(1)  # type: ignore[no-any-return]
-
-    def _run(self, part: nn.Module, volume: Tensor) -> Tensor:
-        return recomputed(part, volume) if self.recompute and self.training else part(volume)

@@ -24,6 +24,11 @@ def camera_by_camera(extractor: nn.Module, images: Tensor) -> Tensor:
         >>> camera_by_camera(nn.Conv1d(3, 5, 1), torch.zeros(2, 4, 3, 42)).shape
         torch.Size([2, 4, 5, 42])
     """
-    if any(isinstance(part, _BatchNorm) and part.training for part in extractor.modules()):
+    if any(map(_takes_statistics_of_the_batch, extractor.modules())):
         return torch.stack([extractor(camera) for camera in images.unbind(1)], 1)
     return extractor(images.flatten(0, 1)).unflatten(0, images.shape[:2])  # type: ignore[no-any-return]
+
+
+def _takes_statistics_of_the_batch(part: nn.Module) -> bool:
+    """Instance normalisation is of the same class, but keeps no running statistics."""
+    return isinstance(part, _BatchNorm) and part.training and part.running_mean is not None

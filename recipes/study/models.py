@@ -94,6 +94,7 @@ class StudyModel(NamedTuple):
             return {}
         usual = {name: p.default for name, p in signature(semi_global_sweep).parameters.items()}
         usual = {name: default for name, default in usual.items() if default is not Parameter.empty}
+        del usual["seen"]  # comes with the frames
         for key in self.options:
             check_choice(f"models.{self.name}.options", key, tuple(usual))
         return {**usual, **self.options}
@@ -153,7 +154,9 @@ def make_estimator(
         index = constant.to(device)
         return lambda batch: on_grid(index.expand(len(batch["valid"]), -1))
     options = {"num_hypotheses": scale.num_hypotheses, "min_depth": scale.min_depth, **model.sweep_options}
-    return lambda batch: on_grid(semi_global_sweep(batch["images"], batch["rig"], **options).index)
+    return lambda batch: on_grid(
+        semi_global_sweep(batch["images"], batch["rig"], seen=batch["seen"], **options).index
+    )
 
 
 def _network_estimator(weights: Path | None, scale: Scale, device: torch.device) -> StudyEstimator:

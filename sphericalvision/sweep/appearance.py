@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
@@ -12,7 +13,9 @@ from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 __all__ = ["local_appearance"]
 
 
-def local_appearance(images: Tensor, seen: Tensor | None = None) -> Tensor:
+def local_appearance(
+    images: Float[Tensor, "*batch 3 V"], seen: Bool[Tensor, "*batch V"] | None = None
+) -> Float[Tensor, "*batch 7 V"]:
     """Describe the neighbourhood of each vertex of images ``(*, 3, V)`` by seven channels ``(*, 7, V)``.
 
     Brightness less the mean of the vertex and its neighbours, and the brightness gradient as a vector in

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertices
@@ -19,7 +20,12 @@ BIAS, WEIGHT_OF_MARGIN, WEIGHT_OF_SPREAD = 2.27, 0.5, -1.12
 LEAST_CORRELATION = 0.1
 
 
-def sweep_confidence(cost: Tensor, correlation: Tensor, index: Tensor, substeps: int) -> Tensor:
+def sweep_confidence(
+    cost: Float[Tensor, "B M V"],
+    correlation: Float[Tensor, "B V"],
+    index: Float[Tensor, "B V"],
+    substeps: int,
+) -> Float[Tensor, "B V"]:
     """Return the probability ``(B, V)`` that an index is less than one hypothesis off.
 
     Two things tell. The *margin* is what any answer costs more that is farther than one and a half hypotheses away:

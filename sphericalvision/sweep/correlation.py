@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -31,12 +32,12 @@ LEAST_SHARE = 0.5
 
 
 def correlation_evidence(
-    images: Tensor,
+    images: Float[Tensor, "B n C V_image"],
     tables: SweepTables,
-    seen: Tensor | None = None,
+    seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
     level: int | None = None,
     noise: float = NOISE,
-) -> Tensor:
+) -> Float[Tensor, "B 3 N V"]:
     """Return how well cameras agree at every point of a sweep, for a network or ``semi_global_sweep`` to start from.
 
     Two cameras agree as far as what they see around the point correlates, whatever their exposures: each colour less
@@ -137,7 +138,9 @@ def _sweep(images: Tensor, known: Tensor, tables: SweepTables) -> tuple[Tensor, 
     return planes[:, :, :-1] * (seen / share.clamp(min=LEAST_SHARE))[:, :, None], seen
 
 
-def window_correlations(colors: Tensor, seen: Tensor, level: int, noise: float) -> list[Tensor]:
+def window_correlations(
+    colors: Float[Tensor, "V n C N"], seen: Float[Tensor, "V n N"], level: int, noise: float
+) -> list[Tensor]:
     """Return the correlation ``(V_level, N)`` of each pair of cameras in the windows around the vertices of a level.
 
     The mean of a window is taken off at each of its vertices, as it is in the window around that vertex, so that

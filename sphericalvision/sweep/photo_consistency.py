@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -27,14 +28,14 @@ __all__ = ["deviation_cost", "photo_consistency"]
 
 
 def photo_consistency(
-    sphere_images: Tensor,
+    sphere_images: Float[Tensor, "B n 3 V_image"],
     rig: CameraRig,
     num_hypotheses: int,
     min_depth: float,
     level: int | None = None,
     aggregation: int = 0,
     subhypothesis: bool = False,
-    seen: Tensor | None = None,
+    seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
 ) -> DepthEstimate:
     """Return, at each vertex, the hypothesis at which the cameras that see the point agree best.
 
@@ -106,7 +107,7 @@ def photo_consistency(
     return DepthEstimate(winner_takes_all(cost, subhypothesis), confidence, known)
 
 
-def deviation_cost(values: Tensor, seen: Tensor) -> Tensor:
+def deviation_cost(values: Float[Tensor, "B n C V"], seen: Bool[Tensor, "B n V"]) -> Float[Tensor, "B V"]:
     """Return how far cameras' values ``(B, n, C, V)``, seen where ``(B, n, V)``, lie from their mean: ``(B, V)``.
 
     Infinite where fewer than two cameras see the point.

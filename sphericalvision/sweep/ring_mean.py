@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.icosphere import (
@@ -19,7 +20,7 @@ from sphericalvision.icosphere import (
 __all__ = ["ids_of_coarser_level", "ring_mean"]
 
 
-def ring_mean(values: Tensor, level: int | None = None) -> Tensor:
+def ring_mean(values: Float[Tensor, " V *rest"], level: int | None = None) -> Float[Tensor, " V_level *rest"]:
     """Average values ``(V, *)`` over each vertex of an icosphere and its neighbours.
 
     Vertices come first, unlike elsewhere: what is averaged together then lies side by side in memory.
@@ -43,7 +44,9 @@ def ring_mean(values: Tensor, level: int | None = None) -> Tensor:
     return rows.view(len(ids), *values.shape[1:])
 
 
-def ids_of_coarser_level(level: int, coarser: int, device: torch.device | str | None = None) -> Tensor:
+def ids_of_coarser_level(
+    level: int, coarser: int, device: torch.device | str | None = None
+) -> Int[Tensor, " V"]:
     """Return the ids at ``level`` of the vertices of a coarser icosphere, or of the same one.
 
     Examples:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -42,7 +43,7 @@ class SemiGlobalTables(NamedTuple):
     """
 
     sweep: SweepTables
-    seen: Tensor
+    seen: Bool[Tensor, "*B n V_image"]
 
     def to(self, device: torch.device | str) -> SemiGlobalTables:
         """Return the tables on another device."""
@@ -57,13 +58,13 @@ class SmoothedCosts(NamedTuple):
         cost: ``(B, M, V)`` smoothed; negative, they are logits. The smallest is the answer.
     """
 
-    evidence: Tensor
-    cost: Tensor
+    evidence: Float[Tensor, "B 3 M V"]
+    cost: Float[Tensor, "B M V"]
 
 
 @torch.no_grad()
 def semi_global_sweep(
-    sphere_images: Tensor,
+    sphere_images: Float[Tensor, "B n 3 V_image"],
     rig: CameraRig | SemiGlobalTables,
     num_hypotheses: int,
     min_depth: float,
@@ -73,7 +74,7 @@ def semi_global_sweep(
     small_penalty: float = 0.3,
     large_penalty: float = 3.6,
     contrast: float = 0.4,
-    seen: Tensor | None = None,
+    seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
 ) -> DepthEstimate:
     """Return depth without training: the best cameras' correlation, and semi-global smoothing on the icosphere.
 
@@ -188,9 +189,9 @@ def semi_global_tables(
 
 
 def semi_global_costs(
-    images: Tensor,
+    images: Float[Tensor, "B n C V_image"],
     tables: SweepTables,
-    seen: Tensor | None = None,
+    seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
     small_penalty: float = 0.3,
     large_penalty: float = 3.6,
     contrast: float = 0.4,

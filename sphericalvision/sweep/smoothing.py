@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -17,13 +18,13 @@ __all__ = ["semi_global_smoothing", "smoothing_paths"]
 
 
 def semi_global_smoothing(
-    cost: Tensor,
+    cost: Float[Tensor, "B N V"],
     small_penalty: float,
     large_penalty: float,
-    guide: Tensor | None = None,
+    guide: Float[Tensor, "B C V"] | None = None,
     contrast: float = 0.1,
     lead: float = 1.0,
-) -> Tensor:
+) -> Float[Tensor, "B N V"]:
     """Add to the cost of each hypothesis what it takes to reach it along the straight lines through a vertex.
 
     A path comes to vertex p from its predecessor q on the line with ``L(p, i) = C(p, i) + min(L(q, i),

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["check_seen", "seen_in_view"]
 
 
-def seen_in_view(rig: CameraRig, level: int) -> Tensor:
+def seen_in_view(rig: CameraRig, level: int) -> Bool[Tensor, "*b n V"]:
     """Return which vertices of its icosphere each camera sees, ``(*b, n, V)`` bool: its field of view less its mask.
 
     Examples:
@@ -30,7 +31,9 @@ def seen_in_view(rig: CameraRig, level: int) -> Tensor:
     return rig.points_seen(icosphere_vertices(level, poses.dtype, poses.device), far).squeeze(-2)
 
 
-def check_seen(seen: Tensor, images: Tensor) -> Tensor:
+def check_seen(
+    seen: Bool[Tensor, "B n V"] | Bool[Tensor, "n V"], images: Float[Tensor, "B n C V"]
+) -> Bool[Tensor, "B n V"]:
     """Return ``seen`` ``([B,] n, V)`` as ``(B, n, V)`` for images ``(B, n, C, V)``, or raise ``ShapeError``.
 
     Examples:

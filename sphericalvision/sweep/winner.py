@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 __all__ = ["at_nearest_hypothesis", "winner_takes_all"]
 
 
-def winner_takes_all(cost: Tensor, subhypothesis: bool = False) -> Tensor:
+def winner_takes_all(cost: Float[Tensor, "B N V"], subhypothesis: bool = False) -> Float[Tensor, "B V"]:
     """Return the index ``(B, V)`` of the smallest cost ``(B, N, V)``; infinite ones are left out.
 
     With ``subhypothesis`` the index is moved to the minimum of the parabola through the winner and its two
@@ -30,7 +31,9 @@ def winner_takes_all(cost: Tensor, subhypothesis: bool = False) -> Tensor:
     return index + torch.where(fits, (before - after) / (2 * curvature), 0.0)
 
 
-def at_nearest_hypothesis(values: Tensor, index: Tensor) -> Tensor:
+def at_nearest_hypothesis(
+    values: Shaped[Tensor, "B N V"], index: Float[Tensor, "B V"]
+) -> Shaped[Tensor, "B V"]:
     """Return the values ``(B, N, V)`` of the hypothesis nearest to a fractional index ``(B, V)``.
 
     Examples:

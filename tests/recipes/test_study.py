@@ -394,10 +394,10 @@ def test_images_on_disk_are_turned(
 def test_mistakes_are_told(failing: Callable[..., str], words: tuple[str, ...], trainer: Trainer) -> None:
     assert "each angle once" in failing("study", *words, "angles_deg=[0,0]")
     assert "expected one of 'depth_network'" in failing("study", *words, "models.constant.kind=magic")
-    assert "'window'" in failing(
+    assert "'substeps'" in failing(
         "study",
         *words,
-        "models.semi_global.options={windows: 2}",
+        "models.semi_global.options={steps: 2}",
         "models.icosweepnet=null",
         "models.omnimvs=null",
     )

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Confidence of the semi-global sweep: what it says is about true, and who keeps the surest keeps the best."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import ring_rig
+from sphericalvision.data import SceneDataset
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.sweep import index_from_inverse_depth, semi_global_sweep
+from sphericalvision.sweep.confidence import sweep_confidence
+
+
+def one_valley(index: Tensor, depth: float, number: int = 16) -> Tensor:
+    """Costs ``(1, number, V)`` of 1, less ``depth`` at an index ``(1, V)``."""
+    cost = torch.ones(1, number, index.shape[-1])
+    return cost.scatter(1, index.long()[:, None], 1 - depth)
+
+
+def test_grows_with_what_other_answers_cost_more() -> None:
+    index, full = torch.full((1, 162), 7.0), torch.ones(1, 162)
+    values = [
+        sweep_confidence(one_valley(index, depth), full, index, 1).mean() for depth in (0.01, 0.1, 1.0, 3.0)
+    ]
+    assert values == sorted(values)
+    assert values[-1] > 0.95
+
+
+def test_neighbouring_hypotheses_do_not_contradict() -> None:
+    index, full = torch.full((1, 162), 7.0), torch.ones(1, 162)
+    alone = one_valley(index, 1.0)
+    wide = torch.minimum(alone, one_valley(index + 1, 1.0))
+    torch.testing.assert_close(
+        sweep_confidence(wide, full, index, 1), sweep_confidence(alone, full, index, 1)
+    )
+    other = torch.minimum(alone, one_valley(index + 2, 1.0))
+    assert (sweep_confidence(other, full, index, 1) < 0.1).all()
+    assert (sweep_confidence(other, full, index, 2) > 0.9).all()  # two tried hypotheses are one
+
+
+def test_is_small_within_two_rings_of_a_depth_edge() -> None:
+    ico = Icosphere(4)
+    index = torch.where(ico.vertices[:, 0] > 0, 2.0, 12.0)[None]
+    confidence = sweep_confidence(one_valley(index, 1.0), torch.ones_like(index), index, 1)[0]
+    distance = ico.vertices[:, 0].abs()
+    near, far = confidence[distance < 0.05], confidence[distance > 0.2]
+    assert near.max() < 0.6 < far.min()
+
+
+def test_has_nothing_to_say_without_correlation() -> None:
+    index = torch.full((1, 162), 7.0)
+    assert not sweep_confidence(one_valley(index, 1.0), torch.zeros(1, 162), index, 1).any()
+
+
+@pytest.mark.slow
+def test_is_the_share_of_small_errors_on_scenes_it_was_not_fitted_to() -> None:
+    rig = ring_rig(4, 0.2, (192, 192))
+    scenes = SceneDataset(4, rig, 6, "mixed", 2_000_000, samples_per_pixel=2, antialias=True)
+    errors, confidences = [], []
+    for sample in (scenes[number] for number in range(4)):
+        found = semi_global_sweep(sample["images"][None], rig, 16, 0.55, seen=sample["seen"][None])
+        counts = sample["valid"] & found.seen[0]
+        truth = index_from_inverse_depth(sample["inverse_depth"], 16, 0.55)
+        errors.append((found.index[0] - truth).abs()[counts])
+        confidences.append(found.confidence[0, counts])
+    error, confidence = torch.cat(errors), torch.cat(confidences)
+    assert confidence.mean().item() == pytest.approx((error < 1).float().mean().item(), abs=0.05)
+    sure = confidence > 0.9
+    assert (error[sure] < 1).float().mean() > 0.93
+    kept = confidence.argsort(descending=True)[: int(0.8 * len(error))]
+    assert error[kept].mean() < 0.6 * error.mean()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bundles leave nothing out: depth and shadows against every ray tested with every primitive, in float64."""
+"""RayPackets leave nothing out: depth and shadows against every ray tested with every primitive, in float64."""
 
 from __future__ import annotations
 
@@ -12,11 +12,17 @@ from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
 from sphericalvision.data.rendering.primitives import SHAPES, Part, Primitives, pack
-from sphericalvision.data.rendering.ray_packets import RAYS, Bundles, bundled, coherent_order, meetings
+from sphericalvision.data.rendering.ray_packets import (
+    RAYS,
+    RayPackets,
+    candidate_pairs,
+    coherent_order,
+    packed,
+)
 from sphericalvision.data.rendering.raycast import first_hits
 from sphericalvision.data.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
-from sphericalvision.data.rendering.shading import SHADOW_GAP, Points, irradiance
-from sphericalvision.data.rendering.surfaces import describe
+from sphericalvision.data.rendering.shading import SHADOW_GAP, SurfaceSamples, irradiance
+from sphericalvision.data.rendering.surfaces import normals_and_uv
 from sphericalvision.data.scenes.recipes import (
     SCENE_KINDS,
     make_scene,
@@ -77,17 +83,17 @@ def test_depth_is_that_of_testing_everything(kind: str) -> None:
 @pytest.mark.parametrize("kind", SCENE_KINDS)
 @pytest.mark.parametrize("seed", [0, 5])
 def test_light_is_that_of_tracing_every_shadow_ray(kind: str, seed: int) -> None:
-    """Points as a camera sees them, in its bundles: most on several primitives."""
+    """Points as a camera sees them, in its packets: most on several primitives."""
     scene = make_scene(kind, seed)
-    columns = bundled(rays(FisheyeCamera.from_field_of_view((64, 64), math.radians(200))).T.contiguous())
-    distance, row = first_hits(scene.primitives, Bundles(ORIGIN[:, None, None], columns))
+    columns = packed(rays(FisheyeCamera.from_field_of_view((64, 64), math.radians(200))).T.contiguous())
+    distance, row = first_hits(scene.primitives, RayPackets(ORIGIN[:, None, None], columns))
     met = row >= 0
     position = distance.masked_fill(~met, 1.0) * columns
     # Any normal will do; half of the points turn away from a lamp. Their inner side: nothing is left out.
     normal = torch.nn.functional.normalize(scene.lamps.position[0][:, None, None] - position, dim=0)
     normal = torch.where((torch.arange(RAYS) % 2 == 0), normal, -columns)
     side = -1 - row.clamp(min=0)
-    light = irradiance(scene, Points(position, normal, side)).flatten(1).T.double()
+    light = irradiance(scene, SurfaceSamples(position, normal, side)).flatten(1).T.double()
     points, normals = (x.flatten(1).T.double() for x in (position, normal))
     expected = scene.ambient.double() * (1 - 0.25 * normals[:, 1:2])
     for place, color, reach in zip(
@@ -110,14 +116,16 @@ def test_leaving_out_the_own_primitive_changes_no_light(kind: str) -> None:
     square = torch.stack([across - 7.5, down - 7.5, torch.full((16, 16), 60.0)], -1).reshape(1, RAYS, 3)
     turns = torch.linalg.qr(torch.randn(100, 3, 3, generator=torch.Generator().manual_seed(0)))[0]
     columns = torch.nn.functional.normalize(square @ turns, dim=-1).permute(2, 0, 1).contiguous()
-    distance, row = first_hits(scene.primitives, Bundles(ORIGIN[:, None, None], columns))
+    distance, row = first_hits(scene.primitives, RayPackets(ORIGIN[:, None, None], columns))
     met = row >= 0
     distance, row = distance.masked_fill(~met, 1.0), row.clamp(min=0)
     position = distance * columns
-    normal, _, inner = describe(scene.primitives, position.flatten(1), columns.flatten(1), row.flatten())
+    normal, _, inner = normals_and_uv(
+        scene.primitives, position.flatten(1), columns.flatten(1), row.flatten()
+    )
     normal, nothing = normal.view_as(position), -1 - row
     side = torch.where(inner.view_as(row), nothing, row)
-    own, none = (irradiance(scene, Points(position, normal, x)) for x in (side, nothing))
+    own, none = (irradiance(scene, SurfaceSamples(position, normal, x)) for x in (side, nothing))
     assert torch.isclose(own, none, rtol=1e-4).all(0)[met].float().mean() > 0.999
 
 
@@ -149,9 +157,11 @@ def test_bundles_that_start_anywhere_meet_what_their_rays_meet(generator: torch.
     )
     origins = torch.rand(4 * RAYS, 3, generator=generator) - 0.5
     met = dense(primitives, origins, directions).isfinite().view(len(primitives), 4, RAYS).any(-1)
-    pairs = meetings(primitives, Bundles(bundled(origins.T.contiguous()), bundled(directions.T.contiguous())))
+    pairs = candidate_pairs(
+        primitives, RayPackets(packed(origins.T.contiguous()), packed(directions.T.contiguous()))
+    )
     possible = torch.zeros_like(met)
-    possible[primitives.columns.order[pairs.place], pairs.bundle] = True
+    possible[primitives.columns.order[pairs.place], pairs.packet] = True
     assert not (met & ~possible).any()
     assert possible.float().mean() < 0.9
 
@@ -161,7 +171,7 @@ def test_scattered_rays_are_put_in_order(generator: torch.Generator) -> None:
     order = coherent_order(directions)
     assert order is not None
     assert torch.equal(order.sort().values, torch.arange(20000))
-    extent = [(x.amax(-1) - x.amin(-1)).mean() for x in map(bundled, (directions, directions[:, order]))]
+    extent = [(x.amax(-1) - x.amin(-1)).mean() for x in map(packed, (directions, directions[:, order]))]
     assert extent[1] < 0.4 * extent[0]
     assert coherent_order(directions[:, :RAYS]) is None
 

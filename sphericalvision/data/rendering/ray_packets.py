@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bundles of neighbouring rays, and the primitives that a bundle may meet at all.
+"""Packets of neighbouring rays, and the primitives that a packet may meet at all.
 
-A picture is rendered in squares of pixels; the rays through one square are a bundle. Tests of a whole bundle against
-a primitive's box are cheap and let most primitives go; what is left are pairs (bundle, primitive) that are dense
-enough for every ray of the bundle to be intersected without picking any of them out.
+A picture is rendered in squares of pixels; the rays through one square are a packet. Tests of a whole packet against
+a primitive's box are cheap and let most primitives go; what is left are pairs (packet, primitive) that are dense
+enough for every ray of the packet to be intersected without picking any of them out.
 
-Vectors of bundles are stored as ``(3, b, RAYS)``, so that every operation runs over contiguous memory.
+Vectors of packets are stored as ``(3, b, RAYS)``, so that every operation runs over contiguous memory.
 """
 
 from __future__ import annotations
@@ -18,13 +18,22 @@ from torch import Tensor
 
 from sphericalvision.data.rendering.primitives import Primitives
 
-__all__ = ["FAR", "NEAREST", "RAYS", "Bundles", "Meetings", "bundled", "coherent_order", "meetings"]
+__all__ = [
+    "FAR",
+    "NEAREST",
+    "RAYS",
+    "CandidatePairs",
+    "RayPackets",
+    "candidate_pairs",
+    "coherent_order",
+    "packed",
+]
 
-#: Rays in a bundle: a square of 16 x 16 pixels.
+#: Rays in a packet: a square of 16 x 16 pixels.
 RAYS = 256
 #: Relative and absolute widening of boxes (in half sizes of a primitive), and of origins' distances, for rounding.
 MARGIN, ROUNDING = 1e-3, 1e-5
-#: Bundles whose directions spread wider than this (mean side of their box) are worth sorting.
+#: Packets whose directions spread wider than this (mean side of their box) are worth sorting.
 WIDE = 0.25
 #: Distances below this (metres) are the surface that the ray starts from.
 NEAREST = 1e-4
@@ -34,11 +43,11 @@ FAR = 1e18
 TINY = 1e-20
 
 
-class Bundles(NamedTuple):
+class RayPackets(NamedTuple):
     """Rays in groups of neighbours, mostly of `RAYS`.
 
     Attributes:
-        origin: ``(3, b, 1)``, one for each bundle, or ``(3, b, r)``; ``b`` may be 1 where all bundles share it.
+        origin: ``(3, b, 1)``, one for each packet, or ``(3, b, r)``; ``b`` may be 1 where all packets share it.
         direction: ``(3, b, r)``, of any length.
     """
 
@@ -46,22 +55,22 @@ class Bundles(NamedTuple):
     direction: Tensor
 
 
-class Meetings(NamedTuple):
-    """Pairs of a bundle and a primitive that its rays may meet, sorted by primitive.
+class CandidatePairs(NamedTuple):
+    """Pairs of a packet and a primitive that its rays may meet, sorted by primitive.
 
     Attributes:
         place: ``(m,)`` where the primitive is in `Primitives.columns`.
-        bundle: ``(m,)`` bundles' numbers.
+        packet: ``(m,)`` packets' numbers.
         near: ``(m,)`` whether a ray may start inside the primitive, or very near to it.
     """
 
     place: Tensor
-    bundle: Tensor
+    packet: Tensor
     near: Tensor
 
 
-def bundled(columns: Tensor, rays: int = RAYS) -> Tensor:
-    """``(*, n)`` as ``(*, b, rays)``; the last bundle is filled up with the last column."""
+def packed(columns: Tensor, rays: int = RAYS) -> Tensor:
+    """``(*, n)`` as ``(*, b, rays)``; the last packet is filled up with the last column."""
     missing = -columns.shape[-1] % rays
     if missing:
         columns = torch.cat([columns, columns[..., -1:].expand(*columns.shape[:-1], missing)], -1)
@@ -76,25 +85,25 @@ def coherent_order(direction: Tensor) -> Tensor | None:
     whole = direction[:, : count - count % RAYS].reshape(3, -1, RAYS)
     if (whole.amax(-1) - whole.amin(-1)).mean() < WIDE:
         return None
-    cells = math.ceil((count / (math.pi * RAYS)) ** 0.5)  # one is about as large as a bundle should be
+    cells = math.ceil((count / (math.pi * RAYS)) ** 0.5)  # one is about as large as a packet should be
     x, y, z = ((direction + 1) * (cells / 2)).long().clamp(0, cells - 1)
     return ((x * cells + y) * cells + z).argsort()
 
 
-def meetings(
-    primitives: Primitives, rays: Bundles, limit: Tensor | None = None, own: Tensor | None = None
-) -> Meetings:
-    """All pairs of a bundle and a primitive that are not certain to miss each other.
+def candidate_pairs(
+    primitives: Primitives, rays: RayPackets, limit: Tensor | None = None, own: Tensor | None = None
+) -> CandidatePairs:
+    """All pairs of a packet and a primitive that are not certain to miss each other.
 
-    Rays of a bundle start in one box and have directions in another. In a primitive's own frame, where it fills
+    Rays of a packet start in one box and have directions in another. In a primitive's own frame, where it fills
     (at most) the cube [-1, 1]³, interval arithmetic gives the earliest time at which any ray can enter a slab, and
     the latest at which any can leave it.
 
     Args:
         primitives: the table.
-        rays: the bundles.
+        rays: the packets.
         limit: ``(b, r)`` times at which rays end, in lengths of their directions.
-        own: ``(b,)`` one row for each bundle that it is known not to meet, or -1.
+        own: ``(b,)`` one row for each packet that it is known not to meet, or -1.
     """
     table = primitives.columns
     turn = table.frame.permute(0, 2, 1).flatten(0, 1)  # rows: axis, primitive
@@ -124,13 +133,13 @@ def meetings(
     if own is not None:
         known = (own >= 0).nonzero()[:, 0]
         possible[table.place[own[known]], known] = False
-    place, bundle = possible.nonzero(as_tuple=True)
+    place, packet = possible.nonzero(as_tuple=True)
     near = ((outside - NEAREST / table.half[..., None]).amax(0) <= 0).expand_as(possible)
-    return Meetings(place, bundle, near[place, bundle])
+    return CandidatePairs(place, packet, near[place, packet])
 
 
 def _box(vectors: Tensor) -> tuple[Tensor, Tensor | None]:
-    """Middle and half sizes ``(3, b)`` of boxes around bundled vectors; None stands for no size."""
+    """Middle and half sizes ``(3, b)`` of boxes around packed vectors; None stands for no size."""
     if vectors.shape[-1] == 1:
         return vectors[..., 0], None
     low, high = vectors.amin(-1), vectors.amax(-1)

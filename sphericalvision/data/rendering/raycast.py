@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exact intersection of rays with primitives, in plain tensor operations.
 
-Rays go in bundles of neighbours. For every pair of a bundle and a primitive that may meet, all rays of the bundle are
-intersected; the least distance is then taken bundle by bundle. Only what the bundle's box rules out is left out, so
+Rays go in packets of neighbours. For every pair of a packet and a primitive that may meet, all rays of the packet are
+intersected; the least distance is then taken packet by packet. Only what the packet's box rules out is left out, so
 the answer is that of testing every ray against every primitive.
 """
 
@@ -15,23 +15,23 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_last_dim
-from sphericalvision.data.rendering.intersections import HUGE, INTERVALS
+from sphericalvision.data.rendering.intersections import HUGE, INTERSECTIONS
 from sphericalvision.data.rendering.primitives import Primitives
 from sphericalvision.data.rendering.ray_packets import (
     FAR,
     NEAREST,
     RAYS,
-    Bundles,
-    Meetings,
-    bundled,
+    CandidatePairs,
+    RayPackets,
+    candidate_pairs,
     coherent_order,
-    meetings,
+    packed,
 )
-from sphericalvision.data.rendering.surfaces import describe
+from sphericalvision.data.rendering.surfaces import normals_and_uv
 
 __all__ = ["Hit", "Surface", "blocked", "first_hits", "occluded", "surface", "trace"]
 
-#: Bundles looked at together, and pairs intersected together, on the CPU: few enough for a core's cache, many enough
+#: Packets looked at together, and pairs intersected together, on the CPU: few enough for a core's cache, many enough
 #: for the time that an operation takes to start. Other devices take many more at once.
 CHUNK, PAIRS = 192, 64
 
@@ -102,7 +102,7 @@ def occluded(primitives: Primitives, origins: Tensor, directions: Tensor, limits
     limit = limits.reshape(-1)
     answer = torch.empty_like(limit, dtype=torch.bool)
     for part, rays in _chunks(origin, direction):
-        hidden = blocked(primitives, rays, bundled(limit[part]))
+        hidden = blocked(primitives, rays, packed(limit[part]))
         answer[part] = hidden.flatten()[: len(part)]
     return answer.reshape(limits.shape)
 
@@ -117,48 +117,56 @@ def surface(primitives: Primitives, origins: Tensor, directions: Tensor, hit: Hi
         hit: their hits, each ``(n,)``.
     """
     position = origins + hit.distance[:, None] * directions
-    normal, uv, _ = describe(primitives, position.T.contiguous(), directions.T.contiguous(), hit.primitive)
+    normal, uv, _ = normals_and_uv(
+        primitives, position.T.contiguous(), directions.T.contiguous(), hit.primitive
+    )
     return Surface(position, normal.T, uv.T + primitives.uv_origin[hit.primitive])
 
 
-def first_hits(primitives: Primitives, rays: Bundles) -> tuple[Tensor, Tensor]:
+def first_hits(primitives: Primitives, rays: RayPackets) -> tuple[Tensor, Tensor]:
     """Distances (in lengths of the directions) and rows of the first primitives, both ``(b, RAYS)``.
 
     Distances are inf, and rows -1, where nothing is hit.
     """
     nearest = torch.full_like(rays.direction[0], FAR)
     found = []
-    for pairs, enter, leave in _intervals(primitives, rays, meetings(primitives, rays)):
+    for pairs, enter, leave in _intersections(primitives, rays, candidate_pairs(primitives, rays)):
+        # A ray that starts inside a primitive has entered it in the past and meets the far side. Only pairs that may
+        # hold such a ray take this detour.
         if len(inside := pairs.near.nonzero()[:, 0]):
             first, last = enter.index_select(0, inside), leave.index_select(0, inside)
             enter[inside] = torch.where(first > NEAREST, first, last)
+        # A ray that leaves before it enters misses, by however little; multiplied by something huge that is a distance
+        # no hit has, and a comparison and a choice are saved.
         miss = enter.clamp(min=NEAREST).sub_(leave).clamp_(min=0)
         first = enter.add_(miss, alpha=HUGE)
-        bundle = pairs.bundle[:, None].expand_as(first)
-        nearest.scatter_reduce_(0, bundle, first, "amin")
-        found.append((pairs, bundle, first))
+        packet = pairs.packet[:, None].expand_as(first)
+        nearest.scatter_reduce_(0, packet, first, "amin")
+        found.append((pairs, packet, first))
     which = torch.full_like(nearest, FAR)
-    for pairs, bundle, first in found:
+    for pairs, packet, first in found:
         # The row where this is the nearest, and something very large elsewhere; of equals the first row counts.
-        late = first.sub_(nearest.index_select(0, pairs.bundle))
+        late = first.sub_(nearest.index_select(0, pairs.packet))
         row = primitives.columns.order.index_select(0, pairs.place).to(late.dtype)
-        which.scatter_reduce_(0, bundle, torch.add(row[:, None], late, alpha=HUGE), "amin")
+        which.scatter_reduce_(0, packet, torch.add(row[:, None], late, alpha=HUGE), "amin")
     none = which >= FAR
     return nearest.masked_fill_(none, torch.inf), which.masked_fill_(none, -1).long()
 
 
-def blocked(primitives: Primitives, rays: Bundles, limit: Tensor, own: Tensor | None = None) -> Tensor:
+def blocked(primitives: Primitives, rays: RayPackets, limit: Tensor, own: Tensor | None = None) -> Tensor:
     """Whether something stands on each ray before its limit: bool ``(b, RAYS)``.
 
     Args:
         primitives: the table to hit.
-        rays: the bundles.
+        rays: the packets.
         limit: ``(b, RAYS)`` in lengths of the directions.
-        own: ``(b,)`` one row for each bundle that it is known not to meet, or -1.
+        own: ``(b,)`` one row for each packet that it is known not to meet, or -1.
     """
     most = torch.full_like(limit, -1)  # of the lengths that rays share with primitives
-    for pairs, enter, leave in _intervals(primitives, rays, meetings(primitives, rays, limit, own)):
-        end = limit.index_select(0, pairs.bundle)
+    for pairs, enter, leave in _intersections(
+        primitives, rays, candidate_pairs(primitives, rays, limit, own)
+    ):
+        end = limit.index_select(0, pairs.packet)
         shared = torch.minimum(leave, end).sub_(enter.clamp(min=NEAREST))
         if len(inside := pairs.near.nonzero()[:, 0]):
             # Of a primitive that a ray starts in only the far side counts.
@@ -166,7 +174,7 @@ def blocked(primitives: Primitives, rays: Bundles, limit: Tensor, own: Tensor | 
             behind = torch.minimum(last - NEAREST, end.index_select(0, inside) - last)
             ahead = enter.index_select(0, inside) > NEAREST
             shared[inside] = torch.where(ahead, shared.index_select(0, inside), behind)
-        most.scatter_reduce_(0, pairs.bundle[:, None].expand_as(shared), shared, "amax")
+        most.scatter_reduce_(0, pairs.packet[:, None].expand_as(shared), shared, "amax")
     return most >= 0
 
 
@@ -182,42 +190,42 @@ def _columns(origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
     return origins.reshape(-1, 3).T.contiguous(), directions.reshape(-1, 3).T.contiguous()
 
 
-def _chunks(origin: Tensor, direction: Tensor) -> Iterator[tuple[Tensor, Bundles]]:
-    """Bundles of neighbours, and the numbers of the rays in them (without those that fill up the last bundle)."""
+def _chunks(origin: Tensor, direction: Tensor) -> Iterator[tuple[Tensor, RayPackets]]:
+    """Packets of neighbours, and the numbers of the rays in them (without those that fill up the last packet)."""
     shared = origin.shape[1] == 1
     order = coherent_order(direction) if shared else None
     if order is None:
         order = torch.arange(direction.shape[1], device=direction.device)
     for part in order.split(chunk_size(direction.device) * RAYS):
         if len(part):
-            start = origin[:, :, None] if shared else bundled(origin.index_select(1, part))
-            yield part, Bundles(start, bundled(direction.index_select(1, part)))
+            start = origin[:, :, None] if shared else packed(origin.index_select(1, part))
+            yield part, RayPackets(start, packed(direction.index_select(1, part)))
 
 
 def chunk_size(device: torch.device) -> int:
-    """Bundles to look at together."""
+    """Packets to look at together."""
     return CHUNK if device.type == "cpu" else 64 * CHUNK
 
 
-def _intervals(
-    primitives: Primitives, rays: Bundles, pairs: Meetings
-) -> Iterator[tuple[Meetings, Tensor, Tensor]]:
+def _intersections(
+    primitives: Primitives, rays: RayPackets, pairs: CandidatePairs
+) -> Iterator[tuple[CandidatePairs, Tensor, Tensor]]:
     """Times ``(m, r)`` at which the rays of some pairs enter and leave; enter > leave where they miss."""
     table = primitives.columns
     size = PAIRS * RAYS // rays.direction.shape[-1]
     size = size if rays.direction.device.type == "cpu" else 64 * size
     ends = torch.searchsorted(pairs.place, torch.tensor(table.starts, device=pairs.place.device)).tolist()
-    for interval, start, end in zip(INTERVALS, ends, ends[1:], strict=False):
+    for intersect, start, end in zip(INTERSECTIONS, ends, ends[1:], strict=False):
         for first in range(start, end, size):
-            some = Meetings(*(column[first : min(first + size, end)] for column in pairs))
+            some = CandidatePairs(*(column[first : min(first + size, end)] for column in pairs))
             turn = table.frame.flatten(0, 1).index_select(1, some.place).view(3, 3, -1, 1)
-            o = _turned(turn, _of(rays.origin, some.bundle))
+            o = _turned(turn, _of(rays.origin, some.packet))
             o -= table.offset.index_select(1, some.place)[..., None]
-            yield some, *interval(o, _turned(turn, _of(rays.direction, some.bundle)))
+            yield some, *intersect(o, _turned(turn, _of(rays.direction, some.packet)))
 
 
-def _of(vectors: Tensor, bundle: Tensor) -> Tensor:
-    return vectors if vectors.shape[1] == 1 else vectors.index_select(1, bundle)
+def _of(vectors: Tensor, packet: Tensor) -> Tensor:
+    return vectors if vectors.shape[1] == 1 else vectors.index_select(1, packet)
 
 
 def _turned(turn: Tensor, vectors: Tensor) -> Tensor:

@@ -16,10 +16,10 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.data.rendering.mesh_scene import MeshScene
-from sphericalvision.data.rendering.ray_packets import RAYS, Bundles, bundled, coherent_order
+from sphericalvision.data.rendering.ray_packets import RAYS, RayPackets, coherent_order, packed
 from sphericalvision.data.rendering.raycast import chunk_size, trace
 from sphericalvision.data.rendering.scene import Scene
-from sphericalvision.data.rendering.shading import Looks, radiance
+from sphericalvision.data.rendering.shading import SurfaceTable, radiance
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import Camera, CameraRig
@@ -81,8 +81,8 @@ def render_directions(
     rays, spread = rays.index_select(1, order), spread.index_select(0, order)
     light = torch.empty_like(rays)
     if len(order):
-        bundles = _exposed(scene, origin.to(directions), bundled(rays), bundled(spread))
-        light[:, order] = bundles.flatten(1)[:, : len(order)]
+        packets = _exposed(scene, origin.to(directions), packed(rays), packed(spread))
+        light[:, order] = packets.flatten(1)[:, : len(order)]
     return _develop(light).view(3, *shape)
 
 
@@ -176,13 +176,13 @@ def _seen(squares: Tensor, valid: Tensor) -> Tensor:
 
 
 def _exposed(scene: Scene | MeshScene, origin: Tensor, direction: Tensor, spread: Tensor) -> Tensor:
-    """Exposed linear light ``(3, b, RAYS)`` along bundled rays ``(3, b, RAYS)`` from one point."""
+    """Exposed linear light ``(3, b, RAYS)`` along packed rays ``(3, b, RAYS)`` from one point."""
     if isinstance(scene, MeshScene):
         return (scene.light(origin, direction.flatten(1).T) * scene.exposure).T.reshape(direction.shape)
-    looks, size = Looks.of(scene), chunk_size(direction.device)
+    table, size = SurfaceTable.of(scene), chunk_size(direction.device)
     light = torch.empty_like(direction)
     for start in range(0, direction.shape[1], size):
         part = slice(start, start + size)
-        rays = Bundles(origin[:, None, None], direction[:, part].contiguous())
-        light[:, part] = radiance(scene, looks, rays, spread[part])
+        rays = RayPackets(origin[:, None, None], direction[:, part].contiguous())
+        light[:, part] = radiance(scene, table, rays, spread[part])
     return light * scene.exposure

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Light that bundles of rays bring back: textures, lamps with their shadows, ambient light, and one reflection."""
+"""Shading of what rays hit: textures, lamps with their shadows, ambient light, and one reflection."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from sphericalvision.data.rendering.ray_packets import RAYS, Bundles, bundled
+from sphericalvision.data.rendering.ray_packets import RAYS, RayPackets, packed
 from sphericalvision.data.rendering.raycast import blocked, first_hits
 from sphericalvision.data.rendering.scene import Scene
-from sphericalvision.data.rendering.surfaces import describe
+from sphericalvision.data.rendering.surfaces import normals_and_uv
 from sphericalvision.data.rendering.textures import TextureBank, texture_bank
 
-__all__ = ["Looks", "Points", "irradiance", "radiance"]
+__all__ = ["SurfaceSamples", "SurfaceTable", "irradiance", "radiance"]
 
 #: Shadow rays end this far before the surface that they test, and reflections start so far from it (metres).
 SHADOW_GAP = 2e-3
-#: Rays in a bundle of points that are sorted by primitive; divides RAYS.
+#: Rays in a packet of points that are sorted by primitive; divides RAYS.
 SORTED = 64
 
 
 @dataclass(frozen=True)
-class Looks:
+class SurfaceTable:
     """What the surfaces of a scene look like, by primitive, so that a ray looks up one table only.
 
     Attributes:
@@ -45,7 +45,7 @@ class Looks:
     bank: TextureBank
 
     @classmethod
-    def of(cls, scene: Scene) -> Looks:
+    def of(cls, scene: Scene) -> SurfaceTable:
         """The table of a scene."""
         table, material = scene.materials, scene.primitives.material
         turn = table.texture_from_surface[material]  # (P, 2, 2)
@@ -63,8 +63,8 @@ class Looks:
         )
 
 
-class Points(NamedTuple):
-    """Points on surfaces, in bundles.
+class SurfaceSamples(NamedTuple):
+    """Points on surfaces, in packets.
 
     Attributes:
         position: ``(3, b, r)`` metres.
@@ -77,17 +77,17 @@ class Points(NamedTuple):
     side: Tensor
 
     def alone(self) -> Tensor:
-        """Which bundles lie on one side of one primitive ``(b,)``."""
+        """Which packets lie on one side of one primitive ``(b,)``."""
         return (self.side == self.side[:, :1]).all(1)
 
 
-def radiance(scene: Scene, looks: Looks, rays: Bundles, spread: Tensor, bounces: int = 1) -> Tensor:
+def radiance(scene: Scene, table: SurfaceTable, rays: RayPackets, spread: Tensor, bounces: int = 1) -> Tensor:
     """Linear light ``(3, b, RAYS)``, not yet exposed.
 
     Args:
         scene: the scene.
-        looks: its `Looks`.
-        rays: bundles of unit directions.
+        table: its `SurfaceTable`.
+        rays: packets of unit directions.
         spread: ``(b, RAYS)`` angles between neighbouring rays.
         bounces: how often reflections are followed.
     """
@@ -96,18 +96,18 @@ def radiance(scene: Scene, looks: Looks, rays: Bundles, spread: Tensor, bounces:
     distance, row = distance.masked_fill_(~met, 1), hit.clamp(min=0)
     position = torch.addcmul(rays.origin, rays.direction, distance)
     direction, rows = rays.direction.flatten(1), row.flatten()
-    normal, uv, inner = describe(scene.primitives, position.flatten(1), direction, rows)
-    light, glow = _albedo(looks, uv, normal, direction, rows, (distance * spread).flatten())
+    normal, uv, inner = normals_and_uv(scene.primitives, position.flatten(1), direction, rows)
+    light, glow = _albedo(table, uv, normal, direction, rows, (distance * spread).flatten())
     side = torch.where(inner.view_as(row), -1 - row, row)
-    arriving = irradiance(scene, Points(position, normal.view_as(position), side))
+    arriving = irradiance(scene, SurfaceSamples(position, normal.view_as(position), side))
     light.mul_(torch.where(glow > 0, glow, arriving.flatten(1)))
-    if bounces and bool((looks.mirror > 0).any()):
-        glossy = (looks.mirror > 0).index_select(0, rows).logical_and_(met.flatten()).nonzero()[:, 0]
+    if bounces and bool((table.mirror > 0).any()):
+        glossy = (table.mirror > 0).index_select(0, rows).logical_and_(met.flatten()).nonzero()[:, 0]
         if len(glossy):
             spot, ray, outward = (x.index_select(1, glossy) for x in (position.flatten(1), direction, normal))
-            wider = bundled(2 * spread.flatten()[glossy])
-            seen = radiance(scene, looks, _reflected(spot, ray, outward), wider, bounces - 1)
-            share = looks.mirror.index_select(0, rows[glossy])
+            wider = packed(2 * spread.flatten()[glossy])
+            seen = radiance(scene, table, _reflected(spot, ray, outward), wider, bounces - 1)
+            share = table.mirror.index_select(0, rows[glossy])
             mixed = torch.lerp(light.index_select(1, glossy), seen.flatten(1)[:, : len(glossy)], share)
             light.index_copy_(1, glossy, mixed)
     light = light.view_as(position)
@@ -118,40 +118,40 @@ def radiance(scene: Scene, looks: Looks, rays: Bundles, spread: Tensor, bounces:
     return torch.where(met, light, torch.lerp(below, above, up))
 
 
-def _reflected(position: Tensor, ray: Tensor, normal: Tensor) -> Bundles:
+def _reflected(position: Tensor, ray: Tensor, normal: Tensor) -> RayPackets:
     """Mirrored rays of ``(3, n)`` points."""
     away = torch.add(position, normal, alpha=SHADOW_GAP)
     mirrored = torch.addcmul(ray, normal, (ray * normal).sum(0), value=-2)
-    return Bundles(bundled(away), bundled(mirrored))
+    return RayPackets(packed(away), packed(mirrored))
 
 
 def _albedo(
-    looks: Looks, uv: Tensor, normal: Tensor, direction: Tensor, row: Tensor, width: Tensor
+    table: SurfaceTable, uv: Tensor, normal: Tensor, direction: Tensor, row: Tensor, width: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Reflectance ``(3, n)``, filtered over rays that are ``width`` metres wide when they arrive, and emission."""
-    a, b, c, d, across, down, density, glow = looks.numbers.index_select(1, row)
+    a, b, c, d, across, down, density, glow = table.numbers.index_select(1, row)
     across.addcmul_(a, uv[0]).addcmul_(b, uv[1])
     down.addcmul_(c, uv[0]).addcmul_(d, uv[1])
     slant = (direction * normal).sum(0).abs_().clamp_(min=0.02)
     # A slanted surface is crossed by an ellipse 1 / slant long; its mean width balances blur and aliasing.
     # The box filters of a mip pyramid let some aliasing through: a little wider looks better.
     footprint = slant.rsqrt_().mul_(width).mul_(density).mul_(1.25)
-    value = looks.bank.columns(looks.texture.index_select(0, row), across, down, footprint)
-    return torch.addcmul(looks.dark.index_select(1, row), looks.range.index_select(1, row), value), glow
+    value = table.bank.columns(table.texture.index_select(0, row), across, down, footprint)
+    return torch.addcmul(table.dark.index_select(1, row), table.range.index_select(1, row), value), glow
 
 
-def irradiance(scene: Scene, points: Points) -> Tensor:
+def irradiance(scene: Scene, points: SurfaceSamples) -> Tensor:
     """Light that arrives at points ``(3, b, RAYS)``: ambient, more from above, and all lamps in sight.
 
-    Bundles of points on one primitive stay as they are. The points of the others are sorted by primitive and go in
-    smaller bundles: neighbours on different primitives may be far apart as the lamps see them.
+    Packets of points on one primitive stay as they are. The points of the others are sorted by primitive and go in
+    smaller packets: neighbours on different primitives may be far apart as the lamps see them.
     """
     alone = points.alone()
     mixed = (~alone).nonzero()[:, 0]
     light = torch.empty_like(points.position)
     whole = alone.nonzero()[:, 0]
     if len(whole):
-        light.index_copy_(1, whole, _lit(scene, Points(*(x.index_select(-2, whole) for x in points))))
+        light.index_copy_(1, whole, _lit(scene, SurfaceSamples(*(x.index_select(-2, whole) for x in points))))
     if len(mixed):
         order = points.side.index_select(0, mixed).flatten().argsort(stable=True)
         number = mixed[:, None] * RAYS + torch.arange(RAYS, device=mixed.device)
@@ -159,12 +159,12 @@ def irradiance(scene: Scene, points: Points) -> Tensor:
         sorted_points = (
             x.flatten(-2).index_select(-1, number).view(*x.shape[:-2], -1, SORTED) for x in points
         )
-        light.flatten(1).index_copy_(1, number, _lit(scene, Points(*sorted_points)).flatten(1))
+        light.flatten(1).index_copy_(1, number, _lit(scene, SurfaceSamples(*sorted_points)).flatten(1))
     return light
 
 
-def _lit(scene: Scene, points: Points) -> Tensor:
-    """`irradiance` of bundles of any number of points."""
+def _lit(scene: Scene, points: SurfaceSamples) -> Tensor:
+    """`irradiance` of packets of any number of points."""
     position, normal, side = points
     light = scene.ambient[:, None, None] * (1 - 0.25 * normal[1])
     # A convex primitive throws no shadow on its own outer side, where that faces the lamp.
@@ -181,7 +181,7 @@ def _lit(scene: Scene, points: Points) -> Tensor:
         distance = squared.sqrt()
         strength = slant.div_(distance).div_(squared.add_(reach**2))
         limit = 1 - SHADOW_GAP / distance.index_select(0, lit)
-        rays = Bundles(lamp, ray.index_select(1, lit))
+        rays = RayPackets(lamp, ray.index_select(1, lit))
         hidden = blocked(scene.primitives.shadow_casters, rays, limit, own.index_select(0, lit))
         strength.index_copy_(0, lit, strength.index_select(0, lit).masked_fill_(hidden, 0))
         light.addcmul_(strength, color[:, None, None])

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from sphericalvision.data.rendering.primitives import SHAPES, Primitives
 
-__all__ = ["describe"]
+__all__ = ["normals_and_uv"]
 
 
-def describe(
+def normals_and_uv(
     primitives: Primitives, position: Tensor, direction: Tensor, row: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Unit normals on the rays' side, surface coordinates without their origin, and whether that side is the inner.

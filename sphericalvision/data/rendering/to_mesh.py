@@ -12,10 +12,10 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.rendering.primitives import SHAPES
-from sphericalvision.data.rendering.ray_packets import Bundles, bundled
+from sphericalvision.data.rendering.ray_packets import RayPackets, packed
 from sphericalvision.data.rendering.raycast import chunk_size
 from sphericalvision.data.rendering.scene import Scene
-from sphericalvision.data.rendering.shading import Looks, radiance
+from sphericalvision.data.rendering.shading import SurfaceTable, radiance
 
 if TYPE_CHECKING:
     import trimesh
@@ -85,15 +85,15 @@ def _towards(normal: Tensor, position: Tensor) -> Tensor:
 
 def _leaving(scene: Scene, position: Tensor, normal: Tensor, detail: float) -> Tensor:
     """Linear light ``(n, 3)`` that leaves surfaces towards their normals, averaged over ``detail`` metres."""
-    origin = bundled((position + LIFT * normal).T.contiguous())
-    direction = bundled(-normal.T.contiguous())
+    origin = packed((position + LIFT * normal).T.contiguous())
+    direction = packed(-normal.T.contiguous())
     spread = torch.full_like(origin[0], detail / LIFT)
-    looks, size = Looks.of(scene), chunk_size(direction.device)
+    table, size = SurfaceTable.of(scene), chunk_size(direction.device)
     light = torch.empty_like(direction)
     for start in range(0, direction.shape[1], size):
         part = slice(start, start + size)
-        rays = Bundles(origin[:, part].contiguous(), direction[:, part].contiguous())
-        light[:, part] = radiance(scene, looks, rays, spread[part], bounces=0)
+        rays = RayPackets(origin[:, part].contiguous(), direction[:, part].contiguous())
+        light[:, part] = radiance(scene, table, rays, spread[part], bounces=0)
     return light.flatten(1).T[: len(position)]
 
 

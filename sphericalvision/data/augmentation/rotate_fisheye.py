@@ -43,6 +43,7 @@ class RotateFisheye:
 
     Examples:
         >>> import math
+        >>> import torch
         >>> from sphericalvision.cameras import ring_rig
         >>> rig = ring_rig(4, image_size=(32, 32))
         >>> images = {name: torch.ones(3, 32, 32) for name in rig.names}

@@ -45,6 +45,7 @@ def check_values(values: Tensor, shape: Sequence[int]) -> None:
     """Raise ``ShapeError`` unless ``values`` is ``(*b, c, *shape)``.
 
     Examples:
+        >>> import torch
         >>> check_values(torch.zeros(3, 4, 8), (4, 8))
     """
     if values.ndim <= len(shape) or tuple(values.shape[-len(shape) :]) != tuple(shape):

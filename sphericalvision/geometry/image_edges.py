@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 __all__ = ["taps_across_edges"]
 
 
 def taps_across_edges(
-    pixels: Tensor, image_size: tuple[int, int], edges: str = "border", cubic: bool = False
-) -> tuple[Tensor, Tensor]:
+    pixels: Float[Tensor, "*batch 2"], image_size: tuple[int, int], edges: str = "border", cubic: bool = False
+) -> tuple[Int[Tensor, "*batch taps"], Float[Tensor, "*batch taps"]]:
     """Flat ids and weights ``(*, taps)`` that interpolate an image at ``pixels`` ``(*, 2)``, beyond its edges too.
 
     Args:

@@ -8,6 +8,7 @@ Convention:
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -16,7 +17,7 @@ from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_
 __all__ = ["bilinear_sample", "wrap_panorama"]
 
 
-def wrap_panorama(image: Tensor, poles: bool = True) -> Tensor:
+def wrap_panorama(image: Float[Tensor, "*batch h w"], poles: bool = True) -> Float[Tensor, "*batch h+2 w+2"]:
     """A panorama ``(*, h, w)`` with one more column on either side and one more row above and below.
 
     Args:
@@ -38,8 +39,11 @@ def wrap_panorama(image: Tensor, poles: bool = True) -> Tensor:
 
 
 def bilinear_sample(
-    image: Tensor, pixels: Tensor, wrap_longitude: bool = False, padding: str = "border"
-) -> Tensor:
+    image: Float[Tensor, "*images c h w"],
+    pixels: Float[Tensor, "*places n 2"],
+    wrap_longitude: bool = False,
+    padding: str = "border",
+) -> Float[Tensor, "*batch c n"]:
     """Values (*b, c, n) of ``image`` (*b, c, h, w) at ``pixels`` (*b, n, 2), given as (u, v).
 
     Args:

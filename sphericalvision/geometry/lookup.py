@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import uses_reference_kernels
@@ -23,7 +24,9 @@ _OUTSIDE = -9.0  # normalised coordinates so far out that grid_sample reads zero
 _MOST_PARTS = 8  # of the results of one image, to be worked on by different threads
 
 
-def weighted_sums(values: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
+def weighted_sums(
+    values: Float[Tensor, "*values C size"], ids: Int[Tensor, "*ids P k"], weights: Float[Tensor, "*ids P k"]
+) -> Float[Tensor, "*batch C P"]:
     """Weighted sums ``(*b, C, P)`` of few of the values ``(*b, C, size)``.
 
     Args:
@@ -170,7 +173,7 @@ class ImageLookup(nn.Module):
         for name, table in tables.items():
             self.register_buffer(name, table, persistent=False)
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, images: Float[Tensor, "*images C h w"]) -> Float[Tensor, "*batch C P"]:
         """``images`` (*b, C, height, width) at the targets, (*b, C, P)."""
         found = self._interpolated(images)
         if self.across is not None and self.across_ids is not None and self.across_weights is not None:

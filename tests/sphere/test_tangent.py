@@ -74,5 +74,5 @@ def test_errors_say_what_is_expected() -> None:
         ArgumentError, match="size: expected more than 5 pixels for a face and its margin of 2"
     ):
         TangentImages(0, 5, margin=2)
-    with pytest.raises(ArgumentError, match="level: expected an integer of 0"):
+    with pytest.raises(ArgumentError, match="level: expected an integer from 0"):
         TangentImages(-1, 5)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
@@ -13,14 +14,14 @@ __all__ = ["REMAP_MODES", "Remap", "remap", "remap_mask"]
 
 
 def remap(
-    image: Tensor,
+    image: Shaped[Tensor, "*images c h w"],
     source: Camera,
     target: Camera,
-    rotation: Tensor | None = None,
+    rotation: Float[Tensor, "*turns 3 3"] | None = None,
     mode: str = "bilinear",
     fill: float = 0.0,
-    mask: Tensor | None = None,
-) -> Tensor:
+    mask: Shaped[Tensor, "*masks h w"] | None = None,
+) -> Shaped[Tensor, "*batch c rows columns"]:
     """The image of ``source`` as ``target`` would have taken it from the same place.
 
     Differentiable in the image and, but for ``"nearest"``, in the rotation and both cameras' intrinsics. For many
@@ -69,10 +70,10 @@ def remap(
 def remap_mask(
     source: Camera,
     target: Camera,
-    rotation: Tensor | None = None,
+    rotation: Float[Tensor, "*turns 3 3"] | None = None,
     mode: str = "bilinear",
-    mask: Tensor | None = None,
-) -> Tensor:
+    mask: Shaped[Tensor, "*masks h w"] | None = None,
+) -> Bool[Tensor, "*batch rows columns"]:
     """Return where ``remap`` finds values, bool ``(*b, h', w')``: where both cameras look and, with a mask, usable
     pixels were found.
 
@@ -129,10 +130,10 @@ class Remap(nn.Module):
         self,
         source: Camera,
         target: Camera,
-        rotation: Tensor | None = None,
+        rotation: Float[Tensor, "*turns 3 3"] | None = None,
         mode: str = "bilinear",
         fill: float = 0.0,
-        mask: Tensor | None = None,
+        mask: Shaped[Tensor, "*masks h w"] | None = None,
         dtype: torch.dtype | None = None,
         device: torch.device | str | None = None,
     ) -> None:
@@ -144,7 +145,9 @@ class Remap(nn.Module):
             source.device if device is None else device, dtype or torch.get_default_dtype()
         )
 
-    def forward(self, image: Tensor, mask: Tensor | None = None) -> Tensor:
+    def forward(
+        self, image: Shaped[Tensor, "*images c h w"], mask: Shaped[Tensor, "*masks h w"] | None = None
+    ) -> Shaped[Tensor, "*batch c rows columns"]:
         """The image ``(*b, c, h, w)`` in the target camera, ``(*b, c, h', w')``.
 
         Args:
@@ -159,7 +162,7 @@ class Remap(nn.Module):
         result: Tensor = self.tables(image, mask)
         return result
 
-    def mask(self, mask: Tensor | None = None) -> Tensor:
+    def mask(self, mask: Shaped[Tensor, "*masks h w"] | None = None) -> Bool[Tensor, "*batch rows columns"]:
         """Where results are valid, bool ``(*b, h', w')``; ``mask`` as in ``forward``."""
         return self.tables.mask(mask)
 

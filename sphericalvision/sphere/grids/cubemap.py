@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import check_last_dim
@@ -94,7 +95,7 @@ class Cubemap(nn.Module):
         return CUBE_FACES
 
     @property
-    def solid_angles(self) -> Tensor:
+    def solid_angles(self) -> Float[Tensor, "6 size size"]:
         """Exact solid angle of each pixel ``(6, size, size)`` in steradians."""
         edge = torch.linspace(-1, 1, self.size + 1, dtype=torch.float64)
         x, y = torch.meshgrid(edge, edge, indexing="ij")
@@ -120,7 +121,9 @@ class Cubemap(nn.Module):
         dtype = dtype or self.directions.dtype
         return rays[..., :3].to(dtype), shares.to(dtype)
 
-    def face_coordinates(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def face_coordinates(
+        self, directions: Float[Tensor, "*batch 3"]
+    ) -> tuple[Int[Tensor, "*batch"], Float[Tensor, "*batch 2"]]:
         """Face ``(*)`` that each direction ``(*, 3)`` goes through, and its tangents (x, y) ``(*, 2)`` there, -1 to 1.
 
         Examples:
@@ -134,7 +137,7 @@ class Cubemap(nn.Module):
         local = (directions.unsqueeze(-2) @ world_from_face[face]).squeeze(-2)
         return face, local[..., :2] / local[..., 2:]
 
-    def nearest(self, directions: Tensor) -> Tensor:
+    def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the index ``(*)`` of the pixel that contains each direction ``(*, 3)``.
 
         Examples:
@@ -145,7 +148,9 @@ class Cubemap(nn.Module):
         column, row = ((tangents + 1) * (self.size / 2)).floor().long().clamp(0, self.size - 1).unbind(-1)
         return (face * self.size + row) * self.size + column
 
-    def padded(self, values: Tensor) -> Tensor:
+    def padded(
+        self, values: Float[Tensor, "*batch c 6 size size"]
+    ) -> Float[Tensor, "*batch c 6 size+2 size+2"]:
         """Faces with a ring of the pixels across their edges, ``(*b, c, 6, size + 2, size + 2)``.
 
         In the four corners of the ring, where no pixel is, stands the mean of the two next to it.
@@ -165,11 +170,11 @@ class Cubemap(nn.Module):
             rows.append(torch.cat((left, edge[..., 1:-1], right), -1))
         return torch.cat((rows[0], ring[..., 1:-1, :], rows[1]), -2)
 
-    def image(self, values: Tensor) -> Tensor:
+    def image(self, values: Float[Tensor, "*batch c 6 size size"]) -> Float[Tensor, "*batch c h w"]:
         """One image ``(*b, c, h, w)`` of the padded faces, in which ``image_pixels`` are meant."""
         return mosaic(self.padded(values))
 
-    def image_pixels(self, directions: Tensor) -> Tensor:
+    def image_pixels(self, directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Pixels (u, v) ``(*, 2)`` of ``image`` at which bilinear interpolation gives the value of each direction.
 
         Differentiable in the directions ``(*, 3)``.
@@ -178,7 +183,9 @@ class Cubemap(nn.Module):
         pixels = _lattice(tangents, self.size)
         return mosaic_pixels(face, pixels + 1, 6, self.size + 2)
 
-    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+    def sample(
+        self, values: Float[Tensor, "*values c 6 size size"], directions: Float[Tensor, "*places n 3"]
+    ) -> Float[Tensor, "*batch c n"]:
         """Interpolate values linearly between the nearest pixels, across edges and corners.
 
         Args:

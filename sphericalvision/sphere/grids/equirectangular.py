@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
@@ -109,7 +110,7 @@ class Equirectangular(nn.Module):
         return self.max_latitude > math.pi / 2 - 1e-9
 
     @property
-    def solid_angles(self) -> Tensor:
+    def solid_angles(self) -> Float[Tensor, "h w"]:
         """Exact solid angle of each pixel ``(height, width)`` in steradians."""
         top = self.max_latitude
         edges = torch.linspace(top, -top, self.height + 1, dtype=torch.float64)
@@ -117,7 +118,7 @@ class Equirectangular(nn.Module):
         return rows.to(self.directions)[:, None].expand(self.shape)
 
     @property
-    def cell_widths(self) -> Tensor:
+    def cell_widths(self) -> Float[Tensor, "h w"]:
         """Width ``(height, width)`` in radians at the equator: near the poles a row has more pixels than content."""
         width = math.sqrt(2 * math.pi / self.width * 2 * self.max_latitude / self.height)
         return self.directions.new_full(self.shape, width)
@@ -142,7 +143,7 @@ class Equirectangular(nn.Module):
             (shares / shares.sum(-1, keepdim=True)).to(dtype),
         )
 
-    def pixels(self, directions: Tensor) -> Tensor:
+    def pixels(self, directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Return the pixel coordinates (u, v) ``(*, 2)`` of directions ``(*, 3)``; integers are pixel centres.
 
         Examples:
@@ -154,7 +155,7 @@ class Equirectangular(nn.Module):
         v = (self.height - 1) / 2 - latitude * (self.height / (2 * self.max_latitude))
         return torch.stack((u, v), -1)
 
-    def contains(self, directions: Tensor) -> Tensor:
+    def contains(self, directions: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
         """Whether directions ``(*, 3)`` are within the panorama's latitudes, its edges included ``(*)``.
 
         Examples:
@@ -168,7 +169,7 @@ class Equirectangular(nn.Module):
         latitude = longitude_latitude_from_directions(directions.double())[1]
         return latitude.abs() <= self.max_latitude + 4 * torch.finfo(directions.dtype).eps
 
-    def nearest(self, directions: Tensor) -> Tensor:
+    def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the index ``(*)``, ``row * width + column``, of the pixel that contains each direction ``(*, 3)``.
 
         A direction midway between two columns or rows, as whole meridians of an icosphere are, goes to the even one.
@@ -182,7 +183,7 @@ class Equirectangular(nn.Module):
         column, row = self.pixels(directions.detach().double()).float().round().long().unbind(-1)
         return row.clamp(0, self.height - 1) * self.width + column.clamp(0, self.width - 1)
 
-    def rows_of(self, panorama: Tensor) -> Tensor:
+    def rows_of(self, panorama: Shaped[Tensor, "*batch h w"]) -> Shaped[Tensor, "*batch rows w"]:
         """Return this grid's rows ``(*, height, width)`` of a panorama of its own or of the whole sphere.
 
         Raises:
@@ -207,12 +208,12 @@ class Equirectangular(nn.Module):
         """How ``image`` goes on beyond its edges: ``"sphere"``, or ``"around"`` without the poles."""
         return "sphere" if self.whole_sphere else "around"
 
-    def image(self, values: Tensor) -> Tensor:
+    def image(self, values: Float[Tensor, "*batch c h w"]) -> Float[Tensor, "*batch c h w"]:
         """The panorama ``(*b, c, height, width)`` itself, in which ``image_pixels`` are meant."""
         check_values(values, self.shape)
         return values
 
-    def image_pixels(self, directions: Tensor) -> Tensor:
+    def image_pixels(self, directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Pixels (u, v) ``(*, 2)`` of ``image`` at which bilinear interpolation gives the value of each direction.
 
         Differentiable in the directions ``(*, 3)``.
@@ -225,7 +226,9 @@ class Equirectangular(nn.Module):
         v = self.pixels(directions)[..., 1]
         return torch.stack((torch.remainder(u + 0.5, self.width) - 0.5, v), -1)
 
-    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+    def sample(
+        self, values: Float[Tensor, "*values c h w"], directions: Float[Tensor, "*places n 3"]
+    ) -> Float[Tensor, "*batch c n"]:
         """Interpolate values bilinearly in longitude and latitude, across the seam and over the poles.
 
         Beyond the latitudes of a panorama without poles its outermost rows are repeated, see ``contains``.

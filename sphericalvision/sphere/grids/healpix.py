@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import check_choice, check_last_dim
@@ -84,7 +85,7 @@ class Healpix(nn.Module):
         return (self.num_pixels,)
 
     @property
-    def solid_angles(self) -> Tensor:
+    def solid_angles(self) -> Float[Tensor, " pixels"]:
         """Solid angle of each pixel ``(12 * nside**2,)`` in steradians, all the same."""
         return self.directions.new_full(self.shape, 4 * math.pi / self.num_pixels)
 
@@ -101,7 +102,7 @@ class Healpix(nn.Module):
         directions = direction_of_place(face.expand_as(x), x, y).to(dtype or self.directions.dtype)
         return directions, torch.full_like(directions[..., 0], 1 / samples**2)
 
-    def nearest(self, directions: Tensor) -> Tensor:
+    def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the number ``(*)`` of the pixel that contains each direction ``(*, 3)``.
 
         Examples:
@@ -114,7 +115,9 @@ class Healpix(nn.Module):
         number = nested_from_place if self.nested else ring_from_place
         return number(face, column, row, self.nside)
 
-    def locate(self, directions: Tensor, interpolation: str = "healpy") -> tuple[Tensor, Tensor]:
+    def locate(
+        self, directions: Float[Tensor, "*batch 3"], interpolation: str = "healpy"
+    ) -> tuple[Int[Tensor, "*batch 4"], Float[Tensor, "*batch 4"]]:
         """Return four pixels ``(*, 4)`` around each direction and their weights ``(*, 4)``, which sum to one.
 
         Two neighbours on the ring above and two on the ring below. Beyond the first and the last ring the mean of its
@@ -166,7 +169,9 @@ class Healpix(nn.Module):
         weights = torch.cat((weights_above, weights_below), -1)
         return nested_from_ring(ids, self.nside) if self.nested else ids, weights
 
-    def taps(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def taps(
+        self, directions: Float[Tensor, "*batch 3"]
+    ) -> tuple[Int[Tensor, "*batch 4"], Float[Tensor, "*batch 4"]]:
         """Pixels and weights that ``resample`` uses: ``locate`` between chords."""
         return self.locate(directions, "chords")
 
@@ -196,7 +201,9 @@ class Healpix(nn.Module):
         ids = torch.stack((start + first % count, start + (first + 1) % count), -1)
         return ids, torch.stack((1 - share, share), -1), theta
 
-    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+    def sample(
+        self, values: Float[Tensor, "*values c pixels"], directions: Float[Tensor, "*places n 3"]
+    ) -> Float[Tensor, "*batch c n"]:
         """Interpolate values between the four pixels of ``locate``.
 
         Args:

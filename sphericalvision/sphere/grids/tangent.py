@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.cameras import PinholeCamera
@@ -94,7 +95,7 @@ class TangentImages(nn.Module):
         return (self.num_patches, self.size, self.size)
 
     @property
-    def world_from_patch(self) -> Tensor:
+    def world_from_patch(self) -> Float[Tensor, "patches 3 3"]:
         """Rotations ``(patches, 3, 3)`` whose columns are the right, down and forward axes of each patch."""
         return _frames(self.base_level, self.directions.device).to(self.directions)
 
@@ -106,7 +107,7 @@ class TangentImages(nn.Module):
         return PinholeCamera(focal_length, center, (self.size, self.size)).to(self.directions)
 
     @property
-    def solid_angles(self) -> Tensor:
+    def solid_angles(self) -> Float[Tensor, "patches size size"]:
         """Solid angle ``(patches, size, size)`` of each pixel's part inside its own face, in steradians."""
         corners, _ = _corners_in_plane(self.base_level, self.directions.device)
         edges = torch.arange(self.size + 1, dtype=torch.float64, device=corners.device) - self.size / 2
@@ -115,7 +116,7 @@ class TangentImages(nn.Module):
         return solid_angles_in_triangle(edges * self.pixel_size, corners).to(self.directions)
 
     @property
-    def cell_widths(self) -> Tensor:
+    def cell_widths(self) -> Float[Tensor, "patches size size"]:
         """Square root of each whole pixel's solid angle ``(patches, size, size)``, in radians."""
         x, y = self._plane(self.size, self.directions.device)
         return (self.pixel_size * (1 + x * x + y * y) ** -0.75).to(self.directions).expand(self.shape)
@@ -135,7 +136,9 @@ class TangentImages(nn.Module):
         dtype = dtype or self.directions.dtype
         return rays.to(dtype), shares.to(dtype)
 
-    def face_coordinates(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def face_coordinates(
+        self, directions: Float[Tensor, "*batch 3"]
+    ) -> tuple[Int[Tensor, "*batch"], Float[Tensor, "*batch 2"]]:
         """Patch ``(*)`` whose face contains each direction ``(*, 3)``, and the pixel (u, v) ``(*, 2)`` there.
 
         Examples:
@@ -152,18 +155,18 @@ class TangentImages(nn.Module):
         plane = torch.stack((x, y), -1) / torch.where(z > 0, z, 1.0).unsqueeze(-1)
         return patch, plane / self.pixel_size + (self.size - 1) / 2
 
-    def nearest(self, directions: Tensor) -> Tensor:
+    def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the index ``(*)`` of the pixel, in the patch of the containing face, that each direction falls on."""
         patch, pixels = self.face_coordinates(directions)
         column, row = (pixels + 0.5).floor().long().clamp(0, self.size - 1).unbind(-1)
         return (patch * self.size + row) * self.size + column
 
-    def image(self, values: Tensor) -> Tensor:
+    def image(self, values: Float[Tensor, "*batch c patches size size"]) -> Float[Tensor, "*batch c h w"]:
         """One image ``(*b, c, h, w)`` of all patches, in which ``image_pixels`` are meant."""
         check_values(values, self.shape)
         return mosaic(values)
 
-    def image_pixels(self, directions: Tensor) -> Tensor:
+    def image_pixels(self, directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Pixels (u, v) ``(*, 2)`` of ``image`` at which bilinear interpolation gives the value of each direction.
 
         Differentiable in the directions ``(*, 3)``.
@@ -171,7 +174,9 @@ class TangentImages(nn.Module):
         patch, pixels = self.face_coordinates(directions)
         return mosaic_pixels(patch, pixels, self.num_patches, self.size)
 
-    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+    def sample(
+        self, values: Float[Tensor, "*values c patches size size"], directions: Float[Tensor, "*places n 3"]
+    ) -> Float[Tensor, "*batch c n"]:
         """Interpolate bilinearly in the patch whose face contains the direction.
 
         Args:

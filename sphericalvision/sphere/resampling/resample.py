@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 
 import torch
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
@@ -18,14 +19,14 @@ __all__ = ["RESAMPLE_MODES", "Resample", "resample", "resample_mask"]
 
 
 def resample(
-    values: Tensor,
+    values: Shaped[Tensor, "*values"],
     source: SphereGrid | Camera,
     target: SphereGrid | Camera,
-    rotation: Tensor | None = None,
+    rotation: Float[Tensor, "*turns 3 3"] | None = None,
     mode: str = "bilinear",
     fill: float = 0.0,
     mask: Tensor | None = None,
-) -> Tensor:
+) -> Shaped[Tensor, "*results"]:
     """Resample values from one grid or camera to another.
 
     Depth along the rays stays what it is: all grids and cameras are seen from the same centre. For many values on one
@@ -70,10 +71,10 @@ def resample(
 def resample_mask(
     source: SphereGrid | Camera,
     target: SphereGrid | Camera,
-    rotation: Tensor | None = None,
+    rotation: Float[Tensor, "*turns 3 3"] | None = None,
     mode: str = "bilinear",
     mask: Tensor | None = None,
-) -> Tensor:
+) -> Bool[Tensor, "*results"]:
     """Return where ``resample`` finds values, bool ``(*b, *target_shape)``: all but what a camera cannot see, and what
     depends on masked values alone.
 
@@ -121,7 +122,7 @@ class Resample(nn.Module):
         self,
         source: SphereGrid | Camera,
         target: SphereGrid | Camera,
-        rotation: Tensor | None = None,
+        rotation: Float[Tensor, "*turns 3 3"] | None = None,
         mode: str = "bilinear",
         fill: float = 0.0,
         mask: Tensor | None = None,

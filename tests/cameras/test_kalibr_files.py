@@ -24,6 +24,7 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
+from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 from tests.cameras.calibration_samples import (
     KALIBR,
@@ -173,3 +174,33 @@ def test_missing_or_skewed_pose_is_named(tmp_path: Path) -> None:
     del content["cam1"]["T_cn_cnm1"]
     with pytest.raises(ValueError, match=r"cam1: the key 'T_cn_cnm1' is missing"):
         read_rig(dump(tmp_path / "chain.yaml", content))
+
+
+def test_openvins_gives_the_inverse_transform(tmp_path: Path) -> None:
+    """Its ``T_imu_cam`` takes camera coordinates to the IMU's: the same rig as of ``T_cam_imu`` the other way round."""
+    angles = torch.tensor([[0.1, -0.2, 0.3], [0.0, 0.4, 0.1]], dtype=torch.float64)
+    places = torch.tensor([[0.1, 0.0, 0.05], [-0.1, 0.02, 0.0]], dtype=torch.float64)
+    to_imu = transform_from_axis_angle(angles, places)
+    content = {
+        f"cam{index}": {**KALIBR["pinhole equidistant"], "T_imu_cam": pose.tolist()}
+        for index, pose in enumerate(to_imu)
+    }
+    rig = read_rig(dump(tmp_path / "camchain.yaml", content), dtype=torch.float64)
+    torch.testing.assert_close(rig.world_from_camera, to_imu)
+    for index, pose in enumerate(to_imu):
+        content[f"cam{index}"] = {
+            **KALIBR["pinhole equidistant"],
+            "T_cam_imu": torch.linalg.inv(pose).tolist(),
+        }
+    again = read_rig(dump(tmp_path / "camchain.yaml", content), dtype=torch.float64)
+    torch.testing.assert_close(again.world_from_camera, to_imu)
+    alone = {"cam0": {**KALIBR["pinhole equidistant"], "T_imu_cam": to_imu[0].tolist()}}
+    single = read_rig(dump(tmp_path / "camchain.yaml", alone), dtype=torch.float64)
+    torch.testing.assert_close(single.world_from_camera[0], to_imu[0])
+
+
+def test_one_camera_without_a_transform_has_no_pose(tmp_path: Path) -> None:
+    path = dump(tmp_path / "camchain.yaml", {"cam0": KALIBR["pinhole equidistant"]})
+    assert type(read_camera(path)) is KannalaBrandtCamera
+    with pytest.raises(FileFormatError, match="one camera without poses"):
+        read_rig(path)

@@ -97,3 +97,12 @@ def test_broken_file_names_file_and_key(tmp_path: Path, changes: dict[str, Any],
     with pytest.raises(ValueError, match=r"camera\.yaml") as caught:
         read_camera(write(tmp_path / "camera.yaml", multicol(**changes)))
     assert message in str(caught.value)
+
+
+def test_keys_without_a_space_before_their_value_are_read(tmp_path: Path) -> None:
+    """As in files that MultiCol-SLAM publishes: ``Camera.a0:-209.07``, which is no pair to YAML."""
+    path = write(tmp_path / "spaced.yaml", multicol())
+    tight = tmp_path / "InteriorOrientationFisheye1.yaml"
+    tight.write_text(path.read_text().replace(": ", ":"))
+    assert "Camera.a0:-" in tight.read_text()
+    assert read_camera(tight).equals(read_camera(path))

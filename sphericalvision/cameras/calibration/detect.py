@@ -20,7 +20,7 @@ from sphericalvision.cameras.calibration import (
     woodscape,
 )
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import load, looks_structured
+from sphericalvision.cameras.calibration.files import data_lines, load, looks_structured
 from sphericalvision.cameras.calibration.ocam_text import read_ocam_folder, read_ocam_text
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
@@ -148,6 +148,7 @@ def _contents(path: Path, options: Options) -> tuple[Path, Contents | CameraRig]
         return path, camodocal.kitti360_contents(path, options)
     if colmap.recognizes(path):
         return path, colmap.contents(path, options)
+    _refuse_keys(path)
     camera = read_ocam_text(path, max_angle=options.max_angle, dtype=torch.float64)
     return path, Contents({path.stem: camera})
 
@@ -161,6 +162,17 @@ def _of_keys(path: Path, options: Options) -> Contents:
                     _refuse_unit(path, options)
                 return reader.contents(content, path, options)
     raise FileFormatError(f"{path}: not a calibration; {_KNOWN}")
+
+
+def _refuse_keys(path: Path) -> None:
+    """Lines of ``key: values`` are KITTI's; OCamCalib's are numbers."""
+    lines = data_lines(path)
+    if lines and lines[0][1][0].endswith(":"):
+        raise FileFormatError(
+            f"{path}, line {lines[0][0]}: {lines[0][1][0]} is no line of an OCamCalib file. "
+            f"KITTI's calib_cam_to_cam.txt and the like are not read: pass K_0x and D_0x to BrownConradyCamera, or of rectified images P_rect_0x to "
+            f"PinholeCamera; {_KNOWN}"
+        )
 
 
 def _refuse_unit(path: Path, options: Options) -> None:

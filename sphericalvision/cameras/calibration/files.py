@@ -8,6 +8,7 @@ OpenCV's FileStorage writes a YAML of its own: its first line is ``%YAML:1.0``, 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,9 @@ def load(path: Path) -> Any:
             return json.loads(text)
         if start.startswith("%YAML"):  # "%YAML:1.0" is no directive that YAML knows
             text = text.replace("%YAML", "# ", 1)
+            text = re.sub(
+                r"^([ \t]*[\w.]+):(?=[^\s:])", r"\1: ", text, flags=re.MULTILINE
+            )  # its "key:1" is no pair to YAML
         return yaml.load(text, Loader=_Loader)
     except json.JSONDecodeError as error:
         raise FileFormatError(f"{path}: not valid json ({error}); is it truncated?") from None

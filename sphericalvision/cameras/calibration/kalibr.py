@@ -3,6 +3,7 @@
 
 Convention:
     ``T_cn_cnm1`` takes coordinates of the camera before to this camera's, and ``T_cam_imu`` the IMU's; both in metres.
+    OpenVINS writes the inverse of the latter, ``T_imu_cam``.
     With ``T_cam_imu`` for every camera the world is the IMU's frame; else it is that of ``cam0``.
 
 References:
@@ -128,19 +129,32 @@ def _camera(values: Any, where: str) -> Camera:
         return KannalaBrandtCamera(focal_length, center, coefficients, size, math.pi)
 
 
-def _poses(content: dict[str, Any], names: list[str], path: Path) -> Tensor:
-    """Camera to world (n, 4, 4), from the IMU's transforms if all cameras have one, else along the chain."""
-    if all("T_cam_imu" in content[name] for name in names):
-        rows = [
-            transform_from_rows(content[name]["T_cam_imu"], f"{path}, {name}, T_cam_imu") for name in names
-        ]
-        return invert_transform(torch.stack(rows))
+def _poses(content: dict[str, Any], names: list[str], path: Path) -> Tensor | None:
+    """Camera to world (n, 4, 4): from the IMU's transforms if all cameras have one, else along the chain.
+
+    None for one camera without a transform: nothing says where it is.
+    """
+    to_imu = [_imu_from_camera(content[name], f"{path}, {name}") for name in names]
+    known = [pose for pose in to_imu if pose is not None]
+    if len(known) == len(names):
+        return torch.stack(known)
+    if len(names) == 1:
+        return None
     poses = [torch.eye(4, dtype=torch.float64)]
     for name in names[1:]:
         step = entry(content[name], "T_cn_cnm1", f"{path}, {name}")
         from_previous = transform_from_rows(step, f"{path}, {name}, T_cn_cnm1")
         poses.append(poses[-1] @ invert_transform(from_previous))
     return torch.stack(poses)
+
+
+def _imu_from_camera(values: Any, where: str) -> Tensor | None:
+    """Of ``T_cam_imu`` as Kalibr writes it, or ``T_imu_cam`` as OpenVINS does; None without either."""
+    if "T_cam_imu" in values:
+        return invert_transform(transform_from_rows(values["T_cam_imu"], f"{where}, T_cam_imu"))
+    if "T_imu_cam" in values:
+        return transform_from_rows(values["T_imu_cam"], f"{where}, T_imu_cam")
+    return None
 
 
 def write_kalibr(cameras: Camera | CameraRig, path: str | Path) -> None:

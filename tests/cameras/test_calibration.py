@@ -355,7 +355,8 @@ def test_missing_key_is_named(tmp_path: Path) -> None:
 def test_mask_of_another_size_is_refused(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "mask1.png"), np.zeros((24, 32), np.uint8))
     text = refused(dump(tmp_path / "config.yaml", omnimvs()))
-    assert "mask1.png: the camera's images are 240 x 320 (height x width), this mask is 24 x 32" in text
+    assert "mask1.png: expected 320 x 240 pixels (width x height" in text
+    assert "got 32 x 24" in text
 
 
 def test_what_is_no_calibration_says_what_is_known(tmp_path: Path) -> None:

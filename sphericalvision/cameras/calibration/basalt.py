@@ -18,18 +18,22 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.parsing import (
-    as_told,
-    bounded,
     entry,
+    errors_of_file,
     focal_lengths,
     number,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation
+from sphericalvision.cameras.calibration.supported_models import (
+    check_holds,
+    numbers_of,
+    without_trailing_zeros,
+)
+from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.double_sphere import DoubleSphereCamera
 from sphericalvision.cameras.models.extended_unified import ExtendedUnifiedCamera
@@ -129,7 +133,7 @@ def _camera(values: Any, image_size: tuple[int, int], where: str) -> Camera:
     fx, fy, cx, cy, *more = (number(intrinsics, key, where) for key in keys)
     center = [cx, cy]
     focal_length = torch.tensor(focal_lengths([fx, fy], f"{where}, fx and fy"), dtype=torch.float64)
-    with as_told(where):
+    with errors_of_file(where):
         if kind == "ds":
             return DoubleSphereCamera(focal_length, center, more[0], more[1], image_size, math.pi)
         if kind == "eucm":

@@ -23,14 +23,14 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, load
 from sphericalvision.cameras.calibration.parsing import (
-    as_told,
-    bounded,
     entry,
+    errors_of_file,
     focal_lengths,
     number,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.unified import UnifiedCamera
@@ -88,7 +88,7 @@ def _camera(values: dict[str, Any], where: str) -> Camera:
         found = focal_lengths(get("projection_parameters", *keys), f"{where}, {' and '.join(keys)}")
         return torch.tensor(found, dtype=torch.float64)
 
-    with as_told(where):
+    with errors_of_file(where):
         if kind.upper() == "KANNALA_BRANDT":
             coefficients = get("projection_parameters", "k2", "k3", "k4", "k5")
             center = get("projection_parameters", "u0", "v0")

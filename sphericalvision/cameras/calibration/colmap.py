@@ -19,16 +19,20 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines
 from sphericalvision.cameras.calibration.parsing import (
-    as_told,
-    bounded,
+    errors_of_file,
     focal_lengths,
     numbers,
     size_from_width_height,
 )
+from sphericalvision.cameras.calibration.supported_models import (
+    check_holds,
+    numbers_of,
+    without_trailing_zeros,
+)
+from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
@@ -90,7 +94,7 @@ def _camera(words: list[str], where: str) -> Camera:
     focal_length = torch.tensor(checked, dtype=torch.float64)
     center = [found[focal] - 0.5, found[focal + 1] - 0.5]
     coefficients = found[focal + 2 :]
-    with as_told(where):
+    with errors_of_file(where):
         if model in ("SIMPLE_PINHOLE", "PINHOLE"):
             return PinholeCamera(focal_length, center, size)
         coefficients += [0.0] * (4 - len(coefficients))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What readers are told and what they find."""
+"""Options of a calibration reader, and the cameras, poses and masks that it returns."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.parsing import as_told, check_radius
+from sphericalvision.cameras.calibration.parsing import check_radius, errors_of_file
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 
@@ -55,6 +55,6 @@ class Contents:
                 f"{path}: holds {several} without poses, which makes no rig: use {hint}, and build a CameraRig with "
                 "poses of your own"
             )
-        with as_told(str(path)):
+        with errors_of_file(str(path)):
             poses = self.world_from_camera.to(dtype or torch.get_default_dtype())
             return check_radius(CameraRig(self.cast(dtype), poses, dict(self.masks)), path)

@@ -169,9 +169,9 @@ def _refuse_keys(path: Path) -> None:
     lines = data_lines(path)
     if lines and lines[0][1][0].endswith(":"):
         raise FileFormatError(
-            f"{path}, line {lines[0][0]}: {lines[0][1][0]} is no line of an OCamCalib file. "
-            f"KITTI's calib_cam_to_cam.txt and the like are not read: pass K_0x and D_0x to BrownConradyCamera, or of rectified images P_rect_0x to "
-            f"PinholeCamera; {_KNOWN}"
+            f"{path}, line {lines[0][0]}: {lines[0][1][0]} is no line of an OCamCalib file. KITTI's "
+            "calib_cam_to_cam.txt and the like are not read: pass K_0x and D_0x to BrownConradyCamera, or for "
+            f"rectified images P_rect_0x to PinholeCamera; {_KNOWN}"
         )
 
 

@@ -21,17 +21,21 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.parsing import (
-    as_told,
-    bounded,
     entry,
+    errors_of_file,
     focal_lengths,
     numbers,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.supported_models import (
+    check_holds,
+    numbers_of,
+    without_trailing_zeros,
+)
+from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.double_sphere import DoubleSphereCamera
 from sphericalvision.cameras.models.extended_unified import ExtendedUnifiedCamera
@@ -111,7 +115,7 @@ def _camera(values: Any, where: str) -> Camera:
     focal_length = torch.tensor(focal_lengths(found[-4:-2], f"{where}, intrinsics"), dtype=torch.float64)
     center = found[-2:]
     size = size_from_width_height(entry(values, "resolution", where), f"{where}, resolution")
-    with as_told(where):
+    with errors_of_file(where):
         if kind == "ds":
             return DoubleSphereCamera(focal_length, center, found[0], found[1], size, math.pi)
         if kind == "eucm":

@@ -27,7 +27,8 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load
-from sphericalvision.cameras.calibration.parsing import as_told, bounded, number, size_from_width_height
+from sphericalvision.cameras.calibration.parsing import errors_of_file, number, size_from_width_height
+from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.geometry import transform_from_quaternion
@@ -100,7 +101,7 @@ def _camera(content: dict[str, Any], where: str) -> OCamCamera:
     size = [content.get(key) for key in ("Camera.Iw", "Camera.Ih")]
     image_size = size_from_width_height(size, f"{where}, Camera.Iw and Camera.Ih")
     powers = torch.arange(len(direct), dtype=torch.float64)
-    with as_told(where):
+    with errors_of_file(where):
         return OCamCamera(
             polynomial=direct * c ** (1 - powers),
             inverse_polynomial=inverse * c,

@@ -19,8 +19,8 @@ import torch
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.parsing import (
-    as_told,
     entry,
+    errors_of_file,
     mapping,
     numbers,
     size_from_width_height,
@@ -99,7 +99,7 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
     if _takes_max_angle(model):
         arguments["max_angle"] = numbers(entry(values, "max_angle", where), f"{where}, max_angle", 1)[0]
     try:
-        with as_told(where):
+        with errors_of_file(where):
             return model(**arguments)
     except TypeError as error:
         raise FileFormatError(f"{where}: {error}") from None

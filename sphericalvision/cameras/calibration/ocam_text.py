@@ -14,16 +14,16 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of
 from sphericalvision.cameras.calibration.files import data_lines
 from sphericalvision.cameras.calibration.parsing import (
-    as_told,
-    bounded,
     check_radius,
+    errors_of_file,
     metres_per,
     numbers,
     size_from_width_height,
 )
+from sphericalvision.cameras.calibration.supported_models import check_holds, numbers_of
+from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
@@ -72,7 +72,7 @@ def make_ocam(
     row, column = center
     height, width = size
     image_size = size_from_width_height([width, height], f"{where}, image size")
-    with as_told(where):
+    with errors_of_file(where):
         camera = OCamCamera(
             polynomial=torch.tensor(_counted(direct, f"{where}, direct polynomial"), dtype=torch.float64),
             inverse_polynomial=None if inverse is None else _counted(inverse, f"{where}, inverse polynomial"),

@@ -34,13 +34,13 @@ from sphericalvision.cameras.calibration.opencv_keys import (
     rotation,
 )
 from sphericalvision.cameras.calibration.parsing import (
-    as_told,
-    bounded,
+    errors_of_file,
     focal_lengths,
     metres_per,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import checked_rigid
+from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
@@ -89,7 +89,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         )
     second_from_first = torch.eye(4, dtype=torch.float64)
     second_from_first[:3, :3] = rotation(content[rotation_key], f"{path}, {rotation_key}")
-    with as_told(str(path)):
+    with errors_of_file(str(path)):
         metres = metres_per(str(unit))
     found = matrix(content[translation_key], f"{path}, {translation_key}", 3)
     second_from_first[:3, 3] = torch.tensor(found, dtype=torch.float64) * metres
@@ -154,7 +154,7 @@ def _camera(content: Mapping[str, Any], index: str, where: str, options: Options
     if distortion_key is not None:
         coefficients = matrix(content[distortion_key], f"{where}, {distortion_key}")
     xi = find(content, ("xi",), index)
-    with as_told(where if distortion_key is None else f"{where}, {distortion_key}"):
+    with errors_of_file(where if distortion_key is None else f"{where}, {distortion_key}"):
         if xi is not None:
             distortion = _with_k3(coefficients, f"{where}, {distortion_key}")
             value = matrix(content[xi], f"{where}, {xi}", 1)[0]

@@ -10,8 +10,12 @@ import cv2
 import numpy as np
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.capabilities import check_holds, numbers_of, without_trailing_zeros
 from sphericalvision.cameras.calibration.files import STRUCTURED
+from sphericalvision.cameras.calibration.supported_models import (
+    check_holds,
+    numbers_of,
+    without_trailing_zeros,
+)
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera

@@ -21,14 +21,14 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.parsing import (
-    as_told,
-    bounded,
     entry,
+    errors_of_file,
     mapping,
     number,
     numbers,
     size_from_width_height,
 )
+from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
 from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import transform_from_quaternion
@@ -67,7 +67,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         number(values, "cy_offset", where) + height / 2 - 0.5,
     ]
     aspect = number(values, "aspect_ratio", where) if "aspect_ratio" in values else 1.0
-    with as_told(where):
+    with errors_of_file(where):
         polynomial = torch.tensor(coefficients, dtype=torch.float64)
         camera = RadialPolynomialCamera(polynomial, center, aspect, (height, width))
     camera = bounded(camera, options.max_angle, where)

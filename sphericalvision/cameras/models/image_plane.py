@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between pixels, the plane in units of the focal length, and directions, component by component."""
+"""Conversions between pixels, the plane in units of the focal length, and directions, component by component."""
 
 from __future__ import annotations
 

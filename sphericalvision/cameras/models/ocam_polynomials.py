@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two polynomials of an OCam camera from each other, by linear least squares."""
+"""Linear least squares fits of each polynomial of an OCam camera to the other."""
 
 from __future__ import annotations
 

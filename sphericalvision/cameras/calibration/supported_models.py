@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which file format can hold which camera model, and what is said when it cannot."""
+"""Which camera models each file format can hold, and the error when it cannot hold one."""
 
 from __future__ import annotations
 

@@ -138,7 +138,8 @@ def semi_global_sweep(
     else:
         cost_level = max(image_level - 1, level) if cost_level is None else cost_level
         _check_levels(level, cost_level, image_level)
-        tables = semi_global_tables(rig, num_hypotheses, min_depth, image_level, cost_level, substeps)
+        device = sphere_images.device
+        tables = semi_global_tables(rig, num_hypotheses, min_depth, image_level, cost_level, substeps, device)
     _check_levels(level, cost_level, image_level)
     substeps, rest = divmod(tables.sweep.ids.shape[-4] - 1, num_hypotheses - 1)
     if rest:
@@ -168,8 +169,9 @@ def semi_global_tables(
     image_level: int,
     cost_level: int | None = None,
     substeps: int = 2,
+    device: torch.device | str | None = None,
 ) -> SemiGlobalTables:
-    """Return what ``semi_global_sweep`` needs to know of a rig; arguments as there.
+    """Return what ``semi_global_sweep`` needs to know of a rig; arguments as there. The rig's device when not given.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -181,11 +183,12 @@ def semi_global_tables(
     if substeps < 1:
         raise ArgumentError(f"substeps: expected at least 1, got {substeps}")
     check_hypotheses(num_hypotheses, min_depth)
-    device, dtype = rig.world_from_camera.device, rig.world_from_camera.dtype
+    dtype = rig.world_from_camera.dtype
+    device = rig.world_from_camera.device if device is None else device
     number = (num_hypotheses - 1) * substeps + 1
     inverse_depths = inverse_depth_hypotheses(number, min_depth, dtype, device)
     sweep = sweep_tables(icosphere_vertices(cost_level, dtype, device), inverse_depths, rig, image_level)
-    return SemiGlobalTables(sweep, seen_in_view(rig, image_level))
+    return SemiGlobalTables(sweep, seen_in_view(rig, image_level).to(device))
 
 
 def semi_global_costs(

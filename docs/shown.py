@@ -31,6 +31,15 @@ def example(**files: str) -> Path:
     return folder
 
 
+def source(path: str, language: str = "yaml") -> str:
+    """A file of this project as a block of code, titled with its name."""
+    text = (
+        (Path(__file__).parents[1] / path).read_text().removeprefix("# SPDX-License-Identifier: Apache-2.0\n")
+    )
+    name = path.removeprefix("tests/plugin/")
+    return f'```{language} title="{name}"\n{text}```\n'
+
+
 def picture(pixels: np.ndarray) -> str:
     """An RGB picture (h, w, 3) as HTML; the page's own ``print`` is what markdown-exec collects."""
     data = base64.b64encode(cv2.imencode(".png", pixels[..., ::-1])[1]).decode()

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import pytorch_lightning as pl
 import torch
 from omegaconf import DictConfig
-from pytorch_lightning.callbacks import ModelCheckpoint, ProgressBar
+from pytorch_lightning.callbacks import LearningRateMonitor, ModelCheckpoint, ProgressBar
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.recipes.app.cli import build, print_config
@@ -46,14 +46,17 @@ def instantiate_run(config: DictConfig, folder: Path) -> Run:
     check_optimization(module)
     data: SampleDataModule = build(config.data, "data")
     data.serve(net)
+    loggers = build_all(config, "logger")
     callbacks = build_all(config, "callbacks")
+    if not loggers:  # Lightning refuses a callback that has nowhere to write
+        callbacks = [callback for callback in callbacks if not isinstance(callback, LearningRateMonitor)]
     bars = any(isinstance(callback, ProgressBar) for callback in callbacks)
     trainer = build(
         config.trainer,
         "trainer",
         default_root_dir=str(folder),
         callbacks=callbacks,
-        logger=build_all(config, "logger") or False,
+        logger=loggers or False,
         plugins=[WeightsBesideCheckpoint(net)],
         enable_progress_bar=bars,
         enable_checkpointing=any(isinstance(callback, ModelCheckpoint) for callback in callbacks),

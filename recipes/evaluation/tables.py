@@ -106,7 +106,9 @@ def sweep_estimator(net: DepthNetwork) -> Estimator:
     number, min_depth = net.num_hypotheses, net.min_depth
 
     def estimate(batch: Batch) -> Tensor:
-        return photo_consistency(batch["images"], batch["rig"], number, min_depth).index
+        return photo_consistency(
+            batch["images"], batch["rig"], number, min_depth, seen=batch.get("seen")
+        ).index
 
     return estimate
 
@@ -116,7 +118,9 @@ def semi_global_estimator(net: DepthNetwork) -> Estimator:
     number, min_depth = net.num_hypotheses, net.min_depth
 
     def estimate(batch: Batch) -> Tensor:
-        return semi_global_sweep(batch["images"], batch["rig"], number, min_depth).index
+        return semi_global_sweep(
+            batch["images"], batch["rig"], number, min_depth, seen=batch.get("seen")
+        ).index
 
     return estimate
 

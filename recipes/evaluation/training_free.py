@@ -37,6 +37,6 @@ class SemiGlobalSweep(DepthNetwork):
     def predict(self, images: Tensor, rig: CameraRig, seen: Tensor | None = None) -> DepthEstimate:
         """Index, confidence and where two cameras agree, each ``(B, V_{level-1})``."""
         index, confidence = semi_global_sweep(
-            images, rig, self.num_hypotheses, self.min_depth, level=self.level - 1
+            images, rig, self.num_hypotheses, self.min_depth, level=self.level - 1, seen=seen
         )[:2]
         return DepthEstimate(index, confidence, confidence > 0)

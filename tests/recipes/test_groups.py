@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What people look for in a recipe: loggers, sweeps, short runs that find mistakes; each by one documented word."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_module
+
+from sphericalvision.data import write_omnistereo
+from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.app.frames import RenderedFrames
+from sphericalvision.recipes.app.rigs import make_ring
+from tests.recipes.tiny import Run
+
+Words = tuple[str, ...]
+NETWORK = ("model.level=3", "model.num_hypotheses=4", "model.feature_channels=2", "trainer.accelerator=cpu")
+
+
+@pytest.mark.slow
+def test_another_data_set_takes_the_place_of_the_experiments(run: Run, tmp_path: Path) -> None:
+    """Nothing that belongs to one data module, rig or schedule stays when another is chosen."""
+    rig = make_ring(image_size=(32, 32))
+    write_omnistereo(tmp_path / "set", RenderedFrames(rig, [1, 2], samples_per_pixel=1, height=32), rig)
+    words = ("data=omnistereo", f"data.root={tmp_path / 'set'}", "data.train_split=all", "data.val_split=all")
+    short = ("trainer.max_steps=1", "trainer.val_check_interval=1", "data.num_workers=0", "logger=none")
+    run("train", "experiment=quickstart", *words, *NETWORK, *short, "output=run", "callbacks=none")
+    assert (tmp_path / "run/validation.json").is_file()
+    for word in (
+        "rig=equirect4",
+        "scheduler=step",
+        "scheduler=one_cycle",
+        "model=omnimvs_small",
+        "optimizer=sgd",
+    ):
+        with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+            config = compose("train", ["experiment=quickstart", word])
+        group = word.partition("=")[0]
+        assert build(config[group], group) is not None
+
+
+def test_a_sweep_ends_with_a_table(run: Run, tmp_path: Path, tiny_training: Words) -> None:
+    run(
+        "train", *tiny_training, "trainer.max_steps=1", "hparams=learning_rate", "logger=none", "output=sweep"
+    )
+    rows = json.loads((tmp_path / "sweep/sweep.json").read_text())
+    assert [row["optimizer.lr"] for row in rows] == ["0.0005", "0.002"]
+    assert all(math.isfinite(row["MAE"]) for row in rows)
+    assert "| run | optimizer.lr | >1 |" in (tmp_path / "sweep/sweep.md").read_text()
+
+
+@pytest.mark.slow
+def test_one_batch_is_learned_by_heart(run: Run, tmp_path: Path, tiny_training: Words) -> None:
+    words = ("debug=overfit", "trainer.max_steps=8", "optimizer.lr=1e-2", "logger=csv", "callbacks=none")
+    run("train", *(w for w in tiny_training if "val_check" not in w), *words, "output=run")
+    (metrics,) = (tmp_path / "run/metrics").glob("*/metrics.csv")
+    lines = [line.split(",") for line in metrics.read_text().splitlines()]
+    column = lines[0].index("train/loss")
+    losses = [float(line[column]) for line in lines[1:] if line[column]]
+    assert losses[-1] < losses[0]
+
+
+@pytest.mark.slow
+def test_ten_steps_are_profiled(run: Run, tmp_path: Path, tiny_training: Words) -> None:
+    words = (
+        "debug=profiler",
+        "trainer.max_steps=2",
+        "trainer.val_check_interval=2",
+        "logger=none",
+        "callbacks=none",
+    )
+    run("train", *tiny_training, *words, "output=run")
+    assert "run_training_batch" in (tmp_path / "run/fit-profile.txt").read_text()
+
+
+@pytest.mark.slow
+def test_wandb_works_without_a_network(
+    run: Run, tmp_path: Path, tiny_training: Words, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("wandb")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    words = (
+        "logger=wandb",
+        "logger.wandb.offline=true",
+        "trainer.max_steps=1",
+        "callbacks=none",
+        "tags=[mine]",
+    )
+    run("train", *tiny_training, *words, "output=run")
+    assert list((tmp_path / "run/wandb").glob("offline-run-*/*.wandb"))
+
+
+@pytest.mark.parametrize("logger", ["csv", "tensorboard", "none"])
+def test_loggers_are_made(logger: str, tmp_path: Path) -> None:
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose("train", [f"logger={logger}", f"paths.run={tmp_path}"])
+    for name, node in (config.get("logger") or {}).items():
+        assert type(build(node, name)).__name__.lower().startswith(name)
+
+
+@pytest.mark.slow
+def test_optuna_sweeps_if_it_is_installed(run: Run, tmp_path: Path, tiny_training: Words) -> None:
+    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
+    words = (
+        "hparams=optuna",
+        "hydra.sweeper.n_trials=2",
+        "trainer.max_steps=1",
+        "logger=none",
+        "callbacks=none",
+    )
+    run("train", *tiny_training, *words, "output=sweep")
+    assert len(json.loads((tmp_path / "sweep/sweep.json").read_text())) == 2
+
+
+@pytest.mark.parametrize(
+    ("recipe", "word", "expected"),
+    [
+        ("predict", "frames=3", "frames: expected a list of whole numbers or text or null, got 3"),
+        ("predict", "height=0", "height: expected a whole number of 1 or more, got 0"),
+        ("predict", "min_depth=[1]", "min_depth: expected a number above 0 or text, got [1]"),
+        ("predict", "trained_radius=0", "trained_radius: expected a number above 0, got 0"),
+        ("predict", "max_angle_deg=wide", "max_angle_deg: expected a number above 0 or null, got 'wide'"),
+        ("train", "seed=abc", "seed: expected a whole number of 0 or more, got 'abc'"),
+        ("train", "seed=-1", "seed: expected a whole number of 0 or more, got -1"),
+        ("train", "data.num_workers=-1", "data.num_workers: expected a whole number of 0 or more, got -1"),
+        ("train", "trainer.val_check_interval=0", "trainer.val_check_interval: expected a number above 0"),
+        ("train", "trainer.max_steps=many", "trainer.max_steps: expected a whole number of -1 or more"),
+        ("train", "trainer.devices=[a]", "trainer.devices: expected a whole number of -1 or more or text"),
+        ("render", "num_workers=many", "num_workers: expected a whole number of 0 or more, got 'many'"),
+        ("inspect", "depths=[far]", "depths: expected a list of numbers above 0, got ['far']"),
+        ("benchmark", "settings=[5,16]", "settings: expected a list of"),
+    ],
+)
+def test_wrong_types_are_told_by_their_key(
+    failing: Callable[..., str], recipe: str, word: str, expected: str
+) -> None:
+    assert expected in failing(recipe, "--config-dir", ".", word)
+
+
+def test_wrong_values_are_told_before_anything_starts(failing: Callable[..., str], tmp_path: Path) -> None:
+    words = ("experiment=quickstart", *NETWORK, "output=run")
+    assert "Invalid learning rate: -1" in failing("train", *words, "optimizer.lr=-1")
+    assert "optimizer.lr: expected a number" in failing("train", *words, "optimizer.lr=fast")
+    assert "num_hypotheses: expected a whole number, got 'many'" in failing(
+        "train", *words, "model.num_hypotheses=many"
+    )
+    assert "data.nunber: SceneDataModule has no such option" in failing("train", *words, "+data.nunber=1")
+    assert "trainer.precision: expected one of" in failing("train", *words, "trainer.precision=17")
+    (tmp_path / "cut.ckpt").write_bytes(b"PK cut")
+    assert "cut.ckpt is not a checkpoint" in failing("train", *words, "resume=cut.ckpt")

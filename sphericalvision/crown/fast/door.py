@@ -17,7 +17,7 @@ from sphericalvision.crown.fast.block import NormedLayer, convolve_block
 from sphericalvision.crown.fast.chain import convolve_chain
 from sphericalvision.crown.fast.layout import Fold, Unfold, places_per_vertex
 from sphericalvision.crown.fast.native import native_operators
-from sphericalvision.crown.fast.norms import folded, is_affine, normalize, track
+from sphericalvision.crown.fast.norms import folded, is_affine, normalize, normalizes, track
 from sphericalvision.crown.fast.planar import conv2d_replicate
 from sphericalvision.crown.fast.policy import available, wherever_possible
 from sphericalvision.crown.fast.winograd import conv3d_winograd, winograd_pays
@@ -78,13 +78,8 @@ def conv_norm(col: Tensor, row: Tensor, conv_layer: Any, norm: Any, relu: bool) 
             return pair
         rectify = torch.relu if torch.is_grad_enabled() else torch.relu_
         return rectify(pair[0]), rectify(pair[1])
-    if norm.per_sample and len(col) > 1:
-        samples = [
-            conv_norm(*sample, conv_layer, norm, relu)
-            for sample in zip(col.split(1), row.split(1), strict=True)
-        ]
-        first, second = (torch.cat(rectangles) for rectangles in zip(*samples, strict=True))
-        return first, second
+    if not normalizes(col, norm):
+        return None
     weight, bias, stride = conv_layer.weight, conv_layer.bias, conv_layer.stride
     pair = conv(col, row, weight, bias, stride) or (
         convolve(col, weight, COL_TAPS, bias, stride),

@@ -12,12 +12,12 @@ __all__ = ["reference_gradients"]
 
 
 def reference_gradients(
-    reference: Callable[..., Tensor],
+    reference: Callable[..., Tensor | tuple[Tensor, ...]],
     inputs: Sequence[Tensor | None],
     needed: Sequence[bool],
-    gradient: Tensor,
+    *gradients: Tensor,
 ) -> list[Tensor | None]:
-    """Return the gradients of ``reference(*inputs)`` as differentiable functions of the inputs and of ``gradient``.
+    """Return the gradients of ``reference(*inputs)`` as differentiable functions of the inputs and of ``gradients``.
 
     What a backward pass does where ``torch.is_grad_enabled()``, which there means that a graph of the gradient is
     wanted (``create_graph=True``). Fast backward passes write into buffers, which no graph can follow; so the forward
@@ -27,14 +27,17 @@ def reference_gradients(
         reference: the same function in plain torch.
         inputs: its arguments, as they were saved; None for those that are missing.
         needed: which of them want a gradient.
-        gradient: of the result.
+        gradients: of the result or of each of several.
     """
     with torch.enable_grad():
         # Views, so that a tensor that is given twice is told apart.
         views = [None if tensor is None else tensor.view_as(tensor) for tensor in inputs]
         result = reference(*views)
+        results = (result,) if isinstance(result, Tensor) else result
         wanted = [view for view, need in zip(views, needed, strict=True) if need and view is not None]
-        found = iter(torch.autograd.grad(result, wanted, gradient, create_graph=True, materialize_grads=True))
+        found = iter(
+            torch.autograd.grad(results, wanted, gradients, create_graph=True, materialize_grads=True)
+        )
     return [
         next(found) if need and view is not None else None for view, need in zip(views, needed, strict=True)
     ]

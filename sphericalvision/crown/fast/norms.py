@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import torch
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from sphericalvision.crown.fast.block import Moments
+from sphericalvision.crown.fast.double_backward import reference_gradients
 
-__all__ = ["folded", "is_affine", "normalize", "track"]
+__all__ = ["folded", "is_affine", "normalize", "normalizes", "track"]
 
 
 def is_affine(norm: _BatchNorm) -> bool:
@@ -30,15 +34,120 @@ def folded(weight: Tensor, norm: _BatchNorm) -> tuple[Tensor, Tensor]:
     return weight * scale[:, None, None], shift
 
 
-def normalize(col: Tensor, row: Tensor, norm: _BatchNorm, relu: bool) -> tuple[Tensor, Tensor]:
-    """Normalise rectangles of all samples together, and rectify them in the memory that they are in then."""
-    # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
-    both = torch.cat([rectangles.flatten(0, 1).flatten(-2) for rectangles in (col, row)])
-    both = _BatchNorm.forward(norm, both)
-    if relu:
-        both = both.relu_()
-    first, second = both.chunk(2)  # unlike unbind, its gradient keeps the channels innermost in memory
-    return first.view(col.shape), second.view(row.shape)
+def normalizes(col: Tensor, norm: Any) -> bool:
+    """Whether ``normalize`` can: by statistics of what is given, in the precision of the parameters, on a CPU."""
+    fits = norm.weight is not None and norm.weight.dtype == col.dtype and col.device.type == "cpu"
+    return fits and not is_affine(norm) and not torch.is_autocast_enabled("cpu")
+
+
+def normalize(col: Tensor, row: Tensor, norm: Any, relu: bool) -> tuple[Tensor, Tensor]:
+    """Normalise rectangles by their own statistics, which running averages take in, and rectify them, if asked for.
+
+    Channels stay next to each other in memory, where the layers of torch, which normalise channels one by one, would
+    reorder the rectangles before and the convolution after them once more.
+
+    References:
+        Ioffe and Szegedy (2015), "Batch normalization", for the gradient.
+    """
+    first, second, mean, variance = _Normalize.apply(
+        col, row, norm.weight, norm.bias, norm.eps, norm.per_sample, relu
+    )
+    track(norm, Moments(mean, variance, 2 * col.numel() // col.shape[2]))
+    return first, second
+
+
+def _plain_normalize(eps: float, per_sample: bool, relu: bool) -> Callable[..., tuple[Tensor, Tensor]]:
+    """The same in plain torch, for second derivatives."""
+
+    def normalized(col: Tensor, row: Tensor, weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor]:
+        flat = torch.cat([_places(rectangles) for rectangles in (col, row)], 1)
+        over = (1,) if per_sample else (0, 1)
+        mean = flat.mean(over, keepdim=True)
+        variance = (flat - mean).square().mean(over, keepdim=True)
+        flat = (flat - mean) * (variance + eps).rsqrt() * weight + bias
+        first, second = (flat.relu() if relu else flat).chunk(2, 1)
+        return _rectangles(first, col), _rectangles(second, row)
+
+    return normalized
+
+
+def _places(rectangles: Tensor) -> Tensor:
+    """Rectangles ``(B, 5, C, *)`` as ``(B, places, C)``, a view where channels are innermost in memory."""
+    return rectangles.movedim(2, -1).flatten(1, -2)
+
+
+def _rectangles(places: Tensor, like: Tensor) -> Tensor:
+    """Undo ``_places``."""
+    return places.view(like.movedim(2, -1).shape).movedim(-1, 2)
+
+
+class _Normalize(torch.autograd.Function):
+    """Rectangles to normalised rectangles, col and row, and the statistics; those of several samples in rows.
+
+    Kept for the backward pass are the rectangles given and those returned, which the convolutions beside keep, too.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        col: Tensor,
+        row: Tensor,
+        weight: Tensor,
+        bias: Tensor,
+        eps: float,
+        per_sample: bool,
+        relu: bool,
+    ) -> tuple[Tensor, ...]:
+        over = (1,) if per_sample else (0, 1)
+        values = [_places(rectangles) for rectangles in (col, row)]
+        number = 2 * values[0].shape[1] * (1 if per_sample else len(col))
+        mean = torch.stack([x.sum(over, keepdim=True) for x in values]).sum(0) / number
+        # In two passes: the mean of squares less the square of the mean would lose what single precision has.
+        squares = [(x - mean).square_().sum(over, keepdim=True) for x in values]
+        variance = torch.stack(squares).sum(0) / number
+        invert = (variance + eps).rsqrt()
+        factor = invert * weight
+        offset = bias - mean * factor
+        results = [torch.addcmul(offset, x, factor) for x in values]
+        if relu:
+            results = [x.relu_() for x in results]
+        first, second = (_rectangles(x, like) for x, like in zip(results, (col, row), strict=True))
+        ctx.save_for_backward(col, row, weight, bias, mean, invert, *((first, second) if relu else ()))
+        ctx.options = eps, per_sample, relu
+        statistics = mean.flatten(), variance.flatten()
+        ctx.mark_non_differentiable(*statistics)
+        return first, second, *statistics
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        col, row, weight, bias, mean, invert, *rectified = ctx.saved_tensors
+        if torch.is_grad_enabled():
+            reference, inputs = _plain_normalize(*ctx.options), (col, row, weight, bias)
+            needed = ctx.needs_input_grad[:4]
+            return *reference_gradients(reference, inputs, needed, *gradients[:2]), None, None, None
+        over = (1,) if ctx.options[1] else (0, 1)
+        upstream = [_places(gradient) for gradient in gradients[:2]]
+        if rectified:
+            upstream = [
+                torch.ops.aten.threshold_backward(g, _places(x), 0)
+                for g, x in zip(upstream, rectified, strict=True)
+            ]
+        values = [_places(rectangles) for rectangles in (col, row)]
+        number = 2 * values[0].shape[1] * (1 if ctx.options[1] else len(col))
+        # A place has a gradient of its own and, through mean and variance, a share of the sums of all places'.
+        total = torch.stack([g.sum(over, keepdim=True) for g in upstream]).sum(0)
+        along = torch.stack(
+            [((x - mean).mul_(g)).sum(over, keepdim=True) for x, g in zip(values, upstream, strict=True)]
+        ).sum(0)
+        along = along * invert  # the sum of gradients times normalised values
+        factor = invert * weight
+        by_value = -factor * invert * along / number
+        constant = -factor * total / number - by_value * mean
+        found = [
+            _rectangles(torch.addcmul(constant, x, by_value).addcmul_(g, factor), like)
+            for x, g, like in zip(values, upstream, (col, row), strict=True)
+        ]
+        return *found, along.sum((0, 1)), total.sum((0, 1)), None, None, None
 
 
 @torch.no_grad()

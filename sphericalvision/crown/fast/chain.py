@@ -113,7 +113,9 @@ class _Convolution:
     ) -> None:
         self.kernel, self.bias = planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias
         out_channels, in_channels, _ = weight.shape
-        self.winograd = winograd_pays(sample.movedim(-1, 0)[None], in_channels, out_channels)
+        self.winograd = winograd_pays(
+            sample.movedim(-1, 0)[None], sample.shape[1], in_channels, out_channels, native
+        )
         self.cubes = cube_kernel(self.kernel, neighbor_taps(taps)) if self.winograd and native else None
         self.kernels = (
             transformed_kernels(self.kernel, neighbor_taps(taps)) if self.winograd and not native else []

@@ -53,7 +53,7 @@ def conv(col: Tensor, row: Tensor, weight: Tensor, bias: Tensor | None, stride: 
             conv2d_replicate(images.flatten(0, 1), planar_kernel(weight, taps), bias)
             for images, taps in rectangles
         )
-    elif winograd_pays(col[0], weight.shape[1], len(weight)):
+    elif winograd_pays(col[0], 10 * (col.shape[-1] - 1) ** 2 + 2, weight.shape[1], len(weight)):
         by_depth = weight.unflatten(-1, (3, 7))
         first, second = (
             conv3d_winograd(volumes.flatten(0, 1), planar_kernel(by_depth, taps), bias, neighbor_taps(taps))
@@ -104,7 +104,9 @@ def block3d(volume: Tensor, first: Any, second: Any, residual: bool) -> Tensor |
         return result.add_(volume) if residual else result
     normed = not is_affine(first.norm) and (conv_layer.bias is None if norm is None else not is_affine(norm))
     channels = [layer.weight.shape[:2] for layer in (first.conv, *(() if norm is None else (conv_layer,)))]
-    if not normed or not all(winograd_pays(volume, fan_in, fan_out) for fan_out, fan_in in channels):
+    if not normed or not all(
+        winograd_pays(volume, volume.shape[-1], fan_in, fan_out, native) for fan_out, fan_in in channels
+    ):
         return None
     begin = NormedLayer(first.conv.weight, first.norm.weight, first.norm.bias, first.norm.eps)
     end = (

@@ -40,7 +40,13 @@ __all__ = [
 ]
 
 MIN_CHANNELS = 32
-"""Below, the sums cost more than the products saved."""
+"""Below, the sums around the products cost more than the products saved."""
+
+MIN_CHANNELS_SMALL = 48
+"""The same on small icospheres, where direct convolutions find all that they need in cache."""
+
+LARGE = 10_000
+"""Icospheres of fewer vertices are small: up to level 4."""
 
 TRANSFORM_BYTES = 6 << 20
 """Tiles are taken through the transforms a few at a time, each of which takes no more than this: they stay in cache."""
@@ -74,11 +80,22 @@ _RESULT = (
 )
 
 
-def winograd_pays(volumes: Tensor, channels: int, out_channels: int) -> bool:
-    """Whether Winograd's way is the faster one for volumes ``(B, C, N, *)``: float32 on a CPU, and channels enough."""
+def winograd_pays(
+    volumes: Tensor, vertices: int, channels: int, out_channels: int, native: bool = False
+) -> bool:
+    """Whether Winograd's way is the faster one: float32 on a CPU, four hypotheses or more, and channels enough.
+
+    Args:
+        volumes: ``(B, C, N, *)``.
+        vertices: of the icosphere that they are on.
+        channels: of a convolution.
+        out_channels: of its result.
+        native: whether the sums around the products are in C++.
+    """
     if volumes.device.type != "cpu" or torch.is_autocast_enabled("cpu"):
         return False
-    wide = min(channels, out_channels) >= MIN_CHANNELS
+    least = MIN_CHANNELS if native or vertices >= LARGE else MIN_CHANNELS_SMALL
+    wide = min(channels, out_channels) >= least
     return forced() or (wide and volumes.dtype == torch.float32 and volumes.shape[2] >= 4)
 
 

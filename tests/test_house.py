@@ -14,12 +14,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 TREES = {"sphericalvision": ROOT / "sphericalvision", "sphericalvision.recipes": ROOT / "recipes"}
 
-# Folders that still import private names of others: (folder, module).
-ALLOWED = {
-    ("sphericalvision.crown.fast", "sphericalvision.crown.conv"),
-    ("sphericalvision.crown.fast", "sphericalvision.crown.layout"),
-}
-
 
 @cache
 def modules() -> dict[str, Path]:
@@ -58,9 +52,9 @@ def private_crossings(module: str, tree: ast.AST) -> Iterator[str]:
         if full not in modules() or folder_of(full) == folder_of(module):
             continue
         private = is_private(name) or any(map(is_private, full.split(".")))
-        if private and (folder_of(module), source) not in ALLOWED:
+        if private:
             yield f"{module} imports {name} of {source}"
-        if full != source and not private:
+        elif full != source:
             aliases[name] = full
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and is_private(node.attr) and isinstance(node.value, ast.Name):

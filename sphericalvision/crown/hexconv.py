@@ -41,7 +41,8 @@ from sphericalvision.core import ArgumentError, ShapeError, check_choice
 from sphericalvision.crown.hexpad import fill_charts, hex_pad
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.taps import COL_TAPS, planar_kernel
-from sphericalvision.icosphere import icosphere_vertices, vertex_at
+from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.icosphere.topology import vertex_at
 
 __all__ = ["HexConv2d", "HexConv3d", "hex_conv2d", "hex_conv3d", "north_fraction"]
 

@@ -7,12 +7,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
-from sphericalvision.icosphere import (
-    chart_vertex_ids,
-    level_from_num_vertices,
-    num_icosphere_vertices,
-    vertex_at,
-)
+from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
+from sphericalvision.icosphere.topology import chart_vertex_ids, vertex_at
 
 __all__ = [
     "check_values",

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes that are rendered, data sets on disk, and transforms of their samples."""
 
-from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
+from sphericalvision.data.augmentation.fivefold import RotateFivefold
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.rotate_fisheye import RotateFisheye
 from sphericalvision.data.augmentation.sphere_rotation import (
-    num_yaw_steps,
     random_rotations,
-    rotate_on_sphere,
-    yaw_on_sphere,
-    yaw_rotation,
 )
 from sphericalvision.data.augmentation.sphere_transforms import RandomSphereRotation, RandomYaw
 from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
@@ -51,7 +47,6 @@ __all__ = [
     "collate_samples",
     "make_scene",
     "mesh_from_scene",
-    "num_yaw_steps",
     "ocam_from_camera",
     "random_rotations",
     "ray_depth",
@@ -61,12 +56,8 @@ __all__ = [
     "render_camera",
     "render_directions",
     "render_rig",
-    "rotate_fivefold",
-    "rotate_on_sphere",
     "split_frames",
     "write_ground_truth",
     "write_image",
     "write_omnistereo",
-    "yaw_on_sphere",
-    "yaw_rotation",
 ]

@@ -8,7 +8,6 @@ from sphericalvision.icosphere.adjacency import (
     icosphere_vertex_faces,
 )
 from sphericalvision.icosphere.areas import (
-    icosphere_face_solid_angles,
     icosphere_normals,
     icosphere_solid_angles,
     icosphere_voronoi_solid_angles,
@@ -32,18 +31,14 @@ from sphericalvision.icosphere.pooling import (
 )
 from sphericalvision.icosphere.subdivision import (
     from_subdivision_order,
-    subdivision_order,
     to_subdivision_order,
 )
 from sphericalvision.icosphere.topology import (
     MAX_LEVEL,
-    chart_vertex_ids,
     check_level,
-    coarse_vertex_ids,
     icosphere_faces,
     level_from_num_vertices,
     num_icosphere_vertices,
-    vertex_at,
 )
 
 __all__ = [
@@ -53,15 +48,12 @@ __all__ = [
     "IcospherePool",
     "IcosphereUpsample",
     "TriangleLocator",
-    "chart_vertex_ids",
     "check_level",
-    "coarse_vertex_ids",
     "from_subdivision_order",
     "icosphere_edges",
     "icosphere_face_children",
     "icosphere_face_neighbors",
     "icosphere_face_parents",
-    "icosphere_face_solid_angles",
     "icosphere_faces",
     "icosphere_lines",
     "icosphere_neighbors",
@@ -78,7 +70,5 @@ __all__ = [
     "level_from_num_vertices",
     "locate",
     "num_icosphere_vertices",
-    "subdivision_order",
     "to_subdivision_order",
-    "vertex_at",
 ]

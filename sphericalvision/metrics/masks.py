@@ -13,7 +13,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, seen_by
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_last_dim
-from sphericalvision.icosphere import icosphere_vertices, vertex_at
+from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.icosphere.topology import vertex_at
 
 __all__ = ["EvaluationMask", "evaluation_mask", "seam_mask"]
 

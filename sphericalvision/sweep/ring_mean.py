@@ -10,12 +10,8 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.icosphere import (
-    coarse_vertex_ids,
-    icosphere_neighbors,
-    level_from_num_vertices,
-    num_icosphere_vertices,
-)
+from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertices, num_icosphere_vertices
+from sphericalvision.icosphere.topology import coarse_vertex_ids
 
 __all__ = ["ids_of_coarser_level", "ring_mean"]
 

@@ -12,11 +12,11 @@ from torch import Tensor, nn
 from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import (
     check_level,
-    coarse_vertex_ids,
     icosphere_vertices,
     level_from_num_vertices,
     num_icosphere_vertices,
 )
+from sphericalvision.icosphere.topology import coarse_vertex_ids
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
 

@@ -4,7 +4,7 @@
 from sphericalvision.viz.cameras import angle_map
 from sphericalvision.viz.color import depth_to_color, error_to_color
 from sphericalvision.viz.crown import crown_picture
-from sphericalvision.viz.figure import add_scale_bar, sheet
+from sphericalvision.viz.figure import sheet
 from sphericalvision.viz.mesh import icosphere_mesh, sphere_mesh
 from sphericalvision.viz.panorama import (
     depth_panorama,
@@ -19,7 +19,6 @@ from sphericalvision.viz.rigs import coverage_panorama, rig_picture
 
 __all__ = [
     "PointCloud",
-    "add_scale_bar",
     "angle_map",
     "coverage_panorama",
     "crown_picture",

@@ -22,13 +22,8 @@ from sphericalvision.crown import (
     north_fraction,
     to_crown,
 )
-from sphericalvision.icosphere import (
-    coarse_vertex_ids,
-    icosphere_neighbors,
-    icosphere_vertices,
-    num_icosphere_vertices,
-    vertex_at,
-)
+from sphericalvision.icosphere import icosphere_neighbors, icosphere_vertices, num_icosphere_vertices
+from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
 
 # The gap and where the ring starts, as the documentation states it for valence five: (gap, tap, towards).
 CHART_GAPS = {"north": (1, 2, "A0"), "A": (0, 5, "north"), "B": (2, 3, "south"), "south": (4, 5, "B1")}

@@ -104,7 +104,7 @@ def test_convolution_of_all_ones_keeps_a_constant() -> None:
 
 
 def test_stride_keeps_the_coarser_vertices() -> None:
-    from sphericalvision.icosphere import coarse_vertex_ids
+    from sphericalvision.icosphere.topology import coarse_vertex_ids
 
     values = random_values(1, 2, 162)
     identity = torch.zeros(2, 2, 7, dtype=torch.float64)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from sphericalvision.core import ShapeError
 from sphericalvision.crown import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
-from sphericalvision.icosphere import chart_vertex_ids, icosphere_vertices, num_icosphere_vertices
+from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
+from sphericalvision.icosphere.topology import chart_vertex_ids
 
 
 def random_crown(level: int, *channels: int, dtype: torch.dtype = torch.float64) -> Crown:

@@ -28,7 +28,8 @@ from sphericalvision.crown import (
     from_crown,
     to_crown,
 )
-from sphericalvision.icosphere import IcospherePool, IcosphereUpsample, coarse_vertex_ids, icosphere_neighbors
+from sphericalvision.icosphere import IcospherePool, IcosphereUpsample, icosphere_neighbors
+from sphericalvision.icosphere.topology import coarse_vertex_ids
 
 
 def random_values(*shape: int) -> Tensor:

@@ -23,8 +23,8 @@ from sphericalvision.data import (
     ray_depth,
     render_rig,
     scene_dataset,
-    yaw_rotation,
 )
+from sphericalvision.data.augmentation.sphere_rotation import yaw_rotation
 from sphericalvision.sphere import Equirectangular
 
 Sample = dict[str, Any]

@@ -27,9 +27,9 @@ from sphericalvision.data import (
     ShuffleCameras,
     ToSphere,
     collate_samples,
-    rotate_on_sphere,
     write_omnistereo,
 )
+from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
 

@@ -16,12 +16,14 @@ from sphericalvision.data import (
     RandomSphereRotation,
     RandomYaw,
     make_scene,
-    num_yaw_steps,
     random_rotations,
     ray_depth,
     render_directions,
     render_rig,
-    rotate_fivefold,
+)
+from sphericalvision.data.augmentation.fivefold import rotate_fivefold
+from sphericalvision.data.augmentation.sphere_rotation import (
+    num_yaw_steps,
     rotate_on_sphere,
     yaw_on_sphere,
     yaw_rotation,

@@ -13,13 +13,13 @@ import trimesh
 from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import (
     Icosphere,
-    icosphere_face_solid_angles,
     icosphere_faces,
     icosphere_normals,
     icosphere_solid_angles,
     icosphere_vertices,
     icosphere_voronoi_solid_angles,
 )
+from sphericalvision.icosphere.areas import icosphere_face_solid_angles
 
 
 @pytest.mark.parametrize("level", [0, 1, 3, 6])

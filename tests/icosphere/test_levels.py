@@ -13,7 +13,6 @@ from sphericalvision.icosphere import (
     Icosphere,
     IcospherePool,
     IcosphereUpsample,
-    coarse_vertex_ids,
     from_subdivision_order,
     icosphere_face_children,
     icosphere_face_parents,
@@ -27,6 +26,7 @@ from sphericalvision.icosphere import (
     num_icosphere_vertices,
     to_subdivision_order,
 )
+from sphericalvision.icosphere.topology import coarse_vertex_ids
 
 LEVELS = [1, 2, 4]
 

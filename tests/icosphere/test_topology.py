@@ -13,14 +13,14 @@ import trimesh
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import (
     Icosphere,
-    chart_vertex_ids,
     icosphere_faces,
     icosphere_neighbors,
     icosphere_vertices,
     level_from_num_vertices,
     num_icosphere_vertices,
-    subdivision_order,
 )
+from sphericalvision.icosphere.subdivision import subdivision_order
+from sphericalvision.icosphere.topology import chart_vertex_ids
 
 LEVELS = [0, 1, 2, 4]
 

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig, seen_by
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import Icosphere, chart_vertex_ids, icosphere_vertices
+from sphericalvision.icosphere import Icosphere, icosphere_vertices
+from sphericalvision.icosphere.topology import chart_vertex_ids
 from sphericalvision.metrics import (
     ByRegion,
     DepthError,

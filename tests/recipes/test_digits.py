@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from sphericalvision.data import random_rotations, rotate_on_sphere, yaw_on_sphere
+from sphericalvision.data import random_rotations
+from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere, yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
 from sphericalvision.recipes.commands.digits_table import DigitsRun, table

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.precision import HALF, at_least_float32
@@ -26,18 +27,18 @@ AnyCamera = TypeVar("AnyCamera", bound="Camera")
 class Projection(NamedTuple):
     """Pixels and whether the camera sees them."""
 
-    pixels: Tensor
+    pixels: Float[Tensor, "*batch 2"]
     """(u, v), shape (*, 2), also where not valid."""
-    valid: Tensor
+    valid: Bool[Tensor, "*batch"]
     """bool (*)."""
 
 
 class Unprojection(NamedTuple):
     """Directions and whether the camera looks there."""
 
-    directions: Tensor
+    directions: Float[Tensor, "*batch 3"]
     """Unit vectors (*, 3), also where not valid."""
-    valid: Tensor
+    valid: Bool[Tensor, "*batch"]
     """bool (*)."""
 
 
@@ -154,7 +155,7 @@ class Camera(ABC):
     def _unproject(self, pixels: Tensor) -> Unprojection:
         """The model's unit directions, valid where the model itself is defined."""
 
-    def project(self, points: Tensor) -> Projection:
+    def project(self, points: Float[Tensor, "*points 3"]) -> Projection:
         """Pixels (*, 2) of ``points`` (*, 3) in the camera's frame, of any length.
 
         Valid means: not the camera centre, within ``max_angle``, where the model is defined, and inside the image.
@@ -168,7 +169,7 @@ class Camera(ABC):
         pixels, valid = self._project(points)
         return Projection(pixels, valid & self._within_max_angle(points) & self.contains(pixels))
 
-    def unproject(self, pixels: Tensor) -> Unprojection:
+    def unproject(self, pixels: Float[Tensor, "*pixels 2"]) -> Unprojection:
         """Unit directions (*, 3) in the camera's frame of ``pixels`` (*, 2), given as (u, v).
 
         Valid means: inside the image, where the model is defined, and within ``max_angle``.
@@ -183,7 +184,7 @@ class Camera(ABC):
             directions, valid & self._looks_within_max_angle(directions) & self.contains(pixels)
         )
 
-    def contains(self, pixels: Tensor) -> Tensor:
+    def contains(self, pixels: Float[Tensor, "*pixels 2"]) -> Bool[Tensor, " ..."]:
         """Whether ``pixels`` (*, 2) lie on the image, half a pixel around the outermost centres included, (*)."""
         height, width = self.image_size
         u, v = pixels.detach().unbind(-1)
@@ -222,7 +223,7 @@ class Camera(ABC):
         """
         return bilinear_sample(image, pixels)
 
-    def pixel_grid(self, dtype: torch.dtype | None = None) -> Tensor:
+    def pixel_grid(self, dtype: torch.dtype | None = None) -> Float[Tensor, "h w 2"]:
         """All pixel centres (h, w, 2) as (u, v)."""
         height, width = self.image_size
         v = torch.arange(height, dtype=dtype or self.dtype, device=self.device)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection
@@ -256,7 +257,7 @@ class CameraRig:
         poses = torch.stack([rig.world_from_camera for rig in rigs])
         return CameraRig(cameras, poses, _stack_masks(rigs))
 
-    def project(self, points: Tensor) -> Projection:
+    def project(self, points: Float[Tensor, "*rigs P 3"]) -> Projection:
         """Pixels ``(*b, n, P, 2)`` of points ``(P, 3)`` of the world, in metres, and which cameras see them.
 
         Valid ``(*b, n, P)`` means: within the field of view, on the image, and all the pixels around are usable by the
@@ -276,7 +277,9 @@ class CameraRig:
         positions = self.positions.to(points)
         return self._project_rays([points - positions[..., i, None, :] for i in range(len(self))])
 
-    def project_along(self, directions: Tensor, inverse_depths: Tensor) -> Projection:
+    def project_along(
+        self, directions: Float[Tensor, "V 3"], inverse_depths: Float[Tensor, " ..."]
+    ) -> Projection:
         """Pixels ``(*b, n, N, V, 2)`` of the points at ``inverse_depths`` ``(N,)`` along ``directions`` ``(V, 3)``.
 
         As ``project`` of ``rig.center + directions / inverse_depths``, but exact out to infinity, where the inverse
@@ -306,7 +309,9 @@ class CameraRig:
         shape = rays[0].shape[-3:-1]
         return Projection(pixels.unflatten(-2, shape), valid.unflatten(-1, shape))
 
-    def points_seen(self, directions: Tensor, inverse_depths: Tensor) -> Tensor:
+    def points_seen(
+        self, directions: Float[Tensor, "V 3"], inverse_depths: Float[Tensor, " ..."]
+    ) -> Bool[Tensor, "*rigs n N V"]:
         """Which cameras see the points at ``inverse_depths`` along ``directions``: bool ``(*b, n, N, V)``.
 
         Fields of view, image borders and masks count; what stands in the way is not known.

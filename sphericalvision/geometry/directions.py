@@ -12,6 +12,7 @@ import functools
 import math
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import check_last_dim
@@ -141,7 +142,7 @@ def lifted_radius(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
     return torch.addcmul(squared, along, along, value=lift * lift).sqrt()
 
 
-def normalize(vectors: Tensor) -> Tensor:
+def normalize(vectors: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
     """Scale ``vectors`` (*, 3) to unit length; a zero vector stays zero.
 
     Examples:
@@ -157,7 +158,7 @@ def normalize(vectors: Tensor) -> Tensor:
     return from_components(x * shrink, y * shrink, z * shrink)
 
 
-def angle_from_axis(points: Tensor) -> Tensor:
+def angle_from_axis(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
     """Angle in radians between ``points`` (*, 3) and the optical axis +z, in [0, π], shape (*).
 
     ``atan2`` keeps small angles exact in float32, where ``acos`` would lose them.
@@ -184,7 +185,9 @@ def cosine_and_lifted_sinc(angle_squared: Tensor) -> tuple[Tensor, Tensor]:
     return torch.cos(angle), torch.sin(angle) / angle
 
 
-def directions_from_longitude_latitude(longitude: Tensor, latitude: Tensor) -> Tensor:
+def directions_from_longitude_latitude(
+    longitude: Float[Tensor, " ..."], latitude: Float[Tensor, " ..."]
+) -> Float[Tensor, "*batch 3"]:
     """Unit directions (*, 3) from longitude and latitude (*) in radians.
 
     Examples:
@@ -199,7 +202,9 @@ def directions_from_longitude_latitude(longitude: Tensor, latitude: Tensor) -> T
     return from_components(flat * torch.sin(longitude), -torch.sin(latitude), flat * torch.cos(longitude))
 
 
-def longitude_latitude_from_directions(directions: Tensor) -> tuple[Tensor, Tensor]:
+def longitude_latitude_from_directions(
+    directions: Float[Tensor, "*batch 3"],
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """Longitude in [−π, π] and latitude in [−π/2, π/2] (*), radians, of ``directions`` (*, 3) of any length.
 
     At a pole the longitude is 0 and its derivative, which has no limit there, is 0 too.

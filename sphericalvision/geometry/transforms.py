@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_last_dim
@@ -31,7 +32,7 @@ def _assemble(rotation: Tensor, translation: Tensor) -> Tensor:
     return torch.cat((upper, last), dim=-2)
 
 
-def invert_transform(a_from_b: Tensor) -> Tensor:
+def invert_transform(a_from_b: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
     """The rigid transform ``b_from_a`` (*, 4, 4); exact for rotations, no linear solve.
 
     Examples:
@@ -45,7 +46,9 @@ def invert_transform(a_from_b: Tensor) -> Tensor:
     return _assemble(rotation, -(rotation @ a_from_b[..., :3, 3:]).squeeze(-1))
 
 
-def transform_points(a_from_b: Tensor, points: Tensor) -> Tensor:
+def transform_points(
+    a_from_b: Float[Tensor, "*poses 4 4"], points: Float[Tensor, "*points 3"]
+) -> Float[Tensor, "*batch 3"]:
     """Take ``points`` (*, n, 3) in b-coordinates to a-coordinates (*, n, 3) with ``a_from_b`` (*, 4, 4).
 
     Examples:
@@ -59,7 +62,9 @@ def transform_points(a_from_b: Tensor, points: Tensor) -> Tensor:
     return points @ a_from_b[..., :3, :3].mT + a_from_b[..., None, :3, 3]
 
 
-def transform_from_axis_angle(axis_angle: Tensor, translation: Tensor) -> Tensor:
+def transform_from_axis_angle(
+    axis_angle: Float[Tensor, "*angles 3"], translation: Float[Tensor, "*translations 3"]
+) -> Float[Tensor, "*batch 4 4"]:
     """Rigid transform (*, 4, 4) from a rotation vector (*, 3) in radians and a translation (*, 3).
 
     Examples:
@@ -76,7 +81,9 @@ def transform_from_axis_angle(axis_angle: Tensor, translation: Tensor) -> Tensor
     return _assemble(rotation.reshape(*axis_angle.shape[:-1], 3, 3), translation)
 
 
-def axis_angle_from_transform(a_from_b: Tensor) -> tuple[Tensor, Tensor]:
+def axis_angle_from_transform(
+    a_from_b: Float[Tensor, "*batch 4 4"],
+) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
     """Rotation vector (*, 3) in radians and translation (*, 3) of ``a_from_b`` (*, 4, 4).
 
     Examples:
@@ -90,7 +97,9 @@ def axis_angle_from_transform(a_from_b: Tensor) -> tuple[Tensor, Tensor]:
     return axis_angle.reshape(*a_from_b.shape[:-2], 3), a_from_b[..., :3, 3]
 
 
-def transform_from_quaternion(quaternion: Tensor, translation: Tensor) -> Tensor:
+def transform_from_quaternion(
+    quaternion: Float[Tensor, "*quaternions 4"], translation: Float[Tensor, "*translations 3"]
+) -> Float[Tensor, "*batch 4 4"]:
     """Rigid transform (*, 4, 4) from a quaternion (*, 4) as (w, x, y, z) of any length and a translation (*, 3).
 
     Examples:

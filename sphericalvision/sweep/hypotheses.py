@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -61,7 +62,9 @@ def inverse_depth_hypotheses(
     return (spaced + INVERSE_DEPTH_OFFSET).to(dtype or torch.get_default_dtype())
 
 
-def inverse_depth_from_index(index: Tensor, num_hypotheses: int, min_depth: float) -> Tensor:
+def inverse_depth_from_index(
+    index: Num[Tensor, "*batch"], num_hypotheses: int, min_depth: float
+) -> Float[Tensor, "*batch"]:
     """Return the inverse depth in 1/m of (fractional) hypothesis indices ``(*)``.
 
     Examples:
@@ -72,7 +75,9 @@ def inverse_depth_from_index(index: Tensor, num_hypotheses: int, min_depth: floa
     return index * (1 / ((num_hypotheses - 1) * min_depth)) + INVERSE_DEPTH_OFFSET
 
 
-def depth_from_index(index: Tensor, num_hypotheses: int, min_depth: float) -> Tensor:
+def depth_from_index(
+    index: Num[Tensor, "*batch"], num_hypotheses: int, min_depth: float
+) -> Float[Tensor, "*batch"]:
     """Return the depth in metres of (fractional) hypothesis indices ``(*)``.
 
     Examples:
@@ -82,7 +87,9 @@ def depth_from_index(index: Tensor, num_hypotheses: int, min_depth: float) -> Te
     return inverse_depth_from_index(index, num_hypotheses, min_depth).reciprocal()
 
 
-def index_from_inverse_depth(inverse_depth: Tensor, num_hypotheses: int, min_depth: float) -> Tensor:
+def index_from_inverse_depth(
+    inverse_depth: Float[Tensor, "*batch"], num_hypotheses: int, min_depth: float
+) -> Float[Tensor, "*batch"]:
     """Return the fractional hypothesis index ``(*)`` of inverse depths in 1/m; infinity (0 1/m) has index 0.
 
     Depths below ``min_depth`` have indices above ``N - 1``; they are not clamped, so that a mask can leave
@@ -96,7 +103,9 @@ def index_from_inverse_depth(inverse_depth: Tensor, num_hypotheses: int, min_dep
     return (inverse_depth - INVERSE_DEPTH_OFFSET).clamp(min=0) * ((num_hypotheses - 1) * min_depth)
 
 
-def index_from_depth(depth: Tensor, num_hypotheses: int, min_depth: float) -> Tensor:
+def index_from_depth(
+    depth: Float[Tensor, "*batch"], num_hypotheses: int, min_depth: float
+) -> Float[Tensor, "*batch"]:
     """Return the fractional hypothesis index ``(*)`` of depths in metres; an infinite depth has index 0.
 
     Examples:

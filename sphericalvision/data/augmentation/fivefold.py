@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.augmentation.sphere_rotation import yaw_angle, yaw_rotation
+from sphericalvision.data.augmentation.sphere_rotation import fivefold_ids, yaw_angle, yaw_rotation
 
 __all__ = ["RotateFivefold", "rotate_fivefold"]
 
@@ -41,9 +41,8 @@ def rotate_fivefold(values: Tensor, steps: int) -> Tensor:
         raise ArgumentError(
             f"values: expected (*, 2 + 10 * 4**level) for some level, got {tuple(values.shape)}"
         )
-    north, charts, south = values.split([1, count - 2, 1], -1)
-    turned = charts.unflatten(-1, (5, -1)).roll(steps, -2).flatten(-2)
-    return torch.cat([north, turned, south], -1)
+    ids = fivefold_ids(count, torch.tensor([steps], device=values.device))
+    return values.index_select(-1, ids)
 
 
 class RotateFivefold:

@@ -209,9 +209,17 @@ def _yaw_ids(grid: SphereGrid, steps: Tensor) -> Tensor:
     if isinstance(grid, Equirectangular):
         return place - place % count + (place - steps) % count
     if isinstance(grid, Icosphere):
-        chart_size = (grid.num_vertices - 2) // 5
-        turned = 1 + (place - 1 - steps * chart_size) % (5 * chart_size)
-        return torch.where((place == 0) | (place == grid.num_vertices - 1), place, turned)
+        return fivefold_ids(grid.num_vertices, steps)
     directions = grid.directions.reshape(-1, 3)
     turn = yaw_rotation(yaw_angle(steps.squeeze(-1), count))
     return grid.nearest(directions @ turn.to(directions))
+
+
+def fivefold_ids(num_vertices: int, steps: Tensor) -> Tensor:
+    """Return where the value of each vertex of an icosphere comes from when charts move on by ``steps`` ``(*, 1)``.
+
+    The icosahedron maps onto itself by multiples of 72 degrees, chart to chart; the poles stay.
+    """
+    place, chart_size = torch.arange(num_vertices, device=steps.device), (num_vertices - 2) // 5
+    turned = 1 + (place - 1 - steps * chart_size) % (5 * chart_size)
+    return torch.where((place == 0) | (place == num_vertices - 1), place, turned)

@@ -299,7 +299,7 @@ def test_bad_arguments_are_named() -> None:
         RandomSphereRotation(grid, max_angle=0.0)
     with pytest.raises(ArgumentError, match="p: expected a probability"):
         RandomYaw(grid, p=2.0)
-    with pytest.raises(ArgumentError, match="'image', 'depth', 'normals', 'labels', 'rig'"):
+    with pytest.raises(ArgumentError, match="'image', 'depth', 'normals', 'labels', 'seen', 'rig'"):
         RandomYaw(grid, kinds={"flow": "vectors"})
     with pytest.raises(ArgumentError, match="'grid', 'any'"):
         RandomYaw(grid, angles="exact")

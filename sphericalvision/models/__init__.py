@@ -8,6 +8,7 @@ from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.omnimvs import OmniMVS
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
 from sphericalvision.models.regularization import CostRegularizer
+from sphericalvision.models.training_free import SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.weights import (
     available_weights,
     load_reference_checkpoint,
@@ -30,7 +31,9 @@ __all__ = [
     "FisheyeFeatures",
     "IcoSweepNet",
     "OmniMVS",
+    "SemiGlobalSweep",
     "SphereClassifier",
+    "WinnerTakesAll",
     "available_weights",
     "classifier_grid",
     "load_reference_checkpoint",

@@ -20,7 +20,15 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import num_icosphere_vertices
-from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, load_weights, save_weights
+from sphericalvision.models import (
+    DepthNetwork,
+    IcoSweepNet,
+    OmniMVS,
+    SemiGlobalSweep,
+    WinnerTakesAll,
+    load_weights,
+    save_weights,
+)
 
 IMAGE_SIZE = (24, 30)
 TOLERANCE = 1e-4
@@ -75,6 +83,12 @@ NETWORKS = {
         {"num_hypotheses": 16},
         {"in_channels": 1},
     ),
+    "semi-global sweep": Example(
+        lambda: SemiGlobalSweep(3, 8, depth_coarsening=1), {"level": 4, "num_hypotheses": 6}, {}
+    ),
+    "winner takes all": Example(
+        lambda: WinnerTakesAll(3, 8, subhypothesis=True), {"min_depth": 0.3, "rounds": 1}, {}
+    ),
 }
 """Every network of the package, and every form that differs in more than its size."""
 
@@ -83,7 +97,7 @@ def inputs(
     net: DepthNetwork, batch: int, num_cameras: int | None = None, seed: int = 0
 ) -> tuple[Tensor, CameraRig]:
     """Images of noise that a network takes, and a rig of as many cameras as it is for."""
-    count = num_cameras or net.num_cameras
+    count = num_cameras or (3 if net.any_cameras else net.num_cameras)
     size = (num_icosphere_vertices(net.level),) if net.images == "sphere" else IMAGE_SIZE
     noise = torch.rand(batch, count, 3, *size, generator=torch.Generator().manual_seed(seed))
     return 2 * noise - 1, ring_rig(count, image_size=IMAGE_SIZE)

@@ -9,13 +9,19 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.omnimvs import OmniMVS
+from sphericalvision.models.training_free import SemiGlobalSweep, WinnerTakesAll
 
 __all__ = ["ENTRY_POINTS", "network_class", "network_name", "network_names", "register_network"]
 
 ENTRY_POINTS = "sphericalvision.networks"
 """Group of entry points by which installed packages offer their networks, name = "module:class"."""
 
-_NETWORKS: dict[str, type[DepthNetwork]] = {"icosweepnet": IcoSweepNet, "omnimvs": OmniMVS}
+_NETWORKS: dict[str, type[DepthNetwork]] = {
+    "icosweepnet": IcoSweepNet,
+    "omnimvs": OmniMVS,
+    "semi-global-sweep": SemiGlobalSweep,
+    "winner-takes-all": WinnerTakesAll,
+}
 
 
 def register_network(name: str, network: type[DepthNetwork]) -> None:

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sweeps that need no training, as networks without parameters: what a network has to beat."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere import Icosphere, check_level
+from sphericalvision.models.base import DepthNetwork
+from sphericalvision.sweep import (
+    DepthEstimate,
+    SemiGlobalTables,
+    photo_consistency,
+    semi_global_sweep,
+    semi_global_tables,
+)
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import CameraRig
+
+__all__ = ["SemiGlobalSweep", "WinnerTakesAll"]
+
+
+class SemiGlobalSweep(DepthNetwork):
+    """``semi_global_sweep`` as a network without parameters: correlation of the best cameras, smoothed.
+
+    Args:
+        level: of the icospheres that hold the images.
+        num_hypotheses: N.
+        min_depth: radius of the nearest hypothesis in metres.
+        depth_coarsening: levels by which the result is coarser than the images.
+        cost_coarsening: levels by which the icosphere on which cameras are compared is, at most ``depth_coarsening``.
+        substeps: hypotheses tried for each of the N.
+        small_penalty: of a change by one tried hypothesis between neighbours; a cost is 0 to 1.
+        large_penalty: of any larger change, where colours do not change.
+        contrast: change of colour that halves the large penalty, in the unit of the images.
+
+    References:
+        Hirschmüller (2008), "Stereo processing by semiglobal matching and mutual information".
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> net = SemiGlobalSweep(level=3, num_hypotheses=8)
+        >>> net(torch.rand(1, 4, 3, 642), ring_rig(4)).shape
+        torch.Size([1, 42])
+    """
+
+    def __init__(
+        self,
+        level: int = 6,
+        num_hypotheses: int = 32,
+        min_depth: float = 0.55,
+        depth_coarsening: int = 2,
+        cost_coarsening: int = 1,
+        substeps: int = 2,
+        small_penalty: float = 0.3,
+        large_penalty: float = 3.6,
+        contrast: float = 0.4,
+    ) -> None:
+        super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
+        _check_coarsening(level, depth_coarsening)
+        if not 0 <= cost_coarsening <= depth_coarsening:
+            raise ArgumentError(
+                f"cost_coarsening: expected 0 to depth_coarsening = {depth_coarsening}, got {cost_coarsening!r}"
+            )
+        self.level, self.grid = level, Icosphere(level - depth_coarsening)
+        self.cost_level, self.substeps = level - cost_coarsening, substeps
+        self.small_penalty, self.large_penalty, self.contrast = small_penalty, large_penalty, contrast
+
+    def tables(self, rig: CameraRig) -> SemiGlobalTables:
+        """Return where each camera sees every point that is tried, to be passed in place of the rig."""
+        rig = rig.to(self.device)
+        return semi_global_tables(
+            rig, self.num_hypotheses, self.min_depth, self.level, self.cost_level, self.substeps
+        )
+
+    def predict(
+        self, images: Tensor, rig: CameraRig | SemiGlobalTables, seen: Tensor | None = None
+    ) -> DepthEstimate:
+        """Return index, confidence and whether two cameras saw it, each ``(B, V)``; none has a gradient.
+
+        Args:
+            images: ``(B, n, 3, V_level)``.
+            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
+            seen: ``([B,] n, V_level)``, True where the images show something. When not given, all that fields of view
+                and masks of the rig hold was seen.
+
+        Raises:
+            ShapeError: if the images have another shape than the network or the rig asks for.
+        """
+        self.check_images(images)
+        return semi_global_sweep(
+            images,
+            rig if isinstance(rig, SemiGlobalTables) else self.tables(rig),
+            self.num_hypotheses,
+            self.min_depth,
+            self.grid.level,  # type: ignore[arg-type]
+            small_penalty=self.small_penalty,
+            large_penalty=self.large_penalty,
+            contrast=self.contrast,
+            seen=seen,
+        )
+
+
+class WinnerTakesAll(DepthNetwork):
+    """``photo_consistency`` as a network without parameters: each vertex takes the best hypothesis by itself.
+
+    Args:
+        level: of the icospheres that hold the images.
+        num_hypotheses: N.
+        min_depth: radius of the nearest hypothesis in metres.
+        depth_coarsening: levels by which the result is coarser than the images.
+        rounds: of averaging the cost over the neighbours of a vertex.
+        subhypothesis: whether the winner is refined to a fraction by a parabola through its neighbours' costs.
+
+    References:
+        Collins (1996), "A space-sweep approach to true multi-image matching".
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> net = WinnerTakesAll(level=3, num_hypotheses=8)
+        >>> net(torch.rand(1, 4, 3, 642), ring_rig(4)).shape
+        torch.Size([1, 42])
+    """
+
+    def __init__(
+        self,
+        level: int = 6,
+        num_hypotheses: int = 32,
+        min_depth: float = 0.55,
+        depth_coarsening: int = 2,
+        rounds: int = 0,
+        subhypothesis: bool = False,
+    ) -> None:
+        super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
+        _check_coarsening(level, depth_coarsening)
+        self.level, self.grid = level, Icosphere(level - depth_coarsening)
+        self.rounds, self.subhypothesis = rounds, subhypothesis
+
+    @torch.no_grad()
+    def predict(self, images: Tensor, rig: CameraRig, seen: Tensor | None = None) -> DepthEstimate:
+        """Return index, confidence and whether two cameras saw it, each ``(B, V)``; as for ``SemiGlobalSweep``."""
+        self.check_images(images)
+        return photo_consistency(
+            images,
+            rig.to(self.device),
+            self.num_hypotheses,
+            self.min_depth,
+            self.grid.level,  # type: ignore[arg-type]
+            self.rounds,
+            self.subhypothesis,
+            seen,
+        )
+
+
+def _check_coarsening(level: int, depth_coarsening: int) -> None:
+    if not 0 <= depth_coarsening <= check_level(level):
+        raise ArgumentError(f"depth_coarsening: expected 0 to level = {level}, got {depth_coarsening!r}")

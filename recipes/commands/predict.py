@@ -17,13 +17,12 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import ToSphere
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.io.images import read_image
-from sphericalvision.models import DepthNetwork
+from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.recipes.app.captures import find_capture, find_masks, read_frame
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.app.results import estimate_depth, save_result
 from sphericalvision.recipes.app.rigs import rig_from_file
-from sphericalvision.recipes.evaluation.training_free import SemiGlobalSweep
 
 __all__ = ["load_rig", "network_for", "predict"]
 
@@ -67,7 +66,9 @@ def network_for(rig: CameraRig, config: DictConfig) -> DepthNetwork:
         )
     net = net.with_changes(min_depth=nearest_hypothesis(net, rig, config)).configure(native=config.native)
     if config.method == "semi_global":
-        net = SemiGlobalSweep.like(net).with_changes(num_hypotheses=config.num_hypotheses)
+        level = net.level if net.images == "sphere" else 5
+        number = config.num_hypotheses or net.num_hypotheses
+        net = SemiGlobalSweep(level, number, net.min_depth, depth_coarsening=1)
     elif config.num_hypotheses is not None:
         net = net.with_changes(num_hypotheses=config.num_hypotheses)
     return net.eval().to(choose_device(config.device))

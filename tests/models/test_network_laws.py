@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sphericalvision.models import network_class, network_names
-from tests.laws.network_laws import LAWS, NETWORKS
+from tests.laws.network_laws import LAWS, NETWORKS, inputs
 
 
 @torch.no_grad()
@@ -25,3 +25,14 @@ def test_law(law: Callable[..., None], name: str, tmp_path: Path) -> None:
 def test_every_network_of_the_package_has_an_example() -> None:
     examples = {type(example.make()) for example in NETWORKS.values()}
     assert {network_class(name) for name in network_names()} <= examples
+
+
+@pytest.mark.parametrize("name", [name for name in NETWORKS if name.startswith(("icosweepnet", "omnimvs"))])
+def test_networks_run_on_the_meta_device(name: str) -> None:
+    """Shapes alone, with tables made before: to count operations, or to look at a network too large for a machine."""
+    net = NETWORKS[name].make()
+    images, rig = inputs(net, 1)
+    tables = net.tables(rig).to("meta")
+    index = net.to("meta")(images.to("meta"), tables)
+    assert index.device.type == "meta"
+    assert index.shape == (1, *net.grid.shape)

@@ -24,6 +24,8 @@ def test_points_that_no_camera_sees_are_not_in_the_cloud(tmp_path: Path) -> None
         directions=directions,
         index=torch.full((len(directions),), 8.0),
         inverse_depth=torch.full((len(directions),), 0.5),
+        confidence=torch.ones(len(directions)),
+        seen=torch.ones(len(directions), dtype=torch.bool),
         panorama=torch.full((32, 64), 2.0),
         min_depth=0.5,
         max_depth=10.0,

@@ -120,9 +120,10 @@ class IcoSweepNet(DepthNetwork):
         self.check_images(images, seen)
         features = self.extract_features(images)
         swept = self.sweep(features, rig, seen)
-        volume = self.aggregation(swept)
-        scores = self.regularizer(volume)
-        return depth_estimate(scores, swept.seen)
+        views, volume = swept.seen, self.aggregation(swept)
+        del features, swept  # the largest tensors of the network; the volume itself goes when it is fused
+        volume = self.regularizer.fusion(volume)
+        return depth_estimate(self.regularizer.refine(volume), views)
 
     def tables(self, rig: CameraRig) -> SweepTables:
         """Return where each camera sees every point of the sweep, to be passed in place of the rig."""

@@ -57,7 +57,10 @@ class CostRegularizer(nn.Module):
         self.score = CrownConv3d(channels, 1)
 
     def forward(self, volume: Tensor) -> Tensor:
-        volume = self.fusion(volume)
+        return self.refine(self.fusion(volume))
+
+    def refine(self, volume: Tensor) -> Tensor:
+        """Score what ``fusion`` returns; who calls the two one after the other can let go of the large volume between."""
         for block in self.blocks:
             volume = block(volume)
         return crown_block3d(volume, self.reduction, self.score).squeeze(1)

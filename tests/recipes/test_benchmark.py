@@ -14,6 +14,7 @@ from hydra import compose, initialize_config_module
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.crown import to_crown
+from sphericalvision.data.scenes.recipes import SCENE_KINDS
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.benchmark import alone as bench_alone
 from sphericalvision.recipes.benchmark import cameras as bench_cameras
@@ -163,7 +164,7 @@ def test_plain_sweep_tables_point_where_ours_do() -> None:
 
 def test_training_that_waits_for_data(tmp_path: Path) -> None:
     rows = benchmark(config("groups=[data]"), tmp_path)
-    assert {row.name for row in rows if "rendering" in row.title} == {"room", "floating"}
+    assert {row.name for row in rows if "rendering" in row.title} == set(SCENE_KINDS)
     waiting = [row.median for row in rows if row.unit == "%"]
     assert len(waiting) == 2
     assert all(0 <= share <= 100 for share in waiting)

@@ -60,7 +60,7 @@ class CostRegularizer(nn.Module):
         return self.refine(self.fusion(volume))
 
     def refine(self, volume: Tensor) -> Tensor:
-        """Score what ``fusion`` returns; who calls the two one after the other can let go of the large volume between."""
+        """Score what ``fusion`` returns; who calls both in turn can let go of the large volume in between."""
         for block in self.blocks:
             volume = block(volume)
         return crown_block3d(volume, self.reduction, self.score).squeeze(1)

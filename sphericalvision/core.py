@@ -22,11 +22,7 @@ __all__ = [
     "MissingFileError",
     "ShapeError",
     "SphericalVisionError",
-    "check_choice",
-    "check_file",
-    "check_last_dim",
     "reference_kernels",
-    "short_repr",
     "uses_reference_kernels",
 ]
 

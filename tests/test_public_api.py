@@ -25,7 +25,6 @@ PACKAGES = (
     "sphericalvision.losses",
     "sphericalvision.metrics",
     "sphericalvision.models",
-    "sphericalvision.models.weights",
     "sphericalvision.sphere",
     "sphericalvision.sweep",
     "sphericalvision.viz",

@@ -3,11 +3,8 @@
 
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
-from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.omnimvs import OmniMVS
-from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
-from sphericalvision.models.regularization import CostRegularizer
 from sphericalvision.models.training_free import SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.weights import (
     available_weights,
@@ -24,11 +21,7 @@ from sphericalvision.models.weights import (
 
 __all__ = [
     "CLASSIFIER_NETWORKS",
-    "CostHourglass",
-    "CostRegularizer",
     "DepthNetwork",
-    "FeatureExtractor",
-    "FisheyeFeatures",
     "IcoSweepNet",
     "OmniMVS",
     "SemiGlobalSweep",

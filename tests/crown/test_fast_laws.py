@@ -39,8 +39,9 @@ from sphericalvision.crown import (
     to_crown,
 )
 from sphericalvision.crown.fast import wherever_possible
-from sphericalvision.models import CostRegularizer, IcoSweepNet
+from sphericalvision.models import IcoSweepNet
 from sphericalvision.models.features import FeatureExtractor
+from sphericalvision.models.regularization import CostRegularizer
 from tests.laws.fast_laws import (
     FastCase,
     law_gradients_agree,

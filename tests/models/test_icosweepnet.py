@@ -15,7 +15,8 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError, MissingCompilerError, ShapeError
 from sphericalvision.crown import Crown, CrownConvNorm3d, from_crown, to_crown
 from sphericalvision.losses import depth_index_huber
-from sphericalvision.models import CostRegularizer, IcoSweepNet
+from sphericalvision.models import IcoSweepNet
+from sphericalvision.models.regularization import CostRegularizer
 from sphericalvision.sweep import depth_from_index
 
 LEVEL, IMAGE_VERTICES, DEPTH_VERTICES = 3, 642, 42

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError
@@ -78,8 +79,11 @@ class CrownConvNorm3d(_CrownConvNorm):
 
 
 def crown_block3d(
-    volume: Tensor, first: CrownConvNorm3d, second: CrownConvNorm3d | CrownConv3d, residual: bool = False
-) -> Tensor:
+    volume: Float[Tensor, "B C_in N V"],
+    first: CrownConvNorm3d,
+    second: CrownConvNorm3d | CrownConv3d,
+    residual: bool = False,
+) -> Float[Tensor, "B C_out N V"]:
     """Apply two layers to the crown of a volume on vertices, and return to vertices.
 
     Returning takes the mean over both directions of the crown, which so exchange what they know.
@@ -146,5 +150,5 @@ class CrownBlock3d(RecomputedModule):
         self.second = CrownConvNorm3d(hidden_channels, out_channels, norm)
         self.residual = residual
 
-    def forward(self, volume: Tensor) -> Tensor:
+    def forward(self, volume: Float[Tensor, "B C_in N V"]) -> Float[Tensor, "B C_out N V"]:
         return crown_block3d(volume, self.first, self.second, self.residual)

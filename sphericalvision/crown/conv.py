@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -30,7 +31,12 @@ def _check_conv(crown: Crown, weight: Tensor, spatial_dims: int, stride: int) ->
         raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
 
 
-def crown_conv2d(crown: Crown, weight: Tensor, bias: Tensor | None = None, stride: int = 1) -> Crown:
+def crown_conv2d(
+    crown: Crown,
+    weight: Float[Tensor, "C_out C_in 7"],
+    bias: Float[Tensor, " C_out"] | None = None,
+    stride: int = 1,
+) -> Crown:
     """Convolve a crown with seven taps; borders are continued by their own values.
 
     The taps of a col rectangle are ``[[., 5, 4], [0, 6, 3], [1, 2, .]]``, of a row rectangle
@@ -58,7 +64,12 @@ def crown_conv2d(crown: Crown, weight: Tensor, bias: Tensor | None = None, strid
     return _convolve(crown, weight, bias, stride)
 
 
-def crown_conv3d(crown: Crown, weight: Tensor, bias: Tensor | None = None, stride: int = 1) -> Crown:
+def crown_conv3d(
+    crown: Crown,
+    weight: Float[Tensor, "C_out C_in 21"],
+    bias: Float[Tensor, " C_out"] | None = None,
+    stride: int = 1,
+) -> Crown:
     """Convolve a crown of volumes with seven taps at three neighbouring hypotheses.
 
     Args:

@@ -35,6 +35,7 @@ from functools import lru_cache
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
@@ -56,7 +57,7 @@ NEXT_TAP = (5, 0, 1, 2, 3, 4, 6)  # a kernel turned on by one neighbour
 
 def north_fraction(
     level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-) -> Tensor:
+) -> Float[Tensor, " V"]:
     """Return where north lies between the neighbours of taps 5 (0) and 0 (1) in the chart of a vertex, ``(V,)``.
 
     The fraction is that of angles in the tangent plane. At the twelve vertices of valence five it is 0 and not used.
@@ -105,12 +106,12 @@ def _north_fraction(level: int) -> Tensor:
 
 
 def hex_conv2d(
-    values: Tensor,
-    weight: Tensor,
-    bias: Tensor | None = None,
+    values: Float[Tensor, "B C_in V"],
+    weight: Float[Tensor, "C_out C_in 7"],
+    bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
-    north: Tensor | None = None,
-) -> Tensor:
+    north: Float[Tensor, " V"] | None = None,
+) -> Float[Tensor, "B C_out V_out"]:
     """Convolve values on an icosphere with seven taps: each vertex and its six true neighbours.
 
     Args:
@@ -150,12 +151,12 @@ def hex_conv2d(
 
 
 def hex_conv3d(
-    values: Tensor,
-    weight: Tensor,
-    bias: Tensor | None = None,
+    values: Float[Tensor, "B C_in N V"],
+    weight: Float[Tensor, "C_out C_in 21"],
+    bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
-    north: Tensor | None = None,
-) -> Tensor:
+    north: Float[Tensor, " V"] | None = None,
+) -> Float[Tensor, "B C_out N V_out"]:
     """Convolve volumes on an icosphere with seven taps at three neighbouring hypotheses.
 
     Before the first and after the last hypothesis these are repeated.
@@ -304,7 +305,7 @@ class HexConv2d(_HexConv):
 
     taps = 7
 
-    def forward(self, values: Tensor) -> Tensor:
+    def forward(self, values: Float[Tensor, "B C_in V"]) -> Float[Tensor, "B C_out V_out"]:
         return hex_conv2d(values, self.weight, self.bias, self.stride, self.north)
 
 
@@ -320,5 +321,5 @@ class HexConv3d(_HexConv):
 
     taps = 21
 
-    def forward(self, values: Tensor) -> Tensor:
+    def forward(self, values: Float[Tensor, "B C_in N V"]) -> Float[Tensor, "B C_out N V_out"]:
         return hex_conv3d(values, self.weight, self.bias, self.stride, self.north)

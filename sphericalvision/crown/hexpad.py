@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.places import check_values, own_charts
@@ -79,7 +80,9 @@ def ring_ids(level: int) -> list[list[int]]:
     return rings
 
 
-def hex_pad(values: Tensor) -> tuple[Tensor, Tensor]:
+def hex_pad(
+    values: Float[Tensor, "B C *N V"],
+) -> tuple[Float[Tensor, "B 5 C *N rows columns"], Float[Tensor, "B C *N 12 6"]]:
     """Return the charts of values with their true neighbours around, and the rings of the special vertices.
 
     Args:
@@ -104,7 +107,9 @@ def hex_pad(values: Tensor) -> tuple[Tensor, Tensor]:
     return _Pad.apply(values)
 
 
-def fill_charts(charts: Tensor, special: Tensor) -> Tensor:
+def fill_charts(
+    charts: Float[Tensor, "B 5 C *N rows columns"], special: Float[Tensor, "B C *N 12"]
+) -> Float[Tensor, "B C *N V"]:
     """Return values ``(B, C, [N,] V)`` from what charts own and the twelve special vertices.
 
     Args:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
@@ -45,8 +46,8 @@ class Crown(NamedTuple):
         2
     """
 
-    col: Tensor
-    row: Tensor
+    col: Num[Tensor, "B 5 C *N long short"]
+    row: Num[Tensor, "B 5 C *N short long"]
 
     @property
     def level(self) -> int:
@@ -77,7 +78,7 @@ def check_crown(crown: Crown, spatial_dims: int | None = None) -> None:
         )
 
 
-def to_crown(values: Tensor) -> Crown:
+def to_crown(values: Num[Tensor, "B C *N V"]) -> Crown:
     """Lay values on an icosphere out as a crown; its level follows from the number of vertices.
 
     Args:
@@ -100,7 +101,7 @@ def to_crown(values: Tensor) -> Crown:
     return Crown(*(fast.unfold(values) or values_at_places(values)))
 
 
-def from_crown(crown: Crown) -> Tensor:
+def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
     """Return values on the icosphere, ``(B, C, V)`` or ``(B, C, N, V)``: the mean over every place a vertex
     stands in.
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from jaxtyping import Float, Num
 from torch import Tensor, nn
 
 from sphericalvision.crown.layout import Crown, crown_map, exchange, from_crown, to_crown
@@ -21,7 +22,7 @@ class ToCrown(nn.Module):
         torch.Size([2, 8, 162])
     """
 
-    def forward(self, values: Tensor) -> Crown:
+    def forward(self, values: Num[Tensor, "B C *N V"]) -> Crown:
         return to_crown(values)
 
 
@@ -34,7 +35,7 @@ class FromCrown(nn.Module):
         torch.Size([1, 1, 42])
     """
 
-    def forward(self, crown: Crown) -> Tensor:
+    def forward(self, crown: Crown) -> Float[Tensor, "B C *N V"]:
         return from_crown(crown)
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Int, Num, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
@@ -21,7 +22,7 @@ __all__ = [
 ]
 
 
-def check_values(values: Tensor, spatial_dims: int | None = None) -> int:
+def check_values(values: Shaped[Tensor, "B C *N V"], spatial_dims: int | None = None) -> int:
     """Return the level of values on an icosphere or raise ``ShapeError`` unless they are ``(B, C, [N,] V)``."""
     if values.ndim not in (3, 4) or (spatial_dims is not None and values.ndim != spatial_dims + 1):
         expected = {None: "(B, C, V) or (B, C, N, V)", 2: "(B, C, V)", 3: "(B, C, N, V)"}[spatial_dims]
@@ -29,17 +30,17 @@ def check_values(values: Tensor, spatial_dims: int | None = None) -> int:
     return level_from_num_vertices(values.shape[-1])
 
 
-def level_of_rectangles(col: Tensor) -> int:
+def level_of_rectangles(col: Shaped[Tensor, "*batch long short"]) -> int:
     """Level of the icosphere of rectangles ``(*, 2n + 1, n + 1)``, where ``n = 2**level``."""
     return (col.shape[-1] - 1).bit_length() - 1
 
 
-def own_charts(values: Tensor, n: int) -> Tensor:
+def own_charts(values: Shaped[Tensor, "B C *N V"], n: int) -> Shaped[Tensor, "B 5 C *N rows columns"]:
     """View ``(B, C, [N,] V)`` without the poles as the vertices that charts own, ``(B, 5, C, [N,] 2n, n)``."""
     return values[..., 1:-1].unflatten(-1, (5, 2 * n, n)).movedim(-3, 1)
 
 
-def place_ids(level: int, device: torch.device | None = None) -> Tensor:
+def place_ids(level: int, device: torch.device | None = None) -> Int[Tensor, "10 places"]:
     """Vertices at the places of five col and then five row rectangles, ``(10, (2n + 1) * (n + 1))``.
 
     A col rectangle is a chart with all its borders. A row rectangle has in its western half the northern half of a
@@ -54,13 +55,15 @@ def place_ids(level: int, device: torch.device | None = None) -> Tensor:
     return torch.cat((chart_vertex_ids(level, device).flatten(1), rows.flatten(1)))
 
 
-def places_per_vertex(level: int, like: Tensor) -> Tensor:
+def places_per_vertex(level: int, like: Num[Tensor, " ..."]) -> Num[Tensor, " V"]:
     """Number of places ``(V,)`` in the crown that each vertex stands in."""
     ids = place_ids(level, like.device).flatten()
     return like.new_zeros(num_icosphere_vertices(level)).index_add(0, ids, like.new_ones(len(ids)))
 
 
-def values_at_places(values: Tensor) -> tuple[Tensor, Tensor]:
+def values_at_places(
+    values: Num[Tensor, "B C *N V"],
+) -> tuple[Num[Tensor, "B 5 C *N long short"], Num[Tensor, "B 5 C *N short long"]]:
     """Look values ``(B, C, [N,] V)`` up at all places: col ``(B, 5, C, [N,] 2n + 1, n + 1)`` and row rectangles."""
     level = level_from_num_vertices(values.shape[-1])
     n = 2**level
@@ -69,7 +72,9 @@ def values_at_places(values: Tensor) -> tuple[Tensor, Tensor]:
     return col.unflatten(-1, (2 * n + 1, n + 1)), row.unflatten(-1, (n + 1, 2 * n + 1))
 
 
-def sum_over_places(col: Tensor, row: Tensor) -> Tensor:
+def sum_over_places(
+    col: Num[Tensor, "B 5 C *N long short"], row: Num[Tensor, "B 5 C *N short long"]
+) -> Num[Tensor, "B C *N V"]:
     """Sum each vertex over all its places, ``(B, C, [N,] V)``: the adjoint of ``values_at_places``."""
     level = level_of_rectangles(col)
     places = torch.cat((col.flatten(-2), row.flatten(-2)), 1).movedim(1, -2).flatten(-2)

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
@@ -16,8 +17,10 @@ __all__ = ["RecomputedModule", "recomputed"]
 
 
 def recomputed(
-    module: nn.Module, inputs: Tensor, forward: Callable[[Tensor], Tensor] | None = None
-) -> Tensor:
+    module: nn.Module,
+    inputs: Float[Tensor, " ..."],
+    forward: Callable[[Tensor], Tensor] | None = None,
+) -> Float[Tensor, " ..."]:
     """Return ``module(inputs)``, keeping only ``inputs`` for the backward pass.
 
     Same results and gradients for a third more work. Running statistics take one step, not two.
@@ -53,7 +56,7 @@ class RecomputedModule(nn.Module):
 
     recompute = False
 
-    def __call__(self, inputs: Tensor) -> Any:
+    def __call__(self, inputs: Float[Tensor, " ..."]) -> Any:
         if self.recompute and self.training:
             return recomputed(self, inputs, super().__call__)
         return super().__call__(inputs)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 __all__ = ["COL_TAPS", "ROW_TAPS", "Taps", "convolve", "neighbor_taps", "planar_kernel", "repeat_border"]
@@ -20,7 +21,7 @@ COL_TAPS: Taps = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
 ROW_TAPS: Taps = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
 
 
-def planar_kernel(weight: Tensor, taps: Taps) -> Tensor:
+def planar_kernel(weight: Float[Tensor, "*filters 7"], taps: Taps) -> Float[Tensor, "*filters 3 3"]:
     """Arrange seven taps ``(*, 7)`` as a planar kernel ``(*, 3, 3)``."""
     index = torch.tensor(taps, device=weight.device).flatten()
     return F.pad(weight, (0, 1)).index_select(-1, index).unflatten(-1, (3, 3))
@@ -32,8 +33,12 @@ def neighbor_taps(taps: Taps) -> list[int]:
 
 
 def convolve(
-    rectangles: Tensor, weight: Tensor, taps: Taps, bias: Tensor | None = None, stride: int = 1
-) -> Tensor:
+    rectangles: Float[Tensor, "B 5 C_in *N h w"],
+    weight: Float[Tensor, "C_out C_in 7"] | Float[Tensor, "C_out C_in 21"],
+    taps: Taps,
+    bias: Float[Tensor, " C_out"] | None = None,
+    stride: int = 1,
+) -> Float[Tensor, "B 5 C_out *N h_out w_out"]:
     """Convolve rectangles of one kind, continued by their own border values.
 
     Args:
@@ -53,7 +58,7 @@ def convolve(
     return result.unflatten(0, (-1, 5))
 
 
-def repeat_border(images: Tensor) -> Tensor:
+def repeat_border(images: Float[Tensor, "B C *N h w"]) -> Float[Tensor, "B C *N_padded h+2 w+2"]:
     """Continue images ``(B, C, h, w)`` or volumes ``(B, C, N, h, w)`` by one more of their border values all around."""
     if images.ndim == 4 and torch.compiler.is_compiling():
         # Inductor expects another memory format of the gradient of a padding than it gets.

@@ -27,7 +27,7 @@ def random_crown(level: int, *channels: int, dtype: torch.dtype = torch.float64)
 def vertex_ids(level: int) -> Crown:
     """The vertex at every place."""
     ids = torch.arange(num_icosphere_vertices(level), dtype=torch.float64)
-    return crown_map(lambda x: x[0, :, 0].long(), to_crown(ids.view(1, 1, -1)))
+    return Crown(*(rectangles[0, :, 0].long() for rectangles in to_crown(ids.view(1, 1, -1))))
 
 
 @settings(max_examples=25, deadline=None)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
@@ -18,15 +19,17 @@ __all__ = ["Overlap", "coverage", "overlap", "seen_by"]
 class Overlap(NamedTuple):
     """Shares of the sphere's solid angle, from 0 to 1, at each depth (*)."""
 
-    seen: Tensor
+    seen: Float[Tensor, "*depths"]
     """Seen by one camera or more."""
-    shared: Tensor
+    shared: Float[Tensor, "*depths"]
     """Seen by two or more, so that depth can be told there."""
-    mean: Tensor
+    mean: Float[Tensor, "*depths"]
     """Mean number of cameras that see a direction."""
 
 
-def coverage(rig: CameraRig, directions: Tensor, depths: Sequence[float] | Tensor) -> Tensor:
+def coverage(
+    rig: CameraRig, directions: Float[Tensor, "V 3"], depths: Sequence[float] | Float[Tensor, " ..."]
+) -> Int[Tensor, "*rigs d V"]:
     """Number of cameras (*b, d, V) that see the points at ``depths`` (d,) along ``directions`` (V, 3).
 
     Fields of view, image borders and masks count; what stands in the way does not.
@@ -53,7 +56,9 @@ def coverage(rig: CameraRig, directions: Tensor, depths: Sequence[float] | Tenso
     return rig.points_seen(directions, far.reciprocal()).sum(-3)
 
 
-def seen_by(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor:
+def seen_by(
+    rig: CameraRig, directions: Float[Tensor, "V 3"], inverse_depth: Float[Tensor, "*#rigs V"]
+) -> Int[Tensor, "*rigs V"]:
     """Number of cameras (*b, V) that see the surface points of a depth map.
 
     Fields of view, image borders and masks count; what stands in the way does not. Where fewer than two cameras see a
@@ -87,7 +92,7 @@ def seen_by(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor
     return rig.points_seen(directions, inverse_depth.unsqueeze(-2)).sum(-3).squeeze(-2)
 
 
-def overlap(counts: Tensor, solid_angles: Tensor) -> Overlap:
+def overlap(counts: Int[Tensor, "*depths V"], solid_angles: Float[Tensor, " V"]) -> Overlap:
     """Overlap by solid angle from the ``counts`` (*, V) of ``coverage`` and the grid's ``solid_angles`` (V,).
 
     Raises:

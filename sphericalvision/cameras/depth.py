@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -12,7 +13,9 @@ from sphericalvision.core import ShapeError
 __all__ = ["depth_from_z", "z_from_depth"]
 
 
-def depth_from_z(z: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+def depth_from_z(
+    z: Float[Tensor, "*#batch h w"], camera: Camera
+) -> tuple[Float[Tensor, "*batch h w"], Bool[Tensor, "*batch h w"]]:
     """Depth along the rays of a depth image that holds z, as most perspective data sets store it.
 
     Args:
@@ -39,7 +42,9 @@ def depth_from_z(z: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
     return depth, valid.expand(depth.shape)
 
 
-def z_from_depth(depth: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+def z_from_depth(
+    depth: Float[Tensor, "*#batch h w"], camera: Camera
+) -> tuple[Float[Tensor, "*batch h w"], Bool[Tensor, "*batch h w"]]:
     """The z coordinate of the points that a depth image along the rays shows: the inverse of ``depth_from_z``.
 
     Args:

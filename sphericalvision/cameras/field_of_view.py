@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
@@ -35,7 +36,7 @@ def directions_around_axis(angle: Tensor, azimuth: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def visible_angle(camera: Camera, azimuth: Tensor) -> Tensor:
+def visible_angle(camera: Camera, azimuth: Float[Tensor, "*azimuths"]) -> Float[Tensor, "*azimuths"]:
     """The widest angle from the axis (*) that ``camera`` sees in the half planes at ``azimuth`` (*), in radians.
 
     Azimuth 0 is to the right and π/2 down, as in the image. 0 where nothing is seen.
@@ -83,7 +84,7 @@ def field_of_view(camera: Camera) -> FieldOfView:
 
 
 @torch.no_grad()
-def focal_length_on_axis(camera: Camera) -> Tensor:
+def focal_length_on_axis(camera: Camera) -> Float[Tensor, " 2"]:
     """Pixels per radian at the optical axis along u and v, (2,), float64: comparable between models.
 
     NaN where the camera's model does not reach the axis.

@@ -52,8 +52,8 @@ class CameraRig:
     def __init__(
         self,
         cameras: Mapping[str, Camera] | Sequence[Camera],
-        world_from_camera: Tensor,
-        masks: Mapping[str, Tensor] | None = None,
+        world_from_camera: Float[Tensor, "*rigs n 4 4"],
+        masks: Mapping[str, Bool[Tensor, " ..."]] | None = None,
     ) -> None:
         named = cameras if isinstance(cameras, Mapping) else {f"cam{i + 1}": c for i, c in enumerate(cameras)}
         self.cameras: dict[str, Camera] = dict(named)
@@ -82,27 +82,27 @@ class CameraRig:
         return tuple(self.world_from_camera.shape[:-3])
 
     @property
-    def camera_from_world(self) -> Tensor:
+    def camera_from_world(self) -> Float[Tensor, "*rigs n 4 4"]:
         """Inverse poses ``(*b, n, 4, 4)``."""
         return invert_transform(self.world_from_camera)
 
     @property
-    def positions(self) -> Tensor:
+    def positions(self) -> Float[Tensor, "*rigs n 3"]:
         """Where the cameras are ``(*b, n, 3)``, metres."""
         return self.world_from_camera[..., :3, 3]
 
     @property
-    def center(self) -> Tensor:
+    def center(self) -> Float[Tensor, "*rigs 3"]:
         """Mean position of the cameras ``(*b, 3)``, metres."""
         return self.positions.mean(-2)
 
     @property
-    def radius(self) -> Tensor:
+    def radius(self) -> Float[Tensor, "*rigs"]:
         """Mean distance of the cameras from the centre ``(*b)``, metres."""
         return (self.positions - self.center[..., None, :]).norm(dim=-1).mean(-1)
 
     @property
-    def baselines(self) -> Tensor:
+    def baselines(self) -> Float[Tensor, "*rigs n n"]:
         """Distances between the cameras ``(*b, n, n)``, metres.
 
         Examples:
@@ -112,12 +112,12 @@ class CameraRig:
         return (self.positions.unsqueeze(-2) - self.positions.unsqueeze(-3)).norm(dim=-1)
 
     @property
-    def axes(self) -> Tensor:
+    def axes(self) -> Float[Tensor, "*rigs n 3"]:
         """Optical axes in the world ``(*b, n, 3)``, unit length."""
         return self.world_from_camera[..., :3, 2]
 
     @property
-    def max_angles(self) -> Tensor:
+    def max_angles(self) -> Float[Tensor, "*rigs n"]:
         """Half fields of view ``(*b, n)``, radians."""
         poses = self.world_from_camera
         angles = (camera.max_angle.to(poses).expand(poses.shape[:-3]) for camera in self.cameras.values())
@@ -163,7 +163,9 @@ class CameraRig:
             raise ArgumentError(f"order: expected a permutation of 0 to {len(self) - 1}, got {order}")
         return self.subset(order)
 
-    def rotated(self, tilt: float | Tensor = 0.0, rotation: Tensor | None = None) -> CameraRig:
+    def rotated(
+        self, tilt: float | Float[Tensor, " ..."] = 0.0, rotation: Float[Tensor, "*rigs 3 3"] | None = None
+    ) -> CameraRig:
         """The rig with other orientations; positions of tilted cameras stay where they are.
 
         Args:
@@ -351,11 +353,11 @@ class CameraRig:
 
     def sample_sphere(
         self,
-        images: Mapping[str, Tensor] | Sequence[Tensor],
-        directions: Tensor,
+        images: Mapping[str, Float[Tensor, "*#batch c _ _"]] | Sequence[Float[Tensor, "*#batch c _ _"]],
+        directions: Float[Tensor, "V 3"],
         fill: float = 0.5,
         antialias: bool = False,
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Float[Tensor, "*batch n c V"], Bool[Tensor, "*seen n V"]]:
         """Look each camera's image up in directions of the world, as if from its own position (rotation only).
 
         Args:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -84,11 +85,11 @@ def _untilt(u: Tensor, v: Tensor, angles: Tensor) -> tuple[Tensor, Tensor, Tenso
 
 @computed_in_float32
 def project_brown_conrady(
-    points: Tensor,
-    focal_length: Tensor,
-    principal_point: Tensor,
-    distortion: Tensor,
-    max_tangent: Tensor | None = None,
+    points: Float[Tensor, "*#batch 3"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    distortion: Float[Tensor, "*#batch k"],
+    max_tangent: Float[Tensor, "*#batch"] | None = None,
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3) as ``cv2.projectPoints`` computes them.
 
@@ -130,7 +131,10 @@ def project_brown_conrady(
 
 @computed_in_float32
 def unproject_brown_conrady(
-    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
+    pixels: Float[Tensor, "*#batch 2"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    distortion: Float[Tensor, "*#batch k"],
 ) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_brown_conrady``, by Newton's method.
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -35,7 +36,11 @@ def _widest_cosine(xi: Tensor, alpha: Tensor) -> Tensor:
 
 @computed_in_float32
 def project_double_sphere(
-    points: Tensor, focal_length: Tensor, principal_point: Tensor, xi: Tensor, alpha: Tensor
+    points: Float[Tensor, "*#batch 3"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    xi: Float[Tensor, "*#batch"],
+    alpha: Float[Tensor, "*#batch"],
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3) through two spheres and a pinhole.
 
@@ -72,7 +77,11 @@ def project_double_sphere(
 
 @computed_in_float32
 def unproject_double_sphere(
-    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, xi: Tensor, alpha: Tensor
+    pixels: Float[Tensor, "*#batch 2"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    xi: Float[Tensor, "*#batch"],
+    alpha: Float[Tensor, "*#batch"],
 ) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2): the closed inverse of ``project_double_sphere``, eqs. 46-50.
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -27,7 +28,7 @@ __all__ = ["EquirectangularCamera", "project_equirectangular", "unproject_equire
 
 @computed_in_float32
 def project_equirectangular(
-    points: Tensor, image_size: Sequence[int], vertical_field_of_view: float = math.pi
+    points: Float[Tensor, "*#batch 3"], image_size: Sequence[int], vertical_field_of_view: float = math.pi
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3) on a panorama of ``image_size`` (height, width).
 
@@ -48,7 +49,7 @@ def project_equirectangular(
 
 @computed_in_float32
 def unproject_equirectangular(
-    pixels: Tensor, image_size: Sequence[int], vertical_field_of_view: float = math.pi
+    pixels: Float[Tensor, "*#batch 2"], image_size: Sequence[int], vertical_field_of_view: float = math.pi
 ) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_equirectangular``.
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -36,7 +37,11 @@ def _widest_cosine(alpha: Tensor) -> Tensor:
 
 @computed_in_float32
 def project_extended_unified(
-    points: Tensor, focal_length: Tensor, principal_point: Tensor, alpha: Tensor, beta: Tensor
+    points: Float[Tensor, "*#batch 3"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    alpha: Float[Tensor, "*#batch"],
+    beta: Float[Tensor, "*#batch"],
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3) through an ellipsoid and a pinhole.
 
@@ -73,7 +78,11 @@ def project_extended_unified(
 
 @computed_in_float32
 def unproject_extended_unified(
-    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, alpha: Tensor, beta: Tensor
+    pixels: Float[Tensor, "*#batch 2"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    alpha: Float[Tensor, "*#batch"],
+    beta: Float[Tensor, "*#batch"],
 ) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2): the closed inverse of ``project_extended_unified``.
 

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -72,7 +73,10 @@ def _length_plus_z(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Ten
 
 @computed_in_float32
 def project_fisheye(
-    points: Tensor, focal_length: Tensor, principal_point: Tensor, projection: str = "equidistant"
+    points: Float[Tensor, "*#batch 3"],
+    focal_length: Float[Tensor, "*#batch #2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    projection: str = "equidistant",
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3) through an ideal fisheye lens.
 
@@ -116,7 +120,10 @@ def project_fisheye(
 
 @computed_in_float32
 def unproject_fisheye(
-    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, projection: str = "equidistant"
+    pixels: Float[Tensor, "*#batch 2"],
+    focal_length: Float[Tensor, "*#batch #2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    projection: str = "equidistant",
 ) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_fisheye``, with the same arguments.
 

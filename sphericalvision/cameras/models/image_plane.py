@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.geometry.directions import components, from_components
@@ -15,7 +16,12 @@ IMAGE_PLANE: dict[str, tuple[int, ...]] = {"focal_length": (2,), "principal_poin
 """Sizes of the intrinsics of models that end in ``pixels_from_plane``."""
 
 
-def pixels_from_plane(x: Tensor, y: Tensor, focal_length: Tensor, principal_point: Tensor) -> Tensor:
+def pixels_from_plane(
+    x: Float[Tensor, "*#batch"],
+    y: Float[Tensor, "*#batch"],
+    focal_length: Float[Tensor, "*#batch #2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+) -> Float[Tensor, "*batch 2"]:
     """Pixels (*, 2) of (x, y), each (*), in units of the focal length (*, 1 or 2).
 
     Examples:
@@ -27,7 +33,11 @@ def pixels_from_plane(x: Tensor, y: Tensor, focal_length: Tensor, principal_poin
     return from_components(x * focal_length[..., 0] + cu, y * focal_length[..., -1] + cv)
 
 
-def plane_from_pixels(pixels: Tensor, focal_length: Tensor, principal_point: Tensor) -> tuple[Tensor, Tensor]:
+def plane_from_pixels(
+    pixels: Float[Tensor, "*#batch 2"],
+    focal_length: Float[Tensor, "*#batch #2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """Offsets (x, y), each (*), of ``pixels`` (*, 2) from the principal point in units of the focal length (*, 1 or 2).
 
     Examples:
@@ -40,7 +50,9 @@ def plane_from_pixels(pixels: Tensor, focal_length: Tensor, principal_point: Ten
     return (u - cu) / focal_length[..., 0], (v - cv) / focal_length[..., -1]
 
 
-def unit_directions(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+def unit_directions(
+    x: Float[Tensor, "*#batch"], y: Float[Tensor, "*#batch"], z: Float[Tensor, "*#batch"]
+) -> Float[Tensor, "*batch 3"]:
     """(x, y, z), each (*) and not all 0, scaled to unit length, (*, 3).
 
     Examples:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -91,7 +92,10 @@ def _tabulated(coefficients: Tensor, widest: Tensor) -> _Inverse:
 
 @computed_in_float32
 def project_kannala_brandt(
-    points: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
+    points: Float[Tensor, "*#batch 3"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    distortion: Float[Tensor, "*#batch k"],
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3): the image radius is θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹ focal lengths.
 
@@ -124,7 +128,10 @@ def project_kannala_brandt(
 
 @computed_in_float32
 def unproject_kannala_brandt(
-    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, distortion: Tensor
+    pixels: Float[Tensor, "*#batch 2"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    distortion: Float[Tensor, "*#batch k"],
 ) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2), by Halley's method on the squared angle; past 90° too.
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -107,12 +108,12 @@ def _scale_by_root(
 
 @computed_in_float32
 def project_ocam(
-    points: Tensor,
-    direct_polynomial: Tensor,
-    inverse_polynomial: Tensor | None,
-    principal_point: Tensor,
-    affine: Tensor,
-    max_radius: Tensor | float = 1e4,
+    points: Float[Tensor, "*#batch 3"],
+    direct_polynomial: Float[Tensor, "*#batch k"],
+    inverse_polynomial: Float[Tensor, "*#batch m"] | None,
+    principal_point: Float[Tensor, "*#batch 2"],
+    affine: Float[Tensor, "*#batch 3"],
+    max_radius: Float[Tensor, "*#batch"] | float = 1e4,
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3) through an OCam lens.
 
@@ -150,7 +151,10 @@ def project_ocam(
 
 @computed_in_float32
 def unproject_ocam(
-    pixels: Tensor, direct_polynomial: Tensor, principal_point: Tensor, affine: Tensor
+    pixels: Float[Tensor, "*#batch 2"],
+    direct_polynomial: Float[Tensor, "*#batch k"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    affine: Float[Tensor, "*#batch 3"],
 ) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2): (col', row', −f(ρ)) normalised, with ρ = hypot(col', row').
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -28,7 +29,11 @@ __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
 
 
 @computed_in_float32
-def project_pinhole(points: Tensor, focal_length: Tensor, principal_point: Tensor) -> Projection:
+def project_pinhole(
+    points: Float[Tensor, "*#batch 3"],
+    focal_length: Float[Tensor, "*#batch #2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3): (x, y)/z times ``focal_length`` (*, 2) plus ``principal_point`` (*, 2).
 
     Valid in front of the camera only; points behind it are sent far out to their side.
@@ -46,7 +51,11 @@ def project_pinhole(points: Tensor, focal_length: Tensor, principal_point: Tenso
 
 
 @computed_in_float32
-def unproject_pinhole(pixels: Tensor, focal_length: Tensor, principal_point: Tensor) -> Unprojection:
+def unproject_pinhole(
+    pixels: Float[Tensor, "*#batch 2"],
+    focal_length: Float[Tensor, "*#batch #2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_pinhole``.
 
     Examples:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -62,7 +63,10 @@ def _start(coefficients: Tensor, widest: Tensor, target: Tensor) -> Tensor:
 
 @computed_in_float32
 def project_radial_polynomial(
-    points: Tensor, coefficients: Tensor, principal_point: Tensor, aspect_ratio: Tensor
+    points: Float[Tensor, "*#batch 3"],
+    coefficients: Float[Tensor, "*#batch k"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    aspect_ratio: Float[Tensor, "*#batch"],
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3): the image radius is k1 θ + k2 θ² + ... pixels at the angle θ from the axis.
 
@@ -96,7 +100,10 @@ def project_radial_polynomial(
 
 @computed_in_float32
 def unproject_radial_polynomial(
-    pixels: Tensor, coefficients: Tensor, principal_point: Tensor, aspect_ratio: Tensor
+    pixels: Float[Tensor, "*#batch 2"],
+    coefficients: Float[Tensor, "*#batch k"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    aspect_ratio: Float[Tensor, "*#batch"],
 ) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2), by Newton's method on the angle; past 90° too.
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -44,11 +45,11 @@ def _lift(x: Tensor, y: Tensor, xi: Tensor) -> Unprojection:
 
 @computed_in_float32
 def project_unified(
-    points: Tensor,
-    focal_length: Tensor,
-    principal_point: Tensor,
-    xi: Tensor,
-    distortion: Tensor | None = None,
+    points: Float[Tensor, "*#batch 3"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    xi: Float[Tensor, "*#batch"],
+    distortion: Float[Tensor, "*#batch k"] | None = None,
 ) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3) through a unit sphere and a pinhole ξ behind its centre.
 
@@ -88,11 +89,11 @@ def project_unified(
 
 @computed_in_float32
 def unproject_unified(
-    pixels: Tensor,
-    focal_length: Tensor,
-    principal_point: Tensor,
-    xi: Tensor,
-    distortion: Tensor | None = None,
+    pixels: Float[Tensor, "*#batch 2"],
+    focal_length: Float[Tensor, "*#batch 2"],
+    principal_point: Float[Tensor, "*#batch 2"],
+    xi: Float[Tensor, "*#batch"],
+    distortion: Float[Tensor, "*#batch k"] | None = None,
 ) -> Unprojection:
     """Unit directions (*, 3) of ``pixels`` (*, 2): the inverse of ``project_unified``, with the same arguments.
 

@@ -163,9 +163,12 @@ def register_aggregation(name: str, aggregation: type[Aggregation]) -> None:
     Raises:
         ArgumentError: if the name belongs to another class.
     """
-    known = _AGGREGATIONS.setdefault(name, aggregation)
-    if known is not aggregation:
+    known = _AGGREGATIONS.get(name, aggregation)
+    if (known.__module__, known.__qualname__) != (aggregation.__module__, aggregation.__qualname__):
         raise ArgumentError(f"name: {name!r} is {known.__name__} already, choose another name")
+    _AGGREGATIONS[name] = (
+        aggregation  # also where the class was defined anew, as when a notebook's cell runs again
+    )
 
 
 def named_aggregation(

@@ -14,7 +14,7 @@ from torch import Tensor
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.models import IcoSweepNet, OmniMVS, load_weights, save_weights
-from sphericalvision.sweep import Aggregation, SweepVolume, register_aggregation
+from sphericalvision.sweep import Aggregation, SweepVolume, named_aggregation, register_aggregation
 from sphericalvision.sweep.aggregation import _AGGREGATIONS
 
 
@@ -96,9 +96,10 @@ class Strongest(Aggregation):
 @pytest.fixture
 def strongest() -> Iterator[str]:
     """An aggregation of one's own, by name."""
-    register_aggregation("strongest", Strongest)
-    yield "strongest"
-    del _AGGREGATIONS["strongest"]
+    name = "strongest of the tests"  # the guide's example of this class is named "strongest"
+    register_aggregation(name, Strongest)
+    yield name
+    del _AGGREGATIONS[name]
 
 
 def test_an_aggregation_of_ones_own(generator: torch.Generator, tmp_path: Path, strongest: str) -> None:
@@ -133,3 +134,12 @@ def test_errors_name_argument_and_choices() -> None:
         IcoSweepNet(3, feature_coarsening=3)
     with pytest.raises(ArgumentError, match="volume_channels"):
         IcoSweepNet(3, volume_channels=0)
+
+
+def test_a_class_defined_anew_keeps_its_name(strongest: str) -> None:
+    """As when a notebook's cell runs again; another class does not get the name."""
+    again = type("Strongest", (Strongest,), {"__module__": Strongest.__module__, "__qualname__": "Strongest"})
+    register_aggregation(strongest, again)
+    assert isinstance(named_aggregation(strongest, 4, 2), again)
+    with pytest.raises(ArgumentError, match="Strongest already"):
+        register_aggregation(strongest, type("Other", (Strongest,), {}))

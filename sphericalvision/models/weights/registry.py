@@ -43,12 +43,13 @@ def register_network(name: str, network: type[DepthNetwork]) -> None:
         raise ArgumentError(
             f"network: expected a subclass of DepthNetwork for the name {name!r}, got {network!r}"
         )
-    known = _NETWORKS.setdefault(name, network)
-    if known is not network:
+    known = _NETWORKS.get(name, network)
+    if (known.__module__, known.__qualname__) != (network.__module__, network.__qualname__):
         raise ArgumentError(
             f"name: {name!r} is {known.__module__}.{known.__qualname__} already, choose another name for "
             f"{network.__module__}.{network.__qualname__}"
         )
+    _NETWORKS[name] = network  # also where the class was defined anew, as when a notebook's cell runs again
 
 
 def network_names() -> tuple[str, ...]:

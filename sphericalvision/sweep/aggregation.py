@@ -10,6 +10,7 @@ from __future__ import annotations
 import inspect
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
@@ -54,7 +55,7 @@ class Aggregation(nn.Module):
         super().__init__()
         self.out_channels = out_channels
 
-    def forward(self, volume: SweepVolume) -> Tensor:
+    def forward(self, volume: SweepVolume) -> Float[Tensor, "B C_out N *grid"]:
         """Return the cost volume ``(B, out_channels, N, V)``."""
         raise NotImplementedError(f"{type(self).__name__}.forward")
 
@@ -86,7 +87,7 @@ class Concatenation(Aggregation):
         super().__init__(num_cameras * channels)
         self.num_cameras, self.shuffle = num_cameras, shuffle
 
-    def forward(self, volume: SweepVolume) -> Tensor:
+    def forward(self, volume: SweepVolume) -> Float[Tensor, "B C_out N *grid"]:
         values = volume.values
         if values.shape[1] != self.num_cameras:
             raise ShapeError(
@@ -114,11 +115,11 @@ class MeanVariance(Aggregation):
     def __init__(self, channels: int) -> None:
         super().__init__(2 * channels + 1)
 
-    def forward(self, volume: SweepVolume) -> Tensor:
+    def forward(self, volume: SweepVolume) -> Float[Tensor, "B C_out N *grid"]:
         return mean_and_variance(volume)
 
 
-def mean_and_variance(volume: SweepVolume) -> Tensor:
+def mean_and_variance(volume: SweepVolume) -> Float[Tensor, "B C_out N *grid"]:
     """Return mean and variance over the cameras that see a point, and their share: ``(B, 2 * C + 1, N, V)``.
 
     The variance is small where the cameras agree. The result is the same in any order of the cameras, and of

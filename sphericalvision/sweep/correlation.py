@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -140,7 +140,7 @@ def _sweep(images: Tensor, known: Tensor, tables: SweepTables) -> tuple[Tensor, 
 
 def window_correlations(
     colors: Float[Tensor, "V n C N"], seen: Float[Tensor, "V n N"], level: int, noise: float
-) -> list[Tensor]:
+) -> list[Float[Tensor, "V_level N"]]:
     """Return the correlation ``(V_level, N)`` of each pair of cameras in the windows around the vertices of a level.
 
     The mean of a window is taken off at each of its vertices, as it is in the window around that vertex, so that
@@ -168,7 +168,9 @@ def window_correlations(
     ]
 
 
-def mean_of_better_half(values: Sequence[Tensor], count: Tensor) -> Tensor:
+def mean_of_better_half(
+    values: Sequence[Float[Tensor, "*places"]], count: Num[Tensor, "*places"]
+) -> Float[Tensor, "*places"]:
     """Average the greater half, rounded up, of the first ``count`` of values in descending order; 0 if there are none.
 
     A sorting network compares whole tensors, which is many times faster than sorting each place for itself.

@@ -43,7 +43,7 @@ def inverse_depth_hypotheses(
     min_depth: float,
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
-) -> Tensor:
+) -> Float[Tensor, " N"]:
     """Return the inverse depths of the hypotheses in 1/m, ascending, ``(N,)``.
 
     Raises:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -34,8 +35,8 @@ class PanoramaTables(NamedTuple):
         image_size: (height, width) of the images that the cameras are calibrated for.
     """
 
-    grid: Tensor
-    mask: Tensor
+    grid: Float[Tensor, "*batch n D h w 2"]
+    mask: Bool[Tensor, "*batch n D h w"]
     image_size: tuple[int, int]
 
     @property
@@ -51,7 +52,7 @@ class PanoramaTables(NamedTuple):
         """Return the tables of every second row and column of the spheres."""
         return self._replace(grid=self.grid[..., ::2, ::2, :], mask=self.mask[..., ::2, ::2])
 
-    def at_spheres(self, index: Tensor) -> PanoramaTables:
+    def at_spheres(self, index: Int[Tensor, "B h w"]) -> PanoramaTables:
         """Return the tables of one sphere whose radius differs from pixel to pixel: that of index ``(B, h, w)``."""
         batch, (rows, columns) = len(index), index.shape[-2:]
         chosen = index[:, None, None].expand(batch, self.num_cameras, 1, rows, columns)
@@ -142,7 +143,9 @@ class PanoramaSweep(nn.Module):
         places = torch.minimum((pixels / self.stride).clamp(min=0), size - 1)
         return torch.where(seen.unsqueeze(-1), (2 * places + 1) / size - 1, OUTSIDE)
 
-    def camera_values(self, features: Tensor, tables: PanoramaTables, camera: int) -> Tensor:
+    def camera_values(
+        self, features: Float[Tensor, "B C h_f w_f"], tables: PanoramaTables, camera: int
+    ) -> Float[Tensor, "B C D h w"]:
         """Values ``(B, C, D, h, w)`` of the maps ``(B, C, h_f, w_f)`` of one camera; zero out of view."""
         grid = tables.grid[..., camera, :, :, :, :]
         spheres, rows, columns = grid.shape[-4:-1]
@@ -151,7 +154,9 @@ class PanoramaSweep(nn.Module):
         values = F.grid_sample(features, places, padding_mode="zeros", align_corners=False)
         return values.unflatten(2, (spheres, rows))
 
-    def forward(self, features: Tensor, rig: CameraRig | PanoramaTables) -> Tensor:
+    def forward(
+        self, features: Float[Tensor, "B n C h_f w_f"], rig: CameraRig | PanoramaTables
+    ) -> Float[Tensor, "B n C D h w"]:
         """Sweep maps ``(B, n, C, h_f, w_f)`` of a rig's n cameras: values ``(B, n, C, D, h, w)``, zero out of view.
 
         Raises:
@@ -162,7 +167,9 @@ class PanoramaSweep(nn.Module):
         cameras = range(tables.num_cameras)
         return torch.stack([self.camera_values(features[:, k], tables, k) for k in cameras], 1)
 
-    def seen(self, tables: PanoramaTables, seen: Tensor | None = None) -> Tensor:
+    def seen(
+        self, tables: PanoramaTables, seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None
+    ) -> Bool[Tensor, "*batch n D h w"]:
         """Whether each camera sees each point ``([B,] n, D, h, w)``, and its image shows something there.
 
         Args:
@@ -185,7 +192,7 @@ class PanoramaSweep(nn.Module):
         maps = seen[:, :, None, :: self.stride, :: self.stride].to(tables.grid)
         return tables.mask & (self(maps, tables).squeeze(2) > 0.5)
 
-    def check_maps(self, features: Tensor, tables: PanoramaTables) -> None:
+    def check_maps(self, features: Float[Tensor, "B n C h_f w_f"], tables: PanoramaTables) -> None:
         """Raise ``ShapeError`` unless maps and tables fit."""
         expected = map_size(tables.image_size, self.stride)
         if features.ndim != 5 or tuple(features.shape[-2:]) != expected:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ShapeError
@@ -20,12 +21,12 @@ class DepthEstimate(NamedTuple):
     guess from the surroundings.
     """
 
-    index: Tensor  # type: ignore[assignment]  # hides tuple.index, which nobody needs here
-    confidence: Tensor
-    seen: Tensor
+    index: Float[Tensor, " B *grid"]  # type: ignore[assignment]  # hides tuple.index, which nobody needs here
+    confidence: Float[Tensor, " B *grid"]
+    seen: Bool[Tensor, " B *grid"]
 
 
-def depth_estimate(logits: Tensor, seen: Tensor) -> DepthEstimate:
+def depth_estimate(logits: Float[Tensor, "B N V"], seen: Bool[Tensor, "B n N V"]) -> DepthEstimate:
     """Return the expected index, its confidence and whether two cameras saw it, each ``(B, V)``.
 
     Args:
@@ -45,7 +46,7 @@ def depth_estimate(logits: Tensor, seen: Tensor) -> DepthEstimate:
     )
 
 
-def soft_argmax(logits: Tensor) -> Tensor:
+def soft_argmax(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor, "*batch V"]:
     """Return the expected hypothesis index ``(*b, V)``, 0 to N - 1, of scores ``(*b, N, V)``.
 
     The probability of a hypothesis is the softmax of the scores over all hypotheses: a higher score is more
@@ -65,7 +66,7 @@ def soft_argmax(logits: Tensor) -> Tensor:
     return _expectation(_probabilities(logits))
 
 
-def soft_argmax_confidence(logits: Tensor) -> Tensor:
+def soft_argmax_confidence(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor, "*batch V"]:
     """Return how concentrated the softmax of scores ``(*b, N, V)`` is around its mean, ``(*b, V)``, 0 to 1.
 
     It is the softmax summed over the four hypotheses around the expectation (fewer at the ends): near 1 for

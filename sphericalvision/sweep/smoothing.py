@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -110,7 +110,7 @@ def _jump_penalties(
 @torch.inference_mode(False)  # what is kept must be usable where gradients are wanted
 def smoothing_paths(
     level: int, lead: float = 1.0, device: torch.device | str | None = None
-) -> tuple[tuple[Tensor, int], ...]:
+) -> tuple[tuple[Int[Tensor, "steps P"], int], tuple[Int[Tensor, "steps_along_edges P_along_edges"], int]]:
     """Return vertex ids along paths, step by step ``(steps, P)``, and the step from which their results count.
 
     Closed lines are cut into fifths where they cross certain edges of the icosahedron, which its rotations (72

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError
@@ -35,11 +36,15 @@ class SweepVolume(NamedTuple):
             something there. Occlusion is not known. For all of a batch it may be an expanded view.
     """
 
-    values: Tensor
-    seen: Tensor
+    values: Float[Tensor, "B n C N *grid"]
+    seen: Bool[Tensor, "B n N *grid"]
 
 
-def sphere_sweep(features: Tensor, tables: SweepTables, seen: Tensor | None = None) -> SweepVolume:
+def sphere_sweep(
+    features: Float[Tensor, "B n C V_f"],
+    tables: SweepTables,
+    seen: Bool[Tensor, "#B n V_f"] | Bool[Tensor, "n V_f"] | None = None,
+) -> SweepVolume:
     """Look up the values of every camera at every hypothesis.
 
     Args:
@@ -148,7 +153,10 @@ class SphereSweep(nn.Module):
         return sweep_tables(self.directions, self.inverse_depths, rig, self.feature_level)
 
     def forward(
-        self, features: Tensor, rig: CameraRig | SweepTables, seen: Tensor | None = None
+        self,
+        features: Float[Tensor, "B n C V_f"],
+        rig: CameraRig | SweepTables,
+        seen: Bool[Tensor, "#B n V_s"] | Bool[Tensor, "n V_s"] | None = None,
     ) -> SweepVolume:
         """Sweep values ``(B, n, C, V)`` of the n cameras of a rig, or of its prepared tables.
 

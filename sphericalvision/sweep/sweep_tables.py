@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.icosphere import TriangleLocator
@@ -34,9 +35,9 @@ class SweepTables(NamedTuple):
         mask: ``([B,] N, V, n)`` True inside the field of view.
     """
 
-    ids: Tensor
-    weights: Tensor
-    mask: Tensor
+    ids: Int[Tensor, "*batch N V n 3"]
+    weights: Float[Tensor, "*batch N V n 3"]
+    mask: Bool[Tensor, "*batch N V n"]
 
     @property
     def num_cameras(self) -> int:
@@ -47,14 +48,17 @@ class SweepTables(NamedTuple):
         """Return the tables on another device."""
         return SweepTables(*(table.to(device) for table in self))
 
-    def permuted(self, order: Tensor) -> SweepTables:
+    def permuted(self, order: Int[Tensor, " n"]) -> SweepTables:
         """Return the tables with the cameras in another order, given as a permutation ``(n,)``."""
         ids, weights, mask = self
         return SweepTables(ids[..., order, :], weights[..., order, :], mask[..., order])
 
 
 def sweep_tables(
-    directions: Tensor, inverse_depths: Tensor, rig: CameraRig, feature_level: int
+    directions: Float[Tensor, "V 3"],
+    inverse_depths: Float[Tensor, " N"],
+    rig: CameraRig,
+    feature_level: int,
 ) -> SweepTables:
     """Locate the points of a sphere sweep on the icosphere of every camera.
 

@@ -17,14 +17,13 @@ from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import (
-    CostHourglass,
-    FisheyeFeatures,
     IcoSweepNet,
     OmniMVS,
     load_weights,
     save_weights,
 )
 from sphericalvision.models.omnimvs_layers import SphereConv, VolumeConv, VolumeUpConv
+from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import PanoramaTables, SweepVolume, inverse_depth_from_index
 

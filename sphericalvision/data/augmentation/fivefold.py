@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 import torch
+from jaxtyping import Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
@@ -19,7 +20,7 @@ ON_ICOSPHERE = ("images", "seen", "inverse_depth", "valid")
 ON_PANORAMA = ("panorama_inverse_depth", "panorama_valid")
 
 
-def rotate_fivefold(values: Tensor, steps: int) -> Tensor:
+def rotate_fivefold(values: Shaped[Tensor, "*values V"], steps: int) -> Shaped[Tensor, "*values V"]:
     """Turn what stands on an icosphere's vertices by ``steps`` x 72 degrees about the vertical.
 
     The icosahedron maps onto itself, chart to chart, so nothing is interpolated. Forward (+z) turns towards

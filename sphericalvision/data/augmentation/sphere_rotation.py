@@ -12,6 +12,7 @@ import math
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
@@ -27,7 +28,12 @@ CONTENTS = ("image", "depth", "normals", "labels", "seen")
 SEEN_SHARE = 0.999
 
 
-def rotate_on_sphere(values: Tensor, grid: SphereGrid, rotation: Tensor, kind: str = "image") -> Tensor:
+def rotate_on_sphere(
+    values: Shaped[Tensor, "*values"],
+    grid: SphereGrid,
+    rotation: Float[Tensor, "*turns 3 3"],
+    kind: str = "image",
+) -> Shaped[Tensor, "*values"]:
     """Rotate what lies on a grid.
 
     Args:
@@ -69,7 +75,12 @@ def rotate_on_sphere(values: Tensor, grid: SphereGrid, rotation: Tensor, kind: s
     return F.normalize(_turned(sampled, rotation), dim=-2).view(values.shape)
 
 
-def yaw_on_sphere(values: Tensor, grid: SphereGrid, steps: Tensor | int, kind: str = "image") -> Tensor:
+def yaw_on_sphere(
+    values: Shaped[Tensor, "*values"],
+    grid: SphereGrid,
+    steps: Int[Tensor, "*turns"] | int,
+    kind: str = "image",
+) -> Shaped[Tensor, "*values"]:
     """Turn what lies on a grid about the vertical by steps that map the grid onto itself: nothing is interpolated.
 
     Args:
@@ -117,7 +128,7 @@ def num_yaw_steps(grid: SphereGrid) -> int:
     )
 
 
-def yaw_rotation(angle: Tensor) -> Tensor:
+def yaw_rotation(angle: Float[Tensor, "*turns"]) -> Float[Tensor, "*turns 3 3"]:
     """Return the rotations ``(*, 3, 3)`` about the vertical by angles ``(*)`` in radians, forward towards right.
 
     Examples:
@@ -137,7 +148,7 @@ def yaw_angle(steps: Tensor, num_steps: int) -> Tensor:
 
 def random_rotations(
     count: int, max_angle: float = math.pi, generator: torch.Generator | None = None
-) -> Tensor:
+) -> Float[Tensor, "count 3 3"]:
     """Draw rotations ``(count, 3, 3)`` evenly from all whose angle is at most ``max_angle``.
 
     Args:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
@@ -88,7 +89,7 @@ class ToSphere:
         images, seen = self.images(sample["images"], sample["rig"]), self.seen(sample["rig"])
         return {**sample, "images": images, "seen": seen, "inverse_depth": inverse_depth, "valid": valid}
 
-    def images(self, images: Mapping[str, Tensor], rig: CameraRig) -> Tensor:
+    def images(self, images: Mapping[str, Float[Tensor, "3 _ _"]], rig: CameraRig) -> Float[Tensor, "n 3 V"]:
         """Images on the icosphere, ``(n, 3, V)`` in [-1, 1], 0 where a camera does not look.
 
         Args:
@@ -110,7 +111,7 @@ class ToSphere:
         values = torch.stack([look(images[name], 0) for name, look in zip(rig.names, lookups, strict=True)])
         return values.mul_(2).sub_(self.seen(rig).unsqueeze(1).to(values))  # 0 stays 0 where nothing is seen
 
-    def seen(self, rig: CameraRig) -> Tensor:
+    def seen(self, rig: CameraRig) -> Bool[Tensor, "n V"]:
         """Tell what of ``images`` was seen.
 
         Args:
@@ -135,7 +136,9 @@ class ToSphere:
             self._rig = rig
         return self._lookups
 
-    def ground_truth(self, inverse_depth: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    def ground_truth(
+        self, inverse_depth: Float[Tensor, "H W"], valid: Bool[Tensor, "H W"]
+    ) -> tuple[Float[Tensor, " V_depth"], Bool[Tensor, " V_depth"]]:
         """Inverse depth and validity ``(V_depth,)`` at the vertices, of those of a panorama ``(H, W)``.
 
         Raises:

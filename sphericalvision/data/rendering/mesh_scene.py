@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
@@ -119,7 +120,9 @@ class MeshScene:
             ) from error
         return RayMeshIntersector(trimesh.Trimesh(self.vertices, self.faces, process=False))
 
-    def trace(self, origin: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def trace(
+        self, origin: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"]
+    ) -> tuple[Float[Tensor, " n"], Int[Tensor, " n"]]:
         """First triangle along each ray.
 
         Embree finds the triangle in float32; the distance to its plane is computed in float64.
@@ -143,7 +146,7 @@ class MeshScene:
         distance[hit] = np.where(np.isfinite(along) & (along > 0), along, np.inf)
         return torch.from_numpy(distance).float(), torch.from_numpy(np.asarray(face)).long()
 
-    def light(self, origin: Tensor, directions: Tensor) -> Tensor:
+    def light(self, origin: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Linear colours ``(n, 3)`` along rays ``(n, 3)`` from a point; the background where nothing is hit."""
         distance, face = self.trace(origin, directions)
         up = (0.5 - 2 * directions[:, 1:2]).clamp(0, 1)

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_last_dim
@@ -44,8 +45,8 @@ class Hit(NamedTuple):
         primitive: ``(*,)`` row of the table, -1 where nothing is hit.
     """
 
-    distance: Tensor
-    primitive: Tensor
+    distance: Float[Tensor, "*rays"]
+    primitive: Int[Tensor, "*rays"]
 
 
 class Surface(NamedTuple):
@@ -57,12 +58,14 @@ class Surface(NamedTuple):
         uv: ``(n, 2)`` coordinates on the surface, metres.
     """
 
-    position: Tensor
-    normal: Tensor
-    uv: Tensor
+    position: Float[Tensor, "n 3"]
+    normal: Float[Tensor, "n 3"]
+    uv: Float[Tensor, "n 2"]
 
 
-def trace(primitives: Primitives, origins: Tensor, directions: Tensor) -> Hit:
+def trace(
+    primitives: Primitives, origins: Float[Tensor, "*#rays 3"], directions: Float[Tensor, "*rays 3"]
+) -> Hit:
     """First primitive along each ray.
 
     Args:
@@ -89,7 +92,12 @@ def trace(primitives: Primitives, origins: Tensor, directions: Tensor) -> Hit:
     return Hit(distance.reshape(shape), primitive.reshape(shape))
 
 
-def occluded(primitives: Primitives, origins: Tensor, directions: Tensor, limits: Tensor) -> Tensor:
+def occluded(
+    primitives: Primitives,
+    origins: Float[Tensor, "*#rays 3"],
+    directions: Float[Tensor, "*rays 3"],
+    limits: Float[Tensor, "*rays"],
+) -> Bool[Tensor, "*rays"]:
     """Whether something stands on each ray before its limit: bool ``(*)``.
 
     Args:
@@ -107,7 +115,9 @@ def occluded(primitives: Primitives, origins: Tensor, directions: Tensor, limits
     return answer.reshape(limits.shape)
 
 
-def surface(primitives: Primitives, origins: Tensor, directions: Tensor, hit: Hit) -> Surface:
+def surface(
+    primitives: Primitives, origins: Float[Tensor, "... 3"], directions: Float[Tensor, "n 3"], hit: Hit
+) -> Surface:
     """Where and how hit surfaces lie; every ray given must have hit something.
 
     Args:

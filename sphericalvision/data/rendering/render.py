@@ -12,6 +12,7 @@ import math
 from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
@@ -28,7 +29,9 @@ __all__ = ["ray_depth", "render_camera", "render_directions", "render_rig"]
 
 
 @torch.no_grad()
-def ray_depth(scene: Scene | MeshScene, origin: Tensor, directions: Tensor) -> Tensor:
+def ray_depth(
+    scene: Scene | MeshScene, origin: Float[Tensor, " 3"], directions: Float[Tensor, "*rays 3"]
+) -> Float[Tensor, "*rays"]:
     """Exact distances from a point along rays.
 
     Args:
@@ -53,8 +56,11 @@ def ray_depth(scene: Scene | MeshScene, origin: Tensor, directions: Tensor) -> T
 
 @torch.no_grad()
 def render_directions(
-    scene: Scene | MeshScene, origin: Tensor, directions: Tensor, spread: float | Tensor | None = None
-) -> Tensor:
+    scene: Scene | MeshScene,
+    origin: Float[Tensor, " 3"],
+    directions: Float[Tensor, "*rays 3"],
+    spread: float | Float[Tensor, " ..."] | None = None,
+) -> Float[Tensor, " 3 *rays"]:
     """Colours seen from a point along rays.
 
     Args:
@@ -88,8 +94,11 @@ def render_directions(
 
 @torch.no_grad()
 def render_camera(
-    scene: Scene | MeshScene, camera: Camera, world_from_camera: Tensor, samples_per_pixel: int = 1
-) -> Tensor:
+    scene: Scene | MeshScene,
+    camera: Camera,
+    world_from_camera: Float[Tensor, "4 4"],
+    samples_per_pixel: int = 1,
+) -> Float[Tensor, "3 h w"]:
     """The picture that one camera takes.
 
     Args:
@@ -131,7 +140,9 @@ def render_camera(
     return picture.view(3, height, width)
 
 
-def render_rig(scene: Scene | MeshScene, rig: CameraRig, samples_per_pixel: int = 1) -> dict[str, Tensor]:
+def render_rig(
+    scene: Scene | MeshScene, rig: CameraRig, samples_per_pixel: int = 1
+) -> dict[str, Float[Tensor, "3 _ _"]]:
     """The pictures that all cameras of a rig take: name -> ``(3, h, w)`` in [0, 1]; see `render_camera`."""
     poses = zip(rig.cameras.items(), rig.world_from_camera, strict=True)
     return {name: render_camera(scene, camera, pose, samples_per_pixel) for (name, camera), pose in poses}

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from sphericalvision.io.files import atomic_write
@@ -65,12 +66,12 @@ class ArrayCache:
         return folder / f"{name}.npz"
 
 
-def encode(images: Tensor) -> Tensor:
+def encode(images: Float[Tensor, "*images"]) -> UInt8[Tensor, "*images"]:
     """[-1, 1] as bytes 1..255."""
     return (images * 127 + 128).round().clamp(1, 255).to(torch.uint8)
 
 
-def decode(images: Tensor, seen: Tensor) -> Tensor:
+def decode(images: UInt8[Tensor, "n 3 *grid"], seen: Bool[Tensor, " n *grid"]) -> Float[Tensor, "n 3 *grid"]:
     """Bytes ``(n, 3, *)`` of ``encode`` as [-1, 1], 0 where not ``seen`` ``(n, *)``."""
     return torch.where(seen[:, None], (images.float() - 128) / 127, 0.0)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from jaxtyping import Bool
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
@@ -10,7 +11,7 @@ from sphericalvision.cameras import CameraRig
 __all__ = ["pixels_seen"]
 
 
-def pixels_seen(rig: CameraRig) -> dict[str, Tensor]:
+def pixels_seen(rig: CameraRig) -> dict[str, Bool[Tensor, "_ _"]]:
     """Tell for each camera which pixels were seen.
 
     Args:

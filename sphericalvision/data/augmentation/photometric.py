@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
@@ -67,7 +68,7 @@ class PhotometricAugmentation(nn.Module):
         self.color = ColorJiggle(brightness, contrast, saturation, hue, same_on_batch=not per_camera)
         self.noise = RandomGaussianNoise(mean=0.0, std=noise, p=0.5)
 
-    def apply_to(self, images: Tensor, seed: int) -> Tensor:
+    def apply_to(self, images: Float[Tensor, "n 3 h w"], seed: int) -> Float[Tensor, "n 3 h w"]:
         """Augment images ``(n, 3, h, w)`` in [0, 1]; the same seed does the same again.
 
         Raises:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Remap
@@ -57,7 +58,7 @@ class RotateFisheye:
     def __init__(
         self,
         tilt: float | Tensor = 0.0,
-        rotation: Tensor | None = None,
+        rotation: Float[Tensor, "*cameras 3 3"] | None = None,
         image_size: Sequence[int] | None = None,
         mode: str = "area",
     ) -> None:

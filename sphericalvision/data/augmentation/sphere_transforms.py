@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.cameras import CameraRig
@@ -73,7 +74,7 @@ class _SphereAugmentation(nn.Module):
         """Draw the rotations of a batch of ``batch_shape[0]`` samples."""
 
     @abstractmethod
-    def rotation(self, params: Parameters) -> Tensor:
+    def rotation(self, params: Parameters) -> Float[Tensor, "B 3 3"]:
         """Return the rotations ``(B, 3, 3)`` of parameters; the identity for samples that are not to be turned."""
 
     @abstractmethod
@@ -205,7 +206,7 @@ class RandomSphereRotation(_SphereAugmentation):
         """Draw ``rotation`` ``(B, 3, 3)``."""
         return {"rotation": random_rotations(batch_shape[0], self.max_angle, self.generator)}
 
-    def rotation(self, params: Parameters) -> Tensor:
+    def rotation(self, params: Parameters) -> Float[Tensor, "B 3 3"]:
         """Return the rotations ``(B, 3, 3)``; the identity for samples that are not to be turned."""
         turn = params["rotation"]
         return torch.where(params["batch_prob"][:, None, None], turn, torch.eye(3).to(turn))
@@ -265,7 +266,7 @@ class RandomYaw(_SphereAugmentation):
             return {"steps": torch.randint(self.num_steps, batch_shape[:1], generator=self.generator)}
         return {"angle": 2 * math.pi * torch.rand(batch_shape[:1], generator=self.generator)}
 
-    def rotation(self, params: Parameters) -> Tensor:
+    def rotation(self, params: Parameters) -> Float[Tensor, "B 3 3"]:
         """Return the rotations ``(B, 3, 3)``; the identity for samples that are not to be turned."""
         angle = params["angle"] if self.num_steps is None else yaw_angle(params["steps"], self.num_steps)
         return yaw_rotation(angle * params["batch_prob"])

@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float, Int, Integer
+from torch import Tensor
 
 from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
 from sphericalvision.io.images import read_pages, write_pages
@@ -36,8 +38,8 @@ PNG_SCALE = 65500
 class GroundTruth(NamedTuple):
     """Panorama of inverse depth in 1/m (0 is infinity) and where it is known; both ``(H, W)``."""
 
-    inverse_depth: torch.Tensor
-    valid: torch.Tensor
+    inverse_depth: Float[Tensor, "H W"]
+    valid: Bool[Tensor, "H W"]
 
 
 def check_panorama_size(height: int, width: int) -> None:
@@ -56,7 +58,7 @@ def check_panorama_size(height: int, width: int) -> None:
         )
 
 
-def inverse_depth_from_png(values: torch.Tensor, min_depth: float) -> torch.Tensor:
+def inverse_depth_from_png(values: Integer[Tensor, "*values"], min_depth: float) -> Float[Tensor, "*values"]:
     """Inverse depth in 1/m of PNG values of any shape, in float32.
 
     Examples:
@@ -66,7 +68,9 @@ def inverse_depth_from_png(values: torch.Tensor, min_depth: float) -> torch.Tens
     return (values.to(torch.float64) / (PNG_SCALE * min_depth)).to(torch.float32)
 
 
-def png_from_inverse_depth(inverse_depth: torch.Tensor, min_depth: float) -> torch.Tensor:
+def png_from_inverse_depth(
+    inverse_depth: Float[Tensor, "*values"], min_depth: float
+) -> Int[Tensor, "*values"]:
     """PNG values (int32, 0 to 65535) of inverse depth in 1/m; inverts ``inverse_depth_from_png``.
 
     Points nearer than ``min_depth`` by more than 0.05 % do not fit in 16 bits: they get the largest value.
@@ -112,7 +116,10 @@ def read_ground_truth(path: str | Path, min_depth: float) -> GroundTruth:
 
 
 def write_ground_truth(
-    path: str | Path, inverse_depth: torch.Tensor, min_depth: float, valid: torch.Tensor | None = None
+    path: str | Path,
+    inverse_depth: Float[Tensor, "H W"],
+    min_depth: float,
+    valid: Bool[Tensor, "H W"] | None = None,
 ) -> None:
     """Write a panorama ``(H, W)`` of inverse depth in the encoding of the suffix (.png or .tiff).
 

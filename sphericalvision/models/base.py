@@ -9,6 +9,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import torch
+from jaxtyping import Bool, Float, Num
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -111,7 +112,12 @@ class DepthNetwork(nn.Module):
         self.num_hypotheses, self.min_depth = num_hypotheses, min_depth
         self.num_cameras, self.any_cameras = num_cameras, any_cameras
 
-    def predict(self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None = None) -> DepthEstimate:
+    def predict(
+        self,
+        images: Float[Tensor, "B n C *size"],
+        rig: CameraRig | Any,
+        seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
+    ) -> DepthEstimate:
         """Return the hypothesis index, the confidence in it, and whether two cameras saw it, each ``(B, *grid.shape)``.
 
         Args:
@@ -125,7 +131,12 @@ class DepthNetwork(nn.Module):
         """
         raise NotImplementedError(f"{type(self).__name__}.predict")
 
-    def forward(self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None = None) -> Tensor:
+    def forward(
+        self,
+        images: Float[Tensor, "B n C *size"],
+        rig: CameraRig | Any,
+        seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
+    ) -> Float[Tensor, " B *grid"]:
         """Return the hypothesis index ``(B, *grid.shape)``, 0 to N - 1; arguments as for ``predict``."""
         return self.predict(images, rig, seen).index
 
@@ -133,7 +144,11 @@ class DepthNetwork(nn.Module):
         """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""
         return rig
 
-    def check_images(self, images: Tensor, seen: Tensor | None = None) -> None:
+    def check_images(
+        self,
+        images: Float[Tensor, "B n C *size"],
+        seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
+    ) -> None:
         """Raise ``ShapeError`` unless images and ``seen`` have the shape and the cameras that this network takes."""
         cameras = "n" if self.any_cameras else self.num_cameras
         size = (num_icosphere_vertices(self.level),) if self.images == "sphere" else images.shape[3:]
@@ -159,11 +174,13 @@ class DepthNetwork(nn.Module):
                 f"seen: expected shape {one}, or {(len(images), *one)} as the images have, got {tuple(seen.shape)}"
             )
 
-    def depth(self, index: Tensor) -> Tensor:
+    def depth(self, index: Num[Tensor, "*grid"]) -> Float[Tensor, "*grid"]:
         """Return depths in metres of hypothesis indices ``(*)``."""
         return depth_from_index(index, self.num_hypotheses, self.min_depth)
 
-    def index_at(self, index: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def index_at(
+        self, index: Float[Tensor, " B *grid"], directions: Float[Tensor, "V 3"]
+    ) -> tuple[Float[Tensor, "B V"], Bool[Tensor, " V"]]:
         """Return the index ``(B, V)`` in other directions of the world, and whether the grid reaches there ``(V,)``.
 
         Args:

@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
@@ -81,7 +82,7 @@ class SphereClassifier(nn.Module):
         Icosphere(level=3, vertices=642, faces=1280)
     """
 
-    share: Tensor
+    share: Float[Tensor, " V"]
 
     def __init__(
         self,
@@ -114,7 +115,7 @@ class SphereClassifier(nn.Module):
         names = ("network", "level", "num_classes", "in_channels", "width")
         return {name: getattr(self, name) for name in names}
 
-    def forward(self, values: Tensor) -> Tensor:
+    def forward(self, values: Float[Tensor, "B C_in *grid"]) -> Float[Tensor, "B classes"]:
         """Return logits ``(B, num_classes)`` of values ``(B, in_channels, *grid.shape)``."""
         if tuple(values.shape[1:]) != (self.in_channels, *self.grid.shape):
             size = ", ".join(map(str, (self.in_channels, *self.grid.shape)))

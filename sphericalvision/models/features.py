@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError
@@ -81,7 +82,7 @@ class FeatureExtractor(RecomputedModule):
         )
         self.last = CrownConv2d(channels, channels)
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, images: Float[Tensor, "B C_in V_image"]) -> Float[Tensor, "B C V"]:
         crown = exchange(self.second(self.entry(to_crown(images))))
         fine = exchange(self.fine(crown))
         crown = exchange(self.coarse(fine))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -104,7 +105,10 @@ class IcoSweepNet(DepthNetwork):
         )
 
     def predict(
-        self, images: Tensor, rig: CameraRig | SweepTables, seen: Tensor | None = None
+        self,
+        images: Float[Tensor, "B n 3 V_image"],
+        rig: CameraRig | SweepTables,
+        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
     ) -> DepthEstimate:
         """Return index, confidence and whether two cameras saw it, each ``(B, V_{level-2})``.
 
@@ -129,6 +133,6 @@ class IcoSweepNet(DepthNetwork):
         """Return where each camera sees every point of the sweep, to be passed in place of the rig."""
         return self.sweep.tables(rig)
 
-    def extract_features(self, images: Tensor) -> Tensor:
+    def extract_features(self, images: Float[Tensor, "B n 3 V_image"]) -> Float[Tensor, "B n C V"]:
         """Return the features ``(B, n, C, V_{level-feature_coarsening})`` of images ``(B, n, 3, V_level)``."""
         return camera_by_camera(self.features, images)

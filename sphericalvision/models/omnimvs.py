@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -132,7 +133,10 @@ class OmniMVS(DepthNetwork):
         return self.sweep.tables(rig)
 
     def predict(
-        self, images: Tensor, rig: CameraRig | PanoramaTables, seen: Tensor | None = None
+        self,
+        images: Float[Tensor, "B n C H W"],
+        rig: CameraRig | PanoramaTables,
+        seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None,
     ) -> DepthEstimate:
         """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``.
 
@@ -160,7 +164,7 @@ class OmniMVS(DepthNetwork):
         confidence = soft_argmax_confidence(scores.flatten(2)).unflatten(1, self.grid.shape)
         return DepthEstimate(index, confidence, self._seen_at(index.detach(), tables, seen))
 
-    def extract_features(self, images: Tensor) -> Tensor:
+    def extract_features(self, images: Float[Tensor, "B n C_in H W"]) -> Float[Tensor, "B n C h_f w_f"]:
         """Return the features ``(B, n, C, ceil(H / 2), ceil(W / 2))`` of images ``(B, n, 1 or 3, H, W)``.
 
         In training mode batch statistics are those of all cameras together.
@@ -172,7 +176,10 @@ class OmniMVS(DepthNetwork):
         return self.features(flat).unflatten(0, images.shape[:2])  # type: ignore[no-any-return]
 
     def sweep_features(
-        self, features: Tensor, tables: PanoramaTables, seen: Tensor | None = None
+        self,
+        features: Float[Tensor, "B n C_in h_f w_f"],
+        tables: PanoramaTables,
+        seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None,
     ) -> SweepVolume:
         """Return what features ``(B, n, C, h_f, w_f)`` of cameras add to the volume: ``(B, n, C, N/2, h/2, w/2)``."""
         self.sweep.check_maps(features, tables)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import check_choice
@@ -58,7 +59,7 @@ class SphereConv(nn.Conv3d):
         )
         self.circular = circular
 
-    def forward(self, volume: Tensor) -> Tensor:
+    def forward(self, volume: Float[Tensor, "B C_in D h w"]) -> Float[Tensor, "B C_out D h_out w_out"]:
         return super().forward(wrap_columns(volume) if self.circular else volume)
 
 
@@ -82,7 +83,7 @@ class VolumeConv(nn.Module):
         self.norm = norm_layer(norm, out_channels, 3)
         self.circular = circular
 
-    def forward(self, volume: Tensor) -> Tensor:
+    def forward(self, volume: Float[Tensor, "B C_in D h w"]) -> Float[Tensor, "B C_out D_out h_out w_out"]:
         volume = wrap_columns(volume) if self.circular else volume
         return F.relu(self.norm(self.conv(volume)))
 
@@ -101,7 +102,9 @@ class VolumeUpConv(nn.Module):
         self.norm = None if norm is None else norm_layer(norm, out_channels, 3)
         self.circular = circular
 
-    def forward(self, volume: Tensor, size: tuple[int, int, int]) -> Tensor:
+    def forward(
+        self, volume: Float[Tensor, "B C_in D h w"], size: tuple[int, int, int]
+    ) -> Float[Tensor, "B C_out D_out h_out w_out"]:
         """Return ``(B, C, *size)``; each size is twice the volume's or one less."""
         if self.circular:
             # A column more on either side makes two more of the result on the left, which are cut off.

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.crown import RecomputedModule
@@ -56,7 +57,7 @@ class FisheyeFeatures(RecomputedModule):
         self.blocks = nn.Sequential(*(DilatedBlock(channels, dilation, norm) for dilation in self.DILATIONS))
         self.last = ImageConv(channels, channels, norm=None)
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, images: Float[Tensor, "B C_in H W"]) -> Float[Tensor, "B C h_f w_f"]:
         return self.last(self.blocks(F.relu(self.entry(images))))  # type: ignore[no-any-return]
 
 
@@ -113,7 +114,7 @@ class CostHourglass(nn.Module):
         self.ups = nn.ModuleList(ups[1:])
         self.score = VolumeUpConv(channels, 1, None, circular)
 
-    def forward(self, volume: Tensor) -> Tensor:
+    def forward(self, volume: Float[Tensor, "B C_in D h w"]) -> Float[Tensor, "B 2*D 2*h 2*w"]:
         volume = self.fusion(volume)
         skips = []
         for entry, across in zip(self.entries, self.across, strict=True):

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
 __all__ = ["camera_by_camera"]
 
 
-def camera_by_camera(extractor: nn.Module, images: Tensor) -> Tensor:
+def camera_by_camera(
+    extractor: nn.Module, images: Float[Tensor, "B n 3 *size"]
+) -> Float[Tensor, "B n C *size_of_features"]:
     """Return the features ``(B, n, C, *)`` of the images ``(B, n, 3, *)`` of n cameras.
 
     Statistics of the batch, which batch normalisation takes in training, are those of one camera at a time, and running

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.crown import CrownBlock3d, CrownConv3d, CrownConvNorm3d, crown_block3d
@@ -56,10 +57,10 @@ class CostRegularizer(nn.Module):
         self.reduction = CrownConvNorm3d(width, channels, norm, relu=True)
         self.score = CrownConv3d(channels, 1)
 
-    def forward(self, volume: Tensor) -> Tensor:
+    def forward(self, volume: Float[Tensor, "B C N V"]) -> Float[Tensor, "B N V"]:
         return self.refine(self.fusion(volume))
 
-    def refine(self, volume: Tensor) -> Tensor:
+    def refine(self, volume: Float[Tensor, "B C N V"]) -> Float[Tensor, "B N V"]:
         """Score what ``fusion`` returns; who calls both in turn can let go of the large volume in between."""
         for block in self.blocks:
             volume = block(volume)

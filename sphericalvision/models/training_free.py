@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -79,7 +80,10 @@ class SemiGlobalSweep(DepthNetwork):
         )
 
     def predict(
-        self, images: Tensor, rig: CameraRig | SemiGlobalTables, seen: Tensor | None = None
+        self,
+        images: Float[Tensor, "B n 3 V_image"],
+        rig: CameraRig | SemiGlobalTables,
+        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
     ) -> DepthEstimate:
         """Return index, confidence and whether two cameras saw it, each ``(B, V)``; none has a gradient.
 
@@ -142,7 +146,12 @@ class WinnerTakesAll(DepthNetwork):
         self.rounds, self.subhypothesis = rounds, subhypothesis
 
     @torch.no_grad()
-    def predict(self, images: Tensor, rig: CameraRig, seen: Tensor | None = None) -> DepthEstimate:
+    def predict(
+        self,
+        images: Float[Tensor, "B n 3 V_image"],
+        rig: CameraRig,
+        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
+    ) -> DepthEstimate:
         """Return index, confidence and whether two cameras saw it, each ``(B, V)``; as for ``SemiGlobalSweep``."""
         self.check_images(images)
         return photo_consistency(

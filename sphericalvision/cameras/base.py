@@ -16,6 +16,7 @@ from torch import Tensor
 from sphericalvision.cameras.precision import HALF, at_least_float32
 from sphericalvision.cameras.verbs import verb
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.geometry.broadcasting import broadcast_shapes
 from sphericalvision.geometry.directions import components, is_at_least, is_greater, is_traced
 from sphericalvision.geometry.interpolation import bilinear_sample
 
@@ -116,7 +117,7 @@ class Camera(ABC):
         names = self._tensor_names()
         leads = {name: self._batch_of(name) for name in names}
         try:
-            batch = torch.broadcast_shapes(*leads.values())
+            batch = broadcast_shapes(*leads.values())
         except RuntimeError:
             shapes = ", ".join(f"{name} {tuple(getattr(self, name).shape)}" for name in names)
             raise ShapeError(

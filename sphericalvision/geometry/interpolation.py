@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_last_dim
+from sphericalvision.geometry.broadcasting import broadcast_shapes
 
 __all__ = ["bilinear_sample", "wrap_panorama"]
 
@@ -80,7 +81,7 @@ def bilinear_sample(
         u = torch.remainder(pixels[..., 0] + 0.5, width) - 0.5
         pixels = torch.stack((u, pixels[..., 1]), dim=-1) + 1
         image, size = wrap_panorama(image), size + 2
-    batch = torch.broadcast_shapes(image.shape[:-3], pixels.shape[:-2])
+    batch = broadcast_shapes(image.shape[:-3], pixels.shape[:-2])
     flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
     if image.dtype in (torch.float16, torch.bfloat16):  # whose places would be half a pixel off
         flat_image = flat_image.float()

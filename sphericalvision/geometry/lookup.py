@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import uses_reference_kernels
+from sphericalvision.geometry.broadcasting import broadcast_shapes
 from sphericalvision.geometry.image_edges import taps_across_edges
 from sphericalvision.geometry.interpolation import wrap_panorama
 
@@ -40,7 +41,7 @@ def weighted_sums(
     """
     weights = weights.to(values.dtype)
     if ids.ndim > 2:
-        batch = torch.broadcast_shapes(values.shape[:-2], ids.shape[:-2])
+        batch = broadcast_shapes(values.shape[:-2], ids.shape[:-2])
         values = values.expand(*batch, *values.shape[-2:])
         shape = (*batch, values.shape[-2], ids.shape[-2])
         total = values.new_zeros(())
@@ -100,7 +101,7 @@ class Lookup(nn.Module):
         elif self.ids.ndim == 1:
             found = values.index_select(-1, self.ids)
         else:
-            batch = torch.broadcast_shapes(values.shape[:-2], self.ids.shape[:-1])
+            batch = broadcast_shapes(values.shape[:-2], self.ids.shape[:-1])
             ids = self.ids.unsqueeze(-2).expand(*batch, values.shape[-2], -1)
             found = values.expand(*batch, *values.shape[-2:]).gather(-1, ids)
         return (
@@ -190,7 +191,7 @@ class ImageLookup(nn.Module):
         if self.wraps:
             images = wrap_panorama(images, poles=self.edges == "sphere")
         size = images.shape[-3:]
-        batch = torch.broadcast_shapes(images.shape[:-3], self.grid.shape[:-3])
+        batch = broadcast_shapes(images.shape[:-3], self.grid.shape[:-3])
         grid = self.grid.to(images.dtype).expand(*batch, *self.grid.shape[-3:])
         grid = grid.reshape(-1, *grid.shape[-3:])
         flat = images.expand(*batch, *size).reshape(-1, *size)

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_last_dim
+from sphericalvision.geometry.broadcasting import broadcast_shapes
 
 __all__ = [
     "axis_angle_from_transform",
@@ -26,7 +27,7 @@ def _check_transform(name: str, transform: Tensor) -> None:
 
 
 def _assemble(rotation: Tensor, translation: Tensor) -> Tensor:
-    batch = torch.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    batch = broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
     upper = torch.cat((rotation.expand(*batch, 3, 3), translation.expand(*batch, 3).unsqueeze(-1)), dim=-1)
     last = upper.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*upper.shape[:-2], 1, 4)
     return torch.cat((upper, last), dim=-2)

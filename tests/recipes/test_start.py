@@ -8,6 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
+
+from sphericalvision.io.images import write_image
+from sphericalvision.recipes.app.rigs import make_ring
 
 LIGHTNING = ("pytorch_lightning", "lightning_fabric", "tensorboard", "torch._inductor")
 SCENES = ("skimage", "kornia", "scipy")
@@ -49,6 +53,27 @@ def test_reading_the_command_line_imports_nothing_heavy(command: str) -> None:
     name = f"sphericalvision.recipes.{command}"
     program = f"import sys; sys.argv = ['x', '--help']; import {name} as c; c.main()"
     assert imported(program).isdisjoint(HEAVY)
+
+
+@pytest.mark.slow
+def test_one_frame_is_predicted_without_what_it_does_not_need(weights: Path, tmp_path: Path) -> None:
+    """Not only what the files import: what the work does, from the calibration to the point cloud."""
+    rig = make_ring(image_size=(32, 32))
+    rig.to_yaml(tmp_path / "rig.yaml")
+    for name in rig.names:
+        write_image(tmp_path / f"{name}.png", torch.rand(3, 32, 32))
+    words = [
+        "x",
+        "calibration=rig.yaml",
+        "images={camera}.png",
+        f"checkpoint={weights}",
+        "output=out",
+        "height=16",
+    ]
+    program = f"import os, sys; os.chdir({str(tmp_path)!r}); sys.argv = {words}\n"
+    modules = imported(program + "from sphericalvision.recipes.predict import main; main()")
+    assert (tmp_path / "out/points.ply").is_file()
+    assert modules.isdisjoint((*COMMANDS["predict"], "sympy", "torch.fx.experimental.symbolic_shapes"))
 
 
 def test_rooms_of_the_package_are_there_after_a_bare_import() -> None:

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.geometry.broadcasting import broadcast_shapes
 from sphericalvision.geometry.lookup import ImageLookup
 
 __all__ = ["PyramidLookup", "image_edges", "level_size", "nearest_pixel", "source_pixels"]
@@ -30,7 +31,7 @@ def source_pixels(
         positions: (u, v); dtype and device of the answer.
     """
     turns = () if rotation is None else rotation.shape[:-2]
-    batch = torch.broadcast_shapes(source.batch_shape, target.batch_shape, turns)
+    batch = broadcast_shapes(source.batch_shape, target.batch_shape, turns)
     directions, seen = _lift(target, batch).unproject(positions.expand(*batch, *positions.shape))
     if rotation is not None:
         # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.

@@ -14,6 +14,7 @@ from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
 from sphericalvision.core import ArgumentError
+from sphericalvision.geometry.broadcasting import broadcast_shapes
 
 __all__ = ["undistort", "undistorted_camera"]
 
@@ -101,7 +102,7 @@ def undistorted_camera(
             f"focal_length: expected positive pixels, got {focal_length}"
             + ("; the camera's image has no scale on its axis to take over" if focal_length is None else "")
         )
-    batch = torch.broadcast_shapes(focal.shape, camera.batch_shape)
+    batch = broadcast_shapes(focal.shape, camera.batch_shape)
     middle = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=focal.dtype, device=focal.device)
     return PinholeCamera(
         focal.expand(batch).unsqueeze(-1).repeat_interleave(2, -1), middle.expand(*batch, 2), (height, width)

@@ -14,13 +14,22 @@ from sphericalvision.cameras import (
     Camera,
     CameraRig,
     EquirectangularCamera,
+    FisheyeCamera,
     read_cameras,
     read_rig,
     ring_rig,
 )
 from sphericalvision.core import FileFormatError
+from sphericalvision.geometry import transform_from_axis_angle
 
-__all__ = ["make_panorama_ring", "make_ring", "radians", "read_calibration", "rig_from_file"]
+__all__ = [
+    "make_corner_rig",
+    "make_panorama_ring",
+    "make_ring",
+    "radians",
+    "read_calibration",
+    "rig_from_file",
+]
 
 
 def make_ring(
@@ -51,6 +60,45 @@ def make_panorama_ring(
     """
     camera = EquirectangularCamera((int(image_size[0]), int(image_size[1])))
     return CameraRig([camera] * num_cameras, ring_rig(num_cameras, radius).world_from_camera)
+
+
+def make_corner_rig(
+    width: float = 0.44,
+    length: float = 0.6,
+    image_size: Sequence[int] = (320, 320),
+    field_of_view_deg: float = 185.0,
+    tilt_deg: float = 40.0,
+) -> CameraRig:
+    """Four fisheyes at the corners of a vehicle that look outwards along its diagonals and down.
+
+    Args:
+        width: of the rectangle of the cameras, metres.
+        length: of the rectangle, metres; forward is along it.
+        image_size: height, width in pixels.
+        field_of_view_deg: full angle of each fisheye.
+        tilt_deg: by which they look below the horizon.
+
+    References:
+        Komatsu et al. (2020), section IV-D: the authors' own rig, on an unmanned ground vehicle.
+
+    Examples:
+        >>> rig = make_corner_rig()
+        >>> rig.positions[0].tolist()  # the camera in front, to the right
+        [0.2199999988079071, 0.0, 0.30000001192092896]
+    """
+    size = (int(image_size[0]), int(image_size[1]))
+    lens = FisheyeCamera.from_field_of_view(size, math.radians(field_of_view_deg))
+    corners = [(1, 1, 45.0), (1, -1, 135.0), (-1, -1, 225.0), (-1, 1, 315.0)]
+    poses = [
+        transform_from_axis_angle(
+            torch.tensor([0.0, math.radians(yaw), 0.0]),
+            torch.tensor([x * width / 2, 0.0, z * length / 2]),
+        )
+        for x, z, yaw in corners
+    ]
+    names = ("front_right", "back_right", "back_left", "front_left")
+    rig = CameraRig(dict.fromkeys(names, lens), torch.stack(poses))
+    return rig.rotated(tilt=math.radians(tilt_deg))
 
 
 def rig_from_file(

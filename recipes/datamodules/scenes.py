@@ -16,6 +16,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold, SceneDataset
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
+from sphericalvision.data.seeded_scenes import HELD_OUT_SEED
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import Wanted
 
@@ -101,6 +102,12 @@ class SceneDataModule(SampleDataModule):
         self._check_disjoint()
 
     def _check_disjoint(self) -> None:
+        for split, (number, first) in self.scenes.items():
+            if first + number > HELD_OUT_SEED:
+                raise ArgumentError(
+                    f"data: seeds from {HELD_OUT_SEED} are held out for the benchmark, and {split} scenes end at "
+                    f"{first + number - 1}; set data.{split}_seed to {HELD_OUT_SEED - number} or less"
+                )
         ranges = sorted((first, first + number, split) for split, (number, first) in self.scenes.items())
         for (_, end, one), (start, _, other) in pairwise(ranges):
             if start < end:

@@ -10,10 +10,12 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.recipes import kind_of, make_scene
 
-__all__ = ["GENERATION", "NATURAL_MIN_DEPTH", "SeededScenes"]
+__all__ = ["GENERATION", "HELD_OUT_SEED", "NATURAL_MIN_DEPTH", "SeededScenes"]
 
 #: Raised whenever the recipes or the renderer change what a seed looks like, so that old caches are not read.
 GENERATION = 2
+#: Scenes of this seed and above are kept for comparing methods: no training, validation or test of one uses them.
+HELD_OUT_SEED = 10_000_000
 #: Least depth, and free space around the rig, of scenes at their natural scale (metres).
 NATURAL_MIN_DEPTH, CLEAR_RADIUS = 0.55, 0.6
 

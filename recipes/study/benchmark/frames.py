@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frames of a track: what the cameras show, what methods are told of the rig, and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.fingerprint import rig_fingerprint
+from sphericalvision.data import MeshScene, ToSphere, ray_depth, render_directions, render_rig
+from sphericalvision.data.cache import ArrayCache
+from sphericalvision.data.rendering.primitives import Primitives
+from sphericalvision.data.rendering.scene import Scene
+from sphericalvision.data.scenes.carriers import carrier_masks, with_carrier
+from sphericalvision.data.scenes.recipes import kind_of, make_scene
+from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH
+from sphericalvision.data.seen import pixels_seen
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.recipes.study.benchmark.tracks import Track
+from sphericalvision.sphere import Equirectangular
+
+__all__ = ["NATURAL_SIZE", "Frame", "Size", "render_frame"]
+
+
+class Size(NamedTuple):
+    """How fine frames are.
+
+    Attributes:
+        level: icosphere on which truth is dense.
+        panorama_rows: of the panorama of true depth.
+        image_rows: of fisheye images, None for the track's own.
+        samples_per_pixel: rays.
+    """
+
+    level: int = 6
+    panorama_rows: int = 320
+    image_rows: int | None = None
+    samples_per_pixel: int = 2
+
+
+NATURAL_SIZE = Size()
+
+
+class Frame(NamedTuple):
+    """One frame of a track.
+
+    Attributes:
+        name: kind and seed of the scene.
+        images: camera name -> ``(3, h, w)`` in [0, 1], disturbed.
+        rig: as its calibration says, which may be wrong.
+        inverse_depth: ``(V,)`` in 1/m at the vertices of ``Size.level``, from the rig's centre.
+        panorama: ``(h, 2h)`` the same for pixels.
+        colors: ``(3, V)`` in [0, 1], the undisturbed view from the rig's centre.
+        shared_rigs: rigs that must all see a point with two cameras where the track compares the same points.
+    """
+
+    name: str
+    images: dict[str, Tensor]
+    rig: CameraRig
+    inverse_depth: Tensor
+    panorama: Tensor
+    colors: Tensor
+    shared_rigs: tuple[CameraRig, ...]
+
+    def on_sphere(self, level: int) -> tuple[Tensor, Tensor]:
+        """Images ``(n, 3, V_level)`` in [-1, 1] on the icosphere, and where they show anything ``(n, V_level)``."""
+        to_sphere = _to_sphere(level)
+        return to_sphere.images(self.images, self.rig), to_sphere.seen(self.rig)
+
+    def of_cameras(self) -> tuple[Tensor, Tensor]:
+        """Images ``(n, 3, h, w)`` in [-1, 1], 0 where not seen ``(n, h, w)``; cameras must have one size."""
+        seen = torch.stack(list(pixels_seen(self.rig).values()))
+        stacked = torch.stack([self.images[name] for name in self.rig.names])
+        return (stacked * 2 - 1) * seen[:, None], seen
+
+
+def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Path | None = None) -> Frame:
+    """Make a frame of a track; what cameras see is kept in ``cache``, the rest is soon computed.
+
+    Args:
+        track: which one.
+        number: of the frame, from 0.
+        size: how fine.
+        cache: folder of renderings, shared by tracks; none is kept without one.
+
+    Examples:
+        >>> from sphericalvision.recipes.study.benchmark.tracks import TRACKS
+        >>> frame = render_frame(TRACKS["room"], 0, Size(level=3, panorama_rows=8, image_rows=16))
+        >>> frame.name, frame.on_sphere(3)[0].shape, frame.panorama.shape
+        ('room-10000000', torch.Size([4, 3, 642]), torch.Size([8, 16]))
+    """
+    seed = track.seed(number)
+    recipe = track if size.image_rows is None else track.smaller(size.image_rows)
+    rig = recipe.rig.make(seed)
+    scene, body = _scene(track, rig, seed)
+    name = track.frame_name(number)
+    images = _pictures(scene, rig, f"{name}-{track.carrier}" if body else name, size, cache)
+    told = (
+        CameraRig(rig.cameras, rig.world_from_camera, carrier_masks(body, rig))
+        if body and track.masked
+        else rig
+    )
+    generator = torch.Generator().manual_seed(seed)
+    disturbed = track.disturbance({"images": images, "rig": told}, generator)
+    vertices = Icosphere(size.level).vertices
+    around = Equirectangular(size.panorama_rows, 2 * size.panorama_rows).directions
+    return Frame(
+        name,
+        disturbed["images"],
+        disturbed["rig"],
+        ray_depth(scene, rig.center, vertices).reciprocal(),
+        ray_depth(scene, rig.center, around).reciprocal(),
+        render_directions(scene, rig.center, vertices),
+        tuple(recipe.rig.tilted(tilt).make(seed) for tilt in track.shared_tilts_deg),
+    )
+
+
+def _scene(track: Track, rig: CameraRig, seed: int) -> tuple[Scene | MeshScene, Primitives | None]:
+    """What is seen, and the body of the carrier in it."""
+    kind = kind_of(track.kind, seed)
+    scene = make_scene(kind, seed, center=rig.center, clear_radius=CLEAR_RADIUS)
+    if track.carrier is None:
+        return scene, None
+    return with_carrier(scene, track.carrier, rig, seed)
+
+
+def _pictures(
+    scene: Scene | MeshScene, rig: CameraRig, name: str, size: Size, cache: Path | None
+) -> Mapping[str, Tensor]:
+    """What the cameras show, by way of bytes, as cameras give them."""
+    numbers = (GENERATION, size.samples_per_pixel, NATURAL_MIN_DEPTH)
+    folder = None if cache is None else cache / f"benchmark-{rig_fingerprint(rig, numbers)}"
+
+    def make() -> dict[str, Tensor]:
+        pictures = render_rig(scene, rig, size.samples_per_pixel)
+        return {name: (255 * picture).round().byte() for name, picture in pictures.items()}
+
+    return {key: image.float() / 255 for key, image in ArrayCache(folder).get(name, make).items()}
+
+
+@lru_cache(maxsize=4)
+def _to_sphere(level: int) -> ToSphere:
+    return ToSphere(level, antialias=True)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tracks of the benchmark: which scenes, through which rig, disturbed how. Only data; a new track is one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.data.augmentation.disturbances import CameraDisturbance
+from sphericalvision.data.augmentation.random_rigs import random_rig
+from sphericalvision.data.scenes.recipes import kind_of
+from sphericalvision.data.seeded_scenes import HELD_OUT_SEED
+from sphericalvision.recipes.app.rigs import make_corner_rig, make_panorama_ring, make_ring
+
+__all__ = ["GROUPS", "TRACKS", "RigRecipe", "Track", "chosen_tracks"]
+
+TILTS_DEG = (0.0, 15.0, 30.0, 45.0)
+
+
+@dataclass(frozen=True)
+class RigRecipe:
+    """Cameras of a track, around the origin.
+
+    Attributes:
+        kind: "ring", "panoramas", "corners" (of a vehicle) or "random", another one for each frame.
+        num_cameras: of a ring.
+        radius: metres.
+        tilt_deg: by which every camera looks further down.
+        image_rows: of fisheyes, which are square; panoramas have as many pixels in a degree.
+    """
+
+    kind: str = "ring"
+    num_cameras: int = 4
+    radius: float = 0.2
+    tilt_deg: float = 0.0
+    image_rows: int = 256
+
+    def tilted(self, tilt_deg: float) -> RigRecipe:
+        """The same rig at another tilt."""
+        return replace(self, tilt_deg=tilt_deg)
+
+    def make(self, seed: int) -> CameraRig:
+        """The rig of a frame."""
+        check_choice("kind", self.kind, ("ring", "panoramas", "corners", "random"))
+        size = (self.image_rows, self.image_rows)
+        if self.kind == "random":
+            return random_rig(torch.Generator().manual_seed(seed), image_size=size)
+        if self.kind == "panoramas":
+            rows = round(self.image_rows * 180 / 220 / 8) * 8
+            rig = make_panorama_ring(self.num_cameras, self.radius, (rows, 2 * rows))
+        elif self.kind == "corners":
+            rig = make_corner_rig(image_size=size)
+        else:
+            rig = make_ring(self.num_cameras, self.radius, size)
+        return rig.rotated(tilt=math.radians(self.tilt_deg)) if self.tilt_deg else rig
+
+
+@dataclass(frozen=True)
+class Track:
+    """Frames that ask one question.
+
+    Attributes:
+        name: of its row, files and folders.
+        group: tracks that belong together.
+        kind: of scenes; ``"all"`` takes turns through every kind.
+        rig: the cameras.
+        disturbance: of images and poses.
+        carrier: what carries the rig and is in view; none when not given.
+        masked: whether the rig is told where its carrier is in the images.
+        shared_tilts_deg: tilts at which a point must have two cameras, all of them, to count: so that tracks that
+            differ in tilt compare the same points.
+        meshes: files of which scenes are made in place of a kind.
+    """
+
+    name: str
+    group: str
+    kind: str = "all"
+    rig: RigRecipe = field(default_factory=RigRecipe)
+    disturbance: CameraDisturbance = field(default_factory=CameraDisturbance)
+    carrier: str | None = None
+    masked: bool = False
+    shared_tilts_deg: tuple[float, ...] = ()
+    meshes: tuple[str, ...] = ()
+
+    def seed(self, number: int) -> int:
+        """The seed of a frame; the same in all tracks, so that they share scenes, and none that training uses."""
+        if number < 0:
+            raise ArgumentError(f"number: expected 0 or more, got {number}: seeds below are for training")
+        return HELD_OUT_SEED + number
+
+    def frame_name(self, number: int) -> str:
+        """Kind and seed of a frame's scene."""
+        seed = self.seed(number)
+        if self.meshes:
+            return f"{Path(self.meshes[number % len(self.meshes)]).stem}-{seed:08d}"
+        return f"{kind_of(self.kind, seed)}-{seed:08d}"
+
+    def smaller(self, image_rows: int) -> Track:
+        """The track with smaller images, for tests."""
+        return replace(self, rig=replace(self.rig, image_rows=image_rows))
+
+
+def _scenes() -> list[Track]:
+    kinds = ("room", "floating", "mixed", "hall", "corridor", "bare", "polished", "outdoors")
+    return [Track(kind, "scenes", kind) for kind in kinds]
+
+
+def _tilts() -> list[Track]:
+    return [
+        Track(f"tilt_{tilt:.0f}", "tilts", rig=RigRecipe(tilt_deg=tilt), shared_tilts_deg=TILTS_DEG)
+        for tilt in TILTS_DEG
+    ]
+
+
+def _rigs() -> list[Track]:
+    numbers = [Track(f"cameras_{n}", "rigs", rig=RigRecipe(num_cameras=n)) for n in (2, 3, 5, 6)]
+    radii = [Track(f"radius_{100 * r:.0f}cm", "rigs", rig=RigRecipe(radius=r)) for r in (0.1, 0.3, 0.4)]
+    corners = RigRecipe("corners")
+    return [
+        *numbers,
+        *radii,
+        Track("random", "rigs", rig=RigRecipe("random")),
+        Track("panoramas", "rigs", rig=RigRecipe("panoramas")),
+        Track("ugv", "rigs", rig=corners, carrier="vehicle"),
+        Track("ugv_masked", "rigs", rig=corners, carrier="vehicle", masked=True),
+    ]
+
+
+def _disturbances() -> list[Track]:
+    slight, large = math.radians(0.3), math.radians(1.0)
+    ways = {
+        "clean": CameraDisturbance(),
+        "grey": CameraDisturbance(grey=True),
+        "exposure": CameraDisturbance(exposure=0.7, white_balance=0.15),
+        "noise": CameraDisturbance(noise=0.03),
+        "vignetting": CameraDisturbance(vignetting=0.6),
+        "blur": CameraDisturbance(blur=1.0),
+        "pose_0.3": CameraDisturbance(pose_error=slight),
+        "pose_1.0": CameraDisturbance(pose_error=large),
+    }
+    together = CameraDisturbance(True, 0.4, 0.5, 0.4, 0.1, 0.02, slight)
+    return [
+        *(Track(name, "disturbances", disturbance=way) for name, way in ways.items()),
+        Track("carrier", "disturbances", carrier="robot"),
+        Track("carrier_masked", "disturbances", carrier="robot", masked=True),
+        Track("together", "disturbances", disturbance=together, carrier="pole"),
+    ]
+
+
+TRACKS: dict[str, Track] = {t.name: t for t in (*_scenes(), *_tilts(), *_rigs(), *_disturbances())}
+"""All tracks by name; meshes of one's own make one more."""
+
+GROUPS = tuple(dict.fromkeys(track.group for track in TRACKS.values()))
+
+
+def chosen_tracks(words: Sequence[str], meshes: Sequence[str] = ()) -> list[Track]:
+    """The tracks that names, or names of groups, stand for, in the order of the table; ``"all"`` is every one.
+
+    Raises:
+        ArgumentError: an unknown name.
+
+    Examples:
+        >>> [track.name for track in chosen_tracks(["tilts", "room"])]
+        ['room', 'tilt_0', 'tilt_15', 'tilt_30', 'tilt_45']
+    """
+    known = dict(TRACKS)
+    if meshes:
+        known["meshes"] = Track("meshes", "meshes", "mesh", meshes=tuple(meshes))
+    for word in words:
+        check_choice("benchmark.tracks", word, ("all", *GROUPS, *known))
+    wanted = set(words)
+    return [t for t in known.values() if "all" in wanted or wanted & {t.name, t.group} or t.meshes]

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What real cameras on a real rig do to a frame: light, lens, sensor, and poses that are a little wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.cameras import Camera, CameraRig
+from sphericalvision.core import ArgumentError
+from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle
+
+__all__ = ["CameraDisturbance", "turned_poses", "vignetted"]
+
+Sample = dict[str, Any]
+
+DISPLAY = 2.2
+"""Exponent of the display curve: a picture's value is light to the power of its inverse."""
+
+GREY = (0.299, 0.587, 0.114)
+
+
+@dataclass(frozen=True)
+class CameraDisturbance:
+    """Disturb a frame, each camera by its own draw; what a method is told of the rig stays free of the change.
+
+    Belongs before ``ToSphere``, where images are still those of the cameras. Amounts are drawn for each camera from
+    half of what is given to all of it, but for the pose error, which has exactly the angle given, about an axis drawn
+    at random. The order is that of light: lens, exposure, sensor.
+
+    Args:
+        grey: whether all cameras take pictures without colour.
+        vignetting: light lost at the edge of the field of view, 0 to 1; it grows with the square of the angle.
+        blur: standard deviation of a Gaussian in pixels.
+        exposure: factor on the light in stops, upwards or downwards: one stop is a factor of two.
+        white_balance: the same for each colour channel on its own.
+        noise: standard deviation of Gaussian noise, of the range [0, 1].
+        pose_error: radians by which the rig's calibration has each camera turned.
+
+    Raises:
+        ArgumentError: a negative amount, or a vignetting above 1.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig = ring_rig(2, image_size=(8, 8))
+        >>> frame = {"images": {name: torch.full((3, 8, 8), 0.5) for name in rig.names}, "rig": rig}
+        >>> brighter = CameraDisturbance(exposure=1.0)(frame, torch.Generator().manual_seed(0))
+        >>> [round(image.mean().item(), 2) for image in brighter["images"].values()]
+        [0.66, 0.65]
+    """
+
+    grey: bool = False
+    vignetting: float = 0.0
+    blur: float = 0.0
+    exposure: float = 0.0
+    white_balance: float = 0.0
+    noise: float = 0.0
+    pose_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not getattr(self, field.name) >= 0:
+                raise ArgumentError(f"{field.name}: expected 0 or more, got {getattr(self, field.name)!r}")
+        if self.vignetting > 1:
+            raise ArgumentError(
+                f"vignetting: expected at most 1, all light at the edge, got {self.vignetting}"
+            )
+
+    def __call__(self, sample: Sample, generator: torch.Generator | None = None) -> Sample:
+        """Return the sample with other ``images`` (camera name -> ``(3, h, w)`` in [0, 1]) and another ``rig``.
+
+        Args:
+            sample: a frame before ``ToSphere``.
+            generator: source of randomness; torch's global one when not given.
+
+        Raises:
+            ArgumentError: the images are on the icosphere already.
+        """
+        if isinstance(sample["images"], Tensor):
+            raise ArgumentError(
+                "CameraDisturbance: expected images by camera name; it belongs before ToSphere"
+            )
+        rig: CameraRig = sample["rig"]
+        images = {
+            name: self.image(image, rig.cameras[name], generator) for name, image in sample["images"].items()
+        }
+        if self.pose_error:
+            rig = turned_poses(rig, self.pose_error, generator)
+        return {**sample, "images": images, "rig": rig}
+
+    def image(
+        self, image: Float[Tensor, "3 h w"], camera: Camera, generator: torch.Generator | None = None
+    ) -> Float[Tensor, "3 h w"]:
+        """Return the picture ``(3, h, w)`` in [0, 1] that a camera with these faults takes in place of ``image``."""
+
+        def amount(most: float) -> float:
+            return most * (0.5 + 0.5 * torch.rand((), generator=generator).item())
+
+        def sign() -> float:
+            return 1.0 if torch.rand((), generator=generator).item() < 0.5 else -1.0
+
+        if self.vignetting:
+            image = vignetted(image, camera, amount(self.vignetting))
+        if self.blur:
+            from kornia.filters import gaussian_blur2d  # a second to import
+
+            sigma = amount(self.blur)
+            size = 2 * math.ceil(3 * sigma) + 1
+            image = gaussian_blur2d(image[None], (size, size), (sigma, sigma))[0]
+        if self.exposure or self.white_balance:
+            stops = torch.full((3, 1, 1), sign() * amount(self.exposure))
+            stops += torch.tensor([sign() * amount(self.white_balance) for _ in range(3)]).view(3, 1, 1)
+            image = image * (2**stops).to(image) ** (1 / DISPLAY)
+        if self.grey:
+            image = (image * image.new_tensor(GREY).view(3, 1, 1)).sum(0, keepdim=True).expand(3, -1, -1)
+        if self.noise:
+            drawn = torch.randn(image.shape, generator=generator)
+            image = image + amount(self.noise) * drawn.to(image)
+        return image.clamp(0, 1)
+
+
+def vignetted(image: Float[Tensor, "3 h w"], camera: Camera, loss: float) -> Float[Tensor, "3 h w"]:
+    """Return the picture that a lens takes which loses light towards the edge of its field of view.
+
+    Args:
+        image: ``(3, h, w)`` in [0, 1], as on a display.
+        camera: whose picture it is.
+        loss: share of the light lost at ``camera.max_angle``; that at an angle is in proportion to its square.
+
+    Examples:
+        >>> from sphericalvision.cameras import FisheyeCamera
+        >>> lens = FisheyeCamera.from_field_of_view((9, 9), math.pi)
+        >>> vignetted(torch.ones(3, 9, 9), lens, 0.5)[0, 4, ::4]  # half a pixel from the edge
+        tensor([0.7958, 1.0000, 0.7958])
+    """
+    directions = camera.unproject(camera.pixel_grid()).directions
+    angle = angle_from_axis(directions) / camera.max_angle
+    light = 1 - loss * angle.nan_to_num(1.0).clamp(0, 1).square()
+    return image * (light.clamp(min=0) ** (1 / DISPLAY)).to(image)
+
+
+def turned_poses(rig: CameraRig, angle: float, generator: torch.Generator | None = None) -> CameraRig:
+    """Return the rig with each camera turned where it stands by ``angle`` radians about an axis drawn at random.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig = ring_rig(4)
+        >>> off = turned_poses(rig, 0.1)
+        >>> torch.allclose(off.positions, rig.positions), torch.equal(off.axes, rig.axes)
+        (True, False)
+    """
+    axes = torch.nn.functional.normalize(torch.randn(len(rig), 3, generator=generator), dim=-1)
+    poses = rig.world_from_camera
+    turns = transform_from_axis_angle((angle * axes).to(poses), poses.new_zeros(len(rig), 3))
+    return CameraRig(rig.cameras, poses @ turns, rig.masks)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigs drawn at random: how many cameras, where, how they look, through which lenses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, FisheyeCamera
+from sphericalvision.core import ArgumentError
+from sphericalvision.geometry import transform_from_axis_angle
+
+__all__ = ["random_rig"]
+
+
+def random_rig(
+    generator: torch.Generator | None = None,
+    num_cameras: Sequence[int] = (2, 3, 4, 5, 6),
+    radius: tuple[float, float] = (0.08, 0.33),
+    image_size: tuple[int, int] = (256, 256),
+    panoramas: float = 0.2,
+) -> CameraRig:
+    """Return a rig that people might build: cameras around a centre that look outwards, more or less.
+
+    All cameras have one model. They stand evenly on a ring, up to a fifth of their spacing and 6 cm in height out of
+    place, are tilted together by −15° to 45° and each by up to 8° more or less. Lenses are equidistant, 180° to 240°.
+    The mean of the positions is the origin.
+
+    Args:
+        generator: source of randomness; torch's global one when not given.
+        num_cameras: numbers to choose from.
+        radius: least and largest radius of the ring in metres; its logarithm is uniform.
+        image_size: (height, width) of fisheyes; panoramas have as many pixels in a degree at the horizon.
+        panoramas: probability with which the cameras are 360° cameras.
+
+    Raises:
+        ArgumentError: fewer than two cameras, or a radius that is not positive.
+
+    Examples:
+        >>> rig = random_rig(torch.Generator().manual_seed(3))
+        >>> bool(rig.center.norm() < 1e-6), 2 <= len(rig) <= 6
+        (True, True)
+    """
+    if not num_cameras or min(num_cameras) < 2 or not 0 < radius[0] <= radius[1]:
+        raise ArgumentError(
+            f"random_rig: expected two or more cameras and radii above 0, got {tuple(num_cameras)} and {radius}"
+        )
+
+    def uniform(low: float, high: float) -> float:
+        return low + (high - low) * torch.rand((), generator=generator).item()
+
+    count = int(num_cameras[int(uniform(0, len(num_cameras)))])
+    ring = math.exp(uniform(math.log(radius[0]), math.log(radius[1])))
+    yaw, tilt = uniform(0, 2 * math.pi), math.radians(uniform(-15, 45))
+    field_of_view = math.radians(uniform(180, 240))
+    camera: Camera
+    if uniform(0, 1) < panoramas:
+        height = round(image_size[0] * math.pi / math.radians(220) / 2) * 2
+        camera = EquirectangularCamera((height, 2 * height))
+    else:
+        camera = FisheyeCamera.from_field_of_view(image_size, field_of_view)
+    poses = []
+    for number in range(count):
+        around = yaw + (number + uniform(-0.2, 0.2)) * 2 * math.pi / count
+        place = torch.tensor([ring * math.sin(around), uniform(-0.06, 0.06), ring * math.cos(around)])
+        look = transform_from_axis_angle(torch.tensor([0.0, around, 0.0]), place)
+        down = tilt + math.radians(uniform(-8, 8))
+        roll = math.radians(uniform(-8, 8))
+        poses.append(
+            look
+            @ transform_from_axis_angle(torch.tensor([-down, 0.0, 0.0]), torch.zeros(3))
+            @ transform_from_axis_angle(torch.tensor([0.0, 0.0, roll]), torch.zeros(3))
+        )
+    world_from_camera = torch.stack(poses)
+    world_from_camera[:, :3, 3] -= world_from_camera[:, :3, 3].mean(0)
+    return CameraRig([camera] * count, world_from_camera)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How sure a mean is, and how much of the error a confidence finds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError
+
+__all__ = ["Interval", "bootstrap_interval", "error_of_surest"]
+
+
+class Interval(NamedTuple):
+    """A mean, and bounds between which it lies with the probability asked for."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def bootstrap_interval(
+    values: Sequence[float] | Float[Tensor, " n"], probability: float = 0.95, draws: int = 2000, seed: int = 0
+) -> Interval:
+    """Return the mean of independent values, such as one a scene, and its bootstrap interval by percentiles.
+
+    Args:
+        values: one or more; NaN are left out.
+        probability: that the interval covers.
+        draws: samples with replacement.
+        seed: of the draws.
+
+    Returns:
+        All three NaN without a value.
+
+    Raises:
+        ArgumentError: a probability outside (0, 1), or no draws.
+
+    References:
+        Efron (1979), "Bootstrap methods: another look at the jackknife".
+
+    Examples:
+        >>> mean, low, high = bootstrap_interval([1.0, 2.0, 3.0, 2.0])
+        >>> mean, low < mean < high
+        (2.0, True)
+    """
+    if not 0 < probability < 1 or draws < 1:
+        raise ArgumentError(
+            f"probability, draws: expected a number in (0, 1) and 1 or more, got {probability} and {draws}"
+        )
+    known = torch.as_tensor(values, dtype=torch.float64).flatten()
+    known = known[~known.isnan()]
+    if not len(known):
+        return Interval(torch.nan, torch.nan, torch.nan)
+    generator = torch.Generator().manual_seed(seed)
+    chosen = torch.randint(len(known), (draws, len(known)), generator=generator)
+    means = known.cpu()[chosen].mean(1)
+    tail = (1 - probability) / 2
+    low, high = means.quantile(torch.tensor([tail, 1 - tail], dtype=torch.float64)).tolist()
+    return Interval(known.mean().item(), low, high)
+
+
+def error_of_surest(
+    error: Float[Tensor, "B V"],
+    confidence: Float[Tensor, "B V"],
+    shares: Sequence[float],
+    mask: Bool[Tensor, "B V"] | None = None,
+) -> Float[Tensor, "B shares"]:
+    """Return the mean error of the surest points of each image, for several shares of them.
+
+    Args:
+        error: ``(B, V)``.
+        confidence: ``(B, V)``; larger is surer, the scale is of no matter.
+        shares: of the points that count, in (0, 1]; 1 is all of them.
+        mask: ``(B, V)``, True where a point counts; everywhere when not given.
+
+    Returns:
+        ``(B, len(shares))``; NaN for an image in which nothing counts.
+
+    Raises:
+        ArgumentError: a share outside (0, 1].
+
+    References:
+        Ilg et al. (2018), "Uncertainty estimates and multi-hypotheses networks for optical flow": sparsification.
+
+    Examples:
+        >>> error_of_surest(torch.tensor([[1.0, 3.0]]), torch.tensor([[0.9, 0.2]]), (0.5, 1.0))
+        tensor([[1., 2.]])
+    """
+    if not shares or not all(0 < share <= 1 for share in shares):
+        raise ArgumentError(f"shares: expected one or more in (0, 1], got {list(shares)}")
+    counts = torch.ones_like(error, dtype=torch.bool) if mask is None else mask
+    rows = []
+    for errors, sure, known in zip(error, confidence, counts, strict=True):
+        order = sure[known].argsort(descending=True)
+        ranked = errors[known][order]
+        kept = [max(1, round(share * len(ranked))) for share in shares]
+        rows.append(torch.stack([ranked[:k].mean() for k in kept]))
+    return torch.stack(rows)

@@ -13,17 +13,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytorch_lightning as pl
-import torch
 from omegaconf import DictConfig
 from pytorch_lightning.callbacks import LearningRateMonitor, ModelCheckpoint, ProgressBar
 
-from sphericalvision.core import ArgumentError, FileFormatError, check_file
+from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.next_steps import evaluate_command, resume_command
 from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.evaluation.tables import Row, print_rows, save_rows
 from sphericalvision.recipes.training.checkpoint_io import WeightsBesideCheckpoint
-from sphericalvision.recipes.training.module import TrainingModule, name_of
+from sphericalvision.recipes.training.module import TrainingModule
+from sphericalvision.recipes.training.resuming import changed_settings, check_resume, resume_path
+from sphericalvision.recipes.training.run_folder import run_folder
 
 __all__ = ["Run", "instantiate_run", "train"]
 
@@ -78,58 +79,18 @@ def check_optimization(module: TrainingModule) -> None:
         raise ArgumentError(f"optimizer, scheduler: torch refuses these values: {error}") from error
 
 
-def resume_path(resume: str | None, folder: Path) -> Path | None:
-    """The checkpoint to resume from: ``auto`` is this folder's last one, if there is any."""
-    if resume is None:
-        return None
-    if resume == "auto":
-        last = folder / "checkpoints" / "last.ckpt"
-        return last if last.is_file() else None
-    return check_file(resume, "a Lightning checkpoint to resume from, such as checkpoints/last.ckpt")
-
-
-def check_resume(path: Path | None, module: TrainingModule) -> None:
-    """Refuse to resume a network of another shape or scale; its step count would mean nothing here.
-
-    Raises:
-        ArgumentError: the first hyper-parameter that differs, with both values.
-        FileFormatError: the file is no checkpoint.
-    """
-    if path is None:
-        return
-    stored = stored_network(path)
-    mine = {"architecture": name_of(module.net), **module.net.hyperparameters}
-    if stored["architecture"] != mine["architecture"]:
-        raise ArgumentError(
-            f"resume: {path} is a training of {stored['architecture']}, this run trains {mine['architecture']}"
-        )
-    for key, value in mine.items():
-        if stored.get(key) != value:
-            raise ArgumentError(
-                f"resume: {path} was trained with {key} = {stored.get(key)}, this run has model.{key} = {value}; "
-                f"set model.{key}={stored.get(key)} to go on, or start anew from it with init_weights={path}"
-            )
-
-
-def stored_network(path: Path) -> dict[str, Any]:
-    """Name and hyper-parameters of the network in a checkpoint.
-
-    Raises:
-        FileFormatError: the file is no checkpoint of this command.
-    """
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        return {"architecture": content["architecture"], **content["network_hyperparameters"]}
-    except Exception as error:  # whatever a damaged file makes of itself
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise FileFormatError(
-            f"resume: {path} is not a checkpoint of sphericalvision-train, or is damaged ({reason:.200}); give a .ckpt "
-            "file from the checkpoints folder of a training run"
-        ) from error
-
-
 def train(config: DictConfig, folder: Path) -> dict[str, float]:
-    """Train as ``config`` says and return the validation metrics of the best checkpoint."""
+    """Train as ``config`` says and return the validation metrics of the best checkpoint.
+
+    Raises:
+        ArgumentError: ``folder`` holds a training that ``resume`` does not go on with, or one is at work in it.
+    """
+    with run_folder(folder):
+        return train_in(folder, resume_path(config.resume, folder), config)
+
+
+def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[str, float]:
+    """Train in a folder that no one else uses, from a checkpoint if there is one."""
     for known in (
         ".*exists and is not empty.*",
         ".*not resumable.*",
@@ -141,9 +102,12 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
         warnings.filterwarnings("ignore", known)
     logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
     module, data, trainer = instantiate_run(config, folder)
-    print_config(config, folder)
-    checkpoint = resume_path(config.resume, folder)
-    check_resume(checkpoint, module)
+    if trainer.is_global_zero:
+        changes = [] if checkpoint is None else changed_settings(checkpoint, config)
+        check_resume(checkpoint, module)
+        print_config(config, folder)
+        if changes:
+            print(f"Goes on from {checkpoint} with other settings: {'; '.join(changes)}")
     if config.init_weights is not None and checkpoint is None:
         module.initialize(config.init_weights)
     last = folder / "checkpoints" / "last.ckpt"

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A folder with everything that the documentation's command lines name, and the words that make them small."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, ring_rig, save_camera, save_rig
+from sphericalvision.data import write_omnistereo
+from sphericalvision.io.images import write_image, write_mask
+from sphericalvision.models import IcoSweepNet, save_weights
+from sphericalvision.recipes.app.frames import RenderedFrames
+from sphericalvision.recipes.app.running import config_space
+from sphericalvision.recipes.app.words import quote_paths, read_words
+
+__all__ = ["PAGES", "ROOT", "Command", "blocks", "commands_of", "furnish", "run_command"]
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FENCE = re.compile(
+    r"^(?P<indent> *)```(?P<info>[^\n`]+)\n(?P<body>.*?)^(?P=indent)```", re.DOTALL | re.MULTILINE
+)
+PROGRAM = re.compile(r"^(?:sphericalvision-|python -m sphericalvision\.recipes\.)(\w+)(?: |$)")
+SIZE = (32, 32)
+
+
+class Command(NamedTuple):
+    """A command line of the documentation: the recipe, and its words."""
+
+    recipe: str
+    words: list[str]
+
+
+def blocks(page: Path, language: str) -> Iterator[tuple[str, str]]:
+    """Title and body of the fenced blocks of one language."""
+    for match in FENCE.finditer(page.read_text()):
+        if match["info"].split()[0] == language:
+            indent = len(match["indent"])
+            title = re.search(r'title="([^"]+)"', match["info"])
+            yield (
+                title[1] if title else "",
+                "\n".join(line[indent:] for line in match["body"].splitlines()),
+            )
+
+
+def commands_of(page: Path) -> list[Command]:
+    """The command lines of this package on a page, continuation lines joined."""
+    found = []
+    for _, block in blocks(page, "bash"):
+        for line in block.replace("\\\n", " ").splitlines():
+            match = PROGRAM.match(line.strip())
+            if match:
+                found.append(Command(match[1], shlex.split(line.strip()[match.end() :], comments=True)))
+    return found
+
+
+def furnish(folder: Path) -> None:
+    """Calibrations, captures, weights and data sets under the names that the documentation gives them."""
+    torch.manual_seed(0)
+    lens = KannalaBrandtCamera([10.0, 10.0], [15.5, 15.5], [0.01, 0.0, 0.0, 0.0], SIZE, 1.7)
+    rig = ring_rig(4, 0.2, SIZE)
+    poses = rig.world_from_camera
+    capture = folder / "capture"
+    save_rig(rig, capture / "config.yaml")
+    save_rig(rig, folder / "rig.yaml")
+    save_rig(CameraRig({f"cam{i}": lens for i in range(4)}, poses), capture / "calibration.json", "basalt")
+    save_rig(CameraRig({f"cam{i}": lens for i in range(4)}, poses), folder / "camchain.yaml", "kalibr")
+    save_camera(lens, folder / "cam.yaml")
+    for number in range(5):
+        write_image(capture / f"cam{number}/00001.png", torch.rand(3, *SIZE))
+        write_mask(capture / f"cam{number}/mask.png", torch.ones(SIZE, dtype=torch.bool))
+    net = IcoSweepNet(3, 4, feature_channels=2, aggregation="variance", norm="instance")
+    for name in ("network", "weights/icosweepnet-0"):
+        save_weights(net, folder / f"{name}.safetensors")
+    for name, frames in (
+        ("omnithings", [1, 2, 8241]),
+        ("omnihouse", [1, 2]),
+        ("mine", [1, 2]),
+    ):
+        rendered = RenderedFrames(rig, frames, samples_per_pixel=1, height=32)
+        write_omnistereo(folder / "data" / name, rendered, rig)
+
+
+def write_files_of(page: Path, folder: Path) -> None:
+    """The YAML files that a page shows with their names."""
+    for title, text in blocks(page, "yaml"):
+        if title:
+            (folder / title).parent.mkdir(parents=True, exist_ok=True)
+            (folder / title).write_text(text + "\n")
+
+
+def run_command(command: Command, folder: Path, cache: Path) -> None:
+    """Run a command line in ``folder``, made small; ``/data`` of its words is the folder's."""
+    words = [re.sub(r"=\.\.\.$", "=/data/omnithings", word) for word in command.words]
+    words = [re.sub(r"(?<==)/data/", f"{folder}/data/", word) for word in words]
+    words += smaller(command.recipe, words, cache)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr("sys.argv", [f"sphericalvision-{command.recipe}", *words])
+        patch.setenv("WANDB_SILENT", "true")
+        import_module(f"sphericalvision.recipes.{command.recipe}").main()
+
+
+def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
+    """Words that make a command small: few and small frames, few steps, narrow networks."""
+    if recipe == "benchmark":
+        return BENCHMARK
+    if recipe in ("convert", "digits_table"):
+        return []
+    config = composed(recipe, words)
+    if recipe in ("predict", "inspect"):
+        return PREDICT if recipe == "predict" else ["level=3"]
+    if recipe == "render":
+        return ["rig.image_size=[32,32]", "samples_per_pixel=1", "height=32", "num_frames=2", "num_workers=0"]
+    data = data_words(config.data, cache)
+    if recipe == "evaluate":
+        # the network that ships is for images of level 6: at level 3 it takes no time
+        return [*data, "model.level=3", "device=cpu"]
+    if recipe == "train":
+        return [*data, *network_words(config.model), *TRAINING]
+    return [*data, *STUDY, *study_words(config, cache)]
+
+
+def composed(recipe: str, words: list[str]) -> DictConfig:
+    """The config of a command line; of a sweep, that of its first run."""
+    from hydra import compose
+
+    line = read_words(words)
+    overrides = quote_paths(line.overrides)
+    if line.multirun:
+        overrides = [word.split(",")[0] for word in overrides]
+    with config_space(line.config_dir):
+        return compose(recipe, overrides)
+
+
+def data_words(data: DictConfig, cache: Path) -> list[str]:
+    """Few samples of any data module."""
+    words = ["data.num_workers=0"]
+    target = str(OmegaConf.to_container(data)["_target_"])
+    if "num_train" in data:
+        words += ["rig.image_size=[32,64]" if "equirect" in str(data.rig) else "rig.image_size=[32,32]"]
+        words += ["data.num_train=3", "data.num_val=1", "data.num_test=2", "data.samples_per_pixel=1"]
+        words += [f"data.cache_dir={cache}", "data.batch_size=1"]
+    elif target.endswith("DigitsDataModule"):
+        words += ["data.num_val=8", "data.num_test=8", "data.batch_size=4"]
+    else:
+        words += ["data.missing=skip", "data.batch_size=1"]
+    return words
+
+
+def study_words(config: DictConfig, cache: Path) -> list[str]:
+    """Small trainings of the models of a study, in one process each."""
+    words = []
+    common = [*map(str, config.extra_training), *TRAINING, "trainer.devices=1", "scheduler=constant"]
+    for name, model in config.models.items():
+        if model is None or "train" not in model or name == "constant":
+            continue
+        own = [*map(str, config.training), *map(str, model.train)]
+        training = composed("train", own)
+        added = [*network_words(training.model), *data_words(training.data, cache)]
+        words.append(f"models.{name}.train={listed([*map(str, model.train), *added])}")
+    return [*words, f"extra_training={listed(common)}"]
+
+
+def listed(words: list[str]) -> str:
+    """A list of words as a value of Hydra's."""
+    return "[" + ",".join(f'"{word}"' for word in words) + "]"
+
+
+def network_words(model: DictConfig) -> list[str]:
+    """A narrow network of the same kind."""
+    target = str(model._target_).rpartition(".")[2]
+    if target == "SphereClassifier":
+        return ["model.level=2", "model.width=2"]
+    size = ["model.output_size=[20,40]", "model.num_scales=2"] if target == "OmniMVS" else ["model.level=3"]
+    return [*size, "model.num_hypotheses=4", "model.feature_channels=2"]
+
+
+TRAINING = [
+    "trainer.max_steps=2",
+    "trainer.val_check_interval=1",
+    "trainer.num_sanity_val_steps=0",
+    "trainer.accelerator=cpu",
+]
+PREDICT = ["height=16", "level=3", "device=cpu"]
+BENCHMARK = [
+    "seconds=0.01",
+    "settings=[[3,4]]",
+    "convolution_settings=[[3,2]]",
+    "feature_channels=2",
+    "image_size=[32,32]",
+    "num_points=100",
+    "num_frames=1",
+    "peak_size=64",
+    "device=cpu",
+]
+STUDY = [
+    "angles_deg=[0,45]",
+    "seeds=[0]",
+    "num_hypotheses=4",
+    "image_size=[32,32]",
+    "equirect_size=[32,64]",
+    "panorama_size=[8,32]",
+    "panel_height=40",
+    "frames=2",
+    "baseline_frames=3",
+    "model.level=3",
+]

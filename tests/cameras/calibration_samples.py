@@ -296,3 +296,83 @@ def basalt(*kinds: str) -> dict[str, Any]:
             "resolution": [[512, 512]] * len(kinds),
         }
     }
+
+
+KITTI = """calib_time: 09-Jan-2012 13:57:47
+corner_dist: 9.950000e-02
+S_00: 1392 512
+K_00: 984.2 0.0 690.0 0.0 980.8 233.2 0.0 0.0 1.0
+D_00: -0.37 0.20 0.0013 0.0017 -0.07
+R_00: 1 0 0 0 1 0 0 0 1
+T_00: 0 0 0
+S_rect_00: 1242 375
+R_rect_00: 1 0 0 0 1 0 0 0 1
+P_rect_00: 721.5 0 609.6 0 0 721.5 172.9 0 0 0 1 0
+S_01: 1392 512
+K_01: 989.5 0.0 702.0 0.0 987.8 245.6 0.0 0.0 1.0
+D_01: -0.36 0.19 0.0004 -0.0005 -0.06
+R_01: 0 0 -1 0 1 0 1 0 0
+T_01: 0 0 -0.537
+"""
+
+
+def asl(**changes: Any) -> dict[str, Any]:
+    """EuRoC's ``sensor.yaml`` of a camera that looks to the right of the body."""
+    rows = [[0.0, 0.0, 1.0, 0.1], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.02], [0.0, 0.0, 0.0, 1.0]]
+    return {
+        "sensor_type": "camera",
+        "T_BS": {"cols": 4, "rows": 4, "data": [value for row in rows for value in row]},
+        "rate_hz": 20,
+        "resolution": [752, 480],
+        "camera_model": "pinhole",
+        "intrinsics": [458.6, 457.3, 367.2, 248.4],
+        "distortion_model": "radial-tangential",
+        "distortion_coefficients": [-0.283, 0.074, 0.00019, 1.76e-05],
+        **changes,
+    }
+
+
+def flat(rows: Any) -> dict[str, Any]:
+    """A FileStorage matrix of rows of numbers, as it is parsed."""
+    data = [float(value) for row in rows for value in row]
+    return {"rows": len(rows), "cols": len(rows[0]), "dt": "f", "data": data}
+
+
+RIGHT_OF_FIRST = [[0.0, 0.0, 1.0, 0.11], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+"""The pose of a second camera 11 cm to the right of the first that looks to the right, in the first's frame."""
+
+
+def orbslam(kind: str = "KannalaBrandt8", **changes: Any) -> dict[str, Any]:
+    """ORB-SLAM3's settings of two cameras."""
+    numbers = {"fx": 190.98, "fy": 190.97, "cx": 254.93, "cy": 256.9}
+    distortion = {"k1": 0.0035, "k2": 0.0007, "k3": -0.002, "k4": 2e-4}
+    if kind == "PinHole":
+        distortion = {"k1": -0.28, "k2": 0.07, "p1": 2e-4, "p2": 2e-5}
+    lens = {f"Camera{index}.{key}": v for index in (1, 2) for key, v in {**numbers, **distortion}.items()}
+    size = {"Camera.width": 512, "Camera.height": 512, "Camera.fps": 20}
+    stereo = {"Stereo.T_c1_c2": flat(RIGHT_OF_FIRST)}
+    return {"File.version": "1.0", "Camera.type": kind, **lens, **size, **stereo, **changes}
+
+
+def transforms(**changes: Any) -> dict[str, Any]:
+    """Nerfstudio's file of two frames of one lens, in OpenGL's axes: one ahead, one to the right."""
+    ahead = [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.1], [0.0, 0.0, 0.0, 1.0]]
+    right = [[0.0, 0.0, -1.0, 0.1], [0.0, -1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    return {
+        "camera_model": "OPENCV_FISHEYE",
+        "w": 512,
+        "h": 512,
+        "fl_x": 190.98,
+        "fl_y": 190.97,
+        "cx": 255.43,
+        "cy": 257.4,
+        "k1": 0.0035,
+        "k2": 0.0007,
+        "k3": -0.002,
+        "k4": 0.0002,
+        "frames": [
+            {"file_path": "images/frame_00001.jpeg", "transform_matrix": ahead},
+            {"file_path": "images/frame_00002.jpeg", "transform_matrix": right},
+        ],
+        **changes,
+    }

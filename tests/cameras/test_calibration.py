@@ -321,7 +321,7 @@ def test_folder_with_two_calibrations_is_not_guessed(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "set")
     dump(folder / "config.yaml", omnimvs())
     message = refused(folder, translation_unit="cm")
-    assert "config.yaml and poses.txt, which may differ in scale; name the one to read" in message
+    assert "poses.txt and config.yaml, which may differ in scale; name the one to read" in message
 
 
 @pytest.mark.parametrize(
@@ -362,7 +362,7 @@ def test_mask_of_another_size_is_refused(tmp_path: Path) -> None:
 def test_what_is_no_calibration_says_what_is_known(tmp_path: Path) -> None:
     assert "no such file or folder" in refused(tmp_path / "nothing")
     (tmp_path / "empty").mkdir()
-    assert "none of config.yaml, poses.txt" in refused(tmp_path / "empty")
+    assert "none of rig.yaml, sensor.yaml, calibration.json" in refused(tmp_path / "empty")
     assert "not a calibration; known are" in refused(dump(tmp_path / "other.yaml", {"a": 1}))
     (tmp_path / "torn.json").write_text('{"value0": ')
     assert "not valid json" in refused(tmp_path / "torn.json")

@@ -25,8 +25,10 @@ from sphericalvision.cameras import read_cameras, read_rig
 from sphericalvision.core import FileFormatError, MissingFileError
 from tests.cameras.calibration_samples import (
     COLMAP,
+    KITTI,
     MATRIX,
     QUARTER_TURN,
+    asl,
     basalt,
     camodocal_kannala_brandt,
     camodocal_pinhole,
@@ -36,6 +38,8 @@ from tests.cameras.calibration_samples import (
     multicol_system,
     opencv_stereo,
     opencv_yaml,
+    orbslam,
+    transforms,
     woodscape,
 )
 
@@ -64,6 +68,10 @@ CONTENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "pinhole.yaml": camodocal_pinhole,
     "kannala.yaml": camodocal_kannala_brandt,
     "FV.json": woodscape,
+    "sensor.yaml": asl,
+    "settings.yaml": orbslam,
+    "settings_pinhole.yaml": lambda: orbslam("PinHole"),
+    "transforms.json": transforms,
     "fisheye.yaml": multicol,
     "stereo.yaml": opencv_values,
     "stereo.json": lambda: opencv_values(
@@ -76,6 +84,7 @@ TEXTS: dict[str, str] = {
         for name, make in CONTENTS.items()
     },
     "cameras.txt": COLMAP,
+    "calib_cam_to_cam.txt": KITTI,
     "plain.yml": opencv_yaml(image_width=320, image_height=240, camera_matrix=MATRIX, dist_coeffs=[0.1] * 5),
     "plain.xml": "<?xml version='1.0'?><opencv_storage><image_width>320</image_width><image_height>240"
     "</image_height><camera_matrix type_id='opencv-matrix'><rows>3</rows><cols>3</cols><dt>d</dt>"
@@ -202,6 +211,9 @@ NEEDED = {
     "image_02.yaml": ("model_type", "xi", "k1", "p2", "gamma1", "v0", "image_width", "projection_parameters"),
     "FV.json": ("intrinsic", "k1", "k4", "cx_offset", "width", "quaternion", "translation"),
     "fisheye.yaml": ("Camera.nrpol", "Camera.a2", "Camera.pol4", "Camera.c", "Camera.u0", "Camera.Ih"),
+    "sensor.yaml": ("T_BS", "data", "intrinsics", "resolution", "camera_model", "distortion_coefficients"),
+    "settings.yaml": ("Camera.type", "Camera1.fx", "Camera2.k4", "Camera.width", "data"),
+    "transforms.json": ("frames", "transform_matrix", "w"),
     "stereo.yaml": ("M1", "M2", "data", "rows"),
 }
 

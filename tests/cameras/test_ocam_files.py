@@ -19,7 +19,6 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
-from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 
 
@@ -82,14 +81,3 @@ def test_other_models_are_refused_with_a_way_out(tmp_path: Path) -> None:
         save_camera(fisheye, tmp_path / "lens.txt", format="ocamcalib")
     with pytest.raises(ValueError, match=r"'omnimvs' has no fisheye model"):
         save_rig(ring_rig(), tmp_path / "config.yaml", format="omnimvs")
-
-
-def test_kittis_keys_are_not_taken_for_numbers(tmp_path: Path) -> None:
-    path = tmp_path / "calib_cam_to_cam.txt"
-    path.write_text(
-        "calib_time: 09-Jan-2012 13:57:47\ncorner_dist: 9.950000e-02\nS_00: 1.392000e+03 5.120000e+02\n"
-    )
-    with pytest.raises(
-        FileFormatError, match=r"line 1: calib_time: is no line of an OCamCalib file.*BrownConradyCamera"
-    ):
-        read_camera(path)

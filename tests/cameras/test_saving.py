@@ -12,7 +12,6 @@ from sphericalvision.cameras import (
     BrownConradyCamera,
     Camera,
     CameraRig,
-    EquirectangularCamera,
     ExtendedUnifiedCamera,
     FisheyeCamera,
     KannalaBrandtCamera,
@@ -59,9 +58,9 @@ def test_own_yaml_returns_the_same_rig(tmp_path: Path) -> None:
 
 
 def test_unknown_format_names_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="format: expected one of 'native', 'ocamcalib', 'basalt'"):
+    with pytest.raises(ValueError, match="format: expected one of 'native', 'asl', 'basalt', 'colmap'"):
         save_camera(cameras()["plain"], tmp_path / "a.yaml", format="yaml")
-    with pytest.raises(ValueError, match=r"format: expected one of 'native', 'omnimvs'.*got 'colmap'"):
+    with pytest.raises(ValueError, match=r"format: expected one of 'native', 'asl'.*got 'colmap'"):
         save_rig(ring_rig(), tmp_path / "a.txt", format="colmap")
 
 
@@ -80,8 +79,8 @@ def test_batch_of_rigs_is_refused(tmp_path: Path, format: str) -> None:
 
 @pytest.mark.parametrize("format", RIG_FORMATS[1:])
 def test_model_that_no_other_format_has_is_sent_to_native(tmp_path: Path, format: str) -> None:
-    pair = CameraRig([EquirectangularCamera((80, 160))] * 2, torch.eye(4).repeat(2, 1, 1))
-    with pytest.raises(ValueError, match=rf"'{format}' has no equirectangular model.*Write it as 'native'"):
+    pair = CameraRig([cameras()["polynomial"]] * 2, torch.eye(4).repeat(2, 1, 1))
+    with pytest.raises(ValueError, match=rf"'{format}' has no radial_polynomial model.*Write it as 'native'"):
         save_rig(pair, tmp_path / "rig.yaml", format=format)
     assert not list(tmp_path.iterdir())
 

@@ -1,6 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration files, one module a format: readers that recognise them, and writers."""
 
+from sphericalvision.cameras.calibration import (  # noqa: F401  # each registers its format
+    asl,
+    basalt,
+    camodocal,
+    colmap,
+    kalibr,
+    kitti,
+    multicol,
+    native,
+    nerfstudio,
+    ocam_text,
+    omnimvs,
+    opencv,
+    orbslam,
+    vins,
+    woodscape,
+)
 from sphericalvision.cameras.calibration.basalt import read_basalt, write_basalt
 from sphericalvision.cameras.calibration.colmap import write_colmap
 from sphericalvision.cameras.calibration.detect import read_camera, read_cameras, read_rig
@@ -9,7 +26,7 @@ from sphericalvision.cameras.calibration.native import write_camera, write_rig
 from sphericalvision.cameras.calibration.ocam_text import read_ocam_folder, read_ocam_text, write_ocam_text
 from sphericalvision.cameras.calibration.omnimvs import write_omnimvs
 from sphericalvision.cameras.calibration.opencv_writer import write_opencv
-from sphericalvision.cameras.calibration.save import CAMERA_FORMATS, RIG_FORMATS, save_camera, save_rig
+from sphericalvision.cameras.calibration.save import camera_formats, rig_formats, save_camera, save_rig
 
 __all__ = [
     "CAMERA_FORMATS",
@@ -31,3 +48,8 @@ __all__ = [
     "write_opencv",
     "write_rig",
 ]
+
+CAMERA_FORMATS = camera_formats()
+"""Names of the formats in which ``save_camera`` writes."""
+RIG_FORMATS = rig_formats()
+"""Names of the formats in which ``save_rig`` writes."""

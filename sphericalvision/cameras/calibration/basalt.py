@@ -20,6 +20,7 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
     entry,
     errors_of_file,
@@ -214,3 +215,18 @@ def _values(camera: Camera) -> tuple[str, tuple[str, ...], list[float]]:
         kind, more = "eucm", [*numbers_of(camera.alpha), *numbers_of(camera.beta)]
     names = ("fx", "fy", "cx", "cy", *_PARAMETERS[kind])
     return kind, names, [*focal_length, *numbers_of(camera.principal_point), *more]
+
+
+register_format(
+    FileFormat(
+        "basalt",
+        "Basalt json",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        usual_names=("calibration.json",),
+        models=("pinhole", "brown_conrady", "kannala_brandt", "double_sphere", "extended_unified", "unified"),
+        write_camera=write_basalt,
+        write_rig=write_basalt,
+        holds_masks=True,
+    )
+)

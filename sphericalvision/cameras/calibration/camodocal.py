@@ -22,6 +22,7 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, load
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
     entry,
     errors_of_file,
@@ -129,3 +130,16 @@ def kitti360_contents(path: Path, options: Options) -> Contents:
             f"{path}: none of its cameras has a file image_02.yaml, image_03.yaml beside it"
         )
     return Contents(cameras, torch.stack(poses))
+
+
+register_format(
+    FileFormat(
+        "camodocal",
+        "KITTI-360 and other camodocal yaml",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        recognizes_file=lambda path: path.name == KITTI360_POSES,
+        contents_of_file=kitti360_contents,
+        usual_names=(KITTI360_POSES,),
+    )
+)

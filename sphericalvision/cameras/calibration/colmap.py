@@ -20,7 +20,8 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import data_lines
+from sphericalvision.cameras.calibration.files import data_lines, looks_structured
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
     errors_of_file,
     focal_lengths,
@@ -56,6 +57,8 @@ _PARAMETERS = {
 
 def recognizes(path: Path) -> bool:
     """Whether the first line of data is a number and then the name of a model in capitals."""
+    if looks_structured(path):
+        return False
     lines = data_lines(path)
     return bool(lines) and len(lines[0][1]) > 1 and bool(re.fullmatch(r"[A-Z][A-Z_0-9]+", lines[0][1][1]))
 
@@ -136,3 +139,16 @@ def _line(camera: Camera) -> str:
     center = [value + 0.5 for value in numbers_of(camera.principal_point)]
     values = [*numbers_of(camera.focal_length), *center, *coefficients]
     return f"{model} {width} {height} {' '.join(map(repr, values))}"
+
+
+register_format(
+    FileFormat(
+        "colmap",
+        "COLMAP cameras.txt",
+        recognizes_file=recognizes,
+        contents_of_file=contents,
+        usual_names=("cameras.txt",),
+        models=("pinhole", "brown_conrady", "kannala_brandt"),
+        write_camera=write_colmap,
+    )
+)

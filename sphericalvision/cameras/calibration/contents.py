@@ -13,9 +13,9 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.parsing import check_radius, errors_of_file
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError
+from sphericalvision.core import FileFormatError, short_repr
 
-__all__ = ["Contents", "Options"]
+__all__ = ["Contents", "Options", "joined"]
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,8 @@ class Options:
     dtype: torch.dtype | None = None
     translation_unit: str | None = None
     image_size: tuple[int, int] | None = None
+    rig: bool = False
+    """Whether poses are wanted, where a file has fewer cameras than images with poses."""
 
 
 @dataclass(frozen=True)
@@ -58,3 +60,26 @@ class Contents:
         with errors_of_file(str(path)):
             poses = self.world_from_camera.to(dtype or torch.get_default_dtype())
             return check_radius(CameraRig(self.cast(dtype), poses, dict(self.masks)), path)
+
+
+def joined(parts: list[tuple[Path, Contents]]) -> Contents:
+    """One rig from the files of several cameras.
+
+    Raises:
+        FileFormatError: two files have a camera of one name, or one has no pose.
+    """
+    cameras: dict[str, Camera] = {}
+    source: dict[str, str] = {}
+    poses = []
+    for path, part in parts:
+        for name, camera in part.cameras.items():
+            if name in cameras:
+                raise FileFormatError(
+                    f"{path}: a second camera named {short_repr(name)} (the first is in {source[name]}); a rig has one "
+                    "file for each camera: copy those into a folder of their own"
+                )
+            if part.world_from_camera is None:
+                raise FileFormatError(f"{path}: no pose of this camera; a rig needs one for every camera")
+            cameras[name], source[name] = camera, path.name
+            poses.append(part.world_from_camera)
+    return Contents(cameras, torch.cat(poses))

@@ -8,44 +8,13 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration import (
-    basalt,
-    camodocal,
-    colmap,
-    kalibr,
-    multicol,
-    native,
-    omnimvs,
-    opencv,
-    woodscape,
-)
-from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import data_lines, load, looks_structured
-from sphericalvision.cameras.calibration.ocam_text import read_ocam_folder, read_ocam_text
+from sphericalvision.cameras.calibration.contents import Contents, Options, joined
+from sphericalvision.cameras.calibration.files import load, looks_structured
+from sphericalvision.cameras.calibration.formats import FileFormat, file_formats, known_formats
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 
 __all__ = ["read_camera", "read_cameras", "read_rig"]
-
-_FORMATS = (native, omnimvs, basalt, kalibr, multicol, camodocal, woodscape, opencv)
-"""Formats of keys with values; the first that recognises a file reads it."""
-
-_KNOWN = (
-    "known are OCamCalib text, a folder with ocam*.txt and poses.txt, OmniMVS config.yaml, Basalt json, Kalibr "
-    "camchain, OpenCV FileStorage, COLMAP cameras.txt, KITTI-360 and other camodocal yaml, WoodScape json, "
-    "Lafida/MultiCol yaml, and the package's own YAML (save_camera, save_rig)"
-)
-_FILES_OF_FOLDERS = (
-    "config.yaml",
-    "poses.txt",
-    "calibration.json",
-    "rig.yaml",
-    "camchain.yaml",
-    camodocal.KITTI360_POSES,
-    multicol.MULTICOL_POSES,
-    "extrinsics.yml",
-    "cameras.txt",
-)
 
 
 def read_rig(
@@ -59,16 +28,13 @@ def read_rig(
     """The rig of a calibration, whose format is recognised by its content; poses are metres, camera to rig.
 
     Args:
-        path: an OmniMVS ``config.yaml``; a folder with ``ocam*.txt`` and ``poses.txt``; a Basalt json (with
-            ``cam0/mask.png``, ... beside it, if there are masks); a Kalibr camchain; an OpenCV FileStorage of two
-            cameras; KITTI-360's ``calib_cam_to_pose.txt``; a WoodScape json; Lafida's
-            ``MultiCamSys_Calibration.yaml``; the package's own YAML; or a folder that holds exactly one of these under
-            its usual name, or WoodScape's files.
+        path: a file of any format in the documentation's table of calibration files that has poses; or a folder that
+            holds exactly one of these under its usual name, or a file for each camera (WoodScape, EuRoC's ``mav0``).
         translation_unit: ``"m"``, ``"cm"`` or ``"mm"``: required for ``poses.txt`` and OpenCV's files, which do not
             tell. All other formats are in metres.
         max_angle: half the field of view in radians, for all cameras, instead of what the file tells or, where it does
             not, of the angle at the farthest pixel of the image.
-        image_size: (height, width) of the images, for OpenCV's files that do not tell.
+        image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF).
         dtype: of intrinsics and poses, by default torch's default.
 
     Raises:
@@ -76,9 +42,8 @@ def read_rig(
         FileFormatError: the format is unknown, the file is broken, or has no poses; the message names line or key.
         ArgumentError: ``translation_unit`` is missing, or given for a format that is in metres.
     """
-    options = Options(max_angle, dtype, translation_unit, image_size)
-    path, found = _contents(Path(path), options)
-    return found if isinstance(found, CameraRig) else found.rig(path, dtype)
+    path, found = _contents(Path(path), Options(max_angle, dtype, translation_unit, image_size, rig=True))
+    return found.rig(path, dtype)
 
 
 def read_cameras(
@@ -90,8 +55,7 @@ def read_cameras(
 ) -> dict[str, Camera]:
     """All cameras of a calibration by name, whether it has poses or not; arguments and errors are ``read_rig``'s."""
     options = Options(max_angle, dtype, "m", image_size)  # positions are not looked at, so any unit will do
-    found = _contents(Path(path), options)[1]
-    return found.cameras if isinstance(found, CameraRig) else found.cast(dtype)
+    return _contents(Path(path), options)[1].cast(dtype)
 
 
 def read_camera(
@@ -110,7 +74,7 @@ def read_camera(
         name: which one, where there are several: ``cam0``, ``cam1``, ... or as the file says.
         max_angle: half the field of view in radians, instead of what the file tells or, where it does not, of the angle
             at the farthest pixel of the image.
-        image_size: (height, width) of the images, for OpenCV's files that do not tell.
+        image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF).
         dtype: of the intrinsics, by default torch's default.
 
     Raises:
@@ -129,54 +93,31 @@ def read_camera(
     return cameras[name]
 
 
-def _contents(path: Path, options: Options) -> tuple[Path, Contents | CameraRig]:
+def _contents(path: Path, options: Options) -> tuple[Path, Contents]:
     """The file that was read, and what it holds."""
     path, parts = _calibration_file(path)
     if parts:
-        return path, woodscape.joined([(part, _of_keys(part, options)) for part in parts])
-    if path.name == "poses.txt":
-        return path, read_ocam_folder(
-            path.parent,
-            translation_unit=options.translation_unit,
-            max_angle=options.max_angle,
-            dtype=options.dtype,
-        )
-    if looks_structured(path):
-        return path, _of_keys(path, options)
-    _refuse_unit(path, options)
-    if path.name == camodocal.KITTI360_POSES:
-        return path, camodocal.kitti360_contents(path, options)
-    if colmap.recognizes(path):
-        return path, colmap.contents(path, options)
-    _refuse_keys(path)
-    camera = read_ocam_text(path, max_angle=options.max_angle, dtype=torch.float64)
-    return path, Contents({path.stem: camera})
+        return path, joined([(part, _read(part, options)) for part in parts])
+    return path, _read(path, options)
 
 
-def _of_keys(path: Path, options: Options) -> Contents:
-    content = load(path)
+def _read(path: Path, options: Options) -> Contents:
+    """What a file holds, by the first format that recognises it."""
+    for format in file_formats():
+        if format.recognizes_file and format.contents_of_file and format.recognizes_file(path):
+            _check_unit(path, format, options)
+            return format.contents_of_file(path, options)
+    content = load(path) if looks_structured(path) else None
     if isinstance(content, dict):
-        for reader in _FORMATS:
-            if reader.recognizes(content):
-                if reader is not opencv:
-                    _refuse_unit(path, options)
-                return reader.contents(content, path, options)
-    raise FileFormatError(f"{path}: not a calibration; {_KNOWN}")
+        for format in file_formats():
+            if format.recognizes_keys and format.contents_of_keys and format.recognizes_keys(content):
+                _check_unit(path, format, options)
+                return format.contents_of_keys(content, path, options)
+    raise FileFormatError(f"{path}: not a calibration; {known_formats()}")
 
 
-def _refuse_keys(path: Path) -> None:
-    """Lines of ``key: values`` are KITTI's; OCamCalib's are numbers."""
-    lines = data_lines(path)
-    if lines and lines[0][1][0].endswith(":"):
-        raise FileFormatError(
-            f"{path}, line {lines[0][0]}: {lines[0][1][0]} is no line of an OCamCalib file. KITTI's "
-            "calib_cam_to_cam.txt and the like are not read: pass K_0x and D_0x to BrownConradyCamera, or for "
-            f"rectified images P_rect_0x to PinholeCamera; {_KNOWN}"
-        )
-
-
-def _refuse_unit(path: Path, options: Options) -> None:
-    if options.translation_unit not in (None, "m"):
+def _check_unit(path: Path, format: FileFormat, options: Options) -> None:
+    if format.tells_unit and options.translation_unit not in (None, "m"):
         raise ArgumentError(
             f"translation_unit: {path} is in metres by its format, got {options.translation_unit!r}; only poses.txt "
             "and OpenCV's files need a unit"
@@ -188,24 +129,20 @@ def _calibration_file(path: Path) -> tuple[Path, list[Path]]:
     if path.is_file():
         return path, []
     if not path.is_dir():
-        raise MissingFileError(f"{path}: no such file or folder (a calibration was expected; {_KNOWN})")
-    found = [path / name for name in _FILES_OF_FOLDERS if (path / name).is_file()]
-    if not found:
-        parts = [part for part in sorted(path.glob("*.json")) if _is_woodscape(part)]
-        if parts:
-            return path, parts
-        hint = "; ocam*.txt are there, but no poses.txt" if any(path.glob("ocam*.txt")) else ""
         raise MissingFileError(
-            f"{path}: none of {', '.join(_FILES_OF_FOLDERS)} in this folder{hint}; {_KNOWN}"
+            f"{path}: no such file or folder (a calibration was expected; {known_formats()})"
         )
+    usual = [name for format in file_formats() for name in format.usual_names]
+    found = [path / name for name in usual if (path / name).is_file()]
+    if not found:
+        for format in file_formats():
+            if format.files_of_rig and (parts := format.files_of_rig(path)):
+                return path, parts
+        hint = "; ocam*.txt are there, but no poses.txt" if any(path.glob("ocam*.txt")) else ""
+        raise MissingFileError(f"{path}: none of {', '.join(usual)} in this folder{hint}; {known_formats()}")
     if len(found) > 1:
         raise ArgumentError(
             f"path: {path} holds {' and '.join(file.name for file in found)}, which may differ in scale; name the one "
             "to read"
         )
     return found[0], []
-
-
-def _is_woodscape(path: Path) -> bool:
-    content = load(path)
-    return isinstance(content, dict) and woodscape.recognizes(content)

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
     entry,
     errors_of_file,
@@ -212,3 +213,17 @@ def _values(camera: Camera) -> dict[str, Any]:
         "distortion_coeffs": coefficients,
         "resolution": [width, height],
     }
+
+
+register_format(
+    FileFormat(
+        "kalibr",
+        "Kalibr camchain",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        usual_names=("camchain.yaml",),
+        models=("pinhole", "brown_conrady", "kannala_brandt", "double_sphere", "extended_unified", "unified"),
+        write_camera=write_kalibr,
+        write_rig=write_kalibr,
+    )
+)

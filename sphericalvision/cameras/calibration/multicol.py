@@ -27,6 +27,7 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import errors_of_file, number, size_from_width_height
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.ocam import OCamCamera
@@ -110,3 +111,14 @@ def _camera(content: dict[str, Any], where: str) -> OCamCamera:
             image_size=image_size,
             max_angle=torch.pi,
         )
+
+
+register_format(
+    FileFormat(
+        "multicol",
+        "Lafida/MultiCol yaml",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        usual_names=(MULTICOL_POSES,),
+    )
+)

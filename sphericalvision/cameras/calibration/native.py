@@ -18,6 +18,7 @@ import torch
 
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
     entry,
     errors_of_file,
@@ -181,3 +182,17 @@ def _limited(camera: Camera, options: Options) -> Camera:
 
 def _is_matrix(rows: Any) -> bool:
     return isinstance(rows, list) and all(isinstance(row, list) for row in rows)
+
+
+register_format(
+    FileFormat(
+        "native",
+        "the package's own YAML (save_camera, save_rig)",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        usual_names=("rig.yaml",),
+        write_camera=write_camera,
+        write_rig=write_rig,
+        holds_masks=True,
+    )
+)

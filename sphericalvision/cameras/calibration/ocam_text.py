@@ -14,9 +14,10 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.files import data_lines
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.files import data_lines, looks_structured
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
-    check_radius,
     errors_of_file,
     metres_per,
     numbers,
@@ -30,11 +31,20 @@ from sphericalvision.core import ArgumentError, FileFormatError, MissingFileErro
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.io.files import atomic_write
 
-__all__ = ["make_ocam", "ocam_numbers", "read_ocam_folder", "read_ocam_text", "write_ocam_text"]
+__all__ = [
+    "contents",
+    "make_ocam",
+    "ocam_numbers",
+    "read_ocam_folder",
+    "read_ocam_text",
+    "recognizes",
+    "write_ocam_text",
+]
 
 STEREO_SETS_MAX_ANGLE = math.radians(110)
 """Half the field of view of the omnidirectional stereo sets' lenses, which their text files do not tell."""
 
+_POSES = "poses.txt"
 _LINES = (
     "direct polynomial (count, then coefficients)",
     "inverse polynomial (count, then coefficients)",
@@ -42,6 +52,32 @@ _LINES = (
     "affine (c d e)",
     "image size (height width)",
 )
+
+
+def recognizes(path: Path) -> bool:
+    """Whether a file is called ``poses.txt``, or has no words in its first line of data."""
+    if path.name == _POSES:
+        return True
+    if looks_structured(path):
+        return False
+    lines = data_lines(path)
+    return not lines or not any(re.match(r"[A-Z_a-z]{2}", word) for word in lines[0][1])
+
+
+def contents(path: Path, options: Options) -> Contents:
+    """The camera of a text file, or those of the folder in which ``poses.txt`` lies.
+
+    Raises:
+        FileFormatError: a file is broken; the message names the line.
+        ArgumentError: the unit of ``poses.txt`` is not given.
+    """
+    if path.name == _POSES:
+        return _folder_contents(path.parent, options)
+    if options.translation_unit not in (None, "m"):
+        raise ArgumentError(
+            f"translation_unit: {path} is one camera without a translation, got {options.translation_unit!r}"
+        )
+    return Contents({path.stem: read_ocam_text(path, max_angle=options.max_angle, dtype=torch.float64)})
 
 
 def _counted(values: list[float], where: str) -> list[float]:
@@ -143,18 +179,23 @@ def read_ocam_folder(
         FileFormatError: files and poses differ in number, or a file is broken; the message names file and line.
     """
     folder = Path(folder)
-    poses_path = check_file(folder / "poses.txt", "the poses of the cameras")
+    options = Options(max_angle, dtype, translation_unit)
+    return _folder_contents(folder, options).rig(folder / _POSES, dtype)
+
+
+def _folder_contents(folder: Path, options: Options) -> Contents:
+    poses_path = check_file(folder / _POSES, "the poses of the cameras")
     files = sorted(folder.glob("ocam*.txt"), key=_natural)
     if not files:
         raise MissingFileError(
             f"{folder}: no ocam1.txt, ocam2.txt, ... beside poses.txt (one for each camera expected)"
         )
-    if translation_unit is None:
+    if options.translation_unit is None:
         raise ArgumentError(
             f"translation_unit: {poses_path} does not tell its unit; pass 'm', 'cm' or 'mm' "
             "(OmniThings, OmniHouse and the urban sets: 'cm')"
         )
-    unit = metres_per(translation_unit)
+    unit = metres_per(options.translation_unit)
     lines = data_lines(poses_path)
     if len(lines) != len(files):
         raise FileFormatError(
@@ -164,15 +205,14 @@ def read_ocam_folder(
     rows = [numbers(words, f"{poses_path}, line {number}", 6) for number, words in lines]
     poses = torch.tensor(rows, dtype=torch.float64)
     world_from_camera = transform_from_axis_angle(poses[:, :3], poses[:, 3:] * unit)
-    angle = STEREO_SETS_MAX_ANGLE if max_angle is None else max_angle
-    cameras = {
+    angle = STEREO_SETS_MAX_ANGLE if options.max_angle is None else options.max_angle
+    cameras: dict[str, Camera] = {
         f"cam{file.stem.removeprefix('ocam').lstrip('_') or number}": read_ocam_text(
-            file, max_angle=angle, dtype=dtype
+            file, max_angle=angle, dtype=torch.float64
         )
         for number, file in enumerate(files, start=1)
     }
-    rig = CameraRig(cameras, world_from_camera.to(dtype or torch.get_default_dtype()))
-    return check_radius(rig, poses_path)
+    return Contents(cameras, world_from_camera)
 
 
 def ocam_numbers(camera: Camera, format: str) -> dict[str, list[float]]:
@@ -211,3 +251,17 @@ def write_ocam_text(camera: Camera, path: str | Path) -> None:
         lines += [f"# {title}", "", " ".join(map(repr, found)), ""]
     with atomic_write(path) as unfinished:
         unfinished.write_text("\n".join(lines), encoding="utf-8")
+
+
+register_format(
+    FileFormat(
+        "ocamcalib",
+        "OCamCalib text, alone or several with poses.txt",
+        recognizes_file=recognizes,
+        contents_of_file=contents,
+        usual_names=(_POSES,),
+        tells_unit=False,
+        models=("ocam",),
+        write_camera=write_ocam_text,
+    )
+)

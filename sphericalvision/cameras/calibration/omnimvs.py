@@ -17,6 +17,7 @@ import torch
 
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
 from sphericalvision.cameras.calibration.parsing import entry, numbers
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
@@ -119,3 +120,17 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
         if name in rig.masks:
             write_mask(path.with_name(f"mask{cam_id}.png"), ~rig.masks[name])
     write_yaml(path, {"cameras": entries})
+
+
+register_format(
+    FileFormat(
+        "omnimvs",
+        "OmniMVS config.yaml",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        usual_names=("config.yaml",),
+        models=("ocam",),
+        write_rig=write_omnimvs,
+        holds_masks=True,
+    )
+)

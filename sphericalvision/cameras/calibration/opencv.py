@@ -23,6 +23,7 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.opencv_keys import (
     DISTORTION,
     MATRIX,
@@ -33,6 +34,7 @@ from sphericalvision.cameras.calibration.opencv_keys import (
     matrix,
     rotation,
 )
+from sphericalvision.cameras.calibration.opencv_writer import write_opencv
 from sphericalvision.cameras.calibration.parsing import (
     errors_of_file,
     focal_lengths,
@@ -175,3 +177,18 @@ def _with_k3(coefficients: list[float], where: str) -> list[float] | None:
             f"{where}: expected k1 k2 p1 p2, and k3 at most, got {len(coefficients)} numbers"
         )
     return [*coefficients, 0.0][:5]
+
+
+register_format(
+    FileFormat(
+        "opencv",
+        "OpenCV FileStorage",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        usual_names=("extrinsics.yml",),
+        tells_unit=False,
+        models=("pinhole", "brown_conrady", "kannala_brandt", "unified"),
+        write_camera=write_opencv,
+        write_rig=write_opencv,
+    )
+)

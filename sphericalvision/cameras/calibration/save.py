@@ -4,41 +4,34 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 from sphericalvision.cameras.base import Camera, check_single
-from sphericalvision.cameras.calibration.basalt import write_basalt
-from sphericalvision.cameras.calibration.colmap import write_colmap
-from sphericalvision.cameras.calibration.kalibr import write_kalibr
-from sphericalvision.cameras.calibration.native import write_camera, write_rig
-from sphericalvision.cameras.calibration.ocam_text import write_ocam_text
-from sphericalvision.cameras.calibration.omnimvs import write_omnimvs
-from sphericalvision.cameras.calibration.opencv_writer import write_opencv
+from sphericalvision.cameras.calibration.formats import file_format, file_formats
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import check_choice
 
-__all__ = ["CAMERA_FORMATS", "RIG_FORMATS", "save_camera", "save_rig"]
+__all__ = ["camera_formats", "rig_formats", "save_camera", "save_rig"]
 
-_CAMERA_WRITERS: dict[str, Callable[[Camera, Path], None]] = {
-    "native": write_camera,
-    "ocamcalib": write_ocam_text,
-    "basalt": write_basalt,
-    "kalibr": write_kalibr,
-    "opencv": write_opencv,
-    "colmap": write_colmap,
-}
-_RIG_WRITERS: dict[str, Callable[[CameraRig, Path], None]] = {
-    "native": write_rig,
-    "omnimvs": write_omnimvs,
-    "basalt": write_basalt,
-    "kalibr": write_kalibr,
-    "opencv": write_opencv,
-}
-_WITH_MASKS = ("native", "omnimvs", "basalt")
 
-CAMERA_FORMATS = tuple(_CAMERA_WRITERS)
-RIG_FORMATS = tuple(_RIG_WRITERS)
+def camera_formats() -> tuple[str, ...]:
+    """Names of the formats in which ``save_camera`` writes.
+
+    Examples:
+        >>> "kalibr" in camera_formats()
+        True
+    """
+    return tuple(format.name for format in file_formats() if format.write_camera)
+
+
+def rig_formats() -> tuple[str, ...]:
+    """Names of the formats in which ``save_rig`` writes.
+
+    Examples:
+        >>> "omnimvs" in rig_formats()
+        True
+    """
+    return tuple(format.name for format in file_formats() if format.write_rig)
 
 
 def save_camera(camera: Camera, path: str | Path, format: str | None = None) -> None:
@@ -47,8 +40,9 @@ def save_camera(camera: Camera, path: str | Path, format: str | None = None) -> 
     Args:
         camera: a single camera of a model that the format has; each format's page says which.
         path: the file, replaced at once when everything is written.
-        format: ``"native"`` (this package's own YAML, also when ``None``), ``"ocamcalib"``, ``"basalt"``, ``"kalibr"``,
-            ``"opencv"`` or ``"colmap"``. The name of the file has no say in it.
+        format: ``"native"`` (this package's own YAML, also when ``None``), or another one of
+            ``sphericalvision.cameras.calibration.CAMERA_FORMATS``, such as ``"kalibr"``. The name of the file has no
+            say in it.
 
     Raises:
         ArgumentError: an unknown format, a batch, or a model that the format does not have; the message names formats
@@ -64,9 +58,11 @@ def save_camera(camera: Camera, path: str | Path, format: str | None = None) -> 
         tensor([159.5000, 119.5000])
     """
     format = format or "native"
-    check_choice("format", format, CAMERA_FORMATS)
+    check_choice("format", format, camera_formats())
     check_single(camera)
-    _CAMERA_WRITERS[format](camera, Path(path))
+    write = file_format(format).write_camera
+    assert write is not None
+    write(camera, Path(path))
 
 
 def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> None:
@@ -74,22 +70,24 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
 
     Args:
         rig: a single rig of cameras whose models the format has; each format's page says which.
-        path: the file, replaced at once when everything is written.
-        format: ``"native"`` (this package's own YAML, also when ``None``), ``"omnimvs"``, ``"basalt"``, ``"kalibr"`` or
-            ``"opencv"`` (two cameras). COLMAP's file has no poses: ``write_colmap`` of
-            ``sphericalvision.cameras.calibration`` writes ``rig.cameras`` to it.
+        path: the file, replaced at once when everything is written; a folder where a format has a file for each camera.
+        format: ``"native"`` (this package's own YAML, also when ``None``), or another one of
+            ``sphericalvision.cameras.calibration.RIG_FORMATS``, such as ``"kalibr"``.
 
     Raises:
         ArgumentError: an unknown format, a batch, or a model that the format does not have; the message names formats
             that have it. ``camera.convert(to=...)`` fits another model.
     """
     format = format or "native"
-    check_choice("format", format, RIG_FORMATS)
+    check_choice("format", format, rig_formats())
     check_single(rig)
-    _RIG_WRITERS[format](rig, Path(path))
-    if rig.masks and format not in _WITH_MASKS:
+    write = file_format(format).write_rig
+    assert write is not None
+    write(rig, Path(path))
+    if rig.masks and not file_format(format).holds_masks:
+        with_masks = [name for name in rig_formats() if file_format(name).holds_masks]
         warnings.warn(
             f"{path}: the format {format!r} holds no masks, those of {', '.join(rig.masks)} are not written "
-            f"({', '.join(_WITH_MASKS)} hold them)",
+            f"({', '.join(with_masks)} hold them)",
             stacklevel=2,
         )

@@ -8,42 +8,22 @@ from collections.abc import Iterable
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
+from sphericalvision.cameras.calibration.formats import file_format, file_formats
 from sphericalvision.core import ArgumentError
 
-__all__ = ["MODELS_OF_FORMAT", "check_holds", "numbers_of", "without_trailing_zeros"]
-
-MODELS_OF_FORMAT: dict[str, tuple[str, ...]] = {
-    "native": (),  # every model
-    "ocamcalib": ("ocam",),
-    "omnimvs": ("ocam",),
-    "basalt": (
-        "pinhole",
-        "brown_conrady",
-        "kannala_brandt",
-        "double_sphere",
-        "extended_unified",
-        "unified",
-    ),
-    "kalibr": (
-        "pinhole",
-        "brown_conrady",
-        "kannala_brandt",
-        "double_sphere",
-        "extended_unified",
-        "unified",
-    ),
-    "opencv": ("pinhole", "brown_conrady", "kannala_brandt", "unified"),
-    "colmap": ("pinhole", "brown_conrady", "kannala_brandt"),
-}
-"""Formats that are written, and names of the models that they have."""
+__all__ = ["check_holds", "numbers_of", "without_trailing_zeros"]
 
 
 def check_holds(format: str, camera: Camera) -> None:
     """Raise ``ArgumentError`` unless ``format`` has the camera's model and the camera is no batch."""
     check_single(camera)
-    models = MODELS_OF_FORMAT[format]
+    models = file_format(format).models
     if models and camera.model not in models:
-        others = [name for name, known in MODELS_OF_FORMAT.items() if not known or camera.model in known]
+        others = [
+            known.name
+            for known in file_formats()
+            if (known.write_camera or known.write_rig) and (not known.models or camera.model in known.models)
+        ]
         raise ArgumentError(
             f"camera: the format {format!r} has no {camera.model} model, it has {', '.join(models)}. Write it as "
             f"{' or '.join(map(repr, others))}, or convert the camera first: camera.convert(to=...)"

@@ -18,8 +18,9 @@ from typing import Any
 
 import torch
 
-from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.files import load
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
     entry,
     errors_of_file,
@@ -33,7 +34,7 @@ from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCam
 from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import transform_from_quaternion
 
-__all__ = ["contents", "joined", "recognizes"]
+__all__ = ["contents", "files_of_rig", "recognizes"]
 
 
 def recognizes(content: dict[str, Any]) -> bool:
@@ -90,26 +91,22 @@ def _pose(content: dict[str, Any], path: Path) -> torch.Tensor:
     )
 
 
-def joined(parts: list[tuple[Path, Contents]]) -> Contents:
-    """One rig from the files of several cameras.
+def files_of_rig(folder: Path) -> list[Path]:
+    """The folder's json files of this format, one for each camera."""
+    return [path for path in sorted(folder.glob("*.json")) if _is_woodscape(path)]
 
-    Raises:
-        FileFormatError: two files have a camera of one name, or one has no pose.
-    """
-    cameras: dict[str, Camera] = {}
-    source: dict[str, str] = {}
-    poses = []
-    for path, part in parts:
-        for name, camera in part.cameras.items():
-            if name in cameras:
-                raise FileFormatError(
-                    f"{path}: a second camera named {short_repr(name)} (the first is in {source[name]}); WoodScape "
-                    "has a file for each image: copy those of one moment into a folder of their own"
-                )
-            if part.world_from_camera is None:
-                raise FileFormatError(
-                    f"{path}: the key 'extrinsic' is missing; a rig needs it for every camera"
-                )
-            cameras[name], source[name] = camera, path.name
-            poses.append(part.world_from_camera)
-    return Contents(cameras, torch.cat(poses))
+
+def _is_woodscape(path: Path) -> bool:
+    content = load(path)
+    return isinstance(content, dict) and recognizes(content)
+
+
+register_format(
+    FileFormat(
+        "woodscape",
+        "WoodScape json",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        files_of_rig=files_of_rig,
+    )
+)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The registry of file formats: how each is recognised, read and written, told by its own module."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError
+
+__all__ = ["FileFormat", "file_format", "file_formats", "known_formats", "register_format"]
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """What a module of ``calibration/`` says of its format; readers and writers are there if it has them.
+
+    A file of keys with values (YAML, JSON, OpenCV's XML) is parsed once and offered to all formats; any other file is
+    offered as it is.
+    """
+
+    name: str
+    """As in ``save_camera(format=...)``."""
+    title: str
+    """In messages: the program and its file."""
+    recognizes_keys: Callable[[dict[str, Any]], bool] | None = None
+    """Whether parsed keys with values are of this format; at most one format says so of a whole file."""
+    contents_of_keys: Callable[[dict[str, Any], Path, Options], Contents] | None = None
+    recognizes_file: Callable[[Path], bool] | None = None
+    """The same of a file that is no such thing, by its name or content."""
+    contents_of_file: Callable[[Path, Options], Contents] | None = None
+    usual_names: tuple[str, ...] = ()
+    """By which its file is found in a folder, the first one that is there."""
+    files_of_rig: Callable[[Path], list[Path]] | None = None
+    """The files of a folder that are a rig together, one for each camera."""
+    tells_unit: bool = True
+    """Whether translations are metres, or the file says what they are."""
+    models: tuple[str, ...] = ()
+    """Names of the camera models that are written; none means every model."""
+    write_camera: Callable[[Camera, Path], None] | None = None
+    write_rig: Callable[[CameraRig, Path], None] | None = None
+    holds_masks: bool = False
+
+
+_FORMATS: dict[str, FileFormat] = {}
+
+
+def register_format(format: FileFormat) -> FileFormat:
+    """Make a format known to ``read_camera``, ``read_rig``, ``save_camera`` and ``save_rig``.
+
+    Raises:
+        ArgumentError: another format has its name.
+    """
+    if _FORMATS.get(format.name, format) != format:
+        raise ArgumentError(f"format: {format.name!r} is registered already; give this one another name")
+    _FORMATS[format.name] = format
+    return format
+
+
+def file_formats() -> list[FileFormat]:
+    """All formats, the package's own first."""
+    return sorted(_FORMATS.values(), key=lambda format: (format.name != "native", format.name))
+
+
+def file_format(name: str) -> FileFormat:
+    """The format of a name that is known."""
+    return _FORMATS[name]
+
+
+def known_formats() -> str:
+    """The end of messages about files of no known format."""
+    return f"known are {', '.join(format.title for format in file_formats())}"

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``transforms.json`` of nerfstudio, instant-ngp and the synthetic NeRF scenes: images with poses, one lens or several.
+
+Convention:
+    ``transform_matrix`` takes coordinates of an OpenGL camera (x right, y up, z backward) to the world's; the last two
+    axes are turned here. Centres of pixels are half a pixel further than here, as in COLMAP. Lengths are in the file's
+    own unit, which is metres if the one who made it saw to that.
+
+    As a rig, each frame is a camera, called by its ``file_path`` without the suffix. As cameras, there is one lens for
+    all frames, ``cam1``, or one for each if they have intrinsics of their own.
+
+References:
+    M. Tancik et al., "Nerfstudio", SIGGRAPH 2023, and its page "Data conventions"; T. Müller et al., "Instant neural
+    graphics primitives", TOG 41 (2022).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import torch
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.parsing import (
+    entry,
+    errors_of_file,
+    focal_lengths,
+    mapping,
+    number,
+    size_from_width_height,
+)
+from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.supported_models import (
+    check_holds,
+    numbers_of,
+    without_trailing_zeros,
+)
+from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
+from sphericalvision.cameras.models.pinhole import PinholeCamera
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError, FileFormatError, short_repr
+from sphericalvision.io.files import atomic_write
+
+__all__ = ["contents", "recognizes", "write_nerfstudio"]
+
+_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "OPENCV", "OPENCV_FISHEYE", "EQUIRECTANGULAR")
+_OPENGL_FROM_OPENCV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+_OWN = ("fl_x", "fl_y", "camera_angle_x", "cx", "k1", "w")
+"""Keys by which a frame has a lens of its own."""
+
+
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file has frames, and no cameras apart from them."""
+    return "frames" in content and "cameras" not in content
+
+
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+    """A camera for each frame if poses are wanted, else the lenses.
+
+    Raises:
+        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
+        ArgumentError: the size of the images is neither in the file nor given.
+    """
+    frames = content["frames"]
+    if not isinstance(frames, list) or not frames:
+        raise FileFormatError(
+            f"{path}, frames: expected a list of at least one frame, got {short_repr(frames)}"
+        )
+    own = [
+        any(key in mapping(frame, f"{path}, frames[{i}]") for key in _OWN) for i, frame in enumerate(frames)
+    ]
+    shared = None
+    if not all(own):
+        shared = _camera(content, str(path), options)
+    cameras: dict[str, Camera] = {}
+    poses = []
+    for index, frame in enumerate(frames):
+        where = f"{path}, frames[{index}]"
+        name = str(PurePosixPath(str(entry(frame, "file_path", where))).with_suffix(""))
+        if name in cameras:
+            raise FileFormatError(f"{where}, file_path: a second frame named {short_repr(name)}")
+        cameras[name] = shared if shared and not own[index] else _camera({**content, **frame}, where, options)
+        pose = transform_from_rows(entry(frame, "transform_matrix", where), f"{where}, transform_matrix")
+        poses.append(pose @ _OPENGL_FROM_OPENCV)
+    if not options.rig and shared and not any(own):
+        return Contents({"cam1": shared})
+    return Contents(cameras, torch.stack(poses))
+
+
+def _camera(values: Mapping[str, Any], where: str, options: Options) -> Camera:
+    """The lens of a frame, or of all: a frame's own keys stand for those at the top."""
+    camera = _unbounded_camera(values, where, options)
+    if isinstance(camera, EquirectangularCamera):
+        return camera
+    return bounded(camera, options.max_angle, where)
+
+
+def _unbounded_camera(values: Mapping[str, Any], where: str, options: Options) -> Camera:
+    size = _image_size(values, where, options)
+    height, width = size
+    kind = values.get("camera_model") or ("OPENCV_FISHEYE" if values.get("is_fisheye") else "OPENCV")
+    if kind not in _MODELS:
+        raise FileFormatError(
+            f"{where}, camera_model: expected one of {', '.join(_MODELS)}, got {short_repr(kind)}"
+        )
+    if kind == "EQUIRECTANGULAR":
+        return EquirectangularCamera(size)
+    focal_length = torch.tensor(_focal_lengths(values, width, height, where), dtype=torch.float64)
+    middle = {"cx": width / 2, "cy": height / 2}
+    center = [(number(values, key, where) if key in values else middle[key]) - 0.5 for key in middle]
+
+    def get(*keys: str) -> list[float]:
+        return [number(values, key, where) if values.get(key) is not None else 0.0 for key in keys]
+
+    with errors_of_file(where):
+        if kind == "OPENCV_FISHEYE":
+            return KannalaBrandtCamera(focal_length, center, get("k1", "k2", "k3", "k4"), size, math.pi)
+        k1, k2, k3, k4, p1, p2 = get("k1", "k2", "k3", "k4", "p1", "p2")
+        if k4:
+            raise FileFormatError(f"{where}, k4: expected 0 in a lens that is no fisheye, got {k4:g}")
+        if kind.endswith("PINHOLE") or not any((k1, k2, k3, p1, p2)):
+            return PinholeCamera(focal_length, center, size)
+        return BrownConradyCamera(focal_length, center, [k1, k2, p1, p2, k3], size)
+
+
+def _image_size(values: Mapping[str, Any], where: str, options: Options) -> tuple[int, int]:
+    if "w" in values or "h" in values:
+        return size_from_width_height([entry(values, key, where) for key in ("w", "h")], f"{where}, w and h")
+    if options.image_size is None:
+        raise ArgumentError(f"image_size: {where} has no w and h; pass image_size=(height, width)")
+    return options.image_size
+
+
+def _focal_lengths(values: Mapping[str, Any], width: int, height: int, where: str) -> list[float]:
+    """Along u and v, each as a focal length, else from the angle of view, else as the other one."""
+    found = []
+    for key, angle, side in (("fl_x", "camera_angle_x", width), ("fl_y", "camera_angle_y", height)):
+        if key in values:
+            found.append(number(values, key, where))
+        elif angle in values:
+            half = number(values, angle, where) / 2
+            if not 0 < half < math.pi / 2:
+                raise FileFormatError(f"{where}, {angle}: expected radians between 0 and π, got {2 * half:g}")
+            found.append(side / 2 / math.tan(half))
+    if not found:
+        entry(values, "fl_x", where)
+    return focal_lengths([found[0], found[-1]], where)
+
+
+def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
+    """Write a camera or a rig of one model; a frame for each camera, whose image is ``images/<name>.png``.
+
+    Fields of view and masks are not part of the format.
+
+    Raises:
+        ArgumentError: nerfstudio has no such model, or the rig has several.
+    """
+    rig = cameras if isinstance(cameras, CameraRig) else CameraRig({"cam1": cameras}, torch.eye(4)[None])
+    kinds = {}
+    frames = []
+    poses = rig.world_from_camera.detach().cpu().double() @ _OPENGL_FROM_OPENCV
+    for (name, camera), pose in zip(rig.cameras.items(), poses, strict=True):
+        kinds[name], values = _values(camera)
+        frames.append({"file_path": f"images/{name}.png", **values, "transform_matrix": pose.tolist()})
+    if len(set(kinds.values())) > 1:
+        raise ArgumentError(
+            f"rig: nerfstudio has one camera model for all frames, got {kinds}; convert the others: "
+            "camera.convert(to=...), or write 'native'"
+        )
+    content = {"camera_model": next(iter(kinds.values())), "frames": frames}
+    with atomic_write(path) as unfinished:
+        unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _values(camera: Camera) -> tuple[str, dict[str, Any]]:
+    """Nerfstudio's name of the model, and the keys of its parameters."""
+    check_holds("nerfstudio", camera)
+    height, width = camera.image_size
+    size = {"w": width, "h": height}
+    if isinstance(camera, EquirectangularCamera):
+        if camera.vertical_field_of_view != math.pi:
+            raise ArgumentError(
+                "camera: nerfstudio's panoramas are whole, this one is a band; write 'native'"
+            )
+        return "EQUIRECTANGULAR", size
+    assert isinstance(camera, PinholeCamera | BrownConradyCamera | KannalaBrandtCamera)
+    names = ["fl_x", "fl_y", "cx", "cy"]
+    values = [
+        *numbers_of(camera.focal_length),
+        *(value + 0.5 for value in numbers_of(camera.principal_point)),
+    ]
+    kind = "PINHOLE"
+    if isinstance(camera, KannalaBrandtCamera):
+        kind, names = "OPENCV_FISHEYE", [*names, "k1", "k2", "k3", "k4"]
+        values += without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion")
+    elif isinstance(camera, BrownConradyCamera):
+        kind, names = "OPENCV", [*names, "k1", "k2", "p1", "p2", "k3"]
+        values += without_trailing_zeros(numbers_of(camera.distortion), (5,), "distortion (k1 k2 p1 p2 k3)")
+    return kind, {**size, **dict(zip(names, values, strict=True))}
+
+
+register_format(
+    FileFormat(
+        "nerfstudio",
+        "nerfstudio and instant-ngp transforms.json",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        usual_names=("transforms.json",),
+        models=("pinhole", "brown_conrady", "kannala_brandt", "equirectangular"),
+        write_camera=write_nerfstudio,
+        write_rig=write_nerfstudio,
+    )
+)

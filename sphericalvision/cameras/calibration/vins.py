@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""VINS-Fusion's estimator YAML: poses of one or two cameras, and the names of their camodocal files beside it.
+
+Convention:
+    ``body_T_cam0`` takes coordinates of the camera to the IMU's, in metres; the IMU is the rig's world.
+
+References:
+    T. Qin, J. Pan, S. Cao, S. Shen, "A general optimization-based framework for local odometry estimation with multiple
+    sensors", arXiv 1901.03638.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration import camodocal
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.files import load
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.opencv_keys import matrix
+from sphericalvision.cameras.calibration.parsing import entry
+from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.core import FileFormatError, check_file, short_repr
+
+__all__ = ["contents", "recognizes"]
+
+
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file names the calibration of its first camera."""
+    return "cam0_calib" in content or "num_of_cam" in content
+
+
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+    """The cameras ``cam0`` and ``cam1`` of a parsed file, and their poses.
+
+    Raises:
+        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
+        MissingFileError: the file of a camera is not where this one says.
+    """
+    cameras: dict[str, Camera] = {}
+    poses = []
+    for index in range(2 if "cam1_calib" in content else 1):
+        name, key = f"cam{index}", f"cam{index}_calib"
+        file_name = entry(content, key, str(path))
+        if not isinstance(file_name, str) or not file_name or "\0" in file_name:
+            raise FileFormatError(f"{path}, {key}: expected the name of a file, got {short_repr(file_name)}")
+        file = check_file(path.parent / file_name, f"the calibration of {name}, which {path} names")
+        inner = load(file)
+        if not isinstance(inner, dict) or not camodocal.recognizes(inner):
+            raise FileFormatError(f"{file}: expected model_type, projection_parameters and so on (of {path})")
+        cameras[name] = next(iter(camodocal.contents(inner, file, options).cameras.values()))
+        where = f"{path}, body_T_{name}"
+        poses.append(
+            transform_from_rows(matrix(entry(content, f"body_T_{name}", str(path)), where, 16), where)
+        )
+    return Contents(cameras, torch.stack(poses))
+
+
+register_format(
+    FileFormat("vins", "VINS-Fusion estimator yaml", recognizes_keys=recognizes, contents_of_keys=contents)
+)

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""transforms.json: OpenGL's axes, half a pixel, lenses shared and not, and the older ways to say a focal length."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from sphericalvision.cameras import (
+    BrownConradyCamera,
+    CameraRig,
+    EquirectangularCamera,
+    FisheyeCamera,
+    PinholeCamera,
+    read_camera,
+    read_cameras,
+    read_rig,
+    save_rig,
+)
+from tests.cameras.calibration_samples import (
+    FISHEYE,
+    assert_projects,
+    directions,
+    dump,
+    opencv_fisheye,
+    transforms,
+)
+
+
+def test_frames_are_a_rig_in_opencvs_axes(tmp_path: Path) -> None:
+    """Of an OpenGL camera the columns are right, up and backward; ahead and down here are their opposites."""
+    rig = read_rig(dump(tmp_path / "transforms.json", transforms()), dtype=torch.float64)
+    assert rig.names == ["images/frame_00001", "images/frame_00002"]
+    torch.testing.assert_close(rig.axes, torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]).double())
+    torch.testing.assert_close(rig.positions, torch.tensor([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0]]).double())
+    down = torch.stack([pose[:3, 1] for pose in rig.world_from_camera])
+    torch.testing.assert_close(down, torch.tensor([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]).double())
+
+
+def test_lens_is_opencvs_half_a_pixel_off(tmp_path: Path) -> None:
+    camera = read_camera(dump(tmp_path / "transforms.json", transforms()), dtype=torch.float64)
+    rays = directions(60.0)
+    assert_projects(camera, opencv_fisheye(rays, FISHEYE, [0.0035, 0.0007, -0.002, 0.0002]), rays)
+
+
+def test_angle_of_view_stands_for_a_focal_length(tmp_path: Path) -> None:
+    """The synthetic NeRF scenes have nothing else, and not even a size."""
+    content = {"camera_angle_x": math.pi / 2, "frames": transforms()["frames"]}
+    path = dump(tmp_path / "transforms_train.json", content)
+    camera = read_camera(path, image_size=(80, 100))
+    assert isinstance(camera, PinholeCamera)
+    torch.testing.assert_close(camera.focal_length, torch.tensor([50.0, 50.0]))
+    assert camera.principal_point.tolist() == [49.5, 39.5]
+    with pytest.raises(ValueError, match=r"has no w and h; pass image_size"):
+        read_camera(path)
+
+
+def test_frames_may_have_lenses_of_their_own(tmp_path: Path) -> None:
+    content = transforms(camera_model="OPENCV", k3=0.0, k4=0.0, p1=1e-3)
+    content["frames"][1] |= {"fl_x": 300.0, "w": 640}
+    cameras = read_cameras(dump(tmp_path / "transforms.json", content))
+    first, second = cameras.values()
+    assert isinstance(first, BrownConradyCamera)
+    assert isinstance(second, BrownConradyCamera)
+    assert (first.focal_length[0].item(), second.focal_length[0].item()) == pytest.approx((190.98, 300.0))
+    assert (first.image_size, second.image_size) == ((512, 512), (512, 640))
+
+
+def test_instant_ngps_flag_makes_a_fisheye(tmp_path: Path) -> None:
+    content = transforms(is_fisheye=True)
+    del content["camera_model"]
+    camera = read_camera(dump(tmp_path / "transforms.json", content))
+    assert camera.equals(read_camera(dump(tmp_path / "other.json", transforms())))
+
+
+def test_panoramas_see_everything(tmp_path: Path) -> None:
+    path = dump(tmp_path / "transforms.json", transforms(camera_model="EQUIRECTANGULAR"))
+    assert read_camera(path).equals(EquirectangularCamera((512, 512)))
+    rig = CameraRig([EquirectangularCamera((64, 128))], torch.eye(4)[None])
+    save_rig(rig, path, "nerfstudio")
+    assert read_rig(path).cameras["images/cam1"].equals(rig.cameras["cam1"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"camera_model": "FISHEYE624"}, "camera_model: expected one of SIMPLE_PINHOLE"),
+        ({"camera_model": "OPENCV"}, "k4: expected 0 in a lens that is no fisheye, got 0.0002"),
+        ({"frames": []}, "frames: expected a list of at least one frame"),
+        ({"fl_x": -3}, "expected positive focal lengths"),
+        ({"w": 0.5}, "w and h: expected the width and height"),
+    ],
+)
+def test_what_makes_no_sense_is_named(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=rf"transforms\.json, {message}|transforms\.json: {message}"):
+        read_rig(dump(tmp_path / "transforms.json", transforms(**changes)))
+
+
+def test_one_model_for_all(tmp_path: Path) -> None:
+    poses = torch.eye(4).repeat(2, 1, 1)
+    rig = CameraRig(
+        [EquirectangularCamera((64, 128)), PinholeCamera([9.0, 9.0], [9.0, 9.0], (20, 20))], poses
+    )
+    with pytest.raises(ValueError, match="nerfstudio has one camera model for all frames"):
+        save_rig(rig, tmp_path / "transforms.json", "nerfstudio")
+    fisheye = CameraRig([FisheyeCamera.from_field_of_view((64, 64), 3.0)], poses[:1])
+    with pytest.raises(ValueError, match="'nerfstudio' has no fisheye model"):
+        save_rig(fisheye, tmp_path / "transforms.json", "nerfstudio")
+
+
+def test_poses_come_back_in_opengls_axes(tmp_path: Path) -> None:
+    """The writer's matrices are those that nerfstudio expects, not only those that the reader undoes."""
+    rig = read_rig(dump(tmp_path / "transforms.json", transforms()), dtype=torch.float64)
+    save_rig(rig, tmp_path / "again.json", "nerfstudio")
+    frames = json.loads((tmp_path / "again.json").read_text())["frames"]
+    for frame, source in zip(frames, transforms()["frames"], strict=True):
+        np.testing.assert_allclose(frame["transform_matrix"], source["transform_matrix"], atol=1e-12)

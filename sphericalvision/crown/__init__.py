@@ -28,7 +28,7 @@ from sphericalvision.crown.pool import (
     crown_max_pool2d,
     crown_upsample,
 )
-from sphericalvision.crown.recompute import RecomputedModule, recomputed
+from sphericalvision.crown.recompute import RecomputedModule
 
 __all__ = [
     "Crown",
@@ -67,7 +67,6 @@ __all__ = [
     "hex_pad",
     "kernel_option",
     "north_fraction",
-    "recomputed",
     "set_kernel_options",
     "to_crown",
 ]

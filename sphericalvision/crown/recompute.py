@@ -3,63 +3,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import torch
-from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
 
-__all__ = ["RecomputedModule", "recomputed"]
+__all__ = ["RecomputedModule"]
 
 
-def recomputed(
-    module: nn.Module,
-    inputs: Float[Tensor, " ..."],
-    forward: Callable[[Tensor], Tensor] | None = None,
-) -> Float[Tensor, " ..."]:
-    """Return ``module(inputs)``, keeping only ``inputs`` for the backward pass.
+class RecomputedModule(nn.Module):
+    """A module that in training keeps its inputs alone for the backward pass, if ``recompute`` says so.
 
-    Same results and gradients for a third more work. Running statistics take one step, not two.
-
-    Args:
-        module: whose running statistics are looked after.
-        inputs: of the module.
-        forward: what to call; the module itself when not given.
+    What lies inside is computed again when it is wanted: the same results and gradients for a third more work.
+    Running statistics take one step, not two. See ``set_kernel_options``.
 
     References:
         Chen, Xu, Zhang and Guestrin (2016), "Training deep nets with sublinear memory cost".
 
     Examples:
-        >>> layer, inputs = nn.Linear(2, 2), torch.ones(1, 2)
-        >>> torch.equal(recomputed(layer, inputs), layer(inputs))
+        >>> class Layer(RecomputedModule, nn.Linear):
+        ...     pass
+        >>> layer, inputs = Layer(2, 2), torch.ones(1, 2)
+        >>> expected = layer(inputs)
+        >>> layer.recompute = True
+        >>> torch.equal(layer(inputs), expected)
         True
-    """
-    run = module if forward is None else forward
-    if not torch.is_grad_enabled():
-        return run(inputs)  # type: ignore[no-any-return]
-
-    def contexts() -> tuple[AbstractContextManager[None], AbstractContextManager[None]]:
-        return nullcontext(), _StillStatistics(module)
-
-    return checkpoint(run, inputs, use_reentrant=False, context_fn=contexts)  # type: ignore[no-any-return]
-
-
-class RecomputedModule(nn.Module):
-    """A module of one input that in training is computed twice to save memory, if ``recompute`` says so.
-
-    See ``set_kernel_options``.
     """
 
     recompute = False
 
-    def __call__(self, inputs: Float[Tensor, " ..."]) -> Any:
-        if self.recompute and self.training:
-            return recomputed(self, inputs, super().__call__)
-        return super().__call__(inputs)
+    def __call__(self, *inputs: Any) -> Any:
+        run = super().__call__
+        if not (self.recompute and self.training and torch.is_grad_enabled()):
+            return run(*inputs)
+
+        def contexts() -> tuple[AbstractContextManager[None], AbstractContextManager[None]]:
+            return nullcontext(), _StillStatistics(self)
+
+        return checkpoint(run, *inputs, use_reentrant=False, context_fn=contexts)
 
 
 class _StillStatistics:

@@ -3,18 +3,17 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import torch
 from jaxtyping import Bool, Float, Num
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.crown import kernel_option, set_kernel_options
 from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.models.arguments import RemembersArguments
 from sphericalvision.sweep import DepthEstimate, depth_from_index
 from sphericalvision.sweep.hypotheses import check_hypotheses
 
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["DepthNetwork"]
 
 
-class DepthNetwork(nn.Module):
+class DepthNetwork(RemembersArguments):
     """Depth around a rig as hypothesis indices on a grid of directions: the base of all networks that estimate it.
 
     A subclass says in ``images`` what images it wants, sets ``grid``, and writes ``predict``. Whatever else is here
@@ -58,6 +57,7 @@ class DepthNetwork(nn.Module):
     Examples:
         A network whose depth is the same everywhere, and is learned:
 
+        >>> from torch import nn
         >>> from sphericalvision.cameras import ring_rig
         >>> from sphericalvision.icosphere import Icosphere
         >>> class Constant(DepthNetwork):
@@ -82,25 +82,6 @@ class DepthNetwork(nn.Module):
     grid: Icosphere | Equirectangular
     level: int
     image_channels: tuple[int, ...] = (3,)
-
-    _arguments: dict[str, Any]
-
-    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
-        """Note the constructor's arguments, before the constructors of the class and its bases run."""
-        net = super().__new__(cls)
-        try:
-            bound = inspect.signature(cls.__init__).bind(net, *args, **kwargs)
-        except (
-            TypeError
-        ):  # a copy is made without arguments and gets these with its state; or __init__ will raise
-            return net
-        bound.apply_defaults()
-        arguments = dict(list(bound.arguments.items())[1:])
-        for parameter in inspect.signature(cls.__init__).parameters.values():
-            if parameter.kind is inspect.Parameter.VAR_KEYWORD:
-                arguments |= arguments.pop(parameter.name)
-        object.__setattr__(net, "_arguments", arguments)
-        return net
 
     def __init__(
         self, num_hypotheses: int, min_depth: float, num_cameras: int, any_cameras: bool = False
@@ -150,22 +131,20 @@ class DepthNetwork(nn.Module):
         seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
     ) -> None:
         """Raise ``ShapeError`` unless images and ``seen`` have the shape and the cameras that this network takes."""
-        cameras = "n" if self.any_cameras else self.num_cameras
-        size = (num_icosphere_vertices(self.level),) if self.images == "sphere" else images.shape[3:]
-        fits = images.ndim == (4 if self.images == "sphere" else 5) and images.shape[3:] == size
+        on_sphere = self.images == "sphere"
+        size = (num_icosphere_vertices(self.level),) if on_sphere else images.shape[3:]
         if (
-            not fits
+            images.ndim != (4 if on_sphere else 5)
+            or images.shape[3:] != size
             or images.shape[2] not in self.image_channels
             or (images.shape[1] != self.num_cameras and not self.any_cameras)
         ):
+            cameras = "n" if self.any_cameras else self.num_cameras
             channels = " or ".join(map(str, self.image_channels))
-            shape, where = (
-                (size[0], f" on icospheres of level {self.level}")
-                if self.images == "sphere"
-                else ("H, W", "")
-            )
+            last = size[0] if on_sphere else "H, W"
+            where = f" on icospheres of level {self.level}" if on_sphere else ""
             raise ShapeError(
-                f"images: expected shape (B, {cameras}, {channels}, {shape}) for {cameras} cameras{where}, "
+                f"images: expected shape (B, {cameras}, {channels}, {last}) for {cameras} cameras{where}, "
                 f"got {tuple(images.shape)}"
             )
         one = (images.shape[1], *size)
@@ -198,15 +177,6 @@ class DepthNetwork(nn.Module):
     def device(self) -> torch.device:
         """Where the network is."""
         return next(chain(self.parameters(), self.buffers())).device
-
-    @property
-    def hyperparameters(self) -> dict[str, Any]:
-        """Plain values that rebuild this network, ``type(net)(**net.hyperparameters)``: what it was constructed with.
-
-        Raises:
-            ArgumentError: if it was constructed with something else than plain values.
-        """
-        return {name: _plain(name, value) for name, value in self._arguments.items()}
 
     def with_changes(self, **changes: Any) -> Self:
         """Return a network with the same weights and other hyper-parameters; ``None`` leaves one as it is.
@@ -271,20 +241,3 @@ class DepthNetwork(nn.Module):
     def recompute(self) -> bool:
         """Whether training computes the inside of blocks twice; see ``configure``."""
         return kernel_option(self, "recompute")
-
-    def extra_repr(self) -> str:
-        return ", ".join(f"{name}={value}" for name, value in self._arguments.items())
-
-
-def _plain(name: str, value: Any) -> Any:
-    """The value of a hyper-parameter as a file can hold it."""
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): _plain(name, item) for key, item in value.items()}
-    if isinstance(value, Sequence):
-        return [_plain(name, item) for item in value]
-    raise ArgumentError(
-        f"{name}: expected plain values (numbers, text, None, lists of them), which files can hold, "
-        f"got {type(value).__name__}"
-    )

@@ -19,6 +19,7 @@ from sphericalvision.sweep import (
     DepthEstimate,
     SphereSweep,
     SweepTables,
+    SweepVolume,
     depth_estimate,
     named_aggregation,
 )
@@ -122,12 +123,13 @@ class IcoSweepNet(DepthNetwork):
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
         self.check_images(images, seen)
+        # A line a stage; the largest tensors share one name, so that each goes as soon as the next one stands.
         features = self.extract_features(images)
-        swept = self.sweep(features, rig, seen)
-        views, volume = swept.seen, self.aggregation(swept)
-        del features, swept  # the largest tensors of the network; the volume itself goes when it is fused
+        volume, views = self.sweep(features, rig, seen)
+        volume = self.aggregation(SweepVolume(volume, views))
         volume = self.regularizer.fusion(volume)
-        return depth_estimate(self.regularizer.refine(volume), views)
+        scores = self.regularizer.refine(volume)
+        return depth_estimate(scores, views)
 
     def tables(self, rig: CameraRig) -> SweepTables:
         """Return where each camera sees every point of the sweep, to be passed in place of the rig."""

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import torch
@@ -12,10 +11,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.crown import recomputed
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.models.omnimvs_layers import SphereConv
-from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
+from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures, Transference
 from sphericalvision.sweep import (
     Aggregation,
     DepthEstimate,
@@ -117,7 +114,7 @@ class OmniMVS(DepthNetwork):
         self.features = FisheyeFeatures(feature_channels, in_channels, norm)
         self.sweep = PanoramaSweep(size, num_hypotheses, min_depth)
         self.grid = self.sweep.grid
-        self.transference = SphereConv(feature_channels, feature_channels, circular)
+        self.transference = Transference(feature_channels, feature_channels, circular)
         self.aggregation = named_aggregation(aggregation, feature_channels, num_cameras)
         self.any_cameras = self.aggregation.any_cameras
         self.hourglass = CostHourglass(
@@ -148,21 +145,12 @@ class OmniMVS(DepthNetwork):
         Raises:
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
-        tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
-        self.check_images(images, seen)
-        if tuple(images.shape[-2:]) != tables.image_size:
-            height, width = tables.image_size
-            raise ShapeError(
-                f"images: the rig is calibrated for {height} x {width} (height x width), "
-                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
-            )
+        tables = self._fitting_tables(rig, images, seen)
         features = self.extract_features(images)
         swept = self.sweep_features(features, tables, seen)
-        volume = self.aggregation(swept).contiguous(memory_format=torch.channels_last_3d)
-        scores = self.hourglass(volume)
-        index = soft_argmax(scores.flatten(2)).unflatten(1, self.grid.shape)
-        confidence = soft_argmax_confidence(scores.flatten(2)).unflatten(1, self.grid.shape)
-        return DepthEstimate(index, confidence, self._seen_at(index.detach(), tables, seen))
+        volume = self.aggregation(swept)
+        scores = self.hourglass(volume).flatten(2)
+        return self._estimate(scores, tables, seen)
 
     def extract_features(self, images: Float[Tensor, "B n C_in H W"]) -> Float[Tensor, "B n C h_f w_f"]:
         """Return the features ``(B, n, C, ceil(H / 2), ceil(W / 2))`` of images ``(B, n, 1 or 3, H, W)``.
@@ -183,24 +171,36 @@ class OmniMVS(DepthNetwork):
     ) -> SweepVolume:
         """Return what features ``(B, n, C, h_f, w_f)`` of cameras add to the volume: ``(B, n, C, N/2, h/2, w/2)``."""
         self.sweep.check_maps(features, tables)
-        volumes = []
-        for camera, maps in enumerate(features.unbind(1)):
-            run = partial(self._camera_volume, tables=tables, camera=camera)
-            again = self.recompute and self.training
-            volumes.append(recomputed(self.transference, maps, run) if again else run(maps))
+        volumes = [
+            self.transference(maps, self.sweep, tables, camera)
+            for camera, maps in enumerate(features.unbind(1))
+        ]
         points_seen = self.sweep.seen(tables.every_second_pixel(), seen)
         return SweepVolume(
             torch.stack(volumes, 1), points_seen.expand(len(features), *points_seen.shape[-4:])
         )
 
-    def _camera_volume(self, features: Tensor, tables: PanoramaTables, camera: int) -> Tensor:
-        """Return the swept features ``(B, C, h_f, w_f)`` of a camera on the coarser grid: ``(B, C, N/2, h/2, w/2)``."""
-        return self.transference(self.sweep.camera_values(features, tables, camera))  # type: ignore[no-any-return]
+    def _fitting_tables(
+        self, rig: CameraRig | PanoramaTables, images: Tensor, seen: Tensor | None
+    ) -> PanoramaTables:
+        """The tables of a rig, if the images are of the size and the number that it asks for."""
+        tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
+        self.check_images(images, seen)
+        if tuple(images.shape[-2:]) != tables.image_size:
+            height, width = tables.image_size
+            raise ShapeError(
+                f"images: the rig is calibrated for {height} x {width} (height x width), "
+                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
+            )
+        return tables
 
-    def _seen_at(self, index: Tensor, tables: PanoramaTables, seen: Tensor | None) -> Tensor:
-        """Whether two cameras see the points of hypotheses ``(B, h, w)``, at the nearest sphere that is swept."""
-        sphere = (index / self.sweep.every).round().long().clamp(max=tables.mask.shape[-3] - 1)
-        return self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3).sum(-3) >= 2
+    def _estimate(self, scores: Tensor, tables: PanoramaTables, seen: Tensor | None) -> DepthEstimate:
+        """Index and confidence of scores ``(B, N, h * w)``, and what was seen at the nearest sphere that is swept."""
+        index = soft_argmax(scores).unflatten(1, self.grid.shape)
+        confidence = soft_argmax_confidence(scores).unflatten(1, self.grid.shape)
+        sphere = (index.detach() / self.sweep.every).round().long().clamp(max=tables.mask.shape[-3] - 1)
+        views = self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3)
+        return DepthEstimate(index, confidence, views.sum(-3) >= 2)
 
 
 def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int]:

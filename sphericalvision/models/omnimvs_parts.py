@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two halves of OmniMVS: features of fisheye images, and the encoder and decoder of the cost volume."""
+"""The parts of OmniMVS: features of fisheye images, their sweep, and the encoder and decoder of the cost volume."""
 
 from __future__ import annotations
 
+import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.crown import RecomputedModule
-from sphericalvision.models.omnimvs_layers import ImageConv, VolumeConv, VolumeUpConv
+from sphericalvision.models.omnimvs_layers import ImageConv, SphereConv, VolumeConv, VolumeUpConv
+from sphericalvision.sweep import PanoramaSweep, PanoramaTables
 
-__all__ = ["CostHourglass", "FisheyeFeatures"]
+__all__ = ["CostHourglass", "FisheyeFeatures", "Transference"]
 
 
 class DilatedBlock(nn.Module):
@@ -59,6 +61,23 @@ class FisheyeFeatures(RecomputedModule):
 
     def forward(self, images: Float[Tensor, "B C_in H W"]) -> Float[Tensor, "B C h_f w_f"]:
         return self.last(self.blocks(F.relu(self.entry(images))))  # type: ignore[no-any-return]
+
+
+class Transference(RecomputedModule, SphereConv):
+    """Map the features of a camera ``(B, C, h_f, w_f)`` to its share of the volume, ``(B, C', D, h, w)``.
+
+    They are swept, and each sphere is convolved to half as many pixels: with ``recompute`` the sweep of one camera is
+    in memory at a time.
+    """
+
+    def forward(  # type: ignore[override]
+        self,
+        features: Float[Tensor, "B C h_f w_f"],
+        sweep: PanoramaSweep,
+        tables: PanoramaTables,
+        camera: int,
+    ) -> Float[Tensor, "B C_out D h w"]:
+        return super().forward(sweep.camera_values(features, tables, camera))
 
 
 class EncoderConv(RecomputedModule, VolumeConv):
@@ -115,7 +134,7 @@ class CostHourglass(nn.Module):
         self.score = VolumeUpConv(channels, 1, None, circular)
 
     def forward(self, volume: Float[Tensor, "B C_in D h w"]) -> Float[Tensor, "B 2*D 2*h 2*w"]:
-        volume = self.fusion(volume)
+        volume = self.fusion(volume.contiguous(memory_format=torch.channels_last_3d))
         skips = []
         for entry, across in zip(self.entries, self.across, strict=True):
             volume = entry(volume)

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, check_level
 from sphericalvision.models.base import DepthNetwork
@@ -20,13 +21,46 @@ from sphericalvision.sweep import (
     semi_global_tables,
 )
 
-if TYPE_CHECKING:
-    from sphericalvision.cameras import CameraRig
-
 __all__ = ["SemiGlobalSweep", "WinnerTakesAll"]
 
 
-class SemiGlobalSweep(DepthNetwork):
+class _SweepWithoutTraining(DepthNetwork):
+    """A network whose answer follows from the images alone, for any number of cameras."""
+
+    def __init__(self, level: int, num_hypotheses: int, min_depth: float, depth_coarsening: int) -> None:
+        super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
+        if not 0 <= depth_coarsening <= check_level(level):
+            raise ArgumentError(f"depth_coarsening: expected 0 to level = {level}, got {depth_coarsening!r}")
+        self.level, self.depth_level = level, level - depth_coarsening
+        self.grid = Icosphere(self.depth_level)
+
+    @torch.no_grad()
+    def predict(
+        self,
+        images: Float[Tensor, "B n 3 V_image"],
+        rig: CameraRig | Any,
+        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
+    ) -> DepthEstimate:
+        """Return index, confidence and whether two cameras saw it, each ``(B, V)``; none has a gradient.
+
+        Args:
+            images: ``(B, n, 3, V_level)``.
+            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
+            seen: ``([B,] n, V_level)``, True where the images show something. When not given, all that fields of view
+                and masks of the rig hold was seen.
+
+        Raises:
+            ShapeError: if the images have another shape than the network or the rig asks for.
+        """
+        self.check_images(images, seen)
+        return self._sweep(images, self.tables(rig) if isinstance(rig, CameraRig) else rig, seen)
+
+    def _sweep(self, images: Tensor, tables: Any, seen: Tensor | None) -> DepthEstimate:
+        """The estimate from images that fit, and what ``tables`` returns."""
+        raise NotImplementedError(f"{type(self).__name__}._sweep")
+
+
+class SemiGlobalSweep(_SweepWithoutTraining):
     """``semi_global_sweep`` as a network without parameters: correlation of the best cameras, smoothed.
 
     Args:
@@ -62,13 +96,11 @@ class SemiGlobalSweep(DepthNetwork):
         large_penalty: float = 3.6,
         contrast: float = 0.4,
     ) -> None:
-        super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
-        _check_coarsening(level, depth_coarsening)
+        super().__init__(level, num_hypotheses, min_depth, depth_coarsening)
         if not 0 <= cost_coarsening <= depth_coarsening:
             raise ArgumentError(
                 f"cost_coarsening: expected 0 to depth_coarsening = {depth_coarsening}, got {cost_coarsening!r}"
             )
-        self.level, self.grid = level, Icosphere(level - depth_coarsening)
         self.cost_level, self.substeps = level - cost_coarsening, substeps
         self.small_penalty, self.large_penalty, self.contrast = small_penalty, large_penalty, contrast
 
@@ -79,30 +111,13 @@ class SemiGlobalSweep(DepthNetwork):
             rig, self.num_hypotheses, self.min_depth, self.level, self.cost_level, self.substeps
         )
 
-    def predict(
-        self,
-        images: Float[Tensor, "B n 3 V_image"],
-        rig: CameraRig | SemiGlobalTables,
-        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
-    ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, V)``; none has a gradient.
-
-        Args:
-            images: ``(B, n, 3, V_level)``.
-            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
-            seen: ``([B,] n, V_level)``, True where the images show something. When not given, all that fields of view
-                and masks of the rig hold was seen.
-
-        Raises:
-            ShapeError: if the images have another shape than the network or the rig asks for.
-        """
-        self.check_images(images)
+    def _sweep(self, images: Tensor, tables: SemiGlobalTables, seen: Tensor | None) -> DepthEstimate:
         return semi_global_sweep(
             images,
-            rig if isinstance(rig, SemiGlobalTables) else self.tables(rig),
+            tables,
             self.num_hypotheses,
             self.min_depth,
-            self.grid.level,  # type: ignore[arg-type]
+            self.depth_level,
             small_penalty=self.small_penalty,
             large_penalty=self.large_penalty,
             contrast=self.contrast,
@@ -110,7 +125,7 @@ class SemiGlobalSweep(DepthNetwork):
         )
 
 
-class WinnerTakesAll(DepthNetwork):
+class WinnerTakesAll(_SweepWithoutTraining):
     """``photo_consistency`` as a network without parameters: each vertex takes the best hypothesis by itself.
 
     Args:
@@ -140,32 +155,17 @@ class WinnerTakesAll(DepthNetwork):
         rounds: int = 0,
         subhypothesis: bool = False,
     ) -> None:
-        super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
-        _check_coarsening(level, depth_coarsening)
-        self.level, self.grid = level, Icosphere(level - depth_coarsening)
+        super().__init__(level, num_hypotheses, min_depth, depth_coarsening)
         self.rounds, self.subhypothesis = rounds, subhypothesis
 
-    @torch.no_grad()
-    def predict(
-        self,
-        images: Float[Tensor, "B n 3 V_image"],
-        rig: CameraRig,
-        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
-    ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, V)``; as for ``SemiGlobalSweep``."""
-        self.check_images(images)
+    def _sweep(self, images: Tensor, tables: CameraRig, seen: Tensor | None) -> DepthEstimate:
         return photo_consistency(
             images,
-            rig.to(self.device),
+            tables.to(self.device),
             self.num_hypotheses,
             self.min_depth,
-            self.grid.level,  # type: ignore[arg-type]
+            self.depth_level,
             self.rounds,
             self.subhypothesis,
             seen,
         )
-
-
-def _check_coarsening(level: int, depth_coarsening: int) -> None:
-    if not 0 <= depth_coarsening <= check_level(level):
-        raise ArgumentError(f"depth_coarsening: expected 0 to level = {level}, got {depth_coarsening!r}")

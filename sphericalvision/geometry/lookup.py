@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lookups: where each of P results is found in something flat, worked out once and applied often.
 
-``Lookup`` reads few entries by number, with weights: vertices of a triangle, pixels of HEALPix, one pixel for a label.
+``weighted_rows`` reads few entries by number, with weights; a sweep reads the vertices of its triangles so, and
+``Lookup`` is the module around it: vertices, pixels of HEALPix, one pixel for a label.
 ``ImageLookup`` interpolates in images; ``grid_sample`` finds the pixels and weights of a position faster than a table
 of them is read. Both are modules whose tables move with ``.to`` and are not saved, map values ``(*b, C, ...)`` to
 ``(*b, C, P)``, give zero where nothing is seen, and are differentiable in values and in what the tables were made of.
@@ -19,10 +20,41 @@ from sphericalvision.geometry.broadcasting import broadcast_shapes
 from sphericalvision.geometry.image_edges import taps_across_edges
 from sphericalvision.geometry.interpolation import wrap_panorama
 
-__all__ = ["ImageLookup", "Lookup", "weighted_sums"]
+__all__ = ["ImageLookup", "Lookup", "weighted_rows", "weighted_sums"]
 
 _OUTSIDE = -9.0  # normalised coordinates so far out that grid_sample reads zeros there
 _MOST_PARTS = 8  # of the results of one image, to be worked on by different threads
+
+
+def weighted_rows(
+    rows: Float[Tensor, "size C"], ids: Int[Tensor, "P k"], weights: Float[Tensor, "P k"]
+) -> Float[Tensor, "P C"]:
+    """Weighted sums ``(P, C)`` of k rows ``(size, C)`` each: the one place where tables are read with weights.
+
+    Rows are read at once, which is why those who read much keep the channels of an entry side by side. The kernel for
+    it has first derivatives; under ``reference_kernels`` the sum is written out and has derivatives of any order.
+
+    Args:
+        rows: floating point.
+        ids: of the rows, k for each of P sums.
+        weights: of the ids' shape.
+
+    Examples:
+        >>> weighted_rows(torch.tensor([[1.0, 2.0], [5.0, 6.0]]), torch.tensor([[0, 1]]), torch.tensor([[0.5, 0.5]]))
+        tensor([[3., 4.]])
+    """
+    weights = weights.to(rows.dtype)
+    if uses_reference_kernels():
+        return _term_by_term(rows, ids, weights)
+    return F.embedding_bag(ids, rows, per_sample_weights=weights, mode="sum")
+
+
+def _term_by_term(rows: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
+    """The same, slower, with derivatives of any order."""
+    found = rows.index_select(0, ids[:, 0]) * weights[:, :1]
+    for k in range(1, ids.shape[-1]):
+        found = found + rows.index_select(0, ids[:, k]) * weights[:, k, None]
+    return found
 
 
 def weighted_sums(
@@ -53,14 +85,8 @@ def weighted_sums(
         return (found * weights).sum(-1)
     # All channels of a value side by side, so that they are read at once.
     rows = values.reshape(values.shape[:-1].numel(), values.shape[-1]).t().contiguous()
-    if (
-        torch.is_grad_enabled() and (values.requires_grad or weights.requires_grad)
-    ) or uses_reference_kernels():
-        found = rows.index_select(0, ids[:, 0]) * weights[:, :1]
-        for k in range(1, ids.shape[-1]):
-            found = found + rows.index_select(0, ids[:, k]) * weights[:, k, None]
-    else:  # faster, but has no second derivatives
-        found = F.embedding_bag(ids, rows, per_sample_weights=weights, mode="sum")
+    wants_grad = torch.is_grad_enabled() and (values.requires_grad or weights.requires_grad)
+    found = (_term_by_term if wants_grad else weighted_rows)(rows, ids, weights)
     return found.t().reshape(*values.shape[:-1], len(ids)).contiguous()
 
 

@@ -198,7 +198,7 @@ class OmniMVS(DepthNetwork):
         """Index and confidence of scores ``(B, N, h * w)``, and what was seen at the nearest sphere that is swept."""
         index = soft_argmax(scores).unflatten(1, self.grid.shape)
         confidence = soft_argmax_confidence(scores).unflatten(1, self.grid.shape)
-        sphere = (index.detach() / self.sweep.every).round().long().clamp(max=tables.mask.shape[-3] - 1)
+        sphere = (index.detach() / self.sweep.every).round().long().clamp(max=tables.seen.shape[-3] - 1)
         views = self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3)
         return DepthEstimate(index, confidence, views.sum(-3) >= 2)
 

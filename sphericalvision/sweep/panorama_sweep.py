@@ -26,31 +26,32 @@ OUTSIDE = -3.0
 class PanoramaTables(NamedTuple):
     """Where every pixel of every sphere appears in the images of each camera: a rig, made ready.
 
-    Tables of a rig that is shared by the batch have no batch dimension.
+    Tables of a rig that is shared by the batch have no batch dimension. An ``ImageLookup`` is final; these are places
+    in images, of which some are left out (``every_second_pixel``) and some chosen (``at_spheres``) before they are read.
 
     Attributes:
         grid: ``([B,] n, D, h, w, 2)`` places as ``grid_sample(align_corners=False)`` wants them.
-        mask: ``([B,] n, D, h, w)`` True where a camera sees the point, inside its field of view, image and mask;
+        seen: ``([B,] n, D, h, w)`` True where a camera sees the point, inside its field of view, image and mask;
             occlusion is not known.
         image_size: (height, width) of the images that the cameras are calibrated for.
     """
 
     grid: Float[Tensor, "*batch n D h w 2"]
-    mask: Bool[Tensor, "*batch n D h w"]
+    seen: Bool[Tensor, "*batch n D h w"]
     image_size: tuple[int, int]
 
     @property
     def num_cameras(self) -> int:
         """n, the number of cameras."""
-        return self.mask.shape[-4]
+        return self.seen.shape[-4]
 
     def to(self, device: torch.device | str) -> PanoramaTables:
         """Return the tables on another device."""
-        return PanoramaTables(self.grid.to(device), self.mask.to(device), self.image_size)
+        return PanoramaTables(self.grid.to(device), self.seen.to(device), self.image_size)
 
     def every_second_pixel(self) -> PanoramaTables:
         """Return the tables of every second row and column of the spheres."""
-        return self._replace(grid=self.grid[..., ::2, ::2, :], mask=self.mask[..., ::2, ::2])
+        return self._replace(grid=self.grid[..., ::2, ::2, :], seen=self.seen[..., ::2, ::2])
 
     def at_spheres(self, index: Int[Tensor, "B h w"]) -> PanoramaTables:
         """Return the tables of one sphere whose radius differs from pixel to pixel: that of index ``(B, h, w)``."""
@@ -58,7 +59,7 @@ class PanoramaTables(NamedTuple):
         chosen = index[:, None, None].expand(batch, self.num_cameras, 1, rows, columns)
         grid = self.grid.expand(batch, *self.grid.shape[-5:])
         grid = grid.gather(2, chosen.unsqueeze(-1).expand(*chosen.shape, 2))
-        return self._replace(grid=grid, mask=self.mask.expand(batch, *self.mask.shape[-4:]).gather(2, chosen))
+        return self._replace(grid=grid, seen=self.seen.expand(batch, *self.seen.shape[-4:]).gather(2, chosen))
 
 
 class PanoramaSweep(nn.Module):
@@ -180,17 +181,17 @@ class PanoramaSweep(nn.Module):
             ShapeError: if ``seen`` has another size than the rig's images.
         """
         if seen is None:
-            return tables.mask
+            return tables.seen
         seen = seen[None] if seen.ndim == 3 else seen
         if seen.ndim != 4 or tuple(seen.shape[-2:]) != tables.image_size:
             raise ShapeError(
                 f"seen: expected shape ([B,] n, {tables.image_size[0]}, {tables.image_size[1]}), the size that the rig "
                 f"is calibrated for, got {tuple(seen.shape)}"
             )
-        if tables.mask.ndim == 5:
-            seen = seen.expand(len(tables.mask), *seen.shape[1:])
+        if tables.seen.ndim == 5:
+            seen = seen.expand(len(tables.seen), *seen.shape[1:])
         maps = seen[:, :, None, :: self.stride, :: self.stride].to(tables.grid)
-        return tables.mask & (self(maps, tables).squeeze(2) > 0.5)
+        return tables.seen & (self(maps, tables).squeeze(2) > 0.5)
 
     def check_maps(self, features: Float[Tensor, "B n C h_f w_f"], tables: PanoramaTables) -> None:
         """Raise ``ShapeError`` unless maps and tables fit."""
@@ -205,10 +206,10 @@ class PanoramaSweep(nn.Module):
                 f"features: got {features.shape[1]} cameras, but the rig has {tables.num_cameras}; "
                 "pass images in the order of rig.names"
             )
-        if tables.mask.ndim == 5 and len(tables.mask) != len(features):
+        if tables.seen.ndim == 5 and len(tables.seen) != len(features):
             raise ShapeError(
                 f"rig: expected one rig for each of {len(features)} samples or a shared one, "
-                f"got {len(tables.mask)} rigs"
+                f"got {len(tables.seen)} rigs"
             )
 
     def extra_repr(self) -> str:

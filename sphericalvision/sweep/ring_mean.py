@@ -6,10 +6,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids
 
@@ -36,8 +36,7 @@ def ring_mean(values: Float[Tensor, " V *rest"], level: int | None = None) -> Fl
     """
     own_level = level_from_num_vertices(len(values))
     ids, weights = _rings(own_level, own_level if level is None else level, values.device)
-    rows = F.embedding_bag(ids, values.flatten(1), per_sample_weights=weights.to(values.dtype), mode="sum")
-    return rows.view(len(ids), *values.shape[1:])
+    return weighted_rows(values.flatten(1), ids, weights).view(len(ids), *values.shape[1:])
 
 
 def ids_of_coarser_level(

@@ -6,11 +6,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError
+from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import (
     check_level,
     icosphere_vertices,
@@ -60,7 +60,7 @@ def sphere_sweep(
         ShapeError: if features, tables and ``seen`` do not fit.
     """
     values = _look_up(features, tables)
-    points_seen = tables.mask if seen is None else _points_seen(_batched(seen, features), tables)
+    points_seen = tables.seen if seen is None else _points_seen(_batched(seen, features), tables)
     return SweepVolume(values, points_seen.expand(len(features), *points_seen.shape[-3:]).permute(0, 3, 1, 2))
 
 
@@ -78,10 +78,10 @@ def _batched(seen: Tensor, features: Tensor) -> Tensor:
 
 def _points_seen(seen: Tensor, tables: SweepTables) -> Tensor:
     """Whether more than half of what is looked up at a point was seen, ``([B,] N, V, n)``, of seen ``(B, n, V_f)``."""
-    if tables.mask.ndim == 4:
-        seen = seen.expand(len(tables.mask), *seen.shape[1:])
+    if tables.seen.ndim == 4:
+        seen = seen.expand(len(tables.seen), *seen.shape[1:])
     share = _look_up(seen.unsqueeze(2).to(tables.weights), tables)[:, :, 0].permute(0, 2, 3, 1)
-    return tables.mask & (share > 0.5)
+    return tables.seen & (share > 0.5)
 
 
 def _look_up(features: Tensor, tables: SweepTables) -> Tensor:
@@ -103,7 +103,7 @@ def _look_up(features: Tensor, tables: SweepTables) -> Tensor:
     first_row = torch.arange(batch * num_cameras, device=ids.device).mul(num_vertices)
     bags = (ids + first_row.view(batch, 1, 1, num_cameras, 1)).reshape(-1, 3)
     weights = weights.to(features.dtype).expand(batch, *weights.shape[-4:]).reshape(-1, 3)
-    values = F.embedding_bag(bags, rows, per_sample_weights=weights, mode="sum")
+    values = weighted_rows(rows, bags, weights)
     return values.view(batch, *ids.shape[-4:-1], channels).permute(0, 3, 4, 1, 2)
 
 

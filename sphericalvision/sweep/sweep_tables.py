@@ -32,12 +32,12 @@ class SweepTables(NamedTuple):
     Attributes:
         ids: ``([B,] N, V, n, 3)`` vertex ids on a camera's icosphere.
         weights: ``([B,] N, V, n, 3)`` barycentric weights, zero outside the field of view.
-        mask: ``([B,] N, V, n)`` True inside the field of view.
+        seen: ``([B,] N, V, n)`` True inside the field of view.
     """
 
     ids: Int[Tensor, "*batch N V n 3"]
     weights: Float[Tensor, "*batch N V n 3"]
-    mask: Bool[Tensor, "*batch N V n"]
+    seen: Bool[Tensor, "*batch N V n"]
 
     @property
     def num_cameras(self) -> int:
@@ -50,8 +50,8 @@ class SweepTables(NamedTuple):
 
     def permuted(self, order: Int[Tensor, " n"]) -> SweepTables:
         """Return the tables with the cameras in another order, given as a permutation ``(n,)``."""
-        ids, weights, mask = self
-        return SweepTables(ids[..., order, :], weights[..., order, :], mask[..., order])
+        ids, weights, seen = self
+        return SweepTables(ids[..., order, :], weights[..., order, :], seen[..., order])
 
 
 def sweep_tables(

@@ -37,7 +37,7 @@ def rig_of(reference: Any) -> CameraRig:
 
 def dense(tables: SweepTables, num_vertices: int) -> Tensor:
     """Return the tables as an operator ``(N, V, n, num_vertices)``: equal ids add up."""
-    operator = torch.zeros(*tables.mask.shape, num_vertices, dtype=DOUBLE)
+    operator = torch.zeros(*tables.seen.shape, num_vertices, dtype=DOUBLE)
     return operator.scatter_add_(-1, tables.ids, tables.weights.double())
 
 
@@ -123,11 +123,11 @@ def test_masks_are_equal_and_exact_location_approaches_the_reference(reference: 
     for level in (2, 3):
         theirs = reference.tables(level)
         ours = SphereSweep(level, 8, 0.55).tables(rig_of(reference))
-        assert torch.equal(ours.mask, theirs.mask)
+        assert torch.equal(ours.seen, theirs.seen)
 
         num_vertices = 2 + 10 * 4**level
-        same = (ours.ids.sort(-1).values == theirs.ids.sort(-1).values).all(-1) & ours.mask
-        assert same.sum() > 0.65 * ours.mask.sum()
+        same = (ours.ids.sort(-1).values == theirs.ids.sort(-1).values).all(-1) & ours.seen
+        assert same.sum() > 0.65 * ours.seen.sum()
         gap = (dense(ours, num_vertices) - dense(theirs, num_vertices)).abs().amax(-1)[same]
         x, y, z = Icosphere(level, DOUBLE).vertices.unbind(-1)
         smooth = torch.stack((x * y, torch.sin(3 * z), z**2 * x)).repeat(1, 4, 1, 1)

@@ -270,7 +270,7 @@ def test_the_sweep_alone_finds_a_sphere_around_the_rig() -> None:
         )
         photographs.append(texture * seen)
     maps = torch.stack(photographs)[None, :, None, ::2, ::2]
-    values, mask = net.sweep(maps, rig)[0, :, 0], net.sweep.tables(rig).mask
+    values, mask = net.sweep(maps, rig)[0, :, 0], net.sweep.tables(rig).seen
     count = mask.sum(0)
     mean = (values * mask).sum(0) / count.clamp(min=1)
     variance = ((values - mean).square() * mask).sum(0) / count.clamp(min=1)

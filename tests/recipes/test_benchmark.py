@@ -152,8 +152,8 @@ def test_plain_sweep_tables_point_where_ours_do() -> None:
     """The three nearest vertices are mostly those of the containing triangle, and then the weights agree."""
     rig = ring_rig(2)
     plain, ours = plain_sweep_tables(rig, 3, 4), SphereSweep(3, 4, 0.55).tables(rig)
-    assert (plain.mask == ours.mask).double().mean() > 0.999
-    seen = plain.mask & ours.mask
+    assert (plain.seen == ours.seen).double().mean() > 0.999
+    seen = plain.seen & ours.seen
     seen[0] = False  # at infinity all points are vertices, which many triangles share
     order, expected = plain.ids[seen].argsort(-1), ours.ids[seen].argsort(-1)
     same = (plain.ids[seen].gather(-1, order) == ours.ids[seen].gather(-1, expected)).all(-1)

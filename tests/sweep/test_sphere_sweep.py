@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, reference_kernels
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sweep import SphereSweep, depth_from_index, inverse_depth_hypotheses
@@ -156,6 +156,10 @@ def test_gradients_of_features_and_poses(generator: torch.Generator) -> None:
         return values[..., 1:, :]  # at infinity, points are at vertices, where interpolation has kinks
 
     assert torch.autograd.gradcheck(swept, (features, shift))
+    expected = swept(features, shift)
+    with reference_kernels():
+        torch.testing.assert_close(swept(features, shift), expected)
+        assert torch.autograd.gradgradcheck(swept, (features, shift), fast_mode=True)
 
 
 def test_interpolation_error_falls_fourfold_a_level() -> None:

@@ -36,14 +36,14 @@ def test_in_view_by_angle(degrees: float, generator: torch.Generator) -> None:
     sweep = SphereSweep(3, 5, 0.5)
     rays, axes = rays_of(sweep, rig), rig.axes.expand(5, 642, 3, 3)
     angles = torch.atan2(torch.linalg.cross(axes, rays).norm(dim=-1), (axes * rays).sum(-1))
-    assert torch.equal(sweep.tables(rig).mask, angles <= rig.max_angles)
+    assert torch.equal(sweep.tables(rig).seen, angles <= rig.max_angles)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, DOUBLE])
 def test_half_a_turn_ends_at_the_poles_and_includes_them(dtype: torch.dtype) -> None:
     """Both poles are at right angles to the axes of a level rig."""
     tables = SphereSweep(2, 2, 0.5).tables(ring_rig(4, field_of_view=math.pi).to(dtype=dtype))
-    assert tables.mask[0, [0, -1]].all()
+    assert tables.seen[0, [0, -1]].all()
 
 
 @pytest.mark.parametrize("level", [2, 4])

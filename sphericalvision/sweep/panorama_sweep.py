@@ -27,7 +27,7 @@ class PanoramaTables(NamedTuple):
     """Where every pixel of every sphere appears in the images of each camera: a rig, made ready.
 
     Tables of a rig that is shared by the batch have no batch dimension. An ``ImageLookup`` is final; these are places
-    in images, of which some are left out (``every_second_pixel``) and some chosen (``at_spheres``) before they are read.
+    in images, some left out (``every_second_pixel``) and some chosen (``at_spheres``) before they are read.
 
     Attributes:
         grid: ``([B,] n, D, h, w, 2)`` places as ``grid_sample(align_corners=False)`` wants them.

@@ -190,6 +190,21 @@ class Data:
     seed: Number
 
 
+class BenchmarkOfMethods:
+    """The node ``benchmark`` of ``sphericalvision-study preset=benchmark``."""
+
+    methods: list[str]
+    tracks: list[str]
+    frames: Count
+    meshes: list[str]
+    level: Annotated[int, AtLeast(3)]
+    panorama_rows: Annotated[int, AtLeast(2)]
+    image_rows: Annotated[int, AtLeast(8)]
+    samples_per_pixel: Count
+    cache_dir: str | None
+    workers: Number
+
+
 KEYS: dict[str, type] = {
     "predict": Predict,
     "inspect": Inspect,
@@ -203,5 +218,5 @@ KEYS: dict[str, type] = {
 }
 """Command -> the types of its keys."""
 
-GROUPS: dict[str, type] = {"trainer": Trainer, "data": Data}
+GROUPS: dict[str, type] = {"trainer": Trainer, "data": Data, "benchmark": BenchmarkOfMethods}
 """Group -> the types of keys that all its options have."""

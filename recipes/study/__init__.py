@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's study: models, tilted rigs, tables and pictures."""
+"""The paper's study: models, tilted rigs, tables and pictures; and the benchmark of depth methods."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ __all__ = ["main"]
 @command("study")
 def main(config: DictConfig) -> Any:
     """Command line of the study."""
+    if "benchmark" in config:
+        from sphericalvision.recipes.study.benchmark.command import benchmark
+
+        return benchmark(config, output_folder())
     from sphericalvision.recipes.study.command import study
 
     return study(config, output_folder())

@@ -27,12 +27,12 @@ from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth
 __all__ = [
     "HYPOTHESES",
     "MIN_DEPTH",
-    "WITHOUT_TRAINING",
     "ConstantMap",
     "Cost",
     "Method",
     "Said",
     "make_method",
+    "make_methods",
 ]
 
 HYPOTHESES, MIN_DEPTH = 16, NATURAL_MIN_DEPTH
@@ -66,9 +66,9 @@ class ConstantMap(DepthNetwork):
 
     index: Tensor
 
-    def __init__(self, level: int = 4, scenes: int = TRAINING_SCENES) -> None:
+    def __init__(self, level: int = 4, scenes: int = 70) -> None:
         super().__init__(HYPOTHESES, MIN_DEPTH, num_cameras=2, any_cameras=True)
-        self.level, self.grid = level, Icosphere(level)
+        self.level, self.grid = max(level, 2), Icosphere(level)
         self.register_buffer("index", torch.zeros(self.grid.num_vertices))
         self.scenes = scenes
 
@@ -87,9 +87,6 @@ class ConstantMap(DepthNetwork):
         """The same for each image."""
         index = self.index.expand(len(images), -1)
         return DepthEstimate(index, torch.ones_like(index), torch.ones_like(index, dtype=torch.bool))
-
-
-WITHOUT_TRAINING = ("constant", "winner-takes-all", "semi-global-sweep")
 
 
 class Method:
@@ -162,11 +159,11 @@ def make_method(word: str, level: int = 6, constant: Path | None = None) -> Meth
         net = SemiGlobalSweep(level, HYPOTHESES, MIN_DEPTH)
     else:
         net = load_network(word, min_depth=MIN_DEPTH)
-    return Method(Path(word).stem if Path(word).suffix else word, net)
+    return Method(method_name(word), net)
 
 
 def _constant_map(level: int, path: Path | None) -> ConstantMap:
-    net = ConstantMap(level)
+    net = ConstantMap(level, TRAINING_SCENES)
     if path is not None and path.is_file():
         kept = torch.load(path, weights_only=True)
         if kept["level"] == level and kept["scenes"] == net.scenes:
@@ -179,9 +176,21 @@ def _constant_map(level: int, path: Path | None) -> ConstantMap:
     return net
 
 
-def check_names(methods: Sequence[Method]) -> None:
-    """Raise ``ArgumentError`` if two methods have one name."""
-    names = [method.name for method in methods]
+def method_name(word: str) -> str:
+    """The name of a method's column: its word, or the stem of its file."""
+    return Path(word).stem if Path(word).suffix else word
+
+
+def make_methods(words: Sequence[str], level: int, constant: Path | None = None) -> list[Method]:
+    """The methods that words stand for, each as ``make_method`` makes it.
+
+    Raises:
+        ArgumentError: none, or two of one name.
+    """
+    names = [method_name(word) for word in words]
     for name in names:
         if names.count(name) > 1:
             raise ArgumentError(f"benchmark.methods: {name} is given twice; rename one of the files")
+    if not names:
+        raise ArgumentError("benchmark.methods: expected at least one, got none")
+    return [make_method(word, level, constant) for word in words]

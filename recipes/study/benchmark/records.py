@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ GENERATION = 1
 
 
 class Record:
-    """Scores of one method on the frames of one track, and the estimate that is drawn.
+    """Scores of one method on the frames of one track, and the estimates that are drawn.
 
     Args:
         folder: of the benchmark; nothing is kept without one.
@@ -53,17 +54,24 @@ class Record:
         if self.path is not None:
             write_json(self.path, {"key": self.key, "cost": self.cost, "frames": self.scores})
 
-    def draw(self, index: Tensor) -> None:
-        """Keep the estimate ``(V,)`` of the frame that is drawn."""
+    def only(self, frames: Iterable[str]) -> Record:
+        """This record with the scores of these frames alone, to be read; the file stays as it is."""
+        self.scores = {frame: self.scores[frame] for frame in frames if frame in self.scores}
+        return self
+
+    def draw(self, number: int, index: Tensor) -> None:
+        """Keep the estimate ``(V,)`` of a frame that is drawn, by its number in the track."""
         if self.path is not None:
+            arrays = {str(key): value.numpy().astype(np.float16) for key, value in self.drawn().items()}
+            arrays[str(number)] = index.numpy().astype(np.float16)
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(self.path.with_suffix(".npz")) as temporary:
-                np.savez_compressed(temporary, index=index.numpy().astype(np.float16))
+                np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
 
-    def drawn(self) -> Tensor | None:
-        """The estimate ``(V,)`` of the frame that is drawn, if there is one."""
+    def drawn(self) -> dict[int, Tensor]:
+        """The estimates ``(V,)`` of the frames that are drawn, by number; none before a score is kept."""
         path = None if self.path is None else self.path.with_suffix(".npz")
         if path is None or not path.is_file():
-            return None
+            return {}
         with np.load(path) as stored:
-            return torch.from_numpy(stored["index"]).float()
+            return {int(key): torch.from_numpy(stored[key]).float() for key in stored.files}

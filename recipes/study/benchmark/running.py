@@ -18,7 +18,11 @@ from sphericalvision.recipes.study.benchmark.scoring import FrameTruth, score
 from sphericalvision.recipes.study.benchmark.summary import mean_scores
 from sphericalvision.recipes.study.benchmark.tracks import TRACKS, Track
 
-__all__ = ["one_thread", "record_of", "run_track", "scores"]
+__all__ = ["DRAWN", "one_thread", "record_of", "run_track", "scores"]
+
+
+DRAWN = (0, 3, 4)
+"""Frames that are drawn; where kinds of scenes take turns a corridor, a place outdoors and a room."""
 
 
 def scores(
@@ -91,8 +95,8 @@ def run_track(
             for method in missing:
                 said, record = method(frame), records[method.name]
                 found = {"seconds": said.seconds, **score(method.net, said, truth)}
-                if number == 0:
-                    record.draw(truth.index_of(method.net, said.estimate.index))
+                if number in DRAWN:
+                    record.draw(number, truth.index_of(method.net, said.estimate.index))
                 cost = method.cost(frame)._asdict() if record.cost is None else None
                 record.add(name, found, cost)
     return records

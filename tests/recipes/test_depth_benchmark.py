@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark of depth methods: what counts, what is kept, and that killing it loses a frame at most."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.data.seeded_scenes import HELD_OUT_SEED
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.images import read_image
+from sphericalvision.models import DepthNetwork, SemiGlobalSweep
+from sphericalvision.recipes.datamodules.scenes import SceneDataModule
+from sphericalvision.recipes.study.benchmark import command as benchmark_command
+from sphericalvision.recipes.study.benchmark import methods
+from sphericalvision.recipes.study.benchmark.frames import Frame, Size, render_frame
+from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPTH, Method, make_method
+from sphericalvision.recipes.study.benchmark.running import run_track
+from sphericalvision.recipes.study.benchmark.scoring import FrameTruth, score
+from sphericalvision.recipes.study.benchmark.tracks import TRACKS, chosen_tracks
+from sphericalvision.sweep import DepthEstimate
+from tests.recipes.tiny import Run
+
+TINY = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1)
+
+
+class Oracle(DepthNetwork):
+    """Knows the truth of one frame, and is off by ``offset`` hypotheses in the half of which it is not sure."""
+
+    def __init__(self, level: int = 3, offset: float = 0.0) -> None:
+        super().__init__(HYPOTHESES, MIN_DEPTH, num_cameras=2, any_cameras=True)
+        self.level, self.grid, self.offset = level, Icosphere(level), offset
+        self.index = torch.zeros(self.grid.num_vertices)
+
+    def predict(self, images: Any, rig: Any, seen: Any = None) -> DepthEstimate:
+        sure = (torch.arange(len(self.index)) % 2).float()[None]
+        index = self.index[None] + self.offset * (1 - sure)
+        return DepthEstimate(index, sure, torch.ones_like(sure, dtype=torch.bool))
+
+
+@pytest.fixture(scope="module")
+def frame() -> Frame:
+    return render_frame(TRACKS["outdoors"], 0, TINY)
+
+
+def test_errors_of_a_known_offset(frame: Frame) -> None:
+    """0.8 hypotheses are 5 % of N; half of the points are off, and the other half is known to be right."""
+    net = Oracle(offset=0.8)
+    truth = FrameTruth(frame)
+    net.index = truth.index
+    found = score(net, Method("oracle", net)(frame), truth)
+    counts = truth.regions["all"]
+    off = (torch.arange(len(truth.index)) % 2 == 0)[counts].float().mean().item()
+    assert found["fine"]["all"]["MAE"] == pytest.approx(5.0 * off, rel=1e-4)
+    assert found["fine"]["all"][">3"] == pytest.approx(100 * off, rel=1e-4)
+    assert found["kept"]["0.5"] == pytest.approx(0.0, abs=1e-4)
+    assert found["points"]["all"] + found["points"]["lone"] == pytest.approx(
+        100 * truth.valid.float().mean().item(), abs=1e-3
+    )
+    assert found["fine"]["sky"]["MAE"] is not None  # outdoors has one
+    exact = Oracle()
+    exact.index = truth.index
+    assert score(exact, Method("oracle", exact)(frame), truth)["fine"]["all"]["MAE"] == pytest.approx(
+        0, abs=1e-4
+    )
+
+
+def test_tilted_tracks_compare_the_same_points() -> None:
+    tracks = [track for track in chosen_tracks(["tilts"]) if track.rig.tilt_deg in (0, 45)]
+    truths = [FrameTruth(render_frame(track, 0, TINY)) for track in tracks]
+    assert torch.equal(truths[0].regions["shared"], truths[1].regions["shared"])
+    assert truths[0].regions["all"].sum() > truths[1].regions["all"].sum() > 0
+    assert (truths[1].regions["shared"] <= truths[1].regions["all"]).all()
+
+
+def test_a_masked_carrier_is_not_seen_and_disturbances_leave_truth_alone() -> None:
+    plain, hidden = (render_frame(TRACKS[name], 0, TINY) for name in ("ugv", "ugv_masked"))
+    assert not plain.rig.masks
+    assert all(bool((~mask).any()) for mask in hidden.rig.masks.values())
+    assert torch.equal(plain.inverse_depth, hidden.inverse_depth)
+    assert hidden.on_sphere(3)[1].sum() < plain.on_sphere(3)[1].sum()
+    assert (plain.inverse_depth[-1] > 1 / MIN_DEPTH).item()  # the vehicle, nearer than any hypothesis
+    clean, off = (render_frame(TRACKS[name], 0, TINY) for name in ("clean", "pose_1.0"))
+    assert torch.equal(clean.inverse_depth, off.inverse_depth)
+    assert all(torch.equal(clean.images[name], off.images[name]) for name in clean.images)
+    assert not torch.equal(clean.rig.world_from_camera, off.rig.world_from_camera)
+
+
+def test_seeds_are_held_out() -> None:
+    assert {track.seed(0) for track in TRACKS.values()} == {HELD_OUT_SEED}
+    rig = TRACKS["room"].smaller(16).rig.make(0)
+    with pytest.raises(ArgumentError, match="held out for the benchmark"):
+        SceneDataModule(rig, train_seed=HELD_OUT_SEED - 10, num_train=11)
+    with pytest.raises(ArgumentError, match="seeds below"):
+        TRACKS["room"].seed(-1)
+
+
+def test_weights_change_the_identity_of_a_method_and_its_records(tmp_path: Path) -> None:
+    one, two = (Method("sweep", SemiGlobalSweep(3, 4, small_penalty=p)) for p in (0.3, 0.4))
+    assert one.identity != two.identity
+    track = TRACKS["room"]
+    first = run_track(track, [one], 1, tmp_path, None, TINY)["sweep"].scores
+    assert run_track(track, [one], 1, tmp_path, None, TINY)["sweep"].scores == first  # its seconds, too
+    again = run_track(track, [two], 1, tmp_path, None, TINY)["sweep"].scores
+    assert again[track.frame_name(0)]["seconds"] != first[track.frame_name(0)]["seconds"]
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        make_method("nowhere.safetensors")
+
+
+WORDS = (
+    "preset=benchmark",
+    "benchmark.methods=[constant,semi-global-sweep]",
+    "benchmark.tracks=[room,tilt_0,tilt_45]",
+    "benchmark.frames=2",
+    "benchmark.level=3",
+    "benchmark.panorama_rows=8",
+    "benchmark.image_rows=16",
+    "benchmark.samples_per_pixel=1",
+    "benchmark.workers=0",
+    "panel_height=20",
+    "output=out",
+)
+
+
+def test_it_is_killed_and_goes_on(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene_cache: str
+) -> None:
+    monkeypatch.setattr(methods, "TRAINING_SCENES", 3)
+    words = (*WORDS, f"benchmark.cache_dir={scene_cache}")
+    asked: list[tuple[str, str]] = []
+    answer = Method.__call__
+
+    def counting(self: Method, frame: Frame) -> Any:
+        if len(asked) == 5:
+            raise KeyboardInterrupt
+        asked.append((self.name, frame.name))
+        return answer(self, frame)
+
+    monkeypatch.setattr(Method, "__call__", counting)
+    with pytest.raises(SystemExit):
+        run("study", *words)
+    assert len(asked) == 5
+    before = {path: path.read_text() for path in (tmp_path / "out/records").rglob("*.json")}
+    assert sum(len(json.loads(text)["frames"]) for text in before.values()) == 5
+
+    finished: list[tuple[str, str]] = []
+
+    def noting(self: Method, frame: Frame) -> Any:
+        finished.append((self.name, frame.name))
+        return answer(self, frame)
+
+    monkeypatch.setattr(Method, "__call__", noting)
+    run("study", *words)
+    assert len(finished) == 3 * 2 * 2 - 5
+    first = (tmp_path / "out/benchmark.md").read_text()
+    assert first.count("| semi-global-sweep |") >= 3
+    assert "| tilt_45 | " in first
+    assert json.loads((tmp_path / "out/benchmark.json").read_text())["room"]["constant"]["frames"] == 2
+    for name in ("room", "tilt_0", "tilt_45"):
+        assert read_image(tmp_path / f"out/pages/{name}.png").std() > 0.05
+    run("study", *words)
+    assert len(finished) == 3 * 2 * 2 - 5
+    assert (tmp_path / "out/benchmark.md").read_text() == first
+
+
+@pytest.fixture(scope="session")
+def scene_cache(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(tmp_path_factory.mktemp("benchmark_scenes"))
+
+
+def test_what_does_not_fit_is_told(failing: Callable[..., str]) -> None:
+    assert "benchmark.tracks" in failing("study", *WORDS, "benchmark.tracks=[rooms]")
+    assert "given twice" in failing("study", *WORDS, "benchmark.methods=[constant,constant]")
+    assert "at least one" in failing("study", *WORDS, "benchmark.methods=[]")
+    assert "benchmark.frames" in failing("study", *WORDS, "benchmark.frames=0")
+
+
+@pytest.mark.slow
+def test_processes_give_the_same(run: Run, tmp_path: Path, scene_cache: str) -> None:
+    """One spawned process measures what this one does."""
+    small = (*WORDS, "benchmark.tracks=[room]", "benchmark.frames=1", f"benchmark.cache_dir={scene_cache}")
+    run("study", *small)
+    run("study", *small, "benchmark.workers=1", "output=other")
+    one, other = (
+        json.loads((tmp_path / folder / "benchmark.json").read_text())["room"]["semi-global-sweep"]["means"]
+        for folder in ("out", "other")
+    )
+    assert one["fine"] == other["fine"]
+    assert one["panorama"] == other["panorama"]
+    assert not math.isnan(one["fine"]["all"]["MAE"])
+
+
+def test_methods_of_a_process_are_made_once(tmp_path: Path) -> None:
+    first = benchmark_command._methods(("semi-global-sweep",), 3, tmp_path)
+    assert benchmark_command._methods(("semi-global-sweep",), 3, tmp_path) is first
+    assert first[0].net.level == 3
+    assert replace(TRACKS["room"], kind="hall").frame_name(1) == f"hall-{HELD_OUT_SEED + 1:08d}"

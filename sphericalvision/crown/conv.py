@@ -36,6 +36,7 @@ def crown_conv2d(
     weight: Float[Tensor, "C_out C_in 7"],
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
+    native: bool = False,
 ) -> Crown:
     """Convolve a crown with seven taps; borders are continued by their own values.
 
@@ -47,6 +48,7 @@ def crown_conv2d(
         weight: ``(out, in, 7)``, shared by all rectangles.
         bias: ``(out,)``.
         stride: 1, or 2 to keep the vertices of the next coarser level.
+        native: whether to use operators in C++ where they fit; see ``set_kernel_options``.
 
     Raises:
         ShapeError: if the crown, its channels or the weight do not fit.
@@ -61,7 +63,7 @@ def crown_conv2d(
         torch.Size([1, 5, 8, 3, 2])
     """
     _check_conv(crown, weight, 2, stride)
-    return _convolve(crown, weight, bias, stride)
+    return _convolve(crown, weight, bias, stride, native)
 
 
 def crown_conv3d(
@@ -69,6 +71,7 @@ def crown_conv3d(
     weight: Float[Tensor, "C_out C_in 21"],
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
+    native: bool = False,
 ) -> Crown:
     """Convolve a crown of volumes with seven taps at three neighbouring hypotheses.
 
@@ -77,6 +80,7 @@ def crown_conv3d(
         weight: ``(out, in, 21)``, index ``7 * depth + tap``, shared by all rectangles.
         bias: ``(out,)``.
         stride: 1, or 2 to keep the vertices of the next coarser level; all N hypotheses are kept.
+        native: whether to use operators in C++ where they fit; see ``set_kernel_options``.
 
     Raises:
         ShapeError: if the crown, its channels or the weight do not fit.
@@ -88,11 +92,11 @@ def crown_conv3d(
         torch.Size([1, 5, 8, 16, 3, 5])
     """
     _check_conv(crown, weight, 3, stride)
-    return _convolve(crown, weight, bias, stride)
+    return _convolve(crown, weight, bias, stride, native)
 
 
-def _convolve(crown: Crown, weight: Tensor, bias: Tensor | None, stride: int) -> Crown:
-    rectangles = fast.conv(*crown, weight, bias, stride)
+def _convolve(crown: Crown, weight: Tensor, bias: Tensor | None, stride: int, native: bool) -> Crown:
+    rectangles = fast.conv(*crown, weight, bias, stride, native)
     if rectangles is None:
         col = convolve(crown.col, weight, COL_TAPS, bias, stride)
         rectangles = col, convolve(crown.row, weight, ROW_TAPS, bias, stride)
@@ -103,6 +107,7 @@ class _CrownConv(nn.Module):
     """Weights of a crown convolution."""
 
     taps: int
+    native = False
 
     def __init__(self, in_channels: int, out_channels: int, stride: int = 1, bias: bool = False) -> None:
         super().__init__()
@@ -142,7 +147,7 @@ class CrownConv2d(_CrownConv):
     taps = 7
 
     def forward(self, crown: Crown) -> Crown:
-        return crown_conv2d(crown, self.weight, self.bias, self.stride)
+        return crown_conv2d(crown, self.weight, self.bias, self.stride, self.native)
 
 
 class CrownConv3d(_CrownConv):
@@ -162,4 +167,4 @@ class CrownConv3d(_CrownConv):
     taps = 21
 
     def forward(self, crown: Crown) -> Crown:
-        return crown_conv3d(crown, self.weight, self.bias, self.stride)
+        return crown_conv3d(crown, self.weight, self.bias, self.stride, self.native)

@@ -39,6 +39,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.crown import fast
 from sphericalvision.crown.hexpad import fill_charts, hex_pad
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.taps import COL_TAPS, planar_kernel
@@ -111,6 +112,7 @@ def hex_conv2d(
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
     north: Float[Tensor, " V"] | None = None,
+    native: bool = False,
 ) -> Float[Tensor, "B C_out V_out"]:
     """Convolve values on an icosphere with seven taps: each vertex and its six true neighbours.
 
@@ -120,6 +122,7 @@ def hex_conv2d(
         bias: ``(out,)``.
         stride: 1, or 2 to keep the vertices of the next coarser level.
         north: ``north_fraction(level)`` of this level for taps aligned with north; without it they follow the charts.
+        native: whether to use operators in C++ where they fit; see ``set_kernel_options``.
 
     Returns:
         ``(B, out, V)``, or of the next coarser level; channels are the fastest dimension in memory.
@@ -142,8 +145,11 @@ def hex_conv2d(
     inside = charts[..., start:, :].flatten(0, 1)
 
     def convolve(kernel: Tensor, bias: Tensor | None) -> Tensor:
-        planar = planar_kernel(kernel, COL_TAPS)
-        return F.conv2d(inside, planar, bias, stride).unflatten(0, (-1, 5))
+        result = fast.conv_charts(charts, kernel, bias, stride, native)
+        if result is None:
+            planar = planar_kernel(kernel, COL_TAPS)
+            result = F.conv2d(inside, planar, bias, stride).unflatten(0, (-1, 5))
+        return result
 
     own = _oriented(convolve, weight, bias, _own_fraction(north, values, stride))
     special = torch.einsum("bivj,oivj->bov", rings, _ring_kernel(weight, north))
@@ -156,6 +162,7 @@ def hex_conv3d(
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
     north: Float[Tensor, " V"] | None = None,
+    native: bool = False,
 ) -> Float[Tensor, "B C_out N V_out"]:
     """Convolve volumes on an icosphere with seven taps at three neighbouring hypotheses.
 
@@ -167,6 +174,7 @@ def hex_conv3d(
         bias: ``(out,)``.
         stride: 1, or 2 to keep the vertices of the next coarser level; all N hypotheses are kept.
         north: ``north_fraction(level)`` of this level for taps aligned with north; without it they follow the charts.
+        native: whether to use operators in C++ where they fit; see ``set_kernel_options``.
 
     Returns:
         ``(B, out, N, V)``, or of the next coarser level.
@@ -180,18 +188,26 @@ def hex_conv3d(
         torch.Size([1, 8, 16, 42])
     """
     _check_conv(values, weight, 3, stride, north)
-    charts, rings = hex_pad(torch.cat((values[:, :, :1], values, values[:, :, -1:]), 2))
-    inside = charts[..., stride - 1 :, :].flatten(0, 1)
+    charts, rings = hex_pad(values)
+    by_depth = weight.unflatten(-1, (3, 7))
 
     def convolve(kernel: Tensor, bias: Tensor | None) -> Tensor:
-        planar = planar_kernel(kernel, COL_TAPS)
-        return F.conv3d(inside, planar, bias, (1, stride, stride)).unflatten(0, (-1, 5))
+        result = fast.conv_charts(charts, kernel.flatten(2), bias, stride, native)
+        if result is None:
+            inside = _repeat_ends(charts[..., stride - 1 :, :].flatten(0, 1))
+            planar = planar_kernel(kernel, COL_TAPS)
+            result = F.conv3d(inside, planar, bias, (1, stride, stride)).unflatten(0, (-1, 5))
+        return result
 
-    by_depth = weight.unflatten(-1, (3, 7))
     own = _oriented(convolve, by_depth, bias, _own_fraction(north, values, stride))
-    windows = rings.unfold(2, 3, 1)
+    windows = _repeat_ends(rings).unfold(2, 3, 1)
     special = torch.einsum("binvjd,oidvj->bonv", windows, _ring_kernel(by_depth, north))
     return fill_charts(own, special if bias is None else special + bias[:, None, None])
+
+
+def _repeat_ends(values: Tensor) -> Tensor:
+    """Repeat the first and the last hypothesis of values ``(B, C, N, *)``."""
+    return torch.cat((values[:, :, :1], values, values[:, :, -1:]), 2)
 
 
 def _oriented(convolve: object, weight: Tensor, bias: Tensor | None, fraction: Tensor | None) -> Tensor:
@@ -243,6 +259,7 @@ class _HexConv(nn.Module):
 
     taps: int
     north: Tensor | None
+    native = False
 
     def __init__(
         self,
@@ -306,7 +323,7 @@ class HexConv2d(_HexConv):
     taps = 7
 
     def forward(self, values: Float[Tensor, "B C_in V"]) -> Float[Tensor, "B C_out V_out"]:
-        return hex_conv2d(values, self.weight, self.bias, self.stride, self.north)
+        return hex_conv2d(values, self.weight, self.bias, self.stride, self.north, self.native)
 
 
 class HexConv3d(_HexConv):
@@ -322,4 +339,4 @@ class HexConv3d(_HexConv):
     taps = 21
 
     def forward(self, values: Float[Tensor, "B C_in N V"]) -> Float[Tensor, "B C_out N V_out"]:
-        return hex_conv3d(values, self.weight, self.bias, self.stride, self.north)
+        return hex_conv3d(values, self.weight, self.bias, self.stride, self.north, self.native)

@@ -20,9 +20,9 @@ def set_kernel_options(
 
     Args:
         module: the network, or a part of it.
-        native: whether forward passes of 3D convolutions use operators in C++ where they are faster, which is in single
-            precision on a CPU, for 32 channels or more; compiled and exported graphs do without. The operators are
-            compiled when they are first asked for on a machine. None keeps what was chosen.
+        native: whether convolutions of stride 1 and the normalisations after them use operators in C++, which is faster
+            on a CPU, in training and inference; compiled and exported graphs do without. The operators are compiled
+            when they are first asked for on a machine. None keeps what was chosen.
         recompute: whether training saves memory by computing the inside of blocks twice, for a third more work. None
             keeps what was chosen.
 

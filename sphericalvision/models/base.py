@@ -221,8 +221,8 @@ class DepthNetwork(RemembersArguments):
         Parts that offer a choice have an attribute of its name.
 
         Args:
-            native: whether wide 3D convolutions in single precision on a CPU use operators in C++, which is faster.
-                They are compiled when first used on a machine.
+            native: whether convolutions and normalisations on a CPU use operators in C++, which is faster. They are
+                compiled when first used on a machine.
             recompute: whether training saves memory by computing the inside of blocks twice, a third more work.
 
         Raises:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor, nn
+from torch.utils import cpp_extension
 
 import sphericalvision.crown
 from sphericalvision.cameras import ring_rig
@@ -85,6 +87,11 @@ def recomputing(module: nn.Module) -> nn.Module:
     return module
 
 
+def native(module: nn.Module) -> nn.Module:
+    set_kernel_options(module, native=True)
+    return module
+
+
 def case(name: str, make: Any, *shape: int) -> FastCase:
     return FastCase(name, make, shape, wherever_possible)
 
@@ -134,6 +141,37 @@ NETWORKS = [
     case("network, variance", lambda: Network(aggregation="variance", norm="instance"), 2, 3, V3),
 ]
 
+NATIVE = [
+    case("conv2d", lambda: native(between(CrownConv2d(3, 4, bias=True))), 3, V1),
+    case("conv2d, level 0", lambda: native(between(CrownConv2d(17, 2))), 17, V0),
+    case("conv2d, level 3, 20 channels", lambda: native(between(CrownConv2d(20, 18))), 20, V3),
+    case("conv3d, N = 5", lambda: native(between(CrownConv3d(2, 3, bias=True))), 2, 5, V1),
+    case("conv3d, N = 1", lambda: native(between(CrownConv3d(2, 3))), 2, 1, V0),
+    case("conv3d, N = 8, 33 channels", lambda: native(between(CrownConv3d(33, 16))), 33, 8, V2),
+    case("hexconv2d", lambda: native(HexConv2d(3, 4, bias=True)), 3, V2),
+    case("hexconv2d, north", lambda: native(HexConv2d(3, 17, orientation="north", level=1)), 3, V1),
+    case("hexconv3d", lambda: native(HexConv3d(2, 3, bias=True)), 2, 6, V1),
+    case("conv, batch norm, relu 2d", lambda: native(between(CrownConvNorm2d(3, 4, relu=True))), 3, V2),
+    case("conv, batch norm 3d", lambda: native(between(CrownConvNorm3d(2, 18))), 2, 4, V1),
+    case(
+        "conv, instance norm, stride 2", lambda: native(between(CrownConvNorm2d(3, 4, 2, "instance"))), 3, V1
+    ),
+    case(
+        "conv, instance norm, relu 3d",
+        lambda: native(between(CrownConvNorm3d(2, 3, "instance", True))),
+        2,
+        4,
+        V2,
+    ),
+]
+
+
+def compiler_is_there() -> bool:
+    return shutil.which("c++") is not None and cpp_extension.is_ninja_available()
+
+
+needs_compiler = pytest.mark.skipif(not compiler_is_there(), reason="needs a C++ compiler and ninja")
+
 
 def each(cases: list[FastCase]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("case", cases, ids=[case.name for case in cases])
@@ -166,6 +204,37 @@ def test_gradients_of_gradients(case: FastCase) -> None:
 @each(OPERATORS + NETWORKS)
 def test_modes(case: FastCase) -> None:
     law_modes_agree(case, 2)
+
+
+@needs_compiler
+@each(NATIVE)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("training", [False, True])
+def test_values_of_operators_in_cpp(case: FastCase, dtype: torch.dtype, training: bool) -> None:
+    law_values_agree(case, 2, dtype, training)
+
+
+@needs_compiler
+@each(NATIVE)
+def test_gradients_of_operators_in_cpp(case: FastCase) -> None:
+    law_gradients_agree(case, 2, training=True)
+    law_gradients_of_gradients_agree(case, 1, training=True)
+    law_modes_agree(case, 2)
+
+
+@needs_compiler
+def test_any_number_of_threads_has_the_same_gradients() -> None:
+    """Each thread sums up its part of the gradient of a weight."""
+    layer = native(HexConv3d(5, 6))
+    values = torch.randn(2, 5, 6, V2)
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 3):
+            torch.set_num_threads(threads)
+            found.append(torch.autograd.grad(layer(values).square().sum(), layer.weight)[0])
+    finally:
+        torch.set_num_threads(before)
+    torch.testing.assert_close(*found, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("stride", [1, 2])

@@ -6,6 +6,7 @@
 ``layout``                crowns by slices
 ``planar``                2D convolutions that keep no borders for the backward pass
 ``winograd``              3D convolutions with a third of the multiplications, upon ``winograd_rows``
+``hex_native``            2D and 3D convolutions without the zeros of a 3 x 3 kernel, by operators in C++ (``native``)
 ``winograd_cubes``        with an eighth of them, by operators in C++ (``native``)
 ``chain``, ``block``      two layers from vertices to vertices, for inference and for training, by ``rectangles``
 ``norms``                 normalisation folded into a convolution, or rectified in place
@@ -17,6 +18,7 @@
 from sphericalvision.crown.fast.door import (
     block3d,
     conv,
+    conv_charts,
     conv_norm,
     fold,
     native_operators,
@@ -24,4 +26,13 @@ from sphericalvision.crown.fast.door import (
     wherever_possible,
 )
 
-__all__ = ["block3d", "conv", "conv_norm", "fold", "native_operators", "unfold", "wherever_possible"]
+__all__ = [
+    "block3d",
+    "conv",
+    "conv_charts",
+    "conv_norm",
+    "fold",
+    "native_operators",
+    "unfold",
+    "wherever_possible",
+]

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from sphericalvision.crown.fast.block import NormedLayer, convolve_block
 from sphericalvision.crown.fast.chain import convolve_chain
+from sphericalvision.crown.fast.hex_native import hex_convolution, hex_convolution_pays
 from sphericalvision.crown.fast.layout import Fold, Unfold, places_per_vertex
 from sphericalvision.crown.fast.native import native_operators
 from sphericalvision.crown.fast.norms import folded, is_affine, normalize, normalizes, track
@@ -23,7 +24,16 @@ from sphericalvision.crown.fast.policy import available, wherever_possible
 from sphericalvision.crown.fast.winograd import conv3d_winograd, winograd_pays
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve, neighbor_taps, planar_kernel
 
-__all__ = ["block3d", "conv", "conv_norm", "fold", "native_operators", "unfold", "wherever_possible"]
+__all__ = [
+    "block3d",
+    "conv",
+    "conv_charts",
+    "conv_norm",
+    "fold",
+    "native_operators",
+    "unfold",
+    "wherever_possible",
+]
 
 Pair = tuple[Tensor, Tensor]
 
@@ -40,12 +50,18 @@ def fold(col: Tensor, row: Tensor) -> Tensor | None:
     return Fold.apply(col, row) * places_per_vertex(col.shape[-1] - 1, col).reciprocal()
 
 
-def conv(col: Tensor, row: Tensor, weight: Tensor, bias: Tensor | None, stride: int) -> Pair | None:
+def conv(
+    col: Tensor, row: Tensor, weight: Tensor, bias: Tensor | None, stride: int, native: bool = False
+) -> Pair | None:
     """Rectangles ``(B, 5, in, [N,] h, w)`` convolved with a weight ``(out, in, 7)`` or ``(out, in, 21)``."""
     if not available() or stride != 1 or col.device.type != "cpu" or torch.is_autocast_enabled("cpu"):
         return None
     rectangles = zip((col, row), (COL_TAPS, ROW_TAPS), strict=True)
-    if col.ndim == 5:
+    if native and hex_convolution_pays(col, weight, stride):
+        first, second = (
+            hex_convolution(images.flatten(0, 1), weight, bias, taps) for images, taps in rectangles
+        )
+    elif col.ndim == 5:
         # All that the planar way saves is memory for the backward pass.
         if not (torch.is_grad_enabled() and (col.requires_grad or row.requires_grad or weight.requires_grad)):
             return None
@@ -64,13 +80,22 @@ def conv(col: Tensor, row: Tensor, weight: Tensor, bias: Tensor | None, stride: 
     return first.unflatten(0, (-1, 5)), second.unflatten(0, (-1, 5))
 
 
+def conv_charts(
+    charts: Tensor, weight: Tensor, bias: Tensor | None, stride: int, native: bool
+) -> Tensor | None:
+    """Charts ``(B, 5, in, [N,] h + 2, w + 2)`` with their border convolved, ``(B, 5, out, [N,] h, w)``."""
+    if not (available() and native and hex_convolution_pays(charts, weight, stride)):
+        return None
+    return hex_convolution(charts.flatten(0, 1), weight, bias, COL_TAPS, border=True).unflatten(0, (-1, 5))
+
+
 def conv_norm(col: Tensor, row: Tensor, conv_layer: Any, norm: Any, relu: bool) -> Pair | None:
     """A convolution, its normalisation and, if asked for, a ReLU, of the modules ``conv_layer`` and ``norm``."""
     if not available():
         return None
     if is_affine(norm):
         weight, bias = folded(conv_layer.weight, norm)
-        pair = conv(col, row, weight, bias, conv_layer.stride) or (
+        pair = conv(col, row, weight, bias, conv_layer.stride, conv_layer.native) or (
             convolve(col, weight, COL_TAPS, bias, conv_layer.stride),
             convolve(row, weight, ROW_TAPS, bias, conv_layer.stride),
         )
@@ -81,11 +106,11 @@ def conv_norm(col: Tensor, row: Tensor, conv_layer: Any, norm: Any, relu: bool) 
     if not normalizes(col, norm):
         return None
     weight, bias, stride = conv_layer.weight, conv_layer.bias, conv_layer.stride
-    pair = conv(col, row, weight, bias, stride) or (
+    pair = conv(col, row, weight, bias, stride, conv_layer.native) or (
         convolve(col, weight, COL_TAPS, bias, stride),
         convolve(row, weight, ROW_TAPS, bias, stride),
     )
-    return normalize(*pair, norm, relu)
+    return normalize(*pair, norm, relu, conv_layer.native)
 
 
 def block3d(volume: Tensor, first: Any, second: Any, residual: bool) -> Tensor | None:

@@ -20,7 +20,11 @@ from sphericalvision.core import MissingCompilerError
 
 __all__ = ["native_operators"]
 
-SOURCE = Path(__file__).with_name("winograd_cubes.cpp")
+SOURCES = [
+    Path(__file__).with_name(name)
+    for name in ("winograd_cubes.cpp", "hex_convolution.cpp", "normalization.cpp")
+]
+HEADERS = [Path(__file__).with_name(name) for name in ("lanes.h", "winograd_lines.h")]
 
 # What the processor has, as torch names it. Nothing else is asked for, so that machines may share a folder.
 _INSTRUCTIONS = {
@@ -31,7 +35,7 @@ _INSTRUCTIONS = {
 
 @lru_cache(maxsize=1)
 def native_operators() -> Any:
-    """Return the operators, ``winograd_tiles`` and ``winograd_results``, for tensors on the CPU.
+    """Return the operators of all ``SOURCES``, for tensors on the CPU.
 
     The first call on a machine compiles them into the folder where torch keeps its
     extensions (``TORCH_EXTENSIONS_DIR``); later processes load them from there.
@@ -60,7 +64,8 @@ def _flags() -> list[str]:
 def _fingerprint() -> str:
     """Of all that the library depends on."""
     machine = [sys.platform, platform.machine(), *platform.libc_ver()]
-    parts = [SOURCE.read_text(), torch.__version__, torch.__config__.show(), *machine, *_flags()]
+    code = [path.read_text() for path in SOURCES + HEADERS]
+    parts = [*code, torch.__version__, torch.__config__.show(), *machine, *_flags()]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
@@ -73,7 +78,7 @@ def _build(library: Path) -> None:
         with tempfile.TemporaryDirectory(dir=library.parent) as folder, _with_ninja():
             cpp_extension.load(
                 library.stem,
-                [str(SOURCE)],
+                [str(path) for path in SOURCES],
                 extra_cflags=_flags(),
                 build_directory=folder,
                 is_python_module=False,

@@ -12,6 +12,10 @@ from torch.nn.modules.batchnorm import _BatchNorm
 
 from sphericalvision.crown.fast.block import Moments
 from sphericalvision.crown.fast.double_backward import reference_gradients
+from sphericalvision.crown.fast.norm_passes import NativePasses, TorchPasses
+
+PRECISIONS = (torch.float32, torch.float64)
+"""That operators in C++ know."""
 
 __all__ = ["folded", "is_affine", "normalize", "normalizes", "track"]
 
@@ -40,7 +44,7 @@ def normalizes(col: Tensor, norm: Any) -> bool:
     return fits and not is_affine(norm) and not torch.is_autocast_enabled("cpu")
 
 
-def normalize(col: Tensor, row: Tensor, norm: Any, relu: bool) -> tuple[Tensor, Tensor]:
+def normalize(col: Tensor, row: Tensor, norm: Any, relu: bool, native: bool = False) -> tuple[Tensor, Tensor]:
     """Normalise rectangles by their own statistics, which running averages take in, and rectify them, if asked for.
 
     Channels stay next to each other in memory, where the layers of torch, which normalise channels one by one, would
@@ -50,7 +54,7 @@ def normalize(col: Tensor, row: Tensor, norm: Any, relu: bool) -> tuple[Tensor, 
         Ioffe and Szegedy (2015), "Batch normalization", for the gradient.
     """
     first, second, mean, variance = _Normalize.apply(
-        col, row, norm.weight, norm.bias, norm.eps, norm.per_sample, relu
+        col, row, norm.weight, norm.bias, norm.eps, norm.per_sample, relu, native and col.dtype in PRECISIONS
     )
     track(norm, Moments(mean, variance, 2 * col.numel() // col.shape[2]))
     return first, second
@@ -97,23 +101,18 @@ class _Normalize(torch.autograd.Function):
         eps: float,
         per_sample: bool,
         relu: bool,
+        native: bool,
     ) -> tuple[Tensor, ...]:
-        over = (1,) if per_sample else (0, 1)
+        passes = NativePasses if native else TorchPasses
         values = [_places(rectangles) for rectangles in (col, row)]
-        number = 2 * values[0].shape[1] * (1 if per_sample else len(col))
-        mean = torch.stack([x.sum(over, keepdim=True) for x in values]).sum(0) / number
-        # In two passes: the mean of squares less the square of the mean would lose what single precision has.
-        squares = [(x - mean).square_().sum(over, keepdim=True) for x in values]
-        variance = torch.stack(squares).sum(0) / number
+        mean, variance = passes.moments(values, per_sample)
         invert = (variance + eps).rsqrt()
         factor = invert * weight
         offset = bias - mean * factor
-        results = [torch.addcmul(offset, x, factor) for x in values]
-        if relu:
-            results = [x.relu_() for x in results]
+        results = [passes.scale_shift(x, factor, offset, relu) for x in values]
         first, second = (_rectangles(x, like) for x, like in zip(results, (col, row), strict=True))
         ctx.save_for_backward(col, row, weight, bias, mean, invert, *((first, second) if relu else ()))
-        ctx.options = eps, per_sample, relu
+        ctx.options, ctx.passes = (eps, per_sample, relu), passes
         statistics = mean.flatten(), variance.flatten()
         ctx.mark_non_differentiable(*statistics)
         return first, second, *statistics
@@ -124,30 +123,26 @@ class _Normalize(torch.autograd.Function):
         if torch.is_grad_enabled():
             reference, inputs = _plain_normalize(*ctx.options), (col, row, weight, bias)
             needed = ctx.needs_input_grad[:4]
-            return *reference_gradients(reference, inputs, needed, *gradients[:2]), None, None, None
-        over = (1,) if ctx.options[1] else (0, 1)
-        upstream = [_places(gradient) for gradient in gradients[:2]]
-        if rectified:
-            upstream = [
-                torch.ops.aten.threshold_backward(g, _places(x), 0)
-                for g, x in zip(upstream, rectified, strict=True)
-            ]
-        values = [_places(rectangles) for rectangles in (col, row)]
-        number = 2 * values[0].shape[1] * (1 if ctx.options[1] else len(col))
+            return *reference_gradients(reference, inputs, needed, *gradients[:2]), *(None,) * 4
+        passes, per_sample = ctx.passes, ctx.options[1]
+        values, upstream = ([_places(x) for x in pair] for pair in ((col, row), gradients[:2]))
+        open_at: list[Tensor | None] = [_places(x) for x in rectified] or [None, None]
+        number = 2 * values[0].shape[1] * (1 if per_sample else len(col))
         # A place has a gradient of its own and, through mean and variance, a share of the sums of all places'.
-        total = torch.stack([g.sum(over, keepdim=True) for g in upstream]).sum(0)
-        along = torch.stack(
-            [((x - mean).mul_(g)).sum(over, keepdim=True) for x, g in zip(values, upstream, strict=True)]
-        ).sum(0)
+        sums = [
+            passes.gradient_sums(g, x, y, mean, per_sample)
+            for g, x, y in zip(upstream, values, open_at, strict=True)
+        ]
+        total, along = (torch.stack(both).sum(0) for both in zip(*sums, strict=True))
         along = along * invert  # the sum of gradients times normalised values
         factor = invert * weight
         by_value = -factor * invert * along / number
         constant = -factor * total / number - by_value * mean
         found = [
-            _rectangles(torch.addcmul(constant, x, by_value).addcmul_(g, factor), like)
-            for x, g, like in zip(values, upstream, (col, row), strict=True)
+            _rectangles(passes.gradient(g, x, y, factor, by_value, constant), like)
+            for g, x, y, like in zip(upstream, values, open_at, (col, row), strict=True)
         ]
-        return *found, along.sum((0, 1)), total.sum((0, 1)), None, None, None
+        return *found, along.sum((0, 1)), total.sum((0, 1)), *(None,) * 4
 
 
 @torch.no_grad()

@@ -9,9 +9,10 @@
 #include <cstring>
 #include <optional>
 
+#include "winograd_lines.h"
+
 namespace {
 
-constexpr float A = 0.70710678f, B = 1.41421356f;  // the points are 0, A, -A, B, -B and infinity
 constexpr int AHEAD = 4;  // lines of memory are asked for so many places of a tile before they are needed
 
 using Eight = float __attribute__((vector_size(32)));
@@ -26,29 +27,6 @@ inline V load(const float* from) {
 template <typename V>
 inline void store(float* to, const V value) {
   std::memcpy(to, &value, sizeof(V));
-}
-
-// Six values that are given to as many factors.
-template <typename V>
-inline void to_factors(const V (&d)[6], V (&x)[6]) {
-  const V even_a = d[4] - 2.0f * d[2], odd_a = A * (d[3] - 2.0f * d[1]);
-  const V even_b = d[4] - 0.5f * d[2], odd_b = B * (d[3] - 0.5f * d[1]);
-  x[0] = d[0] - 2.5f * d[2] + d[4];
-  x[1] = even_a + odd_a;
-  x[2] = even_a - odd_a;
-  x[3] = even_b + odd_b;
-  x[4] = even_b - odd_b;
-  x[5] = d[1] - 2.5f * d[3] + d[5];
-}
-
-// Six products to four results.
-template <typename V>
-inline void to_results(const V (&m)[6], V (&y)[4]) {
-  const V sum_a = m[1] + m[2], odd_a = A * (m[1] - m[2]), sum_b = m[3] + m[4], odd_b = B * (m[3] - m[4]);
-  y[0] = m[0] + sum_a + sum_b;
-  y[1] = odd_a + odd_b;
-  y[2] = 0.5f * sum_a + 2.0f * sum_b;
-  y[3] = 0.5f * odd_a + 2.0f * odd_b + m[5];
 }
 
 // Tiles of volumes (B, D, h, w, C), whose channels lie together, and where their values go: flat, (6 * number, places, C).
@@ -124,13 +102,13 @@ void tiles_of_line(const Grid grid, const float* volumes, float* tiles, const in
           for (int w = 0; w < W; ++w) {
             for (int64_t j = 0; j < 6; ++j)
               in[j] = load<V>(row + std::min(4 * column + j, grid.width - 1) * grid.right + w * size);
-            to_factors(in, x[w][d][i]);
+            winograd::to_factors<float>(in, x[w][d][i]);
           }
         }
         for (int w = 0; w < W; ++w) {
           for (int j = 0; j < 6; ++j) {
             for (int i = 0; i < 6; ++i) in[i] = x[w][d][i][j];
-            to_factors(in, out);
+            winograd::to_factors<float>(in, out);
             for (int i = 0; i < 6; ++i) x[w][d][i][j] = out[i];
           }
         }
@@ -141,7 +119,7 @@ void tiles_of_line(const Grid grid, const float* volumes, float* tiles, const in
         float* to = tiles + grid.at(k, place, channel);
         for (int w = 0; w < W; ++w) {
           for (int d = 0; d < 6; ++d) in[d] = x[w][d][k / 6][k % 6];
-          to_factors(in, out);
+          winograd::to_factors<float>(in, out);
           for (int64_t d = 0; d < 6; ++d) store(to + d * step + w * size, out[d]);
         }
       }
@@ -166,7 +144,7 @@ void results_of_line(const Grid grid, const float* products, const float* bias, 
         const float* from = products + (slots[k] < 0 ? 0 : grid.at(k, place, channel));
         for (int w = 0; w < W; ++w) {
           for (int64_t d = 0; d < 6; ++d) in[d] = slots[k] < 0 ? V{} : load<V>(from + d * step + w * size);
-          to_results(in, out);
+          winograd::to_results<float>(in, out);
           for (int d = 0; d < 4; ++d) x[w][d][k / 6][k % 6] = out[d];
         }
       }
@@ -175,11 +153,11 @@ void results_of_line(const Grid grid, const float* products, const float* bias, 
           const V shift = bias ? load<V>(bias + channel + w * size) : V{};
           for (int j = 0; j < 6; ++j) {
             for (int i = 0; i < 6; ++i) in[i] = x[w][d][i][j];
-            to_results(in, out);
+            winograd::to_results<float>(in, out);
             for (int i = 0; i < 4; ++i) rows[i][j] = out[i];
           }
           for (int64_t i = 0; i < high; ++i) {
-            to_results(rows[i], out);
+            winograd::to_results<float>(rows[i], out);
             float* row = result + d * grid.deep + i * grid.down + 4 * column * grid.right + channel + w * size;
             for (int64_t j = 0; j < wide; ++j) {
               V value = out[j] + shift;
@@ -230,7 +208,7 @@ void winograd_results(const at::Tensor& products, const at::Tensor& slots, const
 
 }  // namespace
 
-TORCH_LIBRARY(sphericalvision, library) {
+TORCH_LIBRARY_FRAGMENT(sphericalvision, library) {
   library.def("winograd_tiles(Tensor padded, Tensor slots, Tensor(a!) tiles) -> ()");
   library.def("winograd_results(Tensor products, Tensor slots, Tensor? bias, bool rectify, Tensor(a!) result) -> ()");
 }

@@ -24,6 +24,7 @@ from sphericalvision.crown.fast.winograd_rows import ALL_TAPS
 from sphericalvision.crown.fast.workspace import Workspace
 
 __all__ = [
+    "LINE_TAPS",
     "CubeKernel",
     "convolve_cubes",
     "cube_kernel",
@@ -49,7 +50,7 @@ _GIVEN = (
     (0.0, _B / 2, -0.5, -_B, 1.0, 0.0),
     (0.0, 1.0, 0.0, -2.5, 0.0, 1.0),
 )
-_TAPS = (
+LINE_TAPS = (
     (1.0, 0.0, 0.0),
     (-2 / 3, -2 / 3 * _A, -1 / 3),
     (-2 / 3, 2 / 3 * _A, -1 / 3),
@@ -84,7 +85,7 @@ class CubeKernel(NamedTuple):
 
 def cube_kernel(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> CubeKernel:
     """Transform a kernel ``(O, C, 3, 3, 3)`` on the CPU; of nine taps in the plane all but those given are zero."""
-    exact = torch.tensor(_TAPS, dtype=torch.float64)
+    exact = torch.tensor(LINE_TAPS, dtype=torch.float64)
     transformed = torch.einsum("kd,ri,sj,ocdij->krsco", exact, exact, exact, kernel.double()).to(kernel.dtype)
     is_tap = torch.zeros(9, dtype=torch.float64).index_fill(0, torch.tensor(taps), 1.0).view(3, 3)
     there = (exact.abs() @ is_tap @ exact.abs().T).flatten() > 0

@@ -29,14 +29,13 @@ from sphericalvision.crown import (
     HexConv3d,
     ToCrown,
 )
-from sphericalvision.icosphere import IcospherePool, IcosphereUpsample
+from sphericalvision.icosphere import Icosphere, IcospherePool, IcosphereUpsample
 from sphericalvision.sphere import (
     Cubemap,
     CubePad2d,
     Equirectangular,
     EquirectangularPad2d,
     Healpix,
-    Icosphere,
     Resample,
     SphereConv2d,
     TangentImages,

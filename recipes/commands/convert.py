@@ -9,7 +9,8 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig
 
-from sphericalvision.cameras import Camera, CameraRig, Conversion, field_of_view, save_camera, save_rig
+from sphericalvision.cameras import Camera, CameraRig, field_of_view, save_camera, save_rig
+from sphericalvision.cameras.base import Conversion
 from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import console, print_table

@@ -11,7 +11,8 @@ import torch
 from omegaconf import DictConfig
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, coverage, field_of_view, focal_length_on_axis, overlap
+from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
+from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image, write_image

@@ -2,23 +2,12 @@
 """Camera models that work on directions, beyond 180° where the lens does, rigs of them, and calibration files."""
 
 from sphericalvision.cameras import sphere_images as _sphere_images  # noqa: F401  # CameraRig.sample_sphere
-from sphericalvision.cameras.base import Camera, Conversion, Projection, Unprojection
-from sphericalvision.cameras.calibration import (
-    read_camera,
-    read_cameras,
-    read_rig,
-    save_camera,
-    save_rig,
-)
-from sphericalvision.cameras.conversion.convert import InverseFit, convert, fit_inverse_polynomial
-from sphericalvision.cameras.coverage import Overlap, coverage, overlap, seen_by
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.calibration import read_camera, read_cameras, read_rig, save_camera, save_rig
+from sphericalvision.cameras.conversion.convert import convert, fit_inverse_polynomial
+from sphericalvision.cameras.coverage import coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, z_from_depth
-from sphericalvision.cameras.field_of_view import (
-    FieldOfView,
-    field_of_view,
-    focal_length_on_axis,
-    visible_angle,
-)
+from sphericalvision.cameras.field_of_view import field_of_view
 from sphericalvision.cameras.models.brown_conrady import (
     BrownConradyCamera,
     project_brown_conrady,
@@ -54,25 +43,20 @@ from sphericalvision.cameras.models.radial_polynomial import (
 )
 from sphericalvision.cameras.models.unified import UnifiedCamera, project_unified, unproject_unified
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.cameras.remapping.remap import REMAP_MODES, Remap, remap, remap_mask
+from sphericalvision.cameras.remapping.remap import Remap, remap, remap_mask
 from sphericalvision.cameras.remapping.undistort import undistort, undistorted_camera
 from sphericalvision.cameras.rig import CameraRig, ring_rig
 
 __all__ = [
-    "REMAP_MODES",
     "BrownConradyCamera",
     "Camera",
     "CameraRig",
-    "Conversion",
     "DoubleSphereCamera",
     "EquirectangularCamera",
     "ExtendedUnifiedCamera",
-    "FieldOfView",
     "FisheyeCamera",
-    "InverseFit",
     "KannalaBrandtCamera",
     "OCamCamera",
-    "Overlap",
     "PinholeCamera",
     "Projection",
     "RadialPolynomialCamera",
@@ -84,7 +68,6 @@ __all__ = [
     "depth_from_z",
     "field_of_view",
     "fit_inverse_polynomial",
-    "focal_length_on_axis",
     "overlap",
     "project_brown_conrady",
     "project_double_sphere",
@@ -118,6 +101,5 @@ __all__ = [
     "unproject_pinhole",
     "unproject_radial_polynomial",
     "unproject_unified",
-    "visible_angle",
     "z_from_depth",
 ]

@@ -2,14 +2,8 @@
 """The crown: an icosphere laid out as ten rectangles, and the layers that work on it or on the vertices directly."""
 
 from sphericalvision.crown.block import CrownBlock3d, CrownConvNorm2d, CrownConvNorm3d, crown_block3d
-from sphericalvision.crown.conv import (
-    CrownConv2d,
-    CrownConv3d,
-    crown_conv2d,
-    crown_conv3d,
-)
+from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, crown_conv2d, crown_conv3d
 from sphericalvision.crown.hexconv import HexConv2d, HexConv3d, hex_conv2d, hex_conv3d, north_fraction
-from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.crown.layout import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
 from sphericalvision.crown.modules import CrownExchange, CrownPointwise, FromCrown, ToCrown
 from sphericalvision.crown.norm import (
@@ -17,9 +11,8 @@ from sphericalvision.crown.norm import (
     CrownBatchNorm3d,
     CrownInstanceNorm2d,
     CrownInstanceNorm3d,
-    crown_norm,
 )
-from sphericalvision.crown.options import kernel_option, set_kernel_options
+from sphericalvision.crown.options import set_kernel_options
 from sphericalvision.crown.pool import (
     CrownAvgPool2d,
     CrownMaxPool2d,
@@ -28,7 +21,6 @@ from sphericalvision.crown.pool import (
     crown_max_pool2d,
     crown_upsample,
 )
-from sphericalvision.crown.recompute import RecomputedModule
 
 __all__ = [
     "Crown",
@@ -49,7 +41,6 @@ __all__ = [
     "FromCrown",
     "HexConv2d",
     "HexConv3d",
-    "RecomputedModule",
     "ToCrown",
     "crown_avg_pool2d",
     "crown_block3d",
@@ -57,15 +48,12 @@ __all__ = [
     "crown_conv3d",
     "crown_map",
     "crown_max_pool2d",
-    "crown_norm",
     "crown_relu",
     "crown_upsample",
     "exchange",
     "from_crown",
     "hex_conv2d",
     "hex_conv3d",
-    "hex_pad",
-    "kernel_option",
     "north_fraction",
     "set_kernel_options",
     "to_crown",

@@ -4,16 +4,12 @@
 from sphericalvision.data.augmentation.fivefold import RotateFivefold
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.rotate_fisheye import RotateFisheye
-from sphericalvision.data.augmentation.sphere_rotation import (
-    random_rotations,
-)
+from sphericalvision.data.augmentation.sphere_rotation import random_rotations
 from sphericalvision.data.augmentation.sphere_transforms import RandomSphereRotation, RandomYaw
 from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
 from sphericalvision.data.collate import collate_samples
 from sphericalvision.data.omnistereo.dataset import OmniStereoDataset
-from sphericalvision.data.omnistereo.files import split_frames
-from sphericalvision.data.omnistereo.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
-from sphericalvision.data.omnistereo.ocam_fit import ocam_from_camera
+from sphericalvision.data.omnistereo.ground_truth import read_ground_truth, write_ground_truth
 from sphericalvision.data.omnistereo.writer import write_omnistereo
 from sphericalvision.data.rendering.mesh_scene import MeshScene, read_mesh_scene
 from sphericalvision.data.rendering.to_mesh import mesh_from_scene
@@ -31,7 +27,6 @@ from sphericalvision.io.images import read_image, write_image
 __all__ = [
     "Compose",
     "FisheyeSceneDataset",
-    "GroundTruth",
     "MeshScene",
     "OmniStereoDataset",
     "PhotometricAugmentation",
@@ -47,7 +42,6 @@ __all__ = [
     "collate_samples",
     "make_scene",
     "mesh_from_scene",
-    "ocam_from_camera",
     "random_rotations",
     "ray_depth",
     "read_ground_truth",
@@ -56,7 +50,6 @@ __all__ = [
     "render_camera",
     "render_directions",
     "render_rig",
-    "split_frames",
     "write_ground_truth",
     "write_image",
     "write_omnistereo",

@@ -11,7 +11,7 @@ from sphericalvision.geometry.directions import (
     longitude_latitude_from_directions,
     normalize,
 )
-from sphericalvision.geometry.interpolation import bilinear_sample, wrap_panorama
+from sphericalvision.geometry.interpolation import bilinear_sample
 from sphericalvision.geometry.transforms import (
     axis_angle_from_transform,
     invert_transform,
@@ -31,5 +31,4 @@ __all__ = [
     "transform_from_axis_angle",
     "transform_from_quaternion",
     "transform_points",
-    "wrap_panorama",
 ]

@@ -1,24 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The icosphere: a nearly uniform grid of directions, its topology, its levels, and exact point location."""
 
-from sphericalvision.icosphere.adjacency import (
-    icosphere_edges,
-    icosphere_face_neighbors,
-    icosphere_neighbors,
-    icosphere_vertex_faces,
-)
+from sphericalvision.icosphere.adjacency import icosphere_edges, icosphere_neighbors
 from sphericalvision.icosphere.areas import (
     icosphere_normals,
     icosphere_solid_angles,
     icosphere_voronoi_solid_angles,
 )
-from sphericalvision.icosphere.hierarchy import (
-    icosphere_face_children,
-    icosphere_face_parents,
-    icosphere_vertex_parents,
-)
 from sphericalvision.icosphere.icosphere import Icosphere
-from sphericalvision.icosphere.lines import IcosphereLines, icosphere_lines
 from sphericalvision.icosphere.locate import locate
 from sphericalvision.icosphere.locator import TriangleLocator
 from sphericalvision.icosphere.mesh import icosphere_vertices
@@ -29,12 +18,8 @@ from sphericalvision.icosphere.pooling import (
     icosphere_pool,
     icosphere_upsample,
 )
-from sphericalvision.icosphere.subdivision import (
-    from_subdivision_order,
-    to_subdivision_order,
-)
+from sphericalvision.icosphere.subdivision import from_subdivision_order, to_subdivision_order
 from sphericalvision.icosphere.topology import (
-    MAX_LEVEL,
     check_level,
     icosphere_faces,
     level_from_num_vertices,
@@ -42,28 +27,20 @@ from sphericalvision.icosphere.topology import (
 )
 
 __all__ = [
-    "MAX_LEVEL",
     "Icosphere",
-    "IcosphereLines",
     "IcospherePool",
     "IcosphereUpsample",
     "TriangleLocator",
     "check_level",
     "from_subdivision_order",
     "icosphere_edges",
-    "icosphere_face_children",
-    "icosphere_face_neighbors",
-    "icosphere_face_parents",
     "icosphere_faces",
-    "icosphere_lines",
     "icosphere_neighbors",
     "icosphere_normals",
     "icosphere_pool",
     "icosphere_rings",
     "icosphere_solid_angles",
     "icosphere_upsample",
-    "icosphere_vertex_faces",
-    "icosphere_vertex_parents",
     "icosphere_vertices",
     "icosphere_voronoi_solid_angles",
     "icosphere_within",

@@ -2,7 +2,7 @@
 """Networks, composed of the rooms below, and their weights."""
 
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
+from sphericalvision.models.classifier import SphereClassifier
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.omnimvs import OmniMVS
 from sphericalvision.models.training_free import SemiGlobalSweep, WinnerTakesAll
@@ -12,7 +12,6 @@ from sphericalvision.models.weights import (
     load_weights,
     network_class,
     network_name,
-    network_names,
     pretrained,
     register_network,
     save_weights,
@@ -20,7 +19,6 @@ from sphericalvision.models.weights import (
 )
 
 __all__ = [
-    "CLASSIFIER_NETWORKS",
     "DepthNetwork",
     "IcoSweepNet",
     "OmniMVS",
@@ -28,12 +26,10 @@ __all__ = [
     "SphereClassifier",
     "WinnerTakesAll",
     "available_weights",
-    "classifier_grid",
     "load_reference_checkpoint",
     "load_weights",
     "network_class",
     "network_name",
-    "network_names",
     "pretrained",
     "register_network",
     "save_weights",

@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.crown import kernel_option, set_kernel_options
+from sphericalvision.crown import set_kernel_options
+from sphericalvision.crown.options import kernel_option
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models.arguments import RemembersArguments
 from sphericalvision.sweep import DepthEstimate, depth_from_index

@@ -12,13 +12,13 @@ from sphericalvision.crown import (
     CrownAvgPool2d,
     CrownConv2d,
     CrownConvNorm2d,
-    RecomputedModule,
     crown_relu,
     crown_upsample,
     exchange,
     from_crown,
     to_crown,
 )
+from sphericalvision.crown.recompute import RecomputedModule
 
 __all__ = ["FeatureExtractor", "ResidualBlock"]
 

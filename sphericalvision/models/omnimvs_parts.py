@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.crown import RecomputedModule
+from sphericalvision.crown.recompute import RecomputedModule
 from sphericalvision.models.omnimvs_layers import ImageConv, SphereConv, VolumeConv, VolumeUpConv
 from sphericalvision.sweep import PanoramaSweep, PanoramaTables
 

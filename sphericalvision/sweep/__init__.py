@@ -5,7 +5,6 @@ from sphericalvision.sweep.aggregation import (
     Aggregation,
     Concatenation,
     MeanVariance,
-    mean_and_variance,
     named_aggregation,
     register_aggregation,
 )
@@ -27,19 +26,12 @@ from sphericalvision.sweep.regression import (
 )
 from sphericalvision.sweep.semi_global import (
     SemiGlobalTables,
-    SmoothedCosts,
     semi_global_costs,
     semi_global_sweep,
     semi_global_tables,
 )
 from sphericalvision.sweep.smoothing import semi_global_smoothing
-from sphericalvision.sweep.sphere_sweep import (
-    SphereSweep,
-    SweepTables,
-    SweepVolume,
-    sphere_sweep,
-    sweep_tables,
-)
+from sphericalvision.sweep.sphere_sweep import SphereSweep, SweepTables, SweepVolume, sphere_sweep
 
 __all__ = [
     "Aggregation",
@@ -49,7 +41,6 @@ __all__ = [
     "PanoramaSweep",
     "PanoramaTables",
     "SemiGlobalTables",
-    "SmoothedCosts",
     "SphereSweep",
     "SweepTables",
     "SweepVolume",
@@ -60,7 +51,6 @@ __all__ = [
     "index_from_inverse_depth",
     "inverse_depth_from_index",
     "inverse_depth_hypotheses",
-    "mean_and_variance",
     "named_aggregation",
     "photo_consistency",
     "register_aggregation",
@@ -71,5 +61,4 @@ __all__ = [
     "soft_argmax",
     "soft_argmax_confidence",
     "sphere_sweep",
-    "sweep_tables",
 ]

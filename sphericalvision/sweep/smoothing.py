@@ -12,7 +12,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import icosphere_lines, level_from_num_vertices
+from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.icosphere.lines import icosphere_lines
 
 __all__ = ["semi_global_smoothing", "smoothing_paths"]
 

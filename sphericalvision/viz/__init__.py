@@ -9,16 +9,14 @@ from sphericalvision.viz.mesh import icosphere_mesh, sphere_mesh
 from sphericalvision.viz.panorama import (
     depth_panorama,
     error_panorama,
-    icosphere_to_panorama,
     rgb_panorama,
     save_depth_panorama,
     save_error_panorama,
 )
-from sphericalvision.viz.pointcloud import PointCloud, panorama_point_cloud, save_point_cloud
+from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_cloud
 from sphericalvision.viz.rigs import coverage_panorama, rig_picture
 
 __all__ = [
-    "PointCloud",
     "angle_map",
     "coverage_panorama",
     "crown_picture",
@@ -27,7 +25,6 @@ __all__ = [
     "error_panorama",
     "error_to_color",
     "icosphere_mesh",
-    "icosphere_to_panorama",
     "panorama_point_cloud",
     "rgb_panorama",
     "rig_picture",

@@ -12,8 +12,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import Camera, CameraRig, coverage, overlap, visible_angle
+from sphericalvision.cameras import Camera, CameraRig, coverage, overlap
 from sphericalvision.cameras.base import check_single
+from sphericalvision.cameras.field_of_view import visible_angle
 from sphericalvision.geometry import longitude_latitude_from_directions
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.figure import figure_pixels

@@ -23,8 +23,8 @@ from sphericalvision.cameras import (
     UnifiedCamera,
     convert,
     fit_inverse_polynomial,
-    focal_length_on_axis,
 )
+from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.core import ArgumentError
 from tests.laws.cameras import MODELS
 

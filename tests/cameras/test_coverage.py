@@ -14,11 +14,10 @@ from sphericalvision.cameras import (
     PinholeCamera,
     coverage,
     field_of_view,
-    focal_length_on_axis,
     overlap,
     ring_rig,
-    visible_angle,
 )
+from sphericalvision.cameras.field_of_view import focal_length_on_axis, visible_angle
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
 from tests.laws.cameras import MODELS

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import (
-    REMAP_MODES,
     Camera,
     EquirectangularCamera,
     FisheyeCamera,
@@ -26,6 +25,7 @@ from sphericalvision.cameras import (
     undistorted_camera,
     z_from_depth,
 )
+from sphericalvision.cameras.remapping.remap import REMAP_MODES
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 

@@ -18,10 +18,10 @@ from sphericalvision.crown import (
     from_crown,
     hex_conv2d,
     hex_conv3d,
-    hex_pad,
     north_fraction,
     to_crown,
 )
+from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.icosphere import icosphere_neighbors, icosphere_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
 

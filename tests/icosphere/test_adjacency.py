@@ -15,15 +15,14 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import (
     Icosphere,
     icosphere_edges,
-    icosphere_face_neighbors,
     icosphere_faces,
     icosphere_neighbors,
     icosphere_rings,
-    icosphere_vertex_faces,
     icosphere_vertices,
     icosphere_within,
     num_icosphere_vertices,
 )
+from sphericalvision.icosphere.adjacency import icosphere_face_neighbors, icosphere_vertex_faces
 
 LEVELS = [0, 1, 2, 4]
 

@@ -14,17 +14,19 @@ from sphericalvision.icosphere import (
     IcospherePool,
     IcosphereUpsample,
     from_subdivision_order,
-    icosphere_face_children,
-    icosphere_face_parents,
     icosphere_faces,
     icosphere_neighbors,
     icosphere_pool,
     icosphere_solid_angles,
     icosphere_upsample,
-    icosphere_vertex_parents,
     icosphere_vertices,
     num_icosphere_vertices,
     to_subdivision_order,
+)
+from sphericalvision.icosphere.hierarchy import (
+    icosphere_face_children,
+    icosphere_face_parents,
+    icosphere_vertex_parents,
 )
 from sphericalvision.icosphere.topology import coarse_vertex_ids
 

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.icosphere import Icosphere, icosphere_edges, icosphere_lines, icosphere_neighbors
+from sphericalvision.icosphere import Icosphere, icosphere_edges, icosphere_neighbors
+from sphericalvision.icosphere.lines import icosphere_lines
 
 
 def steps_of(lines: tuple[Tensor, Tensor]) -> Tensor:

@@ -7,7 +7,8 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from sphericalvision.icosphere import Icosphere, icosphere_face_neighbors
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.icosphere.adjacency import icosphere_face_neighbors
 from sphericalvision.icosphere.descent import descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.fast.triangle_table import coefficients, find_triangles, triangle_table

@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.geometry import longitude_latitude_from_directions
-from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, Icosphere, SphereGrid, TangentImages
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid, TangentImages
 
 DOUBLE = torch.float64
 UP, AHEAD = torch.tensor([0.0, -1, 0], dtype=DOUBLE), torch.tensor([0.0, 0, 1], dtype=DOUBLE)

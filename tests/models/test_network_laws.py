@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from sphericalvision.models import network_class, network_names
+from sphericalvision.models import network_class
+from sphericalvision.models.weights import network_names
 from tests.laws.network_laws import LAWS, NETWORKS, inputs
 
 

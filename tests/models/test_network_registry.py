@@ -22,10 +22,10 @@ from sphericalvision.models import (
     load_weights,
     network_class,
     network_name,
-    network_names,
     register_network,
     save_weights,
 )
+from sphericalvision.models.weights import network_names
 
 BUILT_IN = network_names()
 

@@ -14,7 +14,8 @@ import torch
 from sphericalvision.data import random_rotations
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere, yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.models import CLASSIFIER_NETWORKS, SphereClassifier, classifier_grid
+from sphericalvision.models import SphereClassifier
+from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, classifier_grid
 from sphericalvision.recipes.commands.digits_table import DigitsRun, table
 from sphericalvision.recipes.digits.datamodule import NUM_DIGITS, DigitsDataModule
 from sphericalvision.recipes.digits.dataset import SphericalDigits, draw_on_sphere, load_digits

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import directions_from_longitude_latitude
-from sphericalvision.sphere import Equirectangular, Icosphere, SphereGrid
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Equirectangular, SphereGrid
 
 SIZES = [(1, 1), (4, 8), (5, 9), (6, 7), (16, 64)]
 

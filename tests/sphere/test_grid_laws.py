@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.sphere import Healpix, Icosphere, SphereGrid, resample, resample_mask
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Healpix, SphereGrid, resample, resample_mask
 from tests.laws.grid_laws import DOUBLE, GRIDS, some_rotation, spread_directions
 from tests.laws.harmonics import harmonics
 

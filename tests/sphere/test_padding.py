@@ -20,8 +20,8 @@ from sphericalvision.sphere import (
     cube_pad,
     equirectangular_pad,
     make_seamless,
-    world_from_cube_face,
 )
+from sphericalvision.sphere.grids.cubemap import world_from_cube_face
 
 
 def random_values(*shape: int) -> Tensor:

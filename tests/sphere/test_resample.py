@@ -13,7 +13,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.sphere import Equirectangular, Icosphere, resample, resample_mask
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Equirectangular, resample, resample_mask
 
 FISHEYE = FisheyeCamera.from_field_of_view((96, 128), math.radians(200))
 

@@ -20,11 +20,11 @@ from sphericalvision.cameras import (
     remap_mask,
 )
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import (
     Cubemap,
     Equirectangular,
     Healpix,
-    Icosphere,
     Resample,
     SphereGrid,
     TangentImages,

@@ -6,7 +6,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sphericalvision.sphere import Equirectangular, Healpix, Icosphere, Resample, SphereConv2d
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere import Equirectangular, Healpix, Resample, SphereConv2d
 from tests.laws.fast_laws import (
     FastCase,
     law_gradients_agree,

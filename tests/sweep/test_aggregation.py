@@ -13,10 +13,10 @@ from sphericalvision.sweep import (
     Concatenation,
     MeanVariance,
     SweepVolume,
-    mean_and_variance,
     named_aggregation,
     register_aggregation,
 )
+from sphericalvision.sweep.aggregation import mean_and_variance
 
 
 def random_volume(generator: torch.Generator, num_cameras: int = 4) -> SweepVolume:

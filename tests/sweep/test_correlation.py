@@ -13,15 +13,10 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere, icosphere_vertices
-from sphericalvision.sweep import (
-    SphereSweep,
-    SweepTables,
-    correlation_evidence,
-    sphere_sweep,
-    sweep_tables,
-)
+from sphericalvision.sweep import SphereSweep, SweepTables, correlation_evidence, sphere_sweep
 from sphericalvision.sweep.correlation import mean_of_better_half
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
+from sphericalvision.sweep.sweep_tables import sweep_tables
 from sphericalvision.sweep.visibility import seen_in_view
 
 

@@ -11,7 +11,8 @@ import torch
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere, icosphere_vertices, locate
-from sphericalvision.sweep import SphereSweep, SweepTables, inverse_depth_hypotheses, sweep_tables
+from sphericalvision.sweep import SphereSweep, SweepTables, inverse_depth_hypotheses
+from sphericalvision.sweep.sweep_tables import sweep_tables
 
 DOUBLE = torch.float64
 

@@ -20,11 +20,11 @@ from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz import (
     depth_to_color,
     error_to_color,
-    icosphere_to_panorama,
     rgb_panorama,
     save_depth_panorama,
     save_error_panorama,
 )
+from sphericalvision.viz.panorama import icosphere_to_panorama
 
 HALF = torch.tensor([2.0, 1.2, 4.0])
 

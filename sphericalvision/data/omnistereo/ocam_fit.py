@@ -7,7 +7,8 @@ import math
 
 import torch
 
-from sphericalvision.cameras import Camera, EquirectangularCamera, OCamCamera, convert, visible_angle
+from sphericalvision.cameras import Camera, EquirectangularCamera, OCamCamera, convert
+from sphericalvision.cameras.field_of_view import visible_angle
 from sphericalvision.core import ArgumentError
 
 __all__ = ["ocam_from_camera"]

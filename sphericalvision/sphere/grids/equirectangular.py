@@ -14,8 +14,8 @@ from sphericalvision.geometry import (
     bilinear_sample,
     directions_from_longitude_latitude,
     longitude_latitude_from_directions,
-    wrap_panorama,
 )
+from sphericalvision.geometry.interpolation import wrap_panorama
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 
 __all__ = ["Equirectangular"]

@@ -17,7 +17,8 @@ from sphericalvision.recipes.study.benchmark.frames import Frame
 from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPTH
 from sphericalvision.recipes.study.benchmark.scoring import FrameTruth
 from sphericalvision.sweep import depth_from_index
-from sphericalvision.viz import depth_to_color, error_to_color, icosphere_to_panorama, sheet
+from sphericalvision.viz import depth_to_color, error_to_color, sheet
+from sphericalvision.viz.panorama import icosphere_to_panorama
 
 __all__ = ["WORST", "frame_pictures", "page"]
 

@@ -11,6 +11,7 @@ from torch.utils.data import Dataset
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.scenes.recipes import kind_of, make_scene, ray_depth, render_rig
+from sphericalvision.data.seeded_scenes import NATURAL_MIN_DEPTH, MeshFiles, SeededScenes
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
 
@@ -24,10 +25,12 @@ class RenderedFrames(Dataset[dict[str, Any]]):
         rig: cameras that take the pictures.
         frames: frame numbers.
         first_seed: seed of frame 1.
-        kind: "room", "floating" or "mixed".
+        kind: of ``make_scene``, or a mixture: "mixed" or "all".
         samples_per_pixel: rays per pixel.
         height: rows of the ground-truth panorama; it has twice as many columns.
         scale: multiplies the scene's lengths; for larger rigs.
+        meshes: of which scenes are made in place of a kind.
+        carrier: what carries the rig and is in view: "pole", "robot" or "vehicle".
     """
 
     def __init__(
@@ -39,20 +42,21 @@ class RenderedFrames(Dataset[dict[str, Any]]):
         samples_per_pixel: int = 4,
         height: int = 320,
         scale: float = 1.0,
+        meshes: MeshFiles | None = None,
+        carrier: str | None = None,
     ) -> None:
         if not height > 0:
             raise ArgumentError(f"height: expected a positive number of rows, got {height}")
-        kind_of(kind, 0)
-        self.rig, self.frames, self.first_seed, self.kind = rig, frames, first_seed, kind
-        self.samples_per_pixel, self.height, self.scale = samples_per_pixel, height, scale
+        self.scenes = SeededScenes(rig, kind, scale * NATURAL_MIN_DEPTH, meshes, carrier)
+        self.rig, self.frames, self.first_seed = rig, frames, first_seed
+        self.samples_per_pixel, self.height = samples_per_pixel, height
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         frame = self.frames[index]
-        seed = self.first_seed + frame - 1
-        scene = make_scene(kind_of(self.kind, seed), seed, scale=self.scale, center=self.rig.center)
+        scene = self.scenes.make(self.first_seed + frame - 1)
         depth = ray_depth(scene, self.rig.center, Equirectangular(self.height, 2 * self.height).directions)
         return {
             "images": render_rig(scene, self.rig, self.samples_per_pixel),
@@ -71,7 +75,7 @@ class SceneDepths(Dataset[dict[str, Any]]):
         num_scenes: how many.
         level: icosphere level of the images; depth is two levels below.
         first_seed: seed of the first scene.
-        kind: "room", "floating" or "mixed".
+        kind: of ``make_scene``, or a mixture: "mixed" or "all".
         scale: multiplies the scenes' lengths.
     """
 

@@ -77,6 +77,10 @@ class Render:
     first_frame: Number
     first_seed: Annotated[int, AtLeast(0)]
     kind: str
+    mesh: str | list[str] | None
+    mesh_up: str
+    mesh_scale: Positive
+    carrier: str | None
     release: str | None
     min_depth: Positive
     scale: Positive

@@ -15,6 +15,7 @@ from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.data.omnistereo.files import RELEASES
+from sphericalvision.data.seeded_scenes import MeshFiles, mesh_files
 from sphericalvision.recipes.app.cli import build, console, print_config
 from sphericalvision.recipes.app.frames import RenderedFrames
 
@@ -61,12 +62,21 @@ def render(config: DictConfig, folder: Path) -> int:
         samples_per_pixel=config.samples_per_pixel,
         height=config.height,
         scale=config.scale,
+        meshes=_meshes(config),
+        carrier=config.carrier,
     )
     if missing:
         write_omnistereo(folder, _progress(rendered, config.num_workers), rig, release, config.min_depth)
     print(f"{len(missing)} frames written, {len(frames)} in {folder}")
     print(f"Read back with: data=omnistereo data.root={folder} data.train_split=all data.val_split=all")
     return len(missing)
+
+
+def _meshes(config: DictConfig) -> MeshFiles | None:
+    if config.mesh is None:
+        return None
+    given: Any = config.mesh if isinstance(config.mesh, str) else list(config.mesh)
+    return mesh_files(given, config.mesh_up, config.mesh_scale)
 
 
 def _progress(frames: RenderedFrames, num_workers: int) -> Iterator[dict[str, Any]]:

@@ -16,7 +16,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold, SceneDataset
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
-from sphericalvision.data.seeded_scenes import HELD_OUT_SEED
+from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, mesh_files
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import Wanted
 
@@ -45,7 +45,7 @@ class SceneDataModule(SampleDataModule):
         min_depth: nearest hypothesis in metres; nearer points are not valid.
         entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama".
         panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
-        kind: "room", "floating" or "mixed".
+        kind: of ``make_scene``, or a mixture: "mixed" or "all".
         num_train: number of training scenes.
         num_val: number of validation scenes.
         num_test: number of test scenes.
@@ -59,6 +59,10 @@ class SceneDataModule(SampleDataModule):
         batch_size: samples in a batch.
         num_workers: processes that prepare samples, and that render before training.
         seed: of the order in training.
+        mesh: file of a textured mesh, several, or a folder: scenes are free places in it, in place of a kind.
+        mesh_up: axis that points up in it, "y" (glTF) or "z".
+        mesh_scale: metres in one unit of it.
+        carrier: what carries the rig and is in view: "pole", "robot" or "vehicle"; nothing when not given.
     """
 
     def __init__(
@@ -82,6 +86,10 @@ class SceneDataModule(SampleDataModule):
         batch_size: int = 4,
         num_workers: int = 0,
         seed: int = 0,
+        mesh: str | list[str] | None = None,
+        mesh_up: str = "y",
+        mesh_scale: float = 1.0,
+        carrier: str | None = None,
     ) -> None:
         super().__init__(batch_size, num_workers, seed)
         self.rig, self.cache_dir, self.augment = rig, cache_dir, augment
@@ -91,6 +99,8 @@ class SceneDataModule(SampleDataModule):
             "samples_per_pixel": samples_per_pixel,
             "antialias": antialias,
             "min_depth": min_depth,
+            "meshes": None if mesh is None else mesh_files(mesh, mesh_up, mesh_scale),
+            "carrier": carrier,
         }
         self.entries = None if entries is None else tuple(entries)
         self.panorama_size = panorama_size

@@ -14,9 +14,7 @@ from torch.utils.data import Dataset, Subset
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import RotateFisheye
-from sphericalvision.data.seeded_scenes import NATURAL_MIN_DEPTH
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.app.frames import SceneDepths
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import ChosenEntries
 from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
@@ -108,9 +106,8 @@ def training_depths(training: DictConfig, level: int, most: int) -> tuple[Tensor
     settings = {"level": level, "min_depth": training.model.min_depth, "entries": None}
     data = build({**training.data, **settings}, "data")
     if isinstance(data, SceneDataModule):
-        number, first = data.scenes["train"]
-        scale = data.options["min_depth"] / NATURAL_MIN_DEPTH
-        frames: Dataset[Sample] = SceneDepths(data.rig, number, level, first, data.options["kind"], scale)
+        data.entries = ("depth",)  # nothing is rendered
+        frames: Dataset[Sample] = data.plain_train_dataset()
     else:
         frames = data.plain_train_dataset()
     total = len(frames)  # type: ignore[arg-type]

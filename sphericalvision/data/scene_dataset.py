@@ -19,9 +19,10 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.augmentation.transforms import ToSphere
 from sphericalvision.data.cache import ArrayCache, decode, encode
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
+from sphericalvision.data.rendering.mesh_scene import MeshScene
 from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.recipes import ray_depth, render_rig
-from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, SeededScenes
+from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, MeshFiles, SeededScenes
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
@@ -69,6 +70,8 @@ class SceneDataset(Dataset[dict[str, Any]]):
             45°.
         stored: which images become bytes and are kept: ``"sphere"``, small and for one level, or ``"camera"``, from
             which every level and ``"fisheye"`` are made. ``"camera"`` whenever ``"fisheye"`` is asked for.
+        meshes: of which scenes are made in place of a kind; see ``seeded_scenes.mesh_files``.
+        carrier: what carries the rig and is in view: "pole", "robot" or "vehicle".
 
     Raises:
         ArgumentError: an unknown entry or kind, none at all, level below 2, fewer than one scene, a seed below 0,
@@ -99,6 +102,8 @@ class SceneDataset(Dataset[dict[str, Any]]):
         entries: Iterable[str] = ("sphere",),
         panorama: Sequence[int] = (80, 160),
         stored: str = "sphere",
+        meshes: MeshFiles | None = None,
+        carrier: str | None = None,
     ) -> None:
         for name, value, least in (
             ("num_scenes", num_scenes, 1),
@@ -107,7 +112,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
         ):
             if value < least:
                 raise ArgumentError(f"{name}: expected at least {least}, got {value}")
-        self.scenes = SeededScenes(rig, kind, min_depth)
+        self.scenes = SeededScenes(rig, kind, min_depth, meshes, carrier)
         self.entries = _checked_entries(entries, rig)
         self.num_scenes, self.rig, self.first_seed = num_scenes, rig, first_seed
         self.samples_per_pixel, self.min_depth, self.level = samples_per_pixel, min_depth, level
@@ -179,7 +184,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
             shown |= {"fisheye": decode(frames, self._frame_seen), "fisheye_seen": self._frame_seen}
         return shown
 
-    def _render(self, scene: Scene) -> dict[str, Tensor]:
+    def _render(self, scene: Scene | MeshScene) -> dict[str, Tensor]:
         """Images as bytes: by camera, or all on the icosphere."""
         pictures = render_rig(scene, self.rig, self.samples_per_pixel)
         if self.stored == "camera":
@@ -188,7 +193,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
         values, _ = self.rig.sample_sphere(pictures, directions, antialias=antialias)
         return {"images": encode(values * 2 - 1)}
 
-    def _measure(self, scene: Callable[[], Scene], key: str) -> dict[str, Tensor]:
+    def _measure(self, scene: Callable[[], Scene | MeshScene], key: str) -> dict[str, Tensor]:
         directions = self._directions()[key]()
         return {"inverse_depth": ray_depth(scene(), self.rig.center, directions).reciprocal()}
 
@@ -204,12 +209,14 @@ class SceneDataset(Dataset[dict[str, Any]]):
         return ArrayCache(_below(root, f"{name}-{rig_fingerprint(self.rig, numbers)}"), holds)
 
     def _depth_cache(self, root: Path | None, key: str) -> ArrayCache:
-        """Depths depend on where the rig's centre is, and on nothing else of it."""
+        """Depths depend on where the rig's centre is, and on nothing else of it but for the size of its carrier."""
         on_icosphere = key == "inverse_depth"
         grid = f"level{self.level - 2}" if on_icosphere else "x".join(map(str, self.panorama))
         shape = (Icosphere(self.level - 2).num_vertices,) if on_icosphere else self.panorama
         center = rounded_text(self.rig.center).decode().replace(" ", "_")
         name = f"depth-{grid}-min{self.min_depth:.5g}-at{center}-{GENERATION}"
+        if self.scenes.carrier is not None:
+            name += f"-{rig_fingerprint(self.rig)}"
         return ArrayCache(_below(root, name), {"inverse_depth": (shape, torch.float32)})
 
 

@@ -19,7 +19,7 @@ from sphericalvision.data.rendering.primitives import Primitives
 from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.data.scenes.recipes import kind_of, make_scene
-from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH
+from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH, mesh_files
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.study.benchmark.tracks import Track
@@ -123,6 +123,8 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
 
 def _scene(track: Track, rig: CameraRig, seed: int) -> tuple[Scene | MeshScene, Primitives | None]:
     """What is seen, and the body of the carrier in it."""
+    if track.meshes:
+        return mesh_files(list(track.meshes)).make(seed, CLEAR_RADIUS), None
     kind = kind_of(track.kind, seed)
     scene = make_scene(kind, seed, center=rig.center, clear_radius=CLEAR_RADIUS)
     if track.carrier is None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import torch
 
@@ -15,7 +14,7 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.augmentation.disturbances import CameraDisturbance
 from sphericalvision.data.augmentation.random_rigs import random_rig
 from sphericalvision.data.scenes.recipes import kind_of
-from sphericalvision.data.seeded_scenes import HELD_OUT_SEED
+from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, mesh_files
 from sphericalvision.recipes.app.rigs import make_corner_rig, make_panorama_ring, make_ring
 
 __all__ = ["GROUPS", "TRACKS", "RigRecipe", "Track", "chosen_tracks"]
@@ -98,7 +97,7 @@ class Track:
         """Kind and seed of a frame's scene."""
         seed = self.seed(number)
         if self.meshes:
-            return f"{Path(self.meshes[number % len(self.meshes)]).stem}-{seed:08d}"
+            return mesh_files(list(self.meshes)).name(seed)
         return f"{kind_of(self.kind, seed)}-{seed:08d}"
 
     def smaller(self, image_rows: int) -> Track:

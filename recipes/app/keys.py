@@ -151,6 +151,7 @@ class Study:
 class Benchmark:
     """``sphericalvision-benchmark``."""
 
+    output: str
     groups: list[str]
     only: str | None
     seconds: Positive
@@ -163,6 +164,8 @@ class Benchmark:
     training: bool
     memory: bool
     options: list[str]
+    variants: list[str]
+    convolution_settings: list[list[Count]]
     num_frames: Count
     num_points: Count
 

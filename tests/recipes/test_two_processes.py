@@ -88,14 +88,14 @@ def errors(folder: Path) -> dict[str, float]:
 @pytest.mark.slow
 def test_two_processes_train_as_one(run: Run, tmp_path: Path, tiny_training: Words) -> None:
     """The loss is the mean over the known points of a process, so weights differ by as much as their shares do."""
-    words = (*tiny_training, "data.num_val=3", "logger=none", "callbacks.panels=null")
+    short = ("data.num_val=3", "logger=none", "callbacks.panels=null", "optimizer=sgd")
+    words = (*tiny_training, *short)  # Adam's first steps have one length, however small a gradient is
     run("train", *words, "trainer.max_steps=3", "data.batch_size=2", "output=one")
     printed = train(tmp_path, *words, *DDP, "trainer.max_steps=3", "output=two")
     assert printed.count("Results are in") == 1
     train(tmp_path, *words, *DDP, "trainer.max_steps=1", "output=parts")
     train(tmp_path, *words, *DDP, "trainer.max_steps=3", "output=parts", "resume=auto")
     one, two, parts = (state(tmp_path / name) for name in ("one", "two", "parts"))
-    for name, value in one.items():
-        torch.testing.assert_close(two[name], value, rtol=1e-3, atol=1e-4, msg=name)
-        torch.testing.assert_close(parts[name], two[name], rtol=0, atol=0, msg=name)
+    torch.testing.assert_close(two, one, rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(parts, two, rtol=0, atol=0)
     assert errors(tmp_path / "two") == pytest.approx(errors(tmp_path / "one"), rel=1e-3)

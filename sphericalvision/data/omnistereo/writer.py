@@ -79,9 +79,12 @@ def write_omnistereo(
     check_scale(root, layout, min_depth, float(rig.radius))
     stored = _stored_rig(rig, layout)
     _refuse_other_calibration(root, layout, stored, min_depth)
-    _write_calibration(root, _calibration(root, layout, stored, min_depth))
+    kept = layout.name == "png" and (root / layout.calibration).is_file() and bool(_frames_in(root, layout))
+    if not kept:  # files of the same rig differ in the last digits of their fits from run to run
+        _write_calibration(root, _calibration(root, layout, stored, min_depth))
     written = [_write_frame(root, layout, rig, sample, min_depth) for sample in frames]
-    _write_calibration(root, _calibration(root, layout, stored, min_depth))  # now it knows the last frame
+    if layout.name == "tiff":  # now config.yaml knows the last frame
+        _write_calibration(root, _calibration(root, layout, stored, min_depth))
     return [f"{frame:05d}" for frame in written]
 
 

@@ -8,11 +8,13 @@ from sphericalvision.cameras.conversion.convert import convert, fit_inverse_poly
 from sphericalvision.cameras.coverage import coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, z_from_depth
 from sphericalvision.cameras.field_of_view import field_of_view
+from sphericalvision.cameras.models.atan import AtanCamera, project_atan, unproject_atan
 from sphericalvision.cameras.models.brown_conrady import (
     BrownConradyCamera,
     project_brown_conrady,
     unproject_brown_conrady,
 )
+from sphericalvision.cameras.models.division import DivisionCamera, project_division, unproject_division
 from sphericalvision.cameras.models.double_sphere import (
     DoubleSphereCamera,
     project_double_sphere,
@@ -41,6 +43,11 @@ from sphericalvision.cameras.models.radial_polynomial import (
     project_radial_polynomial,
     unproject_radial_polynomial,
 )
+from sphericalvision.cameras.models.thin_prism_fisheye import (
+    ThinPrismFisheyeCamera,
+    project_thin_prism_fisheye,
+    unproject_thin_prism_fisheye,
+)
 from sphericalvision.cameras.models.unified import UnifiedCamera, project_unified, unproject_unified
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.cameras.remapping.remap import Remap, remap, remap_mask
@@ -48,9 +55,11 @@ from sphericalvision.cameras.remapping.undistort import undistort, undistorted_c
 from sphericalvision.cameras.rig import CameraRig, ring_rig
 
 __all__ = [
+    "AtanCamera",
     "BrownConradyCamera",
     "Camera",
     "CameraRig",
+    "DivisionCamera",
     "DoubleSphereCamera",
     "EquirectangularCamera",
     "ExtendedUnifiedCamera",
@@ -61,6 +70,7 @@ __all__ = [
     "Projection",
     "RadialPolynomialCamera",
     "Remap",
+    "ThinPrismFisheyeCamera",
     "UnifiedCamera",
     "Unprojection",
     "convert",
@@ -69,7 +79,9 @@ __all__ = [
     "field_of_view",
     "fit_inverse_polynomial",
     "overlap",
+    "project_atan",
     "project_brown_conrady",
+    "project_division",
     "project_double_sphere",
     "project_equirectangular",
     "project_extended_unified",
@@ -78,6 +90,7 @@ __all__ = [
     "project_ocam",
     "project_pinhole",
     "project_radial_polynomial",
+    "project_thin_prism_fisheye",
     "project_unified",
     "read_camera",
     "read_cameras",
@@ -91,7 +104,9 @@ __all__ = [
     "seen_by",
     "undistort",
     "undistorted_camera",
+    "unproject_atan",
     "unproject_brown_conrady",
+    "unproject_division",
     "unproject_double_sphere",
     "unproject_equirectangular",
     "unproject_extended_unified",
@@ -100,6 +115,7 @@ __all__ = [
     "unproject_ocam",
     "unproject_pinhole",
     "unproject_radial_polynomial",
+    "unproject_thin_prism_fisheye",
     "unproject_unified",
     "z_from_depth",
 ]

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import torch
 
 from sphericalvision.cameras import (
+    AtanCamera,
     BrownConradyCamera,
     Camera,
+    DivisionCamera,
     DoubleSphereCamera,
     EquirectangularCamera,
     ExtendedUnifiedCamera,
@@ -20,6 +22,7 @@ from sphericalvision.cameras import (
     OCamCamera,
     PinholeCamera,
     RadialPolynomialCamera,
+    ThinPrismFisheyeCamera,
     UnifiedCamera,
 )
 
@@ -71,6 +74,19 @@ def _fisheye(projection: str, degrees: float, focal_length: float = 23.0) -> Cal
     )
 
 
+def _thin_prism(s: float, composition: str, distortion: list[float]) -> Camera:
+    return ThinPrismFisheyeCamera(
+        [24.0 * s, 23.8],
+        CENTER,
+        distortion,
+        [1.2e-3, -8e-4],
+        [2e-3, -3e-4, 1.5e-3, 2e-4],
+        SIZE,
+        math.radians(95),
+        composition,
+    )
+
+
 OPENCV_14 = [-0.28, 0.07, 1.1e-3, -7e-4, 0.01, 0.05, -0.02, 3e-3, 1e-3, -5e-4, 8e-4, 2e-4, 0.03, -0.02]
 CAMERAS = [
     CameraCase("equidistant", _fisheye("equidistant", 110), traced=True),
@@ -118,6 +134,26 @@ CAMERAS = [
             [24.0 * s, 23.8], CENTER, [-0.007, 0.045, -0.0435, 0.0084], SIZE, math.radians(100)
         ),
         traced=True,
+    ),
+    CameraCase(
+        "kannala brandt, 6",
+        lambda s: KannalaBrandtCamera(
+            [24.0 * s, 23.8], CENTER, [0.03, -0.02, 0.004, 1e-3, -4e-4, 3e-5], SIZE, math.radians(100)
+        ),
+    ),
+    CameraCase(
+        "atan", lambda s: AtanCamera([26.0 * s, 25.8], CENTER, 0.93, SIZE, math.radians(105)), traced=True
+    ),
+    CameraCase("division", lambda s: DivisionCamera([30.0 * s, 29.7], CENTER, [-0.22], SIZE)),
+    CameraCase(
+        "division, 3",
+        lambda s: DivisionCamera([30.0 * s, 29.7], CENTER, [-0.24, 0.02, -0.003], SIZE, math.radians(100)),
+    ),
+    CameraCase(
+        "thin prism fisheye", lambda s: _thin_prism(s, "sequential", [0.03, -0.02, 0.004, 1e-3, -4e-4, 3e-5])
+    ),
+    CameraCase(
+        "thin prism fisheye, additive", lambda s: _thin_prism(s, "additive", [-0.007, 0.045, -0.0435, 0.0084])
     ),
     CameraCase(
         "brown conrady",

@@ -19,7 +19,7 @@ from sphericalvision.cameras.calibration import (  # noqa: F401  # each register
     woodscape,
 )
 from sphericalvision.cameras.calibration.basalt import read_basalt, write_basalt
-from sphericalvision.cameras.calibration.colmap import write_colmap
+from sphericalvision.cameras.calibration.colmap import write_colmap, write_colmap_rig
 from sphericalvision.cameras.calibration.detect import read_camera, read_cameras, read_rig
 from sphericalvision.cameras.calibration.kalibr import write_kalibr
 from sphericalvision.cameras.calibration.native import write_camera, write_rig
@@ -42,6 +42,7 @@ __all__ = [
     "write_basalt",
     "write_camera",
     "write_colmap",
+    "write_colmap_rig",
     "write_kalibr",
     "write_ocam_text",
     "write_omnimvs",

@@ -208,7 +208,8 @@ def _values(camera: Camera) -> tuple[str, tuple[str, ...], list[float]]:
         distortion = without_trailing_zeros(numbers_of(camera.distortion), (8,), "distortion")
         kind, more = "pinhole-radtan8", [*distortion, 0.0]
     elif isinstance(camera, KannalaBrandtCamera):
-        kind, more = "kb4", numbers_of(camera.distortion)
+        kind = "kb4"
+        more = without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion (k1 k2 k3 k4)")
     elif isinstance(camera, DoubleSphereCamera):
         kind, more = "ds", [*numbers_of(camera.xi), *numbers_of(camera.alpha)]
     elif isinstance(camera, ExtendedUnifiedCamera):

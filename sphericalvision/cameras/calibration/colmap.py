@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""COLMAP's ``cameras.txt``: intrinsics of any number of cameras, by number, without poses.
+"""COLMAP's models, text and binary: ``cameras``, with poses from ``rigs`` or ``images`` beside them.
 
 Convention:
     In COLMAP the centre of the top-left pixel is (0.5, 0.5), here it is (0, 0): half a pixel is taken off principal
     points in reading, and added in writing. Camera 1 is called ``cam1``.
+
+    Poses are world to camera, as a unit quaternion (w, x, y, z) and a translation; a rig's are rig to sensor, its frame
+    being that of the reference sensor. Lengths are in the model's own unit. As a rig, a model is the rig of several
+    cameras that ``rigs`` has, or else its images: one camera each, called by the name of the image without suffix.
 
 References:
     https://colmap.github.io/cameras.html, https://colmap.github.io/format.html
@@ -14,102 +18,213 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import torch
+from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration.colmap_records import (
+    MODELS,
+    CameraRecord,
+    ImageRecord,
+    RigRecord,
+    SensorRecord,
+    binary_files,
+    cameras_in,
+    images_in,
+    rigs_in,
+    text_files,
+)
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.parsing import (
-    errors_of_file,
-    focal_lengths,
-    numbers,
-    size_from_width_height,
-)
+from sphericalvision.cameras.calibration.parsing import errors_of_file, focal_lengths, size_from_width_height
+from sphericalvision.cameras.calibration.poses import quaternion_from_rotation
 from sphericalvision.cameras.calibration.supported_models import (
     check_holds,
     numbers_of,
     without_trailing_zeros,
 )
 from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.cameras.models.atan import AtanCamera
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
+from sphericalvision.cameras.models.division import DivisionCamera
+from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.models.extended_unified import ExtendedUnifiedCamera
+from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
-from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.cameras.models.thin_prism_fisheye import ThinPrismFisheyeCamera
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError, FileFormatError, check_file
+from sphericalvision.geometry import invert_transform, transform_from_quaternion
 from sphericalvision.io.files import atomic_write
 
-__all__ = ["contents", "recognizes", "write_colmap"]
+__all__ = ["contents", "recognizes", "write_colmap", "write_colmap_rig"]
 
-_PARAMETERS = {
-    "SIMPLE_PINHOLE": "f cx cy",
-    "PINHOLE": "fx fy cx cy",
-    "SIMPLE_RADIAL": "f cx cy k1",
-    "RADIAL": "f cx cy k1 k2",
-    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
-    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
-    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
-    "RADIAL_FISHEYE": "f cx cy k1 k2",
-    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
-}
+_PARTS = ("cameras", "rigs", "images", "frames")
+_BY_NAME = (*(f"{part}.bin" for part in _PARTS), "rigs.txt", "images.txt", "frames.txt")
+_Models = (
+    AtanCamera
+    | BrownConradyCamera
+    | DivisionCamera
+    | ExtendedUnifiedCamera
+    | FisheyeCamera
+    | KannalaBrandtCamera
+    | PinholeCamera
+    | ThinPrismFisheyeCamera
+)
 
 
 def recognizes(path: Path) -> bool:
-    """Whether the first line of data is a number and then the name of a model in capitals."""
-    if looks_structured(path):
+    """Whether it is called like a part of a model, or begins with a number and the name of a lens in capitals."""
+    if path.name in _BY_NAME:
+        return True
+    if path.suffix == ".bin" or looks_structured(path):
         return False
     lines = data_lines(path)
     return bool(lines) and len(lines[0][1]) > 1 and bool(re.fullmatch(r"[A-Z][A-Z_0-9]+", lines[0][1][1]))
 
 
 def contents(path: Path, options: Options) -> Contents:
-    """The cameras of the file.
+    """The cameras of a model; with poses if the file is ``rigs`` or ``images``, or if poses are wanted and there.
 
     Raises:
-        FileFormatError: a line is broken, or its model is not known; the message names the line.
+        FileFormatError: a record is broken, or its model is not known; the message names line or byte.
+        MissingFileError: ``cameras`` is not beside the file.
     """
-    cameras: dict[str, Camera] = {}
-    for line, words in data_lines(path):
-        where = f"{path}, line {line}"
-        if len(words) < 4:
-            raise FileFormatError(
-                f"{where}: expected CAMERA_ID MODEL WIDTH HEIGHT and parameters, got {' '.join(words)}"
-            )
-        name = f"cam{words[0]}"
-        if not words[0].isdigit() or name in cameras:
-            raise FileFormatError(f"{where}: expected a camera number of its own first, got {words[0]!r}")
-        cameras[name] = bounded(_camera(words, where), options.max_angle, where)
-    if not cameras:
-        raise FileFormatError(f"{path}: no camera in it")
+    part = path.stem if path.name in _BY_NAME else "cameras"
+    if part == "frames":
+        raise FileFormatError(
+            f"{path}: holds poses of rigs; read the folder, rigs{path.suffix} or images{path.suffix}"
+        )
+    beside = {name: path.with_name(f"{name}{path.suffix}") for name in _PARTS}
+    file = path if part == "cameras" else check_file(beside["cameras"], f"the cameras of {path.name}")
+    cameras = _cameras(file, options)
+    if part == "cameras" and options.rig:
+        rigs = rigs_in(beside["rigs"]) if beside["rigs"].is_file() else []
+        if any(rig.sensors for rig in rigs):
+            part = "rigs"
+        elif beside["images"].is_file():
+            part = "images"
+    if part == "rigs":
+        return _of_rigs(rigs_in(beside["rigs"]), cameras, beside["rigs"])
+    if part == "images":
+        return _of_images(images_in(beside["images"]), cameras, beside["images"])
     return Contents(cameras)
 
 
-def _camera(words: list[str], where: str) -> Camera:
-    model = words[1]
-    if model not in _PARAMETERS:
-        raise FileFormatError(f"{where}: expected a model among {', '.join(_PARAMETERS)}, got {model}")
-    size = size_from_width_height(words[2:4], f"{where}, width and height")
-    names = _PARAMETERS[model].split()
-    found = numbers(words[4:], f"{where}, {model} ({' '.join(names)})", len(names))
-    focal = 1 if names[0] == "f" else 2
+def _cameras(path: Path, options: Options) -> dict[str, Camera]:
+    cameras: dict[str, Camera] = {}
+    for record in cameras_in(path):
+        name = f"cam{record.id}"
+        if name in cameras:
+            raise FileFormatError(
+                f"{record.where}: expected a camera number of its own first, got {str(record.id)!r}"
+            )
+        camera = _camera(record)
+        panorama = isinstance(camera, EquirectangularCamera)
+        cameras[name] = camera if panorama else bounded(camera, options.max_angle, record.where)
+    if not cameras:
+        raise FileFormatError(f"{path}: no camera in it")
+    return cameras
+
+
+def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path) -> Contents:
+    several = [rig for rig in rigs if rig.sensors]
+    if len(several) != 1:
+        raise FileFormatError(
+            f"{path}: expected one rig of several cameras, got {len(several)}; the poses of images are in "
+            f"images{path.suffix}"
+        )
+    rig = several[0]
+    sensors = [rig.reference._replace(pose=[1.0, 0, 0, 0, 0, 0, 0]), *rig.sensors]
+    named, poses = {}, []
+    for sensor in sensors:
+        if sensor.type != "CAMERA":
+            continue
+        name = f"cam{sensor.id}"
+        if name not in cameras or name in named:
+            raise FileFormatError(f"{rig.where}: expected numbers of cameras, each once, got {sensor.id}")
+        if sensor.pose is None:
+            raise FileFormatError(f"{rig.where}: camera {sensor.id} has no pose in the rig")
+        named[name] = cameras[name]
+        poses.append(_inverse_pose(sensor.pose, rig.where))
+    if not named:
+        raise FileFormatError(f"{rig.where}: the rig has no camera")
+    return Contents(named, torch.stack(poses))
+
+
+def _of_images(images: list[ImageRecord], cameras: dict[str, Camera], path: Path) -> Contents:
+    named, poses = {}, []
+    for image in images:
+        name = str(PurePosixPath(image.name).with_suffix("")) if image.name.strip("/.") else ""
+        if not name or name in named:
+            raise FileFormatError(
+                f"{image.where}: expected an image with a name of its own, got {image.name!r}"
+            )
+        if f"cam{image.camera}" not in cameras:
+            raise FileFormatError(
+                f"{image.where}: there is no camera {image.camera} in cameras{path.suffix}; it has {', '.join(cameras)}"
+            )
+        named[name] = cameras[f"cam{image.camera}"]
+        poses.append(_inverse_pose(image.pose, image.where))
+    if not named:
+        raise FileFormatError(f"{path}: no image in it")
+    return Contents(named, torch.stack(poses))
+
+
+def _inverse_pose(values: list[float], where: str) -> Tensor:
+    """Camera to world (4, 4) of a quaternion and a translation, world to camera."""
+    if not 0.99 < (length := math.hypot(*values[:4])) < 1.01:
+        raise FileFormatError(f"{where}: expected a quaternion of length 1, got one of length {length:.3g}")
+    table = torch.tensor(values, dtype=torch.float64)
+    return invert_transform(transform_from_quaternion(table[:4], table[4:]))
+
+
+def _camera(record: CameraRecord) -> Camera:
+    where, model = record.where, record.model
+    size = size_from_width_height(list(record.size), f"{where}, width and height")
+    if model == "EQUIRECTANGULAR":
+        if [size[1], size[0]] != record.parameters:
+            raise FileFormatError(
+                f"{where}, w and h: expected the image's width and height, got {record.parameters}"
+            )
+        return EquirectangularCamera(size)
+    found = record.parameters
+    focal = 1 if MODELS[model][1].startswith("f ") else 2
     checked = focal_lengths([found[0], found[focal - 1]], where)
     focal_length = torch.tensor(checked, dtype=torch.float64)
     center = [found[focal] - 0.5, found[focal + 1] - 0.5]
-    coefficients = found[focal + 2 :]
+    k = found[focal + 2 :]
     with errors_of_file(where):
-        if model in ("SIMPLE_PINHOLE", "PINHOLE"):
+        if model.endswith("PINHOLE"):
             return PinholeCamera(focal_length, center, size)
-        coefficients += [0.0] * (4 - len(coefficients))
+        if model == "FOV":
+            return AtanCamera(focal_length, center, k[0], size)
+        if model.endswith("DIVISION"):
+            return DivisionCamera(focal_length, center, k, size)
+        if model == "EUCM":
+            return ExtendedUnifiedCamera(focal_length, center, k[0], k[1], size)
+        if model in ("SIMPLE_FISHEYE", "FISHEYE"):
+            return FisheyeCamera("equidistant", focal_length, center, size)
+        if model == "THIN_PRISM_FISHEYE":
+            k1, k2, p1, p2, k3, k4, sx1, sy1 = k
+            terms = ([k1, k2, k3, k4], [p1, p2], [sx1, 0.0, sy1, 0.0])
+            return ThinPrismFisheyeCamera(focal_length, center, *terms, size, math.pi, "additive")
+        if model == "RAD_TAN_THIN_PRISM_FISHEYE":
+            return ThinPrismFisheyeCamera(focal_length, center, k[:6], [k[7], k[6]], k[8:], size, math.pi)
+        k += [0.0] * (4 - len(k))
         if model.endswith("FISHEYE"):
-            return KannalaBrandtCamera(focal_length, center, coefficients, size, math.pi)
-        return BrownConradyCamera(focal_length, center, coefficients, size)
+            return KannalaBrandtCamera(focal_length, center, k, size, math.pi)
+        return BrownConradyCamera(focal_length, center, k, size)
 
 
 def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> None:
-    """Write one camera or several as ``cameras.txt``; ``cam7`` becomes camera 7, other names are numbered from 1.
+    """Write one camera or several as ``cameras.txt``, or in binary where ``path`` ends in ``.bin``.
 
-    Fields of view are not part of the format.
+    ``cam7`` becomes camera 7, other names are numbered from 1. Fields of view are not part of the format.
 
     Raises:
         ArgumentError: COLMAP has no such model; the message names formats that have it.
@@ -117,38 +232,121 @@ def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> No
     named = cameras if isinstance(cameras, Mapping) else {"cam1": cameras}
     if not named:
         raise ArgumentError("cameras: expected at least one camera, got none")
-    known = all(re.fullmatch(r"cam\d+", name) for name in named)
-    lines = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"]
-    for place, (name, camera) in enumerate(named.items(), start=1):
-        lines.append(f"{int(name[3:]) if known else place} {_line(camera)}")
+    path = Path(path)
+    make = binary_files if path.suffix == ".bin" else text_files
+    (content,) = make(_records(named), [], []).values()
     with atomic_write(path) as unfinished:
-        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        unfinished.write_bytes(content)
 
 
-def _line(camera: Camera) -> str:
+def write_colmap_rig(rig: CameraRig, path: str | Path) -> None:
+    """Write a model into a folder: cameras, the rig, and one frame of it with an image ``<name>.png`` for each camera.
+
+    In text; in binary if ``path`` is not the folder but ``cameras.bin`` in it. The first camera becomes the reference
+    sensor; poses in the world are those of the images. Fields of view and masks are not part of the format.
+
+    Raises:
+        ArgumentError: COLMAP has no such model; the message names formats that have it.
+    """
+    path = Path(path)
+    folder, make = path, text_files
+    if path.suffix in (".bin", ".txt"):
+        folder, make = path.parent, binary_files if path.suffix == ".bin" else text_files
+    cameras = _records(rig.cameras)
+    from_world = rig.camera_from_world.detach().cpu().double()
+    from_first = from_world @ rig.world_from_camera[0].detach().cpu().double()
+    images = [
+        ImageRecord("", place, _pose(pose), camera.id, f"{name}.png")
+        for place, (name, camera, pose) in enumerate(
+            zip(rig.names, cameras, from_world, strict=True), start=1
+        )
+    ]
+    sensors = [
+        SensorRecord("CAMERA", camera.id, _pose(pose))
+        for camera, pose in zip(cameras, from_first, strict=True)
+    ]
+    for name, content in make(cameras, images, [RigRecord("", 1, sensors[0], sensors[1:])]).items():
+        with atomic_write(folder / name) as unfinished:
+            unfinished.write_bytes(content)
+
+
+def _pose(transform: Tensor) -> list[float]:
+    return [*quaternion_from_rotation(transform[:3, :3]), *numbers_of(transform[:3, 3])]
+
+
+def _records(named: Mapping[str, Camera]) -> list[CameraRecord]:
+    known = all(re.fullmatch(r"cam\d+", name) for name in named)
+    return [
+        _record(int(name[3:]) if known else place, camera)
+        for place, (name, camera) in enumerate(named.items(), start=1)
+    ]
+
+
+def _record(id: int, camera: Camera) -> CameraRecord:
     check_holds("colmap", camera)
-    assert isinstance(camera, PinholeCamera | BrownConradyCamera | KannalaBrandtCamera)
-    coefficients: list[float] = []
-    model = "PINHOLE"
-    if isinstance(camera, KannalaBrandtCamera):
-        model, coefficients = "OPENCV_FISHEYE", numbers_of(camera.distortion)
-    elif isinstance(camera, BrownConradyCamera):
-        coefficients = without_trailing_zeros(numbers_of(camera.distortion), (4, 8), "distortion")
-        model = "OPENCV" if len(coefficients) == 4 else "FULL_OPENCV"
     height, width = camera.image_size
+    if isinstance(camera, EquirectangularCamera):
+        if camera.vertical_field_of_view != math.pi:
+            raise ArgumentError("camera: COLMAP's panoramas are whole, this one is a band; write 'native'")
+        return CameraRecord("", id, "EQUIRECTANGULAR", (width, height), [float(width), float(height)])
+    assert isinstance(camera, _Models)
+    model, more = _model(camera)
+    focal_length = (numbers_of(camera.focal_length) * 2)[:2]
     center = [value + 0.5 for value in numbers_of(camera.principal_point)]
-    values = [*numbers_of(camera.focal_length), *center, *coefficients]
-    return f"{model} {width} {height} {' '.join(map(repr, values))}"
+    return CameraRecord("", id, model, (width, height), [*focal_length, *center, *more])
+
+
+def _model(camera: _Models) -> tuple[str, list[float]]:
+    """COLMAP's name of the model, and the parameters behind the principal point."""
+    if isinstance(camera, PinholeCamera):
+        return "PINHOLE", []
+    if isinstance(camera, FisheyeCamera):
+        if camera.projection != "equidistant":
+            raise ArgumentError(
+                f"camera: of the ideal fisheyes COLMAP holds the equidistant one, got {camera.projection!r}; write it "
+                "as 'native', or convert the camera first: camera.convert(to=...)"
+            )
+        return "FISHEYE", []
+    if isinstance(camera, AtanCamera):
+        return "FOV", numbers_of(camera.omega)
+    if isinstance(camera, ExtendedUnifiedCamera):
+        return "EUCM", [*numbers_of(camera.alpha), *numbers_of(camera.beta)]
+    k = numbers_of(camera.distortion)
+    if isinstance(camera, DivisionCamera):
+        return "DIVISION", without_trailing_zeros(k, (1,), "distortion")
+    if isinstance(camera, KannalaBrandtCamera):
+        return "OPENCV_FISHEYE", without_trailing_zeros(k, (4,), "distortion")
+    if isinstance(camera, ThinPrismFisheyeCamera):
+        (p1, p2), (s1, s2, s3, s4) = numbers_of(camera.tangential), numbers_of(camera.thin_prism)
+        if camera.composition == "sequential":
+            k = without_trailing_zeros(k, (6,), "distortion")
+            return "RAD_TAN_THIN_PRISM_FISHEYE", [*k, p2, p1, s1, s2, s3, s4]
+        without_trailing_zeros([s2, s4], (0,), "thin prism distortion of the fourth order (s2 and s4)")
+        k1, k2, k3, k4 = without_trailing_zeros(k, (4,), "distortion")
+        return "THIN_PRISM_FISHEYE", [k1, k2, p1, p2, k3, k4, s1, s3]
+    k = without_trailing_zeros(k, (4, 8), "distortion")
+    return "OPENCV" if len(k) == 4 else "FULL_OPENCV", k
 
 
 register_format(
     FileFormat(
         "colmap",
-        "COLMAP cameras.txt",
+        "COLMAP cameras, rigs and images (.txt, .bin)",
         recognizes_file=recognizes,
         contents_of_file=contents,
-        usual_names=("cameras.txt",),
-        models=("pinhole", "brown_conrady", "kannala_brandt"),
+        usual_names=("cameras.txt", "cameras.bin"),
+        models=(
+            "pinhole",
+            "brown_conrady",
+            "kannala_brandt",
+            "atan",
+            "division",
+            "equirectangular",
+            "extended_unified",
+            "fisheye",
+            "thin_prism_fisheye",
+        ),
         write_camera=write_colmap,
+        write_rig=write_colmap_rig,
     )
 )

@@ -133,7 +133,8 @@ def _calibration_file(path: Path) -> tuple[Path, list[Path]]:
             f"{path}: no such file or folder (a calibration was expected; {known_formats()})"
         )
     usual = [name for format in file_formats() for name in format.usual_names]
-    found = [path / name for name in usual if (path / name).is_file()]
+    there = [[path / name for name in f.usual_names if (path / name).is_file()] for f in file_formats()]
+    found = [files[0] for files in there if files]
     if not found:
         for format in file_formats():
             if format.files_of_rig and (parts := format.files_of_rig(path)):

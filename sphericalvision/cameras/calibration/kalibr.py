@@ -193,7 +193,8 @@ def _values(camera: Camera) -> dict[str, Any]:
         distortion = "radtan"
         coefficients = without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion (k1 k2 p1 p2)")
     elif isinstance(camera, KannalaBrandtCamera):
-        distortion, coefficients = "equidistant", numbers_of(camera.distortion)
+        distortion = "equidistant"
+        coefficients = without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion (k1 k2 k3 k4)")
     elif isinstance(camera, UnifiedCamera):
         kind, before = "omni", numbers_of(camera.xi)
         if camera.distortion is not None:

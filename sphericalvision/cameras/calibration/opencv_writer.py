@@ -76,7 +76,9 @@ def _values(camera: Camera, suffix: str) -> dict[str, Any]:
     if isinstance(camera, UnifiedCamera):
         coefficients = [0.0] * 4 if camera.distortion is None else numbers_of(camera.distortion)
         coefficients = without_trailing_zeros(coefficients, (4,), "distortion (k1 k2 p1 p2)")
-    elif isinstance(camera, BrownConradyCamera | KannalaBrandtCamera):
+    elif isinstance(camera, KannalaBrandtCamera):
+        coefficients = without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion (k1 k2 k3 k4)")
+    elif isinstance(camera, BrownConradyCamera):
         coefficients = numbers_of(camera.distortion)
     values: dict[str, Any] = {f"image_width{suffix}": width, f"image_height{suffix}": height}
     values[f"fisheye_model{suffix}"] = int(isinstance(camera, KannalaBrandtCamera))

@@ -60,6 +60,7 @@ def convert(
         to: class of the new model, or its name in files, such as ``"kannala_brandt"``.
         max_angle: radians from the axis out to which the fit matters, within what the camera sees.
         num_coefficients: of ``BrownConradyCamera`` (4, 5, 8, 12, 14; 8 by default), ``UnifiedCamera`` (0, 4, 5; 4),
+            ``KannalaBrandtCamera`` and ``ThinPrismFisheyeCamera`` (1 to 9; 4), ``DivisionCamera`` (1 to 6; 2),
             ``RadialPolynomialCamera`` (1 to 12; 4), and of the inverse polynomial of ``OCamCamera`` (2 to 18; 12).
             A camera of the same model keeps its own number.
         projection: of ``FisheyeCamera``; by default the one that fits best.

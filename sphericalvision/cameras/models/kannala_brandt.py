@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Kannala-Brandt model with four coefficients: OpenCV's fisheye, Kalibr's equidistant, Basalt's kb4."""
+"""The Kannala-Brandt model: with four coefficients OpenCV's fisheye, Kalibr's equidistant, Basalt's kb4."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from sphericalvision.geometry.rootfinding import (
     refine_root,
 )
 
-__all__ = ["KannalaBrandtCamera", "project_kannala_brandt", "unproject_kannala_brandt"]
+__all__ = ["KannalaBrandtCamera", "project_kannala_brandt", "radial_solution", "unproject_kannala_brandt"]
 
 
 def _with_leading_one(distortion: Tensor) -> Tensor:
@@ -97,7 +97,7 @@ def project_kannala_brandt(
     principal_point: Float[Tensor, "*#batch 2"],
     distortion: Float[Tensor, "*#batch k"],
 ) -> Projection:
-    """Pixels (*, 2) of ``points`` (*, 3): the image radius is θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹ focal lengths.
+    """Pixels (*, 2) of ``points`` (*, 3): the image radius is θ + k1 θ³ + k2 θ⁵ + ... focal lengths.
 
     θ is the angle from the axis, so the model reaches past 90°. Valid up to the angle where the radius stops growing.
 
@@ -105,7 +105,7 @@ def project_kannala_brandt(
         points: (*, 3) in the camera's frame, any length.
         focal_length: (*, 2) in pixels.
         principal_point: (*, 2) as (u, v).
-        distortion: (*, 4) as (k1, k2, k3, k4), or any other number of coefficients.
+        distortion: (*, k) as (k1, ..., kk), any number of coefficients, mostly four.
 
     References:
         J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional, wide-angle, and fish-eye
@@ -164,12 +164,12 @@ def unproject_kannala_brandt(
 
 @register_camera
 class KannalaBrandtCamera(Camera):
-    """A Kannala-Brandt camera with four coefficients, correct past 90°.
+    """A Kannala-Brandt camera, correct past 90°.
 
     Args:
         focal_length: (*b, 2) in pixels.
         principal_point: (*b, 2) as (u, v).
-        distortion: (*b, 4) as (k1, k2, k3, k4), OpenCV's and Kalibr's order.
+        distortion: (*b, k) as (k1, ..., kk), k up to 9; with four of them OpenCV's fisheye and Kalibr's equidistant.
         image_size: (height, width).
         max_angle: half the field of view in radians, a number or (*b,); by default where the radius stops growing.
 
@@ -181,7 +181,7 @@ class KannalaBrandtCamera(Camera):
 
     model = "kannala_brandt"
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "distortion": (4,)}
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "distortion": tuple(range(1, 10))}
 
     focal_length: Tensor
     principal_point: Tensor
@@ -214,15 +214,21 @@ class KannalaBrandtCamera(Camera):
 
 def _radial_start(model: FittedModel, samples: Samples) -> list[Tensor]:
     """Kannala-Brandt: radius − θ = k1 θ³ + k2 θ⁵ + ... is linear."""
-    angle = samples.angle
-    powers = torch.stack([angle ** (2 * k + 3) for k in range(4)], dim=-1)
-    solution = solve_linear(powers, samples.radius - angle)
+    size = model.sizes["distortion"] or 0
     return [
-        torch.cat((samples.focal_length, samples.center, solution)),
-        *with_shapes(model, samples, [[0.0] * 4]),
+        torch.cat((samples.focal_length, samples.center, radial_solution(samples, size))),
+        *with_shapes(model, samples, [[0.0] * size]),
     ]
 
 
-@fitted(KannalaBrandtCamera)
+def radial_solution(samples: Samples, size: int) -> Tensor:
+    """So many coefficients (size,) by linear least squares."""
+    angle = samples.angle
+    powers = torch.stack([angle ** (2 * k + 3) for k in range(size)], dim=-1)
+    return solve_linear(powers, samples.radius - angle)
+
+
+@fitted(KannalaBrandtCamera, num_coefficients=(4, 1, 2, 3, 5, 6, 7, 8, 9))
 def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    return FittedModel(KannalaBrandtCamera, project_kannala_brandt, FOCAL | {"distortion": 4}, _radial_start)
+    sizes = FOCAL | {"distortion": num_coefficients}
+    return FittedModel(KannalaBrandtCamera, project_kannala_brandt, sizes, _radial_start)

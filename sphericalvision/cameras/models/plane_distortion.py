@@ -8,6 +8,7 @@ s1 s2 s3 s4, cut off after 4, 5, 8 or 12; leading dimensions broadcast with the 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -24,6 +25,7 @@ __all__ = [
     "distort",
     "distort_inside",
     "fold_radius",
+    "invert_plane_map",
     "jacobian",
     "radius_limit",
     "undistort",
@@ -206,23 +208,55 @@ def undistort(u: Tensor, v: Tensor, coefficients: Tensor, iterations: int = 10) 
     """
     with torch.no_grad():
         limit = radius_limit(coefficients).square()
+        start = _radial_start(u.detach(), v.detach(), coefficients.detach())  # also forward
+
+    def place(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Jacobian]:
+        distorted = distort(x, y, coefficients)
+        return distorted.u, distorted.v, jacobian(x, y, distorted, coefficients)
+
+    def inside(x: Tensor, y: Tensor) -> Tensor:
+        return addcmul(x * x, y, y) <= limit
+
+    return invert_plane_map(place, u, v, start, inside, iterations)
+
+
+def invert_plane_map(
+    function: Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Jacobian]],
+    u: Tensor,
+    v: Tensor,
+    start: tuple[Tensor, Tensor],
+    inside: Callable[[Tensor, Tensor], Tensor] | None = None,
+    iterations: int = 10,
+) -> Undistorted:
+    """The plane's points (x, y) that ``function`` maps to (u, v), each (*), by Newton's method in two dimensions.
+
+    Args:
+        function: maps (x, y) to (u, v) and the derivatives there; 0 near by 0.
+        u: wanted places (*).
+        v: wanted places (*).
+        start: (x, y), each (*), to some digits.
+        inside: where (x, y) may be at all; everywhere by default. A step that would leave it, or the region in which
+            the function keeps orientation, is halved.
+        iterations: steps that autograd does not record; two more are recorded.
+    """
+    with torch.no_grad():
         x, y = torch.zeros_like(u), torch.zeros_like(v)
-        step_x, step_y = _radial_start(u.detach(), v.detach(), coefficients.detach())  # also forward
+        step_x, step_y = start
         for _ in range(iterations):
             new_x, new_y = x + step_x, y + step_y
-            distorted = distort(new_x, new_y, coefficients)
-            slopes = jacobian(new_x, new_y, distorted, coefficients)
+            new_u, new_v, slopes = function(new_x, new_y)
             determinant = slopes.determinant
-            inside = (determinant > 0) & (distorted.squared <= limit)
-            newton_x, newton_y = _newton_step(u - distorted.u, v - distorted.v, slopes, determinant)
-            x, y = torch.where(inside, new_x, x), torch.where(inside, new_y, y)
-            step_x = torch.where(inside, newton_x, step_x / 2)
-            step_y = torch.where(inside, newton_y, step_y / 2)
+            allowed = determinant > 0
+            if inside is not None:
+                allowed = allowed & inside(new_x, new_y)
+            newton_x, newton_y = _newton_step(u - new_u, v - new_v, slopes, determinant)
+            x, y = torch.where(allowed, new_x, x), torch.where(allowed, new_y, y)
+            step_x = torch.where(allowed, newton_x, step_x / 2)
+            step_y = torch.where(allowed, newton_y, step_y / 2)
     converged = torch.zeros_like(u, dtype=torch.bool)
     for recorded in range(2):
-        distorted = distort(x, y, coefficients)
-        slopes = jacobian(x, y, distorted, coefficients)
-        to_u, to_v = u - distorted.u, v - distorted.v
+        new_u, new_v, slopes = function(x, y)
+        to_u, to_v = u - new_u, v - new_v
         if recorded == 0:
             converged = _two_steps_suffice(to_u, to_v, u, v)
         determinant = torch.where(converged, slopes.determinant, 1.0)

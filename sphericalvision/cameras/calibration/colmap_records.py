@@ -1,0 +1,337 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What COLMAP's text and binary files hold, as records that know where they stand; and the files made of records."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sphericalvision.cameras.calibration.files import data_lines, read_text
+from sphericalvision.cameras.calibration.parsing import numbers
+from sphericalvision.core import FileFormatError
+
+__all__ = [
+    "MODELS",
+    "CameraRecord",
+    "ImageRecord",
+    "RigRecord",
+    "SensorRecord",
+    "binary_files",
+    "cameras_in",
+    "images_in",
+    "rigs_in",
+    "text_files",
+]
+
+MODELS: dict[str, tuple[int, str]] = {
+    "SIMPLE_PINHOLE": (0, "f cx cy"),
+    "PINHOLE": (1, "fx fy cx cy"),
+    "SIMPLE_RADIAL": (2, "f cx cy k1"),
+    "RADIAL": (3, "f cx cy k1 k2"),
+    "OPENCV": (4, "fx fy cx cy k1 k2 p1 p2"),
+    "OPENCV_FISHEYE": (5, "fx fy cx cy k1 k2 k3 k4"),
+    "FULL_OPENCV": (6, "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6"),
+    "FOV": (7, "fx fy cx cy omega"),
+    "SIMPLE_RADIAL_FISHEYE": (8, "f cx cy k1"),
+    "RADIAL_FISHEYE": (9, "f cx cy k1 k2"),
+    "THIN_PRISM_FISHEYE": (10, "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1"),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (11, "fx fy cx cy k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3"),
+    "SIMPLE_DIVISION": (12, "f cx cy k"),
+    "DIVISION": (13, "fx fy cx cy k"),
+    "SIMPLE_FISHEYE": (14, "f cx cy"),
+    "FISHEYE": (15, "fx fy cx cy"),
+    "EUCM": (16, "fx fy cx cy alpha beta"),
+    "EQUIRECTANGULAR": (17, "w h"),
+}
+"""Name -> number in binary files, and names of the parameters."""
+_SENSOR_TYPES = ("CAMERA", "IMU")
+
+
+class CameraRecord(NamedTuple):
+    """A camera of ``cameras.*``."""
+
+    where: str
+    id: int
+    model: str
+    size: Sequence[Any]
+    """Width, height."""
+    parameters: list[float]
+
+
+class ImageRecord(NamedTuple):
+    """An image of ``images.*``, without what was seen on it."""
+
+    where: str
+    id: int
+    pose: list[float]
+    """qw qx qy qz tx ty tz, world to camera."""
+    camera: int
+    name: str
+
+
+class SensorRecord(NamedTuple):
+    """A sensor of a rig."""
+
+    type: str
+    id: int
+    pose: list[float] | None
+    """qw qx qy qz tx ty tz, rig to sensor; None if it is not known."""
+
+
+class RigRecord(NamedTuple):
+    """A rig of ``rigs.*``; its frame is that of its reference sensor."""
+
+    where: str
+    id: int
+    reference: SensorRecord
+    sensors: list[SensorRecord]
+    """All others."""
+
+
+def cameras_in(path: Path) -> list[CameraRecord]:
+    """Of ``cameras.txt`` or ``cameras.bin``."""
+    if path.suffix == ".bin":
+        return _binary_cameras(_Bytes(path))
+    found = []
+    for line, words in data_lines(path):
+        where = f"{path}, line {line}"
+        if len(words) < 4:
+            raise FileFormatError(
+                f"{where}: expected CAMERA_ID MODEL WIDTH HEIGHT and parameters, got {' '.join(words)}"
+            )
+        if not re.fullmatch(r"\d{1,18}", words[0]):
+            raise FileFormatError(f"{where}: expected a camera number of its own first, got {words[0]!r}")
+        if words[1] not in MODELS:
+            raise FileFormatError(f"{where}: expected a model among {', '.join(MODELS)}, got {words[1]}")
+        names = MODELS[words[1]][1]
+        parameters = numbers(words[4:], f"{where}, {words[1]} ({names})", len(names.split()))
+        found.append(CameraRecord(where, int(words[0]), words[1], words[2:4], parameters))
+    return found
+
+
+def images_in(path: Path) -> list[ImageRecord]:
+    """Of ``images.txt``, whose lines come in pairs, the second of which may be empty, or ``images.bin``."""
+    if path.suffix == ".bin":
+        return _binary_images(_Bytes(path))
+    lines = [
+        (number, line)
+        for number, line in enumerate(read_text(path).splitlines(), start=1)
+        if not line.lstrip().startswith("#")
+    ]
+    while lines and not lines[0][1].strip():
+        lines.pop(0)
+    found = []
+    for number, line in lines[::2]:
+        words = line.split(maxsplit=9)
+        if not words:
+            continue
+        where = f"{path}, line {number}"
+        if len(words) < 10:
+            raise FileFormatError(
+                f"{where}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {line.strip()!r:.80}"
+            )
+        image, camera = _ids([words[0], words[8]], where)
+        pose = numbers(words[1:8], f"{where}, QW QX QY QZ TX TY TZ", 7)
+        found.append(ImageRecord(where, image, pose, camera, words[9].strip()))
+    return found
+
+
+def rigs_in(path: Path) -> list[RigRecord]:
+    """Of ``rigs.txt`` or ``rigs.bin``."""
+    if path.suffix == ".bin":
+        return _binary_rigs(_Bytes(path))
+    found = []
+    for line, words in data_lines(path):
+        where = f"{path}, line {line}"
+        words = list(words)
+
+        def take(count: int, what: str, words: list[str] = words, where: str = where) -> list[str]:
+            if len(words) < count:
+                raise FileFormatError(f"{where}: expected {what}, the line is too short; is it cut off?")
+            taken, words[:count] = words[:count], []
+            return taken
+
+        rig, count = _ids(take(2, "RIG_ID NUM_SENSORS"), where)
+        reference = SensorRecord("", 0, None)
+        sensors: list[SensorRecord] = []
+        for place in range(min(count, len(words))):
+            type, id = take(2, "SENSOR_TYPE SENSOR_ID")
+            pose = None
+            if place and take(1, "HAS_POSE")[0] == "1":
+                pose = numbers(take(7, "QW QX QY QZ TX TY TZ"), f"{where}, QW QX QY QZ TX TY TZ", 7)
+            if type not in _SENSOR_TYPES:
+                raise FileFormatError(f"{where}: expected {' or '.join(_SENSOR_TYPES)}, got {type!r}")
+            sensor = SensorRecord(type, _ids([id], where)[0], pose)
+            reference, sensors = (reference, [*sensors, sensor]) if place else (sensor, sensors)
+        if count < 1 or len(sensors) + 1 < count:
+            raise FileFormatError(
+                f"{where}: announces {count} sensors and has {len(sensors)}; is it cut off?"
+            )
+        found.append(RigRecord(where, rig, reference, sensors))
+    return found
+
+
+def _ids(words: list[str], where: str) -> list[int]:
+    if not all(re.fullmatch(r"\d{1,18}", word) for word in words):
+        raise FileFormatError(f"{where}: expected whole numbers, got {' '.join(words)}")
+    return [int(word) for word in words]
+
+
+class _Bytes:
+    """A binary file, read from the front."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.data, self.at = path, path.read_bytes(), 0
+
+    @property
+    def where(self) -> str:
+        return f"{self.path}, byte {self.at}"
+
+    def take(self, kinds: str) -> tuple[Any, ...]:
+        """Little-endian numbers of these kinds."""
+        size = struct.calcsize(f"<{kinds}")
+        if self.at + size > len(self.data):
+            raise FileFormatError(f"{self.where}: the file ends here; is it truncated?")
+        self.at += size
+        return struct.unpack_from(f"<{kinds}", self.data, self.at - size)
+
+    def skip(self, size: int) -> None:
+        """Leave so many bytes out."""
+        if self.at + size > len(self.data):
+            raise FileFormatError(f"{self.where}: {size} bytes are expected here; is it truncated?")
+        self.at += size
+
+    def word(self) -> str:
+        """A text that ends with a zero."""
+        end = self.data.find(b"\0", self.at)
+        if end < 0:
+            raise FileFormatError(f"{self.where}: a name without an end; is it truncated?")
+        text, self.at = self.data[self.at : end], end + 1
+        try:
+            return text.decode("utf-8")
+        except UnicodeDecodeError:
+            raise FileFormatError(f"{self.where}: expected the name of an image") from None
+
+    def end(self) -> None:
+        """Raise unless everything was read."""
+        if self.at != len(self.data):
+            raise FileFormatError(f"{self.where}: {len(self.data) - self.at} bytes more than announced")
+
+
+def _binary_cameras(file: _Bytes) -> list[CameraRecord]:
+    by_number = {number: (name, names.split()) for name, (number, names) in MODELS.items()}
+    found = []
+    for _ in range(file.take("Q")[0]):
+        where = file.where
+        id, model, width, height = file.take("IiQQ")
+        if model not in by_number:
+            raise FileFormatError(f"{where}: expected a model from 0 to {max(by_number)}, got {model}")
+        name, names = by_number[model]
+        values = list(file.take(f"{len(names)}d"))
+        parameters = numbers(values, f"{where}, {name} ({' '.join(names)})")
+        found.append(CameraRecord(where, id, name, (width, height), parameters))
+    file.end()
+    return found
+
+
+def _binary_images(file: _Bytes) -> list[ImageRecord]:
+    found = []
+    for _ in range(file.take("Q")[0]):
+        where = file.where
+        image, *pose, camera = file.take("I7dI")
+        name = file.word()
+        file.skip(24 * file.take("Q")[0])
+        found.append(ImageRecord(where, image, numbers(pose, f"{where}, QW QX QY QZ TX TY TZ"), camera, name))
+    file.end()
+    return found
+
+
+def _binary_rigs(file: _Bytes) -> list[RigRecord]:
+    found = []
+    for _ in range(file.take("Q")[0]):
+        where = file.where
+        rig, count = file.take("II")
+        if count < 1:
+            raise FileFormatError(f"{where}: expected at least one sensor, got none")
+        reference = SensorRecord(*_binary_sensor(file), None)
+        sensors = []
+        for _ in range(count - 1):
+            type, id = _binary_sensor(file)
+            known = file.take("B")[0]
+            pose = numbers(list(file.take("7d")), f"{where}, QW QX QY QZ TX TY TZ") if known else None
+            sensors.append(SensorRecord(type, id, pose))
+        found.append(RigRecord(where, rig, reference, sensors))
+    file.end()
+    return found
+
+
+def _binary_sensor(file: _Bytes) -> tuple[str, int]:
+    where = file.where
+    type, id = file.take("iI")
+    if not 0 <= type < len(_SENSOR_TYPES):
+        raise FileFormatError(f"{where}: expected a sensor of type 0 or 1, got {type}")
+    return _SENSOR_TYPES[type], id
+
+
+def text_files(
+    cameras: list[CameraRecord], images: list[ImageRecord], rigs: list[RigRecord]
+) -> dict[str, bytes]:
+    """The files of a model by name, images of which the rigs have taken one each at a time; without points."""
+    lines: dict[str, list[str]] = {
+        "cameras": ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"],
+        "images": ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME; an empty line"],
+        "rigs": ["# RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID SENSORS[]"],
+        "frames": ["# FRAME_ID RIG_ID RIG_FROM_WORLD[] NUM_DATA_IDS DATA_IDS[]"],
+        "points3D": ["# no points"],
+    }
+    for camera in cameras:
+        lines["cameras"].append(_joined(camera.id, camera.model, *camera.size, *camera.parameters))
+    for image in images:
+        lines["images"] += [_joined(image.id, *image.pose, image.camera, image.name), ""]
+    for rig in rigs:
+        others = [
+            word for sensor in rig.sensors for word in (sensor.type, sensor.id, 1, *(sensor.pose or []))
+        ]
+        head = (rig.id, len(rig.sensors) + 1, rig.reference.type, rig.reference.id)
+        lines["rigs"].append(_joined(*head, *others))
+        data = [word for image in images for word in ("CAMERA", image.camera, image.id)]
+        lines["frames"].append(_joined(rig.id, rig.id, *images[0].pose, len(images), *data))
+    wanted = lines if images else {"cameras": lines["cameras"]}
+    return {f"{name}.txt": ("\n".join(text) + "\n").encode() for name, text in wanted.items()}
+
+
+def _joined(*words: object) -> str:
+    return " ".join(repr(word) if isinstance(word, float) else str(word) for word in words)
+
+
+def binary_files(
+    cameras: list[CameraRecord], images: list[ImageRecord], rigs: list[RigRecord]
+) -> dict[str, bytes]:
+    """The same in binary."""
+    parts = [struct.pack("<Q", len(cameras))]
+    for camera in cameras:
+        parts.append(struct.pack("<IiQQ", camera.id, MODELS[camera.model][0], *camera.size))
+        parts.append(struct.pack(f"<{len(camera.parameters)}d", *camera.parameters))
+    files = {"cameras.bin": b"".join(parts)}
+    if not images:
+        return files
+    parts = [struct.pack("<Q", len(images))]
+    for image in images:
+        parts.append(struct.pack("<I7dI", image.id, *image.pose, image.camera))
+        parts.append(image.name.encode() + b"\0" + struct.pack("<Q", 0))
+    files["images.bin"] = b"".join(parts)
+    parts = [struct.pack("<Q", len(rigs))]
+    frames = [struct.pack("<Q", len(rigs))]
+    for rig in rigs:
+        parts.append(struct.pack("<IIiI", rig.id, len(rig.sensors) + 1, 0, rig.reference.id))
+        parts += [struct.pack("<iIB7d", 0, sensor.id, 1, *(sensor.pose or [])) for sensor in rig.sensors]
+        frames.append(struct.pack("<II7dI", rig.id, rig.id, *images[0].pose, len(images)))
+        frames += [struct.pack("<iIQ", 0, image.camera, image.id) for image in images]
+    return files | {
+        "rigs.bin": b"".join(parts),
+        "frames.bin": b"".join(frames),
+        "points3D.bin": struct.pack("<Q", 0),
+    }

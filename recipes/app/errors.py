@@ -25,6 +25,10 @@ from sphericalvision.recipes.app.words import CommandLine
 __all__ = ["check_keys", "check_overrides", "plain_errors"]
 
 
+PLUGINS = {"hydra/sweeper": "optuna", "hydra/launcher": "launchers"}
+"""Groups of Hydra's own whose options are packages, and the extra that brings those of ours."""
+
+
 def plain_errors(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     """Print errors that a user can mend without their traceback and exit with status 1.
 
@@ -150,6 +154,12 @@ def _override_message(error: Exception, config_name: str, line: CommandLine) -> 
         if group.startswith("rig") and "file" in options:
             known = ", ".join(options)
             return f"{group}={option}: there is no such rig; known are {known}; for a file: rig=file rig.path=..."
+        if group in PLUGINS:
+            known = ", ".join(options)
+            return (
+                f"{group}={option}: there is no such option, or its plugin is not installed (pip install "
+                f"'sphericalvision[{PLUGINS[group]}]'); known are {known}"
+            )
         return f"{group}={option}: there is no such option; known are {', '.join(options)}"
     return " ".join(text.partition("See https://hydra.cc")[0].split())
 

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
 
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.frames import RenderedFrames
@@ -92,6 +96,40 @@ def test_wandb_works_without_a_network(
     )
     run("train", *tiny_training, *words, "output=run")
     assert list((tmp_path / "run/wandb").glob("offline-run-*/*.wandb"))
+
+
+@pytest.mark.slow
+def test_mlflow_keeps_runs_in_a_file(run: Run, tmp_path: Path, tiny_training: Words) -> None:
+    pytest.importorskip("mlflow")
+    pytest.importorskip("sqlalchemy")
+    run("train", *tiny_training, "logger=mlflow", "trainer.max_steps=1", "callbacks=none", "output=run")
+    with contextlib.closing(sqlite3.connect(tmp_path / "run/mlflow.db")) as database:
+        keys = {key for (key,) in database.execute("select key from metrics")}
+    assert {"val/MAE", "train/loss"} <= keys
+
+
+@pytest.mark.slow
+def test_progress_is_drawn_wherever_the_output_goes(
+    run: Run, tiny_training: Words, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(
+        "train", *tiny_training, "callbacks=rich_progress", "logger=none", "trainer.max_steps=1", "output=run"
+    )
+    assert "training" in capsys.readouterr().out
+
+
+def unavailable() -> None:
+    raise ModuleNotFoundError("No module named 'mlflow'", name="mlflow")
+
+
+def test_packages_that_are_missing_are_named(failing: Callable[..., str]) -> None:
+    node = OmegaConf.create({"_target_": f"{__name__}.unavailable"})
+    with pytest.raises(ArgumentError, match=r"logger\.mlflow: needs .*'sphericalvision\[mlflow\]'"):
+        build(node, "logger.mlflow")
+    with pytest.raises(ArgumentError, match=r"pip install mlflow$"):
+        build(node, "logger.mine")
+    assert "pip install 'sphericalvision[launchers]'" in failing("train", "hydra/launcher=moon")
+    assert "pip install 'sphericalvision[optuna]'" in failing("train", "hydra/sweeper=moon")
 
 
 @pytest.mark.parametrize("logger", ["csv", "tensorboard", "none"])

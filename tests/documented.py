@@ -116,6 +116,8 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
         return BENCHMARK
     if recipe in ("convert", "digits_table"):
         return []
+    if "preset=benchmark" in words:
+        return [*METHODS, f"benchmark.cache_dir={cache}"]
     config = composed(recipe, words)
     if recipe in ("predict", "inspect"):
         return PREDICT if recipe == "predict" else ["level=3"]
@@ -202,6 +204,16 @@ BENCHMARK = [
     "num_frames=1",
     "peak_size=64",
     "device=cpu",
+]
+METHODS = [
+    "benchmark.tracks=[room]",
+    "benchmark.frames=1",
+    "benchmark.level=3",
+    "benchmark.panorama_rows=8",
+    "benchmark.image_rows=16",
+    "benchmark.samples_per_pixel=1",
+    "benchmark.workers=0",
+    "panel_height=40",
 ]
 STUDY = [
     "angles_deg=[0,45]",

@@ -91,7 +91,12 @@ def _track(track: Track, work: Work) -> None:
     methods = _methods(work.methods, work.size.level, work.folder)
     records = run_track(track, methods, work.frames, work.folder, work.cache, work.size)
     key = {name: record.key["method"] for name, record in records.items()}
-    key |= {"track": repr(track), "rows": work.panel_rows, "frames": min(work.frames, max(DRAWN) + 1)}
+    key |= {
+        "track": repr(track),
+        **({"carrier": track.carrier} if track.carrier else {}),
+        "rows": work.panel_rows,
+        "frames": min(work.frames, max(DRAWN) + 1),
+    }
     place = work.folder / "pages" / f"{track.name}.png"
     said = place.with_suffix(".json")
     if not place.is_file() or not said.is_file() or json.loads(said.read_text()) != key:

@@ -54,7 +54,10 @@ class Frame(NamedTuple):
         name: kind and seed of the scene.
         images: camera name -> ``(3, h, w)`` in [0, 1], disturbed.
         rig: as its calibration says, which may be wrong.
-        inverse_depth: ``(V,)`` in 1/m at the vertices of ``Size.level``, from the rig's centre.
+        free_rig: the same, its masks free of what carries the rig, whether methods are told of it or not: where two of
+            its cameras see a point, the point counts.
+        inverse_depth: ``(V,)`` in 1/m at the vertices of ``Size.level``, from the rig's centre, of the scene without
+            what carries the rig: nobody asks how far the vehicle is.
         panorama: ``(h, 2h)`` the same for pixels.
         colors: ``(3, V)`` in [0, 1], the undisturbed view from the rig's centre.
         shared_rigs: rigs that must all see a point with two cameras where the track compares the same points.
@@ -63,6 +66,7 @@ class Frame(NamedTuple):
     name: str
     images: dict[str, Tensor]
     rig: CameraRig
+    free_rig: CameraRig
     inverse_depth: Tensor
     panorama: Tensor
     colors: Tensor
@@ -98,14 +102,11 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
     seed = track.seed(number)
     recipe = track if size.image_rows is None else track.smaller(size.image_rows)
     rig = recipe.rig.make(seed)
-    scene, body = _scene(track, rig, seed)
+    scene, shown, body = _scene(track, rig, seed)
     name = track.frame_name(number)
-    images = _pictures(scene, rig, f"{name}-{track.carrier}" if body else name, size, cache)
-    told = (
-        CameraRig(rig.cameras, rig.world_from_camera, carrier_masks(body, rig))
-        if body and track.masked
-        else rig
-    )
+    images = _pictures(shown, rig, f"{name}-{track.carrier}" if body else name, size, cache)
+    masks = carrier_masks(body, rig) if body else {}
+    told = CameraRig(rig.cameras, rig.world_from_camera, masks if track.masked else {})
     generator = torch.Generator().manual_seed(seed)
     disturbed = track.disturbance({"images": images, "rig": told}, generator)
     vertices = Icosphere(size.level).vertices
@@ -114,6 +115,7 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
         name,
         disturbed["images"],
         disturbed["rig"],
+        CameraRig(rig.cameras, disturbed["rig"].world_from_camera, masks),
         ray_depth(scene, rig.center, vertices).reciprocal(),
         ray_depth(scene, rig.center, around).reciprocal(),
         render_directions(scene, rig.center, vertices),
@@ -121,15 +123,17 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
     )
 
 
-def _scene(track: Track, rig: CameraRig, seed: int) -> tuple[Scene | MeshScene, Primitives | None]:
-    """What is seen, and the body of the carrier in it."""
+def _scene(
+    track: Track, rig: CameraRig, seed: int
+) -> tuple[Scene | MeshScene, Scene | MeshScene, Primitives | None]:
+    """The scene, what cameras see of it, and the body of the carrier in that."""
     if track.meshes:
-        return mesh_files(list(track.meshes)).make(seed, CLEAR_RADIUS), None
-    kind = kind_of(track.kind, seed)
-    scene = make_scene(kind, seed, center=rig.center, clear_radius=CLEAR_RADIUS)
+        mesh = mesh_files(list(track.meshes)).make(seed, CLEAR_RADIUS, rig.center)
+        return mesh, mesh, None
+    scene = make_scene(kind_of(track.kind, seed), seed, center=rig.center, clear_radius=CLEAR_RADIUS)
     if track.carrier is None:
-        return scene, None
-    return with_carrier(scene, track.carrier, rig, seed)
+        return scene, scene, None
+    return scene, *with_carrier(scene, track.carrier, rig, seed)
 
 
 def _pictures(

@@ -67,6 +67,8 @@ def record_of(track: Track, method: Method, folder: Path | None, size: Size) -> 
         "hypotheses": HYPOTHESES,
         "min_depth": MIN_DEPTH,
     }
+    if track.carrier is not None:
+        key["truth"] = "without the carrier"
     return Record(folder, track.name, method.name, key)
 
 

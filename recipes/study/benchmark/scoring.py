@@ -53,7 +53,7 @@ class FrameTruth:
         self.valid = frame.inverse_depth <= 1 / MIN_DEPTH
         self.inverse_depth = frame.inverse_depth.where(self.valid, 0.0)
         vertices = self.fine.vertices
-        shared = self.valid & _two_see(frame.rig, vertices, self.inverse_depth)
+        shared = self.valid & _two_see(frame.free_rig, vertices, self.inverse_depth)
         structure = depth_structure(self.index)
         sky = frame.inverse_depth == 0
         bare = (local_contrast(frame.colors) < LEAST_CONTRAST) & ~structure.edge & ~sky
@@ -75,7 +75,7 @@ class FrameTruth:
         flat = frame.panorama.reshape(-1)
         self.panorama = index_from_inverse_depth(flat, HYPOTHESES, MIN_DEPTH)
         known = flat <= 1 / MIN_DEPTH
-        self.panorama_counts = known & _two_see(frame.rig, self.around, flat.where(known, 0.0))
+        self.panorama_counts = known & _two_see(frame.free_rig, self.around, flat.where(known, 0.0))
 
     def index_of(self, net: DepthNetwork, index: Tensor) -> Tensor:
         """Index ``(V,)`` of the benchmark's hypotheses at the fine vertices, NaN where the network says nothing."""

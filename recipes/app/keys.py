@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from sphericalvision.recipes.app.schema import AtLeast
 
@@ -34,8 +34,6 @@ class Predict:
     antialias: bool
     height: Count
     output: str
-    skip_existing: bool
-    on_error: str
     device: str
     native: bool
 
@@ -151,7 +149,6 @@ class Study:
 class Benchmark:
     """``sphericalvision-benchmark``."""
 
-    output: str
     groups: list[str]
     only: str | None
     seconds: Positive
@@ -164,8 +161,6 @@ class Benchmark:
     training: bool
     memory: bool
     options: list[str]
-    variants: list[str]
-    convolution_settings: list[list[Count]]
     num_frames: Count
     num_points: Count
 
@@ -183,8 +178,6 @@ class Trainer:
     num_nodes: Count
     strategy: str
     precision: str | int
-    use_distributed_sampler: Literal[False]
-    sync_batchnorm: bool
     accumulate_grad_batches: Count
     gradient_clip_val: Annotated[float, AtLeast(0)] | None
     overfit_batches: Annotated[float, AtLeast(0)]

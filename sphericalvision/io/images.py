@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
 
 from sphericalvision.core import FileFormatError, ShapeError, check_file
 from sphericalvision.io.files import write_bytes
@@ -57,7 +59,9 @@ def read_pages(path: str | Path, what: str = "an image", image_size: Size | None
     return [_to_rgb(np.asarray(page)) for page in pages]
 
 
-def read_image(path: str | Path, image_size: Size | None = None, what: str = "an image") -> torch.Tensor:
+def read_image(
+    path: str | Path, image_size: Size | None = None, what: str = "an image"
+) -> Float[Tensor, "3 h w"]:
     """Read an image as float32 ``(3, h, w)`` in [0, 1]; grey gets three equal channels, alpha is dropped.
 
     Args:
@@ -76,7 +80,9 @@ def read_image(path: str | Path, image_size: Size | None = None, what: str = "an
     return torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))
 
 
-def read_mask(path: str | Path, image_size: Size | None = None, what: str = "a mask image") -> torch.Tensor:
+def read_mask(
+    path: str | Path, image_size: Size | None = None, what: str = "a mask image"
+) -> Bool[Tensor, "h w"]:
     """Read a mask as bool ``(h, w)``, True where the image is at least half white.
 
     Args:
@@ -121,7 +127,7 @@ def write_pages(path: str | Path, pages: list[Array]) -> None:
     write_bytes(path, encoded.tobytes())
 
 
-def write_image(path: str | Path, image: torch.Tensor | Array) -> None:
+def write_image(path: str | Path, image: Tensor | Array) -> None:
     """Write an image with 8 bits a channel.
 
     Args:
@@ -134,7 +140,7 @@ def write_image(path: str | Path, image: torch.Tensor | Array) -> None:
         FileFormatError: the suffix names no format.
         OSError: the file cannot be written.
     """
-    if isinstance(image, torch.Tensor):
+    if isinstance(image, Tensor):
         if image.ndim != 3 or image.shape[0] not in (1, 3) or not image.is_floating_point():
             raise ShapeError(
                 f"image: expected a float tensor (3, h, w) or (1, h, w), got {image.dtype} "
@@ -147,7 +153,7 @@ def write_image(path: str | Path, image: torch.Tensor | Array) -> None:
     write_pages(path, [image[..., 0] if image.ndim == 3 and image.shape[-1] == 1 else image])
 
 
-def write_mask(path: str | Path, mask: torch.Tensor) -> None:
+def write_mask(path: str | Path, mask: Bool[Tensor, "h w"]) -> None:
     """Write a mask ``(h, w)`` as an image, white where it is True.
 
     Raises:

@@ -21,7 +21,17 @@ from sphericalvision.recipes.benchmark.tables import machine, print_measured, sa
 
 __all__ = ["GROUPS", "benchmark"]
 
-GROUPS = ("machine", "cameras", "convolutions", "network", "data", "variants")
+GROUPS = (
+    "machine",
+    "cameras",
+    "convolutions",
+    "network",
+    "data",
+    "variants",
+    "sweep",
+    "training",
+    "processes",
+)
 """Each is a module ``<group>`` beside this one with a function ``comparisons(config, device)``."""
 
 

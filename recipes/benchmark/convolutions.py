@@ -11,7 +11,15 @@ from omegaconf import DictConfig
 from torch import Tensor, nn
 
 from sphericalvision.core import reference_kernels
-from sphericalvision.crown import Crown, CrownConv2d, CrownConv3d, HexConv2d, HexConv3d, to_crown
+from sphericalvision.crown import (
+    Crown,
+    CrownConv2d,
+    CrownConv3d,
+    HexConv2d,
+    HexConv3d,
+    set_kernel_options,
+    to_crown,
+)
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.benchmark.measuring import Comparison
 from sphericalvision.sphere import CubePad2d, EquirectangularPad2d, SphereConv2d
@@ -22,12 +30,13 @@ __all__ = ["comparisons"]
 def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """2D at every level and number of channels asked for; 3D with 16 hypotheses two levels coarser."""
     for level, channels in config.convolution_settings:
-        yield _planar(level, channels, device)
+        native = "native" in config.options
+        yield _planar(level, channels, device, native)
         if level >= 2:
-            yield _spatial(level - 2, channels, 16, device)
+            yield _spatial(level - 2, channels, 16, device, native)
 
 
-def _planar(level: int, channels: int, device: torch.device) -> Comparison:
+def _planar(level: int, channels: int, device: torch.device, native: bool) -> Comparison:
     n, vertices = 2**level, num_icosphere_vertices(level)
     image = torch.randn(1, channels, 2 * n, 5 * n, device=device)  # the vertices but the poles
     values = torch.randn(1, channels, vertices, device=device)
@@ -54,6 +63,9 @@ def _planar(level: int, channels: int, device: torch.device) -> Comparison:
         "planar, panorama padded": run(nn.Sequential(EquirectangularPad2d(1), planar(0)), image),
         "planar, cube padded": run(nn.Sequential(CubePad2d(1), planar(0)), faces),
     }
+    if native:
+        runs["hex along charts, native"] = run(_native(HexConv2d(channels, channels)), _channels_last(values))
+        runs["crown, native"] = run(_native(CrownConv2d(channels, channels)), to_crown(values))
     if find_spec("hexagdly"):
         import hexagdly
 
@@ -67,7 +79,7 @@ def _planar(level: int, channels: int, device: torch.device) -> Comparison:
     )
 
 
-def _spatial(level: int, channels: int, hypotheses: int, device: torch.device) -> Comparison:
+def _spatial(level: int, channels: int, hypotheses: int, device: torch.device, native: bool) -> Comparison:
     n, vertices = 2**level, num_icosphere_vertices(level)
     # Two volumes: for a single small one torch takes a convolution on the CPU that is several times slower.
     volume = torch.randn(2, channels, hypotheses, 2 * n, 5 * n, device=device)
@@ -76,20 +88,29 @@ def _spatial(level: int, channels: int, hypotheses: int, device: torch.device) -
     def run(layer: nn.Module, given: Tensor | Crown) -> Callable[[], object]:
         return _forward_and_backward(layer.to(device), given)
 
+    runs = {
+        "planar": run(nn.Conv3d(channels, channels, 3, padding=1, bias=False), volume),
+        "hex along charts": run(HexConv3d(channels, channels), values),
+        "hex aligned with north": run(
+            HexConv3d(channels, channels, orientation="north", level=level), values
+        ),
+        "crown, both directions": run(CrownConv3d(channels, channels), to_crown(values)),
+    }
+    if native:
+        runs["hex along charts, native"] = run(_native(HexConv3d(channels, channels)), _channels_last(values))
+        runs["crown, native"] = run(_native(CrownConv3d(channels, channels)), to_crown(values))
     return Comparison(
         f"convolution, forward and backward: 2 x {vertices} samples, {hypotheses} hypotheses, "
         f"{channels} to {channels} channels",
-        {
-            "planar": run(nn.Conv3d(channels, channels, 3, padding=1, bias=False), volume),
-            "hex along charts": run(HexConv3d(channels, channels), values),
-            "hex aligned with north": run(
-                HexConv3d(channels, channels, orientation="north", level=level), values
-            ),
-            "crown, both directions": run(CrownConv3d(channels, channels), to_crown(values)),
-        },
+        runs,
         "planar",
         3 * 2 * 27 * channels**2 * 2 * 10 * n * n * hypotheses / 1e9,
     )
+
+
+def _native(layer: nn.Module) -> nn.Module:
+    set_kernel_options(layer, native=True)
+    return layer
 
 
 def _by_reference(run: Callable[[], object]) -> Callable[[], object]:
@@ -117,4 +138,4 @@ def _forward_and_backward(layer: nn.Module, given: Tensor | Crown) -> Callable[[
 
 
 def _channels_last(values: Tensor) -> Tensor:
-    return values.transpose(1, 2).contiguous().transpose(1, 2)
+    return values.movedim(1, -1).contiguous().movedim(-1, 1)

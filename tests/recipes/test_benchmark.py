@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import time
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,7 @@ from sphericalvision.recipes.benchmark.command import benchmark
 from sphericalvision.recipes.benchmark.measuring import BF16, Comparison, Measured, Peaks, measure
 from sphericalvision.recipes.benchmark.network import comparisons
 from sphericalvision.recipes.benchmark.plain_setup import plain_charts, plain_sweep_tables
+from sphericalvision.recipes.benchmark.processes import seconds_per_sample
 from sphericalvision.sweep import SphereSweep
 
 TINY = [
@@ -168,6 +170,32 @@ def test_training_that_waits_for_data(tmp_path: Path) -> None:
     waiting = [row.median for row in rows if row.unit == "%"]
     assert len(waiting) == 2
     assert all(0 <= share <= 100 for share in waiting)
+
+
+@pytest.mark.parametrize("group", ["sweep", "training"])
+def test_processor_time_by_both_ways(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str) -> None:
+    monkeypatch.setattr(f"sphericalvision.recipes.benchmark.{group}.LEVEL", 4)
+    monkeypatch.setattr(f"sphericalvision.recipes.benchmark.{group}.HYPOTHESES", 4)
+    rows = benchmark(config(f"groups=[{group}]"), tmp_path)
+    assert {row.name for row in rows} == {"plain", "sphericalvision"}
+    assert all(row.median > 0 and row.unit == "s" for row in rows)
+
+
+def test_two_processes_share_the_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rates of both are added, and what they take is the time of one sample."""
+    rates = iter(("2.0", "3.0"))
+
+    class Trained:
+        returncode = 0
+
+        def __init__(self, command: list[str], **_: object) -> None:
+            self.stdin, self.stdout = StringIO(), StringIO("ready\n")
+
+        def communicate(self) -> tuple[str, None]:
+            return f"{next(rates)}\n", None
+
+    monkeypatch.setattr("subprocess.Popen", Trained)
+    assert seconds_per_sample(processes=2, threads=1, seconds=1.0) == pytest.approx(1 / 5)
 
 
 def test_an_unknown_option_is_refused() -> None:

@@ -86,7 +86,7 @@ def furnish(folder: Path) -> None:
         ("omnihouse", [1, 2]),
         ("mine", [1, 2]),
     ):
-        rendered = RenderedFrames(rig, frames, samples_per_pixel=1, height=32)
+        rendered = RenderedFrames(rig, frames, samples_per_pixel=1, height=20)
         write_omnistereo(folder / "data" / name, rendered, rig)
 
 
@@ -182,7 +182,7 @@ def network_words(model: DictConfig) -> list[str]:
     """A narrow network of the same kind."""
     target = str(model._target_).rpartition(".")[2]
     if target == "SphereClassifier":
-        return ["model.level=2", "model.width=2"]
+        return ["model.level=3", "model.width=2"]
     size = ["model.output_size=[20,40]", "model.num_scales=2"] if target == "OmniMVS" else ["model.level=3"]
     return [*size, "model.num_hypotheses=4", "model.feature_channels=2"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +29,12 @@ class Capture:
     files: Mapping[str, Mapping[str, Path]]
 
 
-def find_capture(pattern: str, names: Sequence[str], frames: Iterable[int | str] | None = None) -> Capture:
+def find_capture(
+    pattern: str,
+    names: Sequence[str],
+    frames: Iterable[int | str] | None = None,
+    leave_out: Iterable[Path] = (),
+) -> Capture:
     """Find the frames that every camera has, or the frames asked for.
 
     ``{camera}`` stands for the camera's name in the rig, the number in that name, or its place counted from 0
@@ -40,6 +45,7 @@ def find_capture(pattern: str, names: Sequence[str], frames: Iterable[int | str]
         pattern: of the files.
         names: cameras of the rig, in order.
         frames: frame numbers or names; all that are found when not given.
+        leave_out: files that are no images, such as masks that lie beside them.
 
     Raises:
         ArgumentError: the pattern has no ``{camera}``, or other fields.
@@ -52,8 +58,9 @@ def find_capture(pattern: str, names: Sequence[str], frames: Iterable[int | str]
             f"'capture/cam{{camera}}/{{frame:05d}}.png', got {pattern!r}"
         )
     wanted = None if frames is None else [_frame_text(pattern, frame) for frame in frames]
+    others = {path.resolve() for path in leave_out}
     for labels in _labelings(names):
-        found = {name: _files(pattern, label) for name, label in zip(names, labels, strict=True)}
+        found = {name: _files(pattern, label, others) for name, label in zip(names, labels, strict=True)}
         if all(found.values()):
             break
     else:
@@ -118,7 +125,7 @@ def _labelings(names: Sequence[str]) -> list[list[str]]:
     return [way for i, way in enumerate(ways) if way not in ways[:i]]
 
 
-def _files(pattern: str, label: str) -> dict[str, Path]:
+def _files(pattern: str, label: str, others: Container[Path] = ()) -> dict[str, Path]:
     """Frame -> file of one camera; ``""`` is the frame of a pattern without ``{frame}``."""
     glob, expression = "", ""
     first = True
@@ -138,7 +145,7 @@ def _files(pattern: str, label: str) -> dict[str, Path]:
     files = {}
     for file in anchor.glob(str(path.relative_to(path.anchor) if path.is_absolute() else path)):
         match = re.fullmatch(expression, str(file))
-        if match and file.is_file():
+        if match and file.is_file() and file.resolve() not in others:
             files[match.groupdict().get("frame") or ""] = file
     return files
 

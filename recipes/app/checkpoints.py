@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 
 import torch
@@ -16,6 +15,7 @@ from sphericalvision.models.weights import (
     load_weights,
     pretrained,
 )
+from sphericalvision.models.weights.filling import filled
 
 __all__ = ["initialize", "load_network"]
 
@@ -90,13 +90,14 @@ def _read(checkpoint: str | Path | None) -> DepthNetwork:
         raise ArgumentError(f"checkpoint: {path} has none of the suffixes of checkpoints, {known}")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-        state, name = content["state_dict"], content["architecture"]
-        net = network_class(name)(**content["network_hyperparameters"])
-        net.load_state_dict({key[4:]: value for key, value in state.items() if key.startswith("net.")})
-    except (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeError, OSError) as error:
+        state = {key[4:]: value for key, value in content["state_dict"].items() if key.startswith("net.")}
+        net = network_class(content["architecture"])(**content["network_hyperparameters"])
+        return filled(net, state, path)
+    except FileFormatError:
+        raise
+    except Exception as error:  # whatever a damaged file makes of itself
         raise FileFormatError(
             f"{path}: is not a checkpoint of sphericalvision-train, or is damaged "
-            f"({str(error).splitlines()[0]:.200}). Give a .ckpt or .safetensors file from the checkpoints "
-            "folder of a training run."
+            f"({(str(error).splitlines() or [type(error).__name__])[0]:.200}). Give a .ckpt or .safetensors file from "
+            "the checkpoints folder of a training run."
         ) from error
-    return net

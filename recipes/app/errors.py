@@ -111,10 +111,20 @@ def _user_message(error: BaseException) -> str | None:
         return f"{key}: {str(error).splitlines()[0]}"
     if isinstance(error, HydraException):
         return " ".join(str(error).split())
-    if isinstance(error, OSError) and error.strerror:
-        where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror}; free the disk, or choose another place, output=... for results"
-    return None
+    return _disk_message(error)
+
+
+def _disk_message(error: BaseException) -> str | None:
+    """What the system says of a disk, in this process or in one of a data loader."""
+    if not isinstance(error, OSError):
+        return None
+    if error.strerror:
+        where, reason = f"{error.filename}: " if error.filename else "", error.strerror
+    elif "Original Traceback" in str(error):
+        where, reason = "", re.sub(r"^\[Errno \d+\] ", "", _without_traceback(str(error)))
+    else:
+        return None
+    return f"{where}{reason}; free the disk, or choose another place, output=... for results"
 
 
 def _without_traceback(text: str) -> str:

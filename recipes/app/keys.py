@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from sphericalvision.recipes.app.schema import AtLeast
 
@@ -34,6 +34,8 @@ class Predict:
     antialias: bool
     height: Count
     output: str
+    skip_existing: bool
+    on_error: str
     device: str
     native: bool
 
@@ -149,6 +151,7 @@ class Study:
 class Benchmark:
     """``sphericalvision-benchmark``."""
 
+    output: str
     groups: list[str]
     only: str | None
     seconds: Positive
@@ -161,6 +164,8 @@ class Benchmark:
     training: bool
     memory: bool
     options: list[str]
+    variants: list[str]
+    convolution_settings: list[list[Count]]
     num_frames: Count
     num_points: Count
 
@@ -178,6 +183,8 @@ class Trainer:
     num_nodes: Count
     strategy: str
     precision: str | int
+    use_distributed_sampler: Literal[False]
+    sync_batchnorm: bool
     accumulate_grad_batches: Count
     gradient_clip_val: Annotated[float, AtLeast(0)] | None
     overfit_batches: Annotated[float, AtLeast(0)]

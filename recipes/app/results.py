@@ -37,6 +37,7 @@ class DepthResult:
         seen: ``(V,)`` two cameras saw that point; elsewhere the index is a guess from the surroundings.
         panorama: ``(H, 2 * H)`` depth in metres along the rays from the rig's centre; NaN where the network's grid does
             not reach.
+        matched: ``(H, 2 * H)`` two cameras saw the point at that depth; elsewhere ``panorama`` is a guess.
         min_depth: nearest hypothesis in metres.
         max_depth: metres; farther is not told from infinity: half a hypothesis away from it.
     """
@@ -47,8 +48,15 @@ class DepthResult:
     confidence: Tensor
     seen: Tensor
     panorama: Tensor
+    matched: Tensor
     min_depth: float
     max_depth: float
+
+    @property
+    def share_matched(self) -> float:
+        """Share of the sphere, by solid angle, where ``matched``."""
+        weights = Equirectangular(*self.panorama.shape).solid_angles
+        return float((weights * self.matched).sum() / weights.sum())
 
 
 @torch.inference_mode()
@@ -68,8 +76,10 @@ def estimate_depth(
     number, min_depth = net.num_hypotheses, net.min_depth
     inverse_depth = inverse_depth_from_index(index, number, min_depth)
     view = Equirectangular(height, 2 * height, device=device)
-    around, reached = net.index_at(inverse_depth, view.directions.reshape(-1, 3))
+    rays = view.directions.reshape(-1, 3)
+    around, reached = net.index_at(inverse_depth, rays)
     panorama = around[0].where(reached, math.nan).view(view.shape)
+    matched = (net.index_at(estimate.seen.to(inverse_depth), rays)[0][0] > 0.5) & reached
     max_depth = float(depth_from_index(torch.tensor(0.5), number, min_depth))
     return DepthResult(
         net.grid.directions.reshape(-1, 3).cpu(),
@@ -78,6 +88,7 @@ def estimate_depth(
         estimate.confidence.float().flatten().cpu(),
         estimate.seen.flatten().cpu(),
         panorama.reciprocal().cpu(),
+        matched.view(view.shape).cpu(),
         min_depth,
         max_depth,
     )
@@ -88,10 +99,11 @@ def save_result(
 ) -> list[Path]:
     """Write pictures of depth and colour, point cloud and arrays, their names after ``prefix``; returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    picture = save_depth_panorama(folder / f"{prefix}depth.png", result.panorama, result.min_depth)
+    measured = result.panorama.where(result.matched, math.nan)
+    picture = save_depth_panorama(folder / f"{prefix}depth.png", measured, result.min_depth)
     colors, seen = rgb_panorama(rig, images, result.panorama.shape[0], result.panorama)
     write_image(folder / f"{prefix}color.png", colors)
-    depth = result.panorama.where(seen, math.nan)
+    depth = measured.where(seen, math.nan)
     cloud = panorama_point_cloud(depth, colors, max_depth=result.max_depth, center=rig.center)
     written = [picture, folder / f"{prefix}color.png"]
     if len(cloud.points):
@@ -104,6 +116,7 @@ def save_result(
         "seen": result.seen,
         "directions": result.directions,
         "depth_panorama": result.panorama,
+        "matched_panorama": result.matched,
         "color_panorama": colors,
         "seen_panorama": seen,
         "center": rig.center,

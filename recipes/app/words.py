@@ -18,12 +18,16 @@ PATH_KEYS = {
     "resume",
     "init_weights",
     "root",
+    "omnithings",
     "cache_dir",
     "runs",
     "path",
     "ckpt_path",
 }
-"""Last parts of the keys whose values are file names: what stands there is a name, never Hydra's grammar."""
+"""Last parts of the keys whose values are file names: what stands there is a name, never Hydra's grammar.
+
+A test compares them with the comments of the YAML files.
+"""
 
 
 ELSEWHERE = ("--config-path", "-cp", "--config-name", "-cn")

@@ -13,12 +13,12 @@ from rich.progress import track
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.core import ArgumentError, FileFormatError, check_choice
 from sphericalvision.data import ToSphere
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
-from sphericalvision.recipes.app.captures import find_capture, find_masks, read_frame
+from sphericalvision.recipes.app.captures import Capture, find_capture, find_masks, read_frame
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.app.results import estimate_depth, save_result
@@ -107,21 +107,64 @@ def prepare(net: DepthNetwork, images: Mapping[str, Tensor], rig: CameraRig, ant
 
 
 def predict(config: DictConfig, folder: Path) -> list[Path]:
-    """Write picture, point cloud and arrays of each frame to ``folder``; returns the files."""
+    """Write picture, point cloud and arrays of each frame to ``folder``; returns the files.
+
+    Raises:
+        FileFormatError: images of some frames cannot be read; the others are done before that is told.
+    """
+    check_choice("on_error", config.on_error, ("skip", "stop"))
     rig = load_rig(config)
-    capture = find_capture(config.images, rig.names, config.frames)
+    masks = () if config.masks is None else find_masks(config.masks, rig.names).values()
+    capture = find_capture(config.images, rig.names, config.frames, leave_out=masks)
     net = network_for(rig, config)
     print_config(config, folder)
     console.print(
         f"{len(capture.files)} frame(s), {len(rig)} cameras, rig radius {float(rig.radius):.3f} m, "
         f"nearest hypothesis {net.min_depth:.3f} m"
     )
-    written = []
-    for frame, files in track(capture.files.items(), "estimating depth", console=console):
-        images = read_frame(files, rig)
+    written, wrong, seen = [], [], []
+    for frame, files in track(todo(capture, folder, config).items(), "estimating depth", console=console):
+        try:
+            images = read_frame(files, rig)
+        except (FileFormatError, OSError) as error:
+            if config.on_error == "stop":
+                raise
+            wrong.append(str(error))
+            console.print(f"left out: {error}", style="yellow", highlight=False, soft_wrap=True)
+            continue
         prepared = prepare(net, images, rig, config.antialias)
         result = estimate_depth(net, prepared.images, rig, config.height, prepared.seen)
-        written += save_result(folder, f"{frame}_" if frame else "", result, images, rig)
+        seen.append(result.share_matched)
+        written += save_result(folder, prefix_of(frame), result, images, rig)
     for path in written:
         print(path)
+    if seen and min(seen) < ENOUGH:
+        print(
+            f"Two cameras see {100 * min(seen):.0f} % of all directions at the depth estimated. Elsewhere nothing can "
+            "be measured: grey in depth.png, left out of points.ply, False in matched_panorama of depth.npz."
+        )
+    if wrong:
+        raise FileFormatError(
+            f"{len(wrong)} of {len(capture.files)} frames were left out. The first: {wrong[0]}"
+        )
     return written
+
+
+ENOUGH = 0.98
+"""Share of the sphere that two cameras see, below which it is said."""
+
+
+def prefix_of(frame: str) -> str:
+    """What the names of a frame's files begin with."""
+    return f"{frame}_" if frame else ""
+
+
+def todo(capture: Capture, folder: Path, config: DictConfig) -> dict[str, Mapping[str, Path]]:
+    """The frames that are to be done: with ``skip_existing`` those whose last file is not there yet."""
+    frames = dict(capture.files)
+    if config.skip_existing:
+        frames = {
+            f: files for f, files in frames.items() if not (folder / f"{prefix_of(f)}depth.npz").is_file()
+        }
+        console.print(f"{len(capture.files) - len(frames)} frame(s) are in {folder} already", soft_wrap=True)
+    return frames

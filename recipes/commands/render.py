@@ -18,20 +18,14 @@ from sphericalvision.data.omnistereo.files import RELEASES
 from sphericalvision.data.seeded_scenes import MeshFiles, mesh_files
 from sphericalvision.recipes.app.cli import build, console, print_config
 from sphericalvision.recipes.app.frames import RenderedFrames
+from sphericalvision.recipes.app.rendered_sets import (
+    check_settings,
+    keep_settings,
+    missing_frames,
+    settings_of,
+)
 
-__all__ = ["missing_frames", "render"]
-
-
-def missing_frames(root: Path, frames: range, release: str, num_cameras: int) -> list[int]:
-    """Frames that are not in ``root`` yet, whole: ground truth is written last, so it tells."""
-    layout = RELEASES[release]
-    folders = [(f"cam{i + 1}", ".png") for i in range(num_cameras)]
-    folders.append((layout.ground_truth_folder, layout.suffix))
-    return [
-        frame
-        for frame in frames
-        if not all((root / folder / f"{frame:05d}{suffix}").is_file() for folder, suffix in folders)
-    ]
+__all__ = ["render"]
 
 
 def render(config: DictConfig, folder: Path) -> int:
@@ -48,6 +42,7 @@ def render(config: DictConfig, folder: Path) -> int:
     panoramas = any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values())
     release = config.release or ("tiff" if panoramas else "png")
     frames = range(config.first_frame, config.first_frame + config.num_frames)
+    check_settings(folder, settings_of(config, rig, release), release)
     missing = missing_frames(folder, frames, release, len(rig))
     print_config(config)
     if len(missing) < len(frames):
@@ -66,6 +61,7 @@ def render(config: DictConfig, folder: Path) -> int:
         carrier=config.carrier,
     )
     if missing:
+        keep_settings(folder, settings_of(config, rig, release))
         write_omnistereo(folder, _progress(rendered, config.num_workers), rig, release, config.min_depth)
     print(f"{len(missing)} frames written, {len(frames)} in {folder}")
     print(f"Read back with: data=omnistereo data.root={folder} data.train_split=all data.val_split=all")

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader, Dataset
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.collate import collate_samples
 
-__all__ = ["SampleDataModule", "TrainingStream"]
+__all__ = ["SampleDataModule", "TrainingStream", "even_batches"]
 
 ENDLESS = 2**40
 
@@ -30,10 +30,24 @@ class TrainingStream(Dataset[Sample]):
         length: number of positions.
         seed: of the order and of torch's global generator while a sample is made.
         start: position that index 0 stands for, when training resumes.
+        batch_size: samples that a process takes at once.
+        rank: of the process, from 0.
+        world: number of processes; their batches follow each other, so that together they read the same sequence as
+            one process with batches ``world`` times as large.
     """
 
-    def __init__(self, dataset: Dataset[Sample], length: int, seed: int = 0, start: int = 0) -> None:
+    def __init__(
+        self,
+        dataset: Dataset[Sample],
+        length: int,
+        seed: int = 0,
+        start: int = 0,
+        batch_size: int = 1,
+        rank: int = 0,
+        world: int = 1,
+    ) -> None:
         self.dataset, self.length, self.seed, self.start = dataset, length, seed, start
+        self.batch_size, self.rank, self.world = batch_size, rank, world
         self._round = -1
         self._order: list[int] = []
 
@@ -50,10 +64,37 @@ class TrainingStream(Dataset[Sample]):
         return self._order[offset]
 
     def __getitem__(self, index: int) -> Sample:
-        position = self.start + index
+        batch, offset = divmod(index, self.batch_size)
+        position = self.start + (batch * self.world + self.rank) * self.batch_size + offset
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed((self.seed + 1) * 1_000_000_007 + position)
             return self.dataset[self.index_at(position)]
+
+
+def even_batches(number: int, batch_size: int, world: int) -> list[list[int]]:
+    """Indices 0 to ``number - 1`` in batches, each once and in order, as many batches for each of ``world`` processes.
+
+    Processes wait for each other in every batch, so none may have one more. Where the last round would leave a process
+    without a sample, earlier batches are larger by one or two.
+
+    Raises:
+        ArgumentError: there are fewer samples than processes.
+
+    Examples:
+        >>> even_batches(5, batch_size=1, world=2)
+        [[0, 1], [2], [3], [4]]
+        >>> even_batches(5, batch_size=2, world=2)
+        [[0, 1], [2], [3], [4]]
+    """
+    if number < world:
+        raise ArgumentError(
+            f"data: {number} samples to validate or test with are too few for {world} processes; set "
+            f"trainer.devices={number} or take more samples"
+        )
+    rounds = min(-(-number // (batch_size * world)), number // world)
+    size, larger = divmod(number, rounds * world)
+    indices = iter(range(number))
+    return [[next(indices) for _ in range(size + (n < larger))] for n in range(rounds * world)]
 
 
 class SampleDataModule(pl.LightningDataModule):
@@ -89,18 +130,42 @@ class SampleDataModule(pl.LightningDataModule):
     def train_dataloader(self) -> DataLoader[Sample]:
         """Endless training batches up to ``trainer.max_steps``, from where a resumed run stopped."""
         steps = self.trainer.max_steps * self.trainer.accumulate_grad_batches if self.trainer else -1
-        world = self.trainer.world_size if self.trainer else 1
-        length = steps * self.batch_size * world if steps > 0 else ENDLESS
-        stream = TrainingStream(self.dataset("train"), length, self.seed, self.samples_seen)
+        length = steps * self.batch_size if steps > 0 else ENDLESS
+        stream = TrainingStream(
+            self.dataset("train"),
+            length,
+            self.seed,
+            self.samples_seen,
+            self.batch_size,
+            *self.rank_and_world(),
+        )
         return self.loader(stream)
 
     def val_dataloader(self) -> DataLoader[Sample]:
-        """Validation batches, in order."""
-        return self.loader(self.dataset("val"))
+        """Validation batches, in order; with several processes each gets its part."""
+        return self.part_of_process(self.dataset("val"))
 
     def test_dataloader(self) -> DataLoader[Sample]:
-        """Test batches, in order."""
-        return self.loader(self.dataset("test"))
+        """Test batches, in order; with several processes each gets its part."""
+        return self.part_of_process(self.dataset("test"))
+
+    def rank_and_world(self) -> tuple[int, int]:
+        """Number of this process and of all."""
+        return (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
+
+    def part_of_process(self, dataset: Dataset[Sample]) -> DataLoader[Sample]:
+        """Batches of this process; those of all processes together have each sample once."""
+        rank, world = self.rank_and_world()
+        if world == 1:
+            return self.loader(dataset)
+        batches = even_batches(len(dataset), self.batch_size, world)[rank::world]  # type: ignore[arg-type]
+        return DataLoader(
+            dataset,
+            batch_sampler=batches,
+            num_workers=self.num_workers,
+            collate_fn=collate_samples,
+            persistent_workers=self.num_workers > 0,
+        )
 
     def loader(self, dataset: Dataset[Sample]) -> DataLoader[Sample]:
         """Batches of any data set of these samples, in order."""

@@ -72,8 +72,8 @@ class DigitsDataModule(SampleDataModule):
 
     def val_dataloader(self) -> list[DataLoader[Sample]]:  # type: ignore[override]
         """Validation digits in each of ``ORIENTATIONS``."""
-        return [self.loader(self.digits("val", orientation)) for orientation in ORIENTATIONS]
+        return [self.part_of_process(self.digits("val", orientation)) for orientation in ORIENTATIONS]
 
     def test_dataloader(self) -> list[DataLoader[Sample]]:  # type: ignore[override]
         """Test digits in each of ``ORIENTATIONS``."""
-        return [self.loader(self.digits("test", orientation)) for orientation in ORIENTATIONS]
+        return [self.part_of_process(self.digits("test", orientation)) for orientation in ORIENTATIONS]

@@ -18,6 +18,9 @@ __all__ = ["changed_settings", "check_resume", "resume_path"]
 NO_SETTINGS = ("output", "resume", "init_weights", "paths.run", "tags")
 """Keys that say nothing about what is learned."""
 
+STATE = ("state_dict", "optimizer_states", "lr_schedulers", "loops", "global_step")
+"""What a training needs to go on; weights alone are for ``init_weights``."""
+
 
 def resume_path(resume: str | None, folder: Path) -> Path | None:
     """The checkpoint to resume from: ``auto`` is the folder's last one, if there is any.
@@ -71,6 +74,11 @@ def stored_network(path: Path) -> dict[str, Any]:
     """
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
+        lacking = [key for key in STATE if key not in content]
+        if lacking:
+            raise KeyError(f"it lacks {', '.join(lacking)}")
+        if not all(value.isfinite().all() for value in content["state_dict"].values()):
+            raise ValueError("its weights are infinite or not numbers")
         return {"architecture": content["architecture"], **content["network_hyperparameters"]}
     except Exception as error:  # whatever a damaged file makes of itself
         reason = (str(error).splitlines() or [type(error).__name__])[0]

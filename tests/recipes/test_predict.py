@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import trimesh
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run
 
 SIZE = (40, 48)
@@ -126,6 +128,60 @@ def test_a_network_on_the_variance_takes_some_of_the_cameras(
     run("predict", *words(capture, weights, "out"), "cameras=[cam1,cam2,cam3]")
     with np.load(next((tmp_path / "out").glob("*_depth.npz"))) as stored:
         assert np.isfinite(stored["inverse_depth"]).all()
+
+
+def test_the_sweep_without_training_takes_any_number_of_hypotheses(
+    run: Run, capture: Path, weights: Path, tmp_path: Path
+) -> None:
+    run("predict", *words(capture, weights, "out"), "method=semi_global", "num_hypotheses=64", "frames=[3]")
+    index = np.load(tmp_path / "out/00003_depth.npz")["index"]
+    assert 4 < index.max() <= 63
+
+
+def test_prediction_goes_on_where_it_stopped(
+    run: Run, failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
+) -> None:
+    """Frames that cannot be read are left out and told at the end; what is done is not done again."""
+    good = (capture / "cam3/00003.png").read_bytes()
+    (capture / "cam3/00003.png").write_bytes(good[:50])
+    message = failing("predict", *words(capture, weights, "out"))
+    assert "1 of 2 frames were left out" in message
+    assert "cam3/00003.png" in message
+    assert not (tmp_path / "out/00003_depth.npz").exists()
+    first = (tmp_path / "out/00004_depth.npz").stat().st_mtime_ns
+    failing("predict", *words(capture, weights, "other"), "on_error=stop")
+    assert not (tmp_path / "other/00004_depth.npz").exists()
+    (capture / "cam3/00003.png").write_bytes(good)
+    run("predict", *words(capture, weights, "out"), "skip_existing=true")
+    assert (tmp_path / "out/00003_depth.npz").is_file()
+    assert (tmp_path / "out/00004_depth.npz").stat().st_mtime_ns == first
+
+
+def test_what_only_one_camera_sees_is_not_shown_as_measured(
+    run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two cameras of 220 degrees back to back: both see a belt on either side of the plane between them, if far."""
+    run("predict", *words(capture, weights, "out"), "cameras=[cam1,cam3]", "frames=[3]", "height=64")
+    printed = capsys.readouterr().out
+    with np.load(tmp_path / "out/00003_depth.npz") as arrays:
+        matched, directions = arrays["matched_panorama"], Equirectangular(64, 128).directions.numpy()
+        center, depth = arrays["center"], arrays["depth_panorama"]
+    (share,) = re.findall(r"Two cameras see (\d+) %", printed)
+    assert 0 < int(share) < 40
+    assert not matched[np.abs(directions[..., 2]) > np.sin(np.radians(50))].any()
+    points = np.asarray(trimesh.load(tmp_path / "out/00003_points.ply").vertices) - center
+    assert 0 < len(points) <= (matched & np.isfinite(depth)).sum()
+
+
+def test_masks_beside_the_images_are_no_frames(
+    run: Run, capture: Path, weights: Path, tmp_path: Path
+) -> None:
+    beside = [f"images={capture}/cam{{camera}}/{{frame}}.png", f"masks={capture}/cam{{camera}}/mask.png"]
+    run("predict", *words(capture, weights, "out"), *beside)
+    assert sorted(path.name for path in (tmp_path / "out").glob("*.npz")) == [
+        "00003_depth.npz",
+        "00004_depth.npz",
+    ]
 
 
 def test_mistakes_are_named(

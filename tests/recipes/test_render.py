@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.data import OmniStereoDataset
 from sphericalvision.data.scenes.recipes import kind_of
+from sphericalvision.io.files import write_yaml
 from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
@@ -66,6 +68,48 @@ def test_rendering_goes_on_where_it_stopped(run: Run, tmp_path: Path) -> None:
     run("render", f"output={root}", "num_frames=3", *TINY)
     assert kept.read_bytes().endswith(b"kept")
     assert OmniStereoDataset(root, split="all").frames == [1, 2, 3]
+
+
+def test_files_that_cannot_be_read_are_rendered_again(run: Run, tmp_path: Path) -> None:
+    """What a full disk left under final names is not kept."""
+    root = tmp_path / "set"
+    run("render", f"output={root}", "num_frames=3", *TINY)
+    whole = {path: path.read_bytes() for path in root.rglob("*.*")}
+    (root / "cam2/00001.png").write_bytes(b"")
+    truth = root / "depth_train_640/00003.png"
+    truth.write_bytes(truth.read_bytes()[:40])
+    run("render", f"output={root}", "num_frames=3", *TINY)
+    assert {path: path.read_bytes() for path in root.rglob("*.*")} == whole
+
+
+@pytest.mark.parametrize(
+    "word", ["kind=room", "first_seed=7", "height=20", "samples_per_pixel=2", "scale=1.5"]
+)
+def test_frames_of_other_settings_are_not_mixed_in(
+    run: Run, failing: Callable[..., str], tmp_path: Path, word: str
+) -> None:
+    root = tmp_path / "set"
+    root.mkdir()
+    settings = {
+        "kind": "mixed",
+        "first_seed": 0,
+        "scale": 1.0,
+        "samples_per_pixel": 1,
+        "height": 32,
+        "min_depth": 0.55,
+    }
+    rig = rig_fingerprint(make_ring(image_size=(32, 32)), digits=6)
+    write_yaml(root / "rendered.yaml", {**settings, "release": "png", "rig": rig})
+    message = failing("render", f"output={root}", "num_frames=1", *TINY, word)
+    key, _, value = word.partition("=")
+    assert f"rendered with {key}={settings[key]}, this command says {key}={value}" in message
+    assert [path.name for path in root.iterdir()] == ["rendered.yaml"]
+
+
+def test_frames_from_elsewhere_are_not_mixed_with(failing: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "set/depth_train_640").mkdir(parents=True)
+    (tmp_path / "set/depth_train_640/00001.png").touch()
+    assert "no rendered.yaml tells" in failing("render", "output=set", "num_frames=2", *TINY)
 
 
 def test_wrong_values_are_named(failing: Callable[..., str]) -> None:

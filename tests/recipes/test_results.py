@@ -27,6 +27,7 @@ def test_points_that_no_camera_sees_are_not_in_the_cloud(tmp_path: Path) -> None
         confidence=torch.ones(len(directions)),
         seen=torch.ones(len(directions), dtype=torch.bool),
         panorama=torch.full((32, 64), 2.0),
+        matched=torch.ones(32, 64, dtype=torch.bool),
         min_depth=0.5,
         max_depth=10.0,
     )

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two processes are one: the same samples in the same order, each validation sample once, nearly the same weights."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.recipes.datamodules.base import TrainingStream, even_batches
+from tests.recipes.tiny import Run
+
+Words = tuple[str, ...]
+DDP = ("trainer.devices=2", "trainer.strategy=ddp", "data.batch_size=1")
+
+
+class Numbers(torch.utils.data.Dataset[dict[str, Any]]):
+    """Samples that are their index and a random number."""
+
+    def __len__(self) -> int:
+        return 5
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        return {"index": index, "noise": torch.rand(())}
+
+
+@pytest.mark.parametrize(("batch_size", "world"), [(1, 2), (2, 2), (3, 4)])
+def test_processes_share_the_training_stream(batch_size: int, world: int) -> None:
+    """The batches of a step, one process after the other, are one batch of a single process."""
+    steps, start = 4, 7
+    whole = [TrainingStream(Numbers(), 100, 3, start)[i] for i in range(steps * batch_size * world)]
+    streams = [
+        TrainingStream(Numbers(), steps * batch_size, 3, start, batch_size, rank, world)
+        for rank in range(world)
+    ]
+    shared = [
+        stream[step * batch_size + i]
+        for step in range(steps)
+        for stream in streams
+        for i in range(batch_size)
+    ]
+    assert shared == whole
+
+
+@given(st.integers(1, 40), st.integers(1, 6), st.integers(1, 8))
+def test_each_sample_is_validated_once_and_nobody_waits(number: int, batch_size: int, world: int) -> None:
+    if number < world:
+        with pytest.raises(ArgumentError, match="too few"):
+            even_batches(number, batch_size, world)
+        return
+    batches = even_batches(number, batch_size, world)
+    assert [index for batch in batches for index in batch] == list(range(number))
+    assert len(batches) % world == 0
+    assert all(batches)
+    if number % (batch_size * world) == 0:
+        assert {len(batch) for batch in batches} == {batch_size}
+
+
+def train(folder: Path, *words: str) -> str:
+    """Train in a process of its own, which starts the other; gives what was printed."""
+    command = [sys.executable, "-m", "sphericalvision.recipes.train", *words]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    result = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600, check=False
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+def state(folder: Path) -> dict[str, torch.Tensor]:
+    return torch.load(folder / "checkpoints/last.ckpt", weights_only=True)["state_dict"]
+
+
+def errors(folder: Path) -> dict[str, float]:
+    (values,) = json.loads((folder / "validation.json").read_text()).values()
+    return values
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one(run: Run, tmp_path: Path, tiny_training: Words) -> None:
+    """The loss is the mean over the known points of a process, so weights differ by as much as their shares do."""
+    short = ("data.num_val=3", "logger=none", "callbacks.panels=null", "optimizer=sgd")
+    words = (*tiny_training, *short)  # Adam's first steps have one length, however small a gradient is
+    run("train", *words, "trainer.max_steps=3", "data.batch_size=2", "output=one")
+    printed = train(tmp_path, *words, *DDP, "trainer.max_steps=3", "output=two")
+    assert printed.count("Results are in") == 1
+    train(tmp_path, *words, *DDP, "trainer.max_steps=1", "output=parts")
+    train(tmp_path, *words, *DDP, "trainer.max_steps=3", "output=parts", "resume=auto")
+    one, two, parts = (state(tmp_path / name) for name in ("one", "two", "parts"))
+    torch.testing.assert_close(two, one, rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(parts, two, rtol=0, atol=0)
+    assert errors(tmp_path / "two") == pytest.approx(errors(tmp_path / "one"), rel=1e-3)

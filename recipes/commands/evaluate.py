@@ -49,7 +49,7 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     OmegaConf.update(config, "model.level", net.level if net.images == "sphere" else level or 5)
     OmegaConf.update(config, "model.min_depth", net.min_depth)
     data: SampleDataModule = build(config.data, "data")
-    data.serve(net, "sphere" if config.baselines else "depth")
+    data.serve(net, "sphere" if config.baselines else "depth", depth_level=config.model.level - 2)
     return Evaluation(net.to(choose_device(config.device)), data)
 
 

@@ -117,8 +117,11 @@ class SampleDataModule(pl.LightningDataModule):
         """Samples of "train", "val" or "test", on the icosphere; augmented in "train"."""
         raise NotImplementedError
 
-    def serve(self, net: Any, *more: str) -> None:
-        """Give samples that suit a network, with ``more`` entries; what the configuration says stays."""
+    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
+        """Give samples that suit a network, with ``more`` entries; what the configuration says stays.
+
+        Depth at vertices is on the network's grid unless ``depth_level`` says otherwise.
+        """
 
     def plain_train_dataset(self) -> Dataset[Sample]:
         """The training samples without augmentation, in order."""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -28,13 +28,15 @@ class Wanted(NamedTuple):
 
     Attributes:
         entries: that it is trained with, as ``data.entries`` names them.
-        level: icosphere level of the images of "sphere"; depth at vertices is two levels below.
+        level: icosphere level of the images of "sphere".
+        depth_level: icosphere level of the depth at vertices.
         panorama_size: (height, width) of depth panoramas.
         min_depth: nearest hypothesis in metres.
     """
 
     entries: tuple[str, ...]
     level: int
+    depth_level: int
     panorama_size: tuple[int, int] | None
     min_depth: float
 
@@ -44,11 +46,25 @@ class Wanted(NamedTuple):
         images = ("sphere",) if net.images == "sphere" else ("fisheye",)
         if isinstance(net.grid, Icosphere):
             truth = () if net.images == "sphere" else ("depth",)
-            return cls((*images, *truth), net.grid.level + 2, None, net.min_depth)
+            level = net.level if net.images == "sphere" else net.grid.level + 2
+            return cls((*images, *truth), level, net.grid.level, None, net.min_depth)
         level = net.level if net.images == "sphere" else 5
         height, width = net.grid.shape
         whole = height if net.grid.max_latitude > 1.5 else width // 4
-        return cls((*images, "panorama"), level, (whole, width), net.min_depth)
+        return cls((*images, "panorama"), level, level - 2, (whole, width), net.min_depth)
+
+    def scale(self, given: Mapping[str, Any], depth_level: int | None = None) -> dict[str, Any]:
+        """``level``, ``depth_level`` and ``min_depth`` as given, or else the network's.
+
+        A level that is given brings depth two levels below, as always, unless that is given, too.
+        """
+        mine = {"level": self.level, "depth_level": self.depth_level, "min_depth": self.min_depth}
+        chosen = {key: mine[key] if given[key] is None else given[key] for key in mine}
+        if given["depth_level"] is None and depth_level is not None:
+            chosen["depth_level"] = depth_level
+        elif given["depth_level"] is None and given["level"] is not None:
+            chosen["depth_level"] = given["level"] - 2
+        return chosen
 
 
 def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:
@@ -75,7 +91,7 @@ def truth_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor]:
     if inverse_depth.shape[-1:] != net.grid.shape:
         raise ArgumentError(
             f"data.level: samples have depth at {inverse_depth.shape[-1]} vertices, {type(net).__name__} estimates it "
-            f"at {net.grid.shape[0]} (level {net.grid.level}); set data.level={net.grid.level + 2}"
+            f"at {net.grid.shape[0]} (level {net.grid.level}); set data.depth_level={net.grid.level}"
         )
     return inverse_depth, valid
 
@@ -95,6 +111,7 @@ class ChosenEntries:
     Args:
         entries: some of "sphere", "fisheye" and "panorama".
         level: icosphere level of the images of "sphere".
+        depth_level: icosphere level of its depth; two below ``level`` when not given.
 
     Returns:
         The sample with ``images``, ``seen``, ``inverse_depth`` and ``valid`` of ``ToSphere`` for "sphere"; ``fisheye``
@@ -105,13 +122,13 @@ class ChosenEntries:
         ArgumentError: an unknown entry or none; images that differ in size for "fisheye".
     """
 
-    def __init__(self, entries: Sequence[str], level: int) -> None:
+    def __init__(self, entries: Sequence[str], level: int, depth_level: int | None = None) -> None:
         self.entries = tuple(entries)
         if not self.entries:
             raise ArgumentError(f"data.entries: expected some of {', '.join(map(repr, ENTRIES))}, got none")
         for entry in self.entries:
             check_choice("data.entries", entry, ENTRIES)
-        self.to_sphere = ToSphere(level) if "sphere" in self.entries else None
+        self.to_sphere = ToSphere(level, depth_level) if "sphere" in self.entries else None
         self._rig: CameraRig | None = None
         self._seen = torch.empty(0)
 

@@ -36,6 +36,7 @@ class OmniStereoDataModule(SampleDataModule):
         seed: of order and augmentation in training.
         entries: what samples hold: some of "sphere" (for networks on the icosphere), "fisheye" and "panorama" (for
             networks on panoramas), with the keys of ``SceneDataset``.
+        depth_level: icosphere level of the depth at vertices.
     """
 
     def __init__(
@@ -56,9 +57,10 @@ class OmniStereoDataModule(SampleDataModule):
         num_workers: int = 4,
         seed: int = 0,
         entries: Sequence[str] | None = None,
+        depth_level: int | None = None,
     ) -> None:
         super().__init__(batch_size, num_workers, seed)
-        self.level, self.min_depth = level, min_depth
+        self.level, self.depth_level, self.min_depth = level, depth_level, min_depth
         self.entries = None if entries is None else tuple(entries)
         self.splits = {"train": train_split, "val": val_split, "test": test_split}
         self.photometric, self.shift = photometric, shift
@@ -70,13 +72,14 @@ class OmniStereoDataModule(SampleDataModule):
             "missing": missing,
         }
 
-    def serve(self, net: Any, *more: str) -> None:
+    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples that suit a network, with ``more`` entries; what the configuration says stays."""
         wanted = Wanted.by(net)
         entries = ["sphere" if entry == "depth" else entry for entry in (*wanted.entries, *more)]
         self.entries = self.entries or tuple(dict.fromkeys(entries))
-        self.level = self.level or wanted.level
-        self.min_depth = self.min_depth or wanted.min_depth
+        mine = {"level": self.level, "depth_level": self.depth_level, "min_depth": self.min_depth}
+        scale = wanted.scale(mine, depth_level)
+        self.level, self.depth_level, self.min_depth = (scale[key] for key in mine)
 
     def dataset(self, split: str) -> OmniStereoDataset:
         """Frames of one split, augmented in "train"."""
@@ -93,7 +96,9 @@ class OmniStereoDataModule(SampleDataModule):
         return self._read("train", [])
 
     def _read(self, split: str, stages: list[Callable[[Sample], Sample]]) -> OmniStereoDataset:
-        return self.read(split, *stages, ChosenEntries(self.entries or ("sphere",), self.level or 7))
+        return self.read(
+            split, *stages, ChosenEntries(self.entries or ("sphere",), self.level or 7, self.depth_level)
+        )
 
     def read(self, split: str, *stages: Callable[[Sample], Sample]) -> OmniStereoDataset:
         """Frames of one split through transforms of one's own.

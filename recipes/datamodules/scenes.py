@@ -41,7 +41,8 @@ class SceneDataModule(SampleDataModule):
 
     Args:
         rig: what the scenes are seen through.
-        level: icosphere level of the images on the sphere; depth at its vertices is two levels below.
+        level: icosphere level of the images on the sphere.
+        depth_level: icosphere level of the depth.
         min_depth: nearest hypothesis in metres; nearer points are not valid.
         entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama".
         panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
@@ -69,6 +70,7 @@ class SceneDataModule(SampleDataModule):
         self,
         rig: CameraRig,
         level: int | None = None,
+        depth_level: int | None = None,
         min_depth: float | None = None,
         entries: Sequence[str] | None = None,
         panorama_size: Sequence[int] | None = None,
@@ -95,6 +97,7 @@ class SceneDataModule(SampleDataModule):
         self.rig, self.cache_dir, self.augment = rig, cache_dir, augment
         self.options: dict[str, Any] = {
             "level": level,
+            "depth_level": depth_level,
             "kind": kind,
             "samples_per_pixel": samples_per_pixel,
             "antialias": antialias,
@@ -126,13 +129,12 @@ class SceneDataModule(SampleDataModule):
                     f"starts at {start}); set data.{other}_seed to {end} or more"
                 )
 
-    def serve(self, net: Any, *more: str) -> None:
+    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples that suit a network, with ``more`` entries; what the configuration says stays."""
         wanted = Wanted.by(net)
         self.entries = self.entries or tuple(dict.fromkeys((*wanted.entries, *more)))
         self.panorama_size = self.panorama_size or wanted.panorama_size
-        for key, value in (("level", wanted.level), ("min_depth", wanted.min_depth)):
-            self.options[key] = value if self.options[key] is None else self.options[key]
+        self.options |= wanted.scale(self.options, depth_level)
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Scenes of one split, augmented in "train"."""

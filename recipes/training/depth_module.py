@@ -88,9 +88,11 @@ class DepthModule(TrainingModule):
 
     def training_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
         """The loss of one batch."""
-        index = self.estimate(batch)
-        loss: Tensor = self.loss(index, *self.target(batch))
-        self.log("train/loss", loss, prog_bar=True, batch_size=len(index))
+        images, seen = images_of(batch, self.net)
+        fixed = batch.get("fixed")
+        rig = batch["rig"] if fixed else self.tables.of(batch["rig"])
+        loss: Tensor = self.net.training_loss(images, rig, seen, *self.target(batch), self.loss, fixed)
+        self.log("train/loss", loss, prog_bar=True, batch_size=len(images))
         return loss
 
     def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:

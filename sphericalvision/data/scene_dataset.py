@@ -24,7 +24,7 @@ from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.recipes import ray_depth, render_rig
 from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, MeshFiles, SeededScenes
 from sphericalvision.data.seen import pixels_seen
-from sphericalvision.icosphere import Icosphere
+from sphericalvision.icosphere import Icosphere, check_level
 from sphericalvision.sphere import Equirectangular
 
 __all__ = ["ENTRIES", "FisheyeSceneDataset", "SceneDataset"]
@@ -47,8 +47,8 @@ class SceneDataset(Dataset[dict[str, Any]]):
 
     * ``"sphere"``: ``images`` ``(n, 3, V_level)`` in [-1, 1], 0 where not ``seen`` ``(n, V_level)`` (in the field of
       view and in the mask), and ``"depth"``;
-    * ``"depth"``: ``inverse_depth`` ``(V_{level-2},)`` in 1/m, exact along the rays from the rig's centre, 0 at
-      infinity, and ``valid`` ``(V_{level-2},)``;
+    * ``"depth"``: ``inverse_depth`` ``(V_depth,)`` in 1/m, exact along the rays from the rig's centre, 0 at infinity,
+      and ``valid`` ``(V_depth,)``;
     * ``"fisheye"``: ``fisheye`` ``(n, 3, H, W)`` in [-1, 1], 0 where not ``fisheye_seen`` ``(n, H, W)``;
     * ``"panorama"``: ``panorama_inverse_depth`` ``(h, w)`` and ``panorama_valid`` ``(h, w)``, exact as well.
 
@@ -57,7 +57,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
     Args:
         num_scenes: number of samples.
         rig: unbatched; for ``"fisheye"`` its images must have one size.
-        level: of the icosphere that carries the images; depth is two levels below.
+        level: of the icosphere that carries the images.
         kind: of ``make_scene``, or a mixture of ``kind_of``: ``"mixed"`` takes rooms and floating objects by turns.
         first_seed: seed of sample 0.
         samples_per_pixel: rays through each pixel.
@@ -72,6 +72,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
             which every level and ``"fisheye"`` are made. ``"camera"`` whenever ``"fisheye"`` is asked for.
         meshes: of which scenes are made in place of a kind; see ``seeded_scenes.mesh_files``.
         carrier: what carries the rig and is in view: "pole", "robot" or "vehicle".
+        depth_level: of the icosphere that carries depth; two below ``level`` when not given.
 
     Raises:
         ArgumentError: an unknown entry or kind, none at all, level below 2, fewer than one scene, a seed below 0,
@@ -104,6 +105,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
         stored: str = "sphere",
         meshes: MeshFiles | None = None,
         carrier: str | None = None,
+        depth_level: int | None = None,
     ) -> None:
         for name, value, least in (
             ("num_scenes", num_scenes, 1),
@@ -116,6 +118,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
         self.entries = _checked_entries(entries, rig)
         self.num_scenes, self.rig, self.first_seed = num_scenes, rig, first_seed
         self.samples_per_pixel, self.min_depth, self.level = samples_per_pixel, min_depth, level
+        self.depth_level = level - 2 if depth_level is None else check_level(depth_level)
         self.panorama = (int(panorama[0]), int(panorama[1]))
         check_panorama_size(*self.panorama)
         check_choice("stored", stored, ("sphere", "camera"))
@@ -160,7 +163,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
         """The directions in which depths are wanted, by the sample's entry."""
         wanted: dict[str, Callable[[], Tensor]] = {}
         if {"sphere", "depth"} & set(self.entries):
-            wanted["inverse_depth"] = lambda: Icosphere(self.level - 2).vertices
+            wanted["inverse_depth"] = lambda: Icosphere(self.depth_level).vertices
         if "panorama" in self.entries:
             wanted["panorama_inverse_depth"] = lambda: (
                 Equirectangular.with_square_pixels(*self.panorama).directions
@@ -211,8 +214,8 @@ class SceneDataset(Dataset[dict[str, Any]]):
     def _depth_cache(self, root: Path | None, key: str) -> ArrayCache:
         """Depths depend on where the rig's centre is, and on nothing else of it but for the size of its carrier."""
         on_icosphere = key == "inverse_depth"
-        grid = f"level{self.level - 2}" if on_icosphere else "x".join(map(str, self.panorama))
-        shape = (Icosphere(self.level - 2).num_vertices,) if on_icosphere else self.panorama
+        grid = f"level{self.depth_level}" if on_icosphere else "x".join(map(str, self.panorama))
+        shape = (Icosphere(self.depth_level).num_vertices,) if on_icosphere else self.panorama
         center = rounded_text(self.rig.center).decode().replace(" ", "_")
         name = f"depth-{grid}-min{self.min_depth:.5g}-at{center}-{GENERATION}"
         if self.scenes.carrier is not None:

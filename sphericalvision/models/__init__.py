@@ -5,6 +5,7 @@ from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.classifier import SphereClassifier
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.omnimvs import OmniMVS
+from sphericalvision.models.refinedsweepnet import RefinedSweepNet
 from sphericalvision.models.training_free import SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.weights import (
     available_weights,
@@ -22,6 +23,7 @@ __all__ = [
     "DepthNetwork",
     "IcoSweepNet",
     "OmniMVS",
+    "RefinedSweepNet",
     "SemiGlobalSweep",
     "SphereClassifier",
     "WinnerTakesAll",

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
@@ -121,6 +122,41 @@ class DepthNetwork(RemembersArguments):
     ) -> Float[Tensor, " B *grid"]:
         """Return the hypothesis index ``(B, *grid.shape)``, 0 to N - 1; arguments as for ``predict``."""
         return self.predict(images, rig, seen).index
+
+    def training_loss(
+        self,
+        images: Float[Tensor, "B n C *size"],
+        rig: CameraRig | Any,
+        seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None,
+        target: Float[Tensor, " B *grid"],
+        valid: Bool[Tensor, " B *grid"],
+        loss: Callable[..., Tensor],
+        fixed: Mapping[str, Tensor] | None = None,
+    ) -> Float[Tensor, ""]:
+        """Return what training makes small: the loss of the index, unless a network wants more.
+
+        Args:
+            images: as for ``predict``; so are ``rig`` and ``seen``.
+            rig: see there.
+            seen: see there.
+            target: the true index.
+            valid: where it is known.
+            loss: of index, true index and where that is known.
+            fixed: what ``fixed_inputs`` returned for these images; ``rig`` is a ``CameraRig`` then.
+        """
+        return loss(self(images, rig, seen), target, valid)
+
+    def fixed_inputs(
+        self,
+        images: Float[Tensor, "B n C *size"],
+        rig: CameraRig | Any,
+        seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
+    ) -> dict[str, Tensor]:
+        """Return what is computed of images before anything that is trained, to be kept beside them; most have nothing.
+
+        Values are on icospheres, their last dimension; turns by 72 degrees must turn them as they turn the images.
+        """
+        return {}
 
     def tables(self, rig: CameraRig) -> Any:
         """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""

@@ -24,6 +24,7 @@ from sphericalvision.models import (
     DepthNetwork,
     IcoSweepNet,
     OmniMVS,
+    RefinedSweepNet,
     SemiGlobalSweep,
     WinnerTakesAll,
     load_weights,
@@ -64,6 +65,18 @@ class Example:
 SMALL = {"feature_channels": 2, "num_cameras": 3}
 PANORAMA = SMALL | {"output_size": (8, 16), "in_channels": 3, "num_scales": 2}
 
+REFINED_PRIOR = {"norm": "instance", "aggregation": "variance", "feature_coarsening": 1, "volume_channels": 2}
+
+
+def trained(net: DepthNetwork) -> DepthNetwork:
+    """The network with noise in the layers that begin at zero, which would hide what comes before them."""
+    with torch.no_grad():
+        for parameter in net.parameters():
+            if not parameter.any():
+                parameter.normal_(std=0.1)
+    return net
+
+
 NETWORKS = {
     "icosweepnet": Example(
         lambda: IcoSweepNet(3, 4, **SMALL), {"level": 4, "min_depth": 0.3}, {"feature_channels": 3}
@@ -82,6 +95,15 @@ NETWORKS = {
         ),
         {"num_hypotheses": 16},
         {"in_channels": 1},
+    ),
+    "refinedsweepnet": Example(
+        lambda: trained(
+            RefinedSweepNet(
+                3, 6, inner_hypotheses=5, widths=(4, 4), prior=REFINED_PRIOR | {"feature_channels": 2}
+            )
+        ),
+        {"level": 4, "num_hypotheses": 9, "min_depth": 0.3},
+        {"widths": (4, 6)},
     ),
     "semi-global sweep": Example(
         lambda: SemiGlobalSweep(3, 8, depth_coarsening=1), {"level": 4, "num_hypotheses": 6}, {}

@@ -17,6 +17,7 @@ from sphericalvision.data.augmentation.sphere_rotation import fivefold_ids, yaw_
 __all__ = ["RotateFivefold", "rotate_fivefold"]
 
 ON_ICOSPHERE = ("images", "seen", "inverse_depth", "valid")
+BY_NAME = ("fixed",)
 ON_PANORAMA = ("panorama_inverse_depth", "panorama_valid")
 
 
@@ -49,10 +50,10 @@ def rotate_fivefold(values: Shaped[Tensor, "*values V"], steps: int) -> Shaped[T
 class RotateFivefold:
     """Augmentation of a sample: the world, rig included, turned by a multiple of 72 degrees about the vertical.
 
-    Nothing is interpolated: values on the icosphere (``images``, ``seen``, ``inverse_depth``, ``valid``) move from
-    chart to chart, panoramas (``panorama_inverse_depth``, ``panorama_valid``) by whole columns, and the cameras' own
-    images (``fisheye``, ``fisheye_seen``) stay, since they turn with the world. Whichever of these a sample has, all
-    networks see the same turns.
+    Nothing is interpolated: values on the icosphere (``images``, ``seen``, ``inverse_depth``, ``valid``, and all of
+    ``fixed``) move from chart to chart, panoramas (``panorama_inverse_depth``, ``panorama_valid``) by whole columns.
+    The cameras' own images (``fisheye``, ``fisheye_seen``) stay, since they turn with the world. Whichever of these a
+    sample has, all networks see the same turns.
 
     Args:
         generator: source of the random choice; torch's own when not given.
@@ -76,7 +77,12 @@ class RotateFivefold:
         steps = self.steps
         if steps is None:
             steps = int(torch.randint(5, (), generator=self.generator))
-        turned = {key: rotate_fivefold(sample[key], steps) for key in ON_ICOSPHERE if key in sample}
+        turned: dict[str, Any] = {
+            key: rotate_fivefold(sample[key], steps) for key in ON_ICOSPHERE if key in sample
+        }
+        for key in BY_NAME:
+            if key in sample:
+                turned[key] = {name: rotate_fivefold(v, steps) for name, v in sample[key].items()}
         turned |= {key: _rolled(key, sample[key], steps) for key in ON_PANORAMA if key in sample}
         return {**sample, **turned, "rig": _turned(sample["rig"], steps)}
 

@@ -9,6 +9,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.omnimvs import OmniMVS
+from sphericalvision.models.refinedsweepnet import RefinedSweepNet
 from sphericalvision.models.training_free import SemiGlobalSweep, WinnerTakesAll
 
 __all__ = ["ENTRY_POINTS", "network_class", "network_name", "network_names", "register_network"]
@@ -19,6 +20,7 @@ ENTRY_POINTS = "sphericalvision.networks"
 _NETWORKS: dict[str, type[DepthNetwork]] = {
     "icosweepnet": IcoSweepNet,
     "omnimvs": OmniMVS,
+    "refinedsweepnet": RefinedSweepNet,
     "semi-global-sweep": SemiGlobalSweep,
     "winner-takes-all": WinnerTakesAll,
 }

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth on the next finer icosphere: each vertex chooses between the depths around it by what the cameras see there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from sphericalvision.crown import HexConv2d
+from sphericalvision.icosphere import (
+    icosphere_neighbors,
+    icosphere_upsample,
+    level_from_num_vertices,
+)
+from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
+from sphericalvision.models.hexunet import HexResidualBlock
+from sphericalvision.models.logit_fusion import FusedLogits, two_modes
+from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
+
+__all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of"]
+
+
+class Candidates(NamedTuple):
+    """Depths that a vertex may have.
+
+    Attributes:
+        index: ``(B, 4, V)``: the mean of the two coarser vertices beside it, the nearest and the farthest around these,
+            and the second best answer of one of them.
+        likely: ``(B, 4, V)`` probability of their hypotheses at these two vertices.
+        step: ``(B, V)`` by how far these two differ.
+    """
+
+    index: Float[Tensor, "B four V"]  # type: ignore[assignment]  # hides tuple.index
+    likely: Float[Tensor, "B four V"]
+    step: Float[Tensor, "B V"]
+
+
+class RefinedIndex(NamedTuple):
+    """What ``CandidateRefinement`` says.
+
+    Attributes:
+        index: ``(B, V)``.
+        confidence: ``(B, V)`` logit of its being less than one hypothesis off.
+        seen: ``(B, V)`` whether two cameras see the point.
+    """
+
+    index: Float[Tensor, "B V"]  # type: ignore[assignment]
+    confidence: Float[Tensor, "B V"]
+    seen: Bool[Tensor, "B V"]
+
+
+class CandidateRefinement(nn.Module):
+    """Choose between ``Candidates``, and correct the choice a little.
+
+    At an edge a mean of depths is no depth of anything; the two sides are. Which of them a vertex belongs to the
+    cameras tell, whose colours agree at one and not at the other. Training begins with the mean.
+
+    Args:
+        state: channels of ``FusedLogits``.
+        width: channels of the convolutions.
+
+    References:
+        Bleyer et al. (2011), "PatchMatch stereo", for candidates from the surroundings; Tankovich et al. (2021),
+        "HITNet: hierarchical iterative tile refinement network".
+    """
+
+    def __init__(self, state: int, width: int = 16) -> None:
+        super().__init__()
+        self.entry = HexConv2d(state + 4 * 4 + 6, width, bias=True)
+        self.block = HexResidualBlock(width)
+        self.exit = HexConv2d(width, 4 + 2, bias=True)
+        with torch.no_grad():
+            self.exit.weight.zero_()
+            self.exit.bias.copy_(torch.tensor([3.0, 0, 0, 0, 0, 0]))  # type: ignore[union-attr]
+
+    def forward(
+        self,
+        candidates: Candidates,
+        appearance: AppearanceAtDepth,
+        state: Float[Tensor, "B S V_coarse"],
+        num_hypotheses: int,
+    ) -> RefinedIndex:
+        """Return index, confidence and what is seen, ``(B, V)``.
+
+        Args:
+            candidates: of ``candidates_of``.
+            appearance: what cameras see at them, K = 4.
+            state: ``(B, S, V_coarse)`` one level coarser.
+            num_hypotheses: N.
+        """
+        index, likely, step = candidates
+        color, deviation, cameras = appearance
+        mean = index[:, :1]
+        entries = (
+            ((index - mean) / 4).detach().clamp(-2, 2),
+            3 * deviation,
+            cameras / 4,
+            likely,
+            color[:, 0],
+            (color[:, 1] - color[:, 2]).abs().mean(1, keepdim=True),
+            mean.detach() / num_hypotheses,
+            step[:, None] / 4,
+        )
+        values = self.block(self.entry(torch.cat((icosphere_upsample(state), *entries), 1)))
+        scores, correction, confidence = self.exit(F.relu(values)).split((4, 1, 1), 1)
+        weights = scores.softmax(1)
+        chosen = ((weights * index).sum(1) + correction.squeeze(1)).clamp(0, num_hypotheses - 1)
+        seen = cameras.gather(1, weights.argmax(1, keepdim=True)).squeeze(1) >= 2
+        return RefinedIndex(chosen, confidence.squeeze(1), seen)
+
+
+def candidates_of(fused: FusedLogits) -> Candidates:
+    """Return what the vertices of the next finer icosphere choose from.
+
+    Examples:
+        >>> logits = torch.zeros(1, 31, 42)
+        >>> logits[:, 8] = 9.0
+        >>> index = candidates_of(FusedLogits(logits, torch.zeros(1, 1, 42))).index
+        >>> index.shape, [round(value, 2) for value in index[0, :3, 0].tolist()]
+        (torch.Size([1, 4, 162]), [4.0, 4.0, 4.0])
+    """
+    logits = fused.logits
+    best, second = two_modes(logits)
+    level = level_from_num_vertices(logits.shape[-1])
+    one, other = icosphere_vertex_parents(level + 1, logits.device).unbind(1)
+    ring = icosphere_neighbors(level, logits.device)
+    ring = torch.where(ring < 0, torch.arange(len(ring), device=ring.device)[:, None], ring)
+    around = best[:, ring]
+    near, far = torch.maximum(best, around.amax(-1)), torch.minimum(best, around.amin(-1))
+    index = torch.stack(
+        (
+            (best[:, one] + best[:, other]) / 2,
+            torch.maximum(near[:, one], near[:, other]),
+            torch.minimum(far[:, one], far[:, other]),
+            second[:, one],
+        ),
+        1,
+    )
+    with torch.no_grad():
+        probability = logits.softmax(1)
+        nearest = (2 * index).round().long().clamp(0, logits.shape[1] - 1)
+        likely = [probability[..., parent].gather(1, nearest) for parent in (one, other)]
+        step = (best[:, one] - best[:, other]).abs()
+    return Candidates(index, (likely[0] + likely[1]) / 2, step)

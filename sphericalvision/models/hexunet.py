@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A U-Net on icospheres whose convolutions know true neighbours everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from sphericalvision.crown import HexConv2d
+from sphericalvision.icosphere import icosphere_upsample
+
+__all__ = ["HexResidualBlock", "HexUNet"]
+
+
+class HexResidualBlock(nn.Module):
+    """Add to values ``(B, C, V)`` what two hexagonal convolutions make of them; nothing before training.
+
+    The second convolution begins at zero, which takes the place of normalisation: values on the whole sphere keep
+    their scale, and a sample's result depends on nothing but the sample.
+
+    References:
+        Zhang et al. (2019), "Fixup initialization: residual learning without normalization".
+
+    Examples:
+        >>> values = torch.rand(1, 4, 162)
+        >>> torch.equal(HexResidualBlock(4)(values), values)
+        True
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = HexConv2d(channels, channels, bias=True)
+        self.second = HexConv2d(channels, channels, bias=True)
+        nn.init.zeros_(self.second.weight)
+        if self.second.bias is not None:
+            nn.init.zeros_(self.second.bias)
+
+    def forward(self, values: Float[Tensor, "B C V"]) -> Float[Tensor, "B C V"]:
+        return values + self.second(F.relu(self.first(F.relu(values))))
+
+
+class HexUNet(nn.Module):
+    """Map values ``(B, C, V)`` on an icosphere to as many channels, each vertex knowing ever wider surroundings.
+
+    Args:
+        widths: channels at the level of the values and at each coarser one.
+        blocks: residual blocks at each level on the way down, and again on the way up.
+
+    References:
+        Ronneberger et al. (2015), "U-Net: convolutional networks for biomedical image segmentation".
+
+    Examples:
+        >>> HexUNet((4, 6, 8))(torch.rand(1, 4, 162)).shape
+        torch.Size([1, 4, 162])
+    """
+
+    def __init__(self, widths: Sequence[int], blocks: int = 1) -> None:
+        super().__init__()
+        steps = list(pairwise(widths))
+        self.down = nn.ModuleList(_blocks(width, blocks) for width in widths)
+        self.coarsen = nn.ModuleList(HexConv2d(fine, coarse, 2, bias=True) for fine, coarse in steps)
+        self.refine = nn.ModuleList(nn.Conv1d(coarse, fine, 1) for fine, coarse in steps)
+        self.up = nn.ModuleList(_blocks(width, blocks) for width in widths[:-1])
+
+    def forward(self, values: Float[Tensor, "B C V"]) -> Float[Tensor, "B C V"]:
+        levels = []
+        for block, coarsen in zip(self.down, self.coarsen, strict=False):
+            levels.append(block(values))
+            values = coarsen(F.relu(levels[-1]))
+        values = self.down[-1](values)
+        for fine, refine, block in zip(levels[::-1], reversed(self.refine), reversed(self.up), strict=True):
+            values = block(fine + icosphere_upsample(refine(values)))
+        return values
+
+
+def _blocks(channels: int, count: int) -> nn.Sequential:
+    return nn.Sequential(*(HexResidualBlock(channels) for _ in range(count)))

@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RefinedSweepNet: depth that starts from geometry's answer and learns what to correct."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere import Icosphere, check_level, icosphere_upsample, icosphere_vertices
+from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.candidate_refinement import CandidateRefinement, RefinedIndex, candidates_of
+from sphericalvision.models.icosweepnet import IcoSweepNet
+from sphericalvision.models.logit_fusion import FusedLogits, LogitFusion, SweepClues, two_modes
+from sphericalvision.sweep import (
+    DepthEstimate,
+    SemiGlobalTables,
+    SweepTables,
+    inverse_depth_from_index,
+    semi_global_costs,
+    semi_global_tables,
+)
+from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth, appearance_at_depth
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level
+from sphericalvision.sweep.visibility import check_seen
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import CameraRig
+
+__all__ = ["RefinedSweepNet", "RefinedTables"]
+
+STATE = 12
+"""Channels that fusion hands to refinement."""
+PRIOR = {
+    "feature_channels": 16,
+    "norm": "instance",
+    "aggregation": "variance",
+    "feature_coarsening": 1,
+    "volume_channels": 8,
+}
+"""Hyper-parameters of ``icosweepnet-small`` that its weights depend on."""
+COST_RANGE = 2.5
+
+
+class RefinedTables(NamedTuple):
+    """A rig made ready for ``RefinedSweepNet``.
+
+    Attributes:
+        sweep: of the semi-global sweep.
+        prior: of the learned prior's sweep.
+        offsets: ``([B,] n, 3)`` from each camera to the rig's centre, metres.
+    """
+
+    sweep: SemiGlobalTables
+    prior: SweepTables
+    offsets: Float[Tensor, "*batch n 3"]
+
+    def to(self, device: torch.device | str) -> RefinedTables:
+        """Return the tables on another device."""
+        return RefinedTables(self.sweep.to(device), self.prior.to(device), self.offsets.to(device))
+
+
+class RefinedSweepNet(DepthNetwork):
+    """Depth of any rig at the level of its images: a semi-global sweep and a learned prior, fused and refined.
+
+    ==========  ================  ======================================================================
+    stage       level             what it does
+    ==========  ================  ======================================================================
+    clues       level - 1         costs of ``semi_global_costs``; logits of an ``IcoSweepNet``, the prior
+    fusion      level - 1         both added as logits, with gates and a residual: ``LogitFusion``
+    refinement  level             a choice between the depths around each vertex: ``CandidateRefinement``
+    ==========  ================  ======================================================================
+
+    The sweep is exact where there is texture, and the prior knows what scenes look like where there is none. Takes two
+    or more cameras in any order, tilted or not, partial coverage, panoramas.
+
+    Args:
+        level: of the icospheres that hold the images and the result, as many as there are widths or more.
+        num_hypotheses: N, which the result is counted in.
+        min_depth: radius of the nearest hypothesis in metres.
+        inner_hypotheses: hypotheses that the network works with, whatever N is.
+        prior: hyper-parameters of the ``IcoSweepNet``; those of ``icosweepnet-small`` when not given.
+        widths: channels of the fusion's U-Net at each level, from ``level - 1`` on.
+
+    Raises:
+        ArgumentError: for a level below the number of widths.
+
+    References:
+        Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown representation
+        of icosahedron"; Hirschmüller (2008), "Stereo processing by semiglobal matching and mutual information".
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> net = RefinedSweepNet(level=5).eval()
+        >>> with torch.inference_mode():
+        ...     net(torch.zeros(1, 3, 3, 10242), ring_rig(3)).shape
+        torch.Size([1, 10242])
+    """
+
+    def __init__(
+        self,
+        level: int = 6,
+        num_hypotheses: int = 16,
+        min_depth: float = 0.55,
+        inner_hypotheses: int = 16,
+        prior: Mapping[str, Any] | None = None,
+        widths: Sequence[int] = (32, 48, 64, 96, 96),
+    ) -> None:
+        if check_level(level) < len(widths):
+            raise ArgumentError(f"level: expected {len(widths)} or more for as many widths, got {level!r}")
+        super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
+        self.level, self.grid, self.inner_hypotheses = level, Icosphere(level), inner_hypotheses
+        scale = {"level": level, "num_hypotheses": inner_hypotheses, "min_depth": min_depth}
+        self.prior = IcoSweepNet(**{**(PRIOR if prior is None else prior), **scale})
+        self.fusion = LogitFusion(inner_hypotheses, tuple(widths), STATE)
+        self.refinement = CandidateRefinement(STATE)
+        self.register_buffer("up", -icosphere_vertices(level - 1)[:, 1], persistent=False)
+
+    @classmethod
+    def around(cls, prior: IcoSweepNet | str, **hyperparameters: Any) -> Self:
+        """Return a network to be trained around a trained prior, whose weights stay as they are.
+
+        Args:
+            prior: the network, or the name of one that ships.
+            hyperparameters: of the class, but ``prior``.
+
+        Examples:
+            >>> net = RefinedSweepNet.around("icosweepnet-small", level=5)
+            >>> any(parameter.requires_grad for parameter in net.prior.parameters())
+            False
+        """
+        if isinstance(prior, str):
+            from sphericalvision.models.weights.pretrained import pretrained
+
+            prior = pretrained(prior)  # type: ignore[assignment]
+        if not isinstance(prior, IcoSweepNet):
+            raise ArgumentError(f"prior: expected an IcoSweepNet, got {type(prior).__name__}")
+        scales = ("level", "num_hypotheses", "min_depth")
+        shape = {name: value for name, value in prior.hyperparameters.items() if name not in scales}
+        net = cls(**hyperparameters, prior=shape)
+        net.prior.load_state_dict(prior.state_dict())
+        net.prior.requires_grad_(False)
+        return net
+
+    def tables(self, rig: CameraRig) -> RefinedTables:
+        """Return where each camera sees every point that is tried, to be passed in place of the rig."""
+        rig = rig.to(self.device)
+        number, offsets = self.inner_hypotheses, rig.center[..., None, :] - rig.positions
+        sweep = semi_global_tables(rig, number, self.min_depth, self.level)
+        return RefinedTables(sweep, self.prior.tables(rig), offsets)
+
+    def predict(
+        self,
+        images: Float[Tensor, "B n 3 V_image"],
+        rig: CameraRig | RefinedTables,
+        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
+    ) -> DepthEstimate:
+        """Return index, confidence and whether two cameras saw it, each ``(B, V_level)``.
+
+        Args:
+            images: ``(B, n, 3, V_level)``.
+            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
+            seen: ``([B,] n, V_level)``, True where the images show something. When not given, all that fields of view
+                and masks of the rig hold was seen.
+
+        Raises:
+            ShapeError: if the images have another shape than the network or the rig asks for.
+        """
+        self.check_images(images, seen)
+        tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
+        seen = check_seen(tables.sweep.seen if seen is None else seen, images)
+        clues = self.clues(images, tables, seen)
+        fused = self.fuse(clues, images, seen, tables.offsets)
+        index, confidence, both = self.refine(fused, images, seen, tables.offsets)
+        scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
+        return DepthEstimate(index * scale, confidence.sigmoid().where(both, 0.0), both)
+
+    def clues(
+        self,
+        images: Float[Tensor, "B n 3 V_image"],
+        tables: RefinedTables,
+        seen: Bool[Tensor, "B n V_image"],
+    ) -> SweepClues:
+        """Return what geometry and the prior say. Only the prior has weights here."""
+        with torch.no_grad():
+            evidence, cost = semi_global_costs(images, tables.sweep.sweep, seen)
+        mean, best, cameras = evidence.unbind(1)
+        places = torch.linspace(0, cameras.shape[1] - 1, 4, device=images.device).round().long()
+        swept = self.prior.sweep(self.prior.extract_features(images), tables.prior, seen)
+        prior = self.prior.regularizer(self.prior.aggregation(swept))
+        cost = cost - cost.amin(1, keepdim=True)
+        return SweepClues(cost, best, mean[:, ::2], cameras[:, places], prior)
+
+    def fuse(
+        self, clues: SweepClues, images: Tensor, seen: Tensor, offsets: Float[Tensor, "*batch n 3"]
+    ) -> FusedLogits:
+        """Return the logits ``(B, M, V)`` one level above the images."""
+        prior = clues.prior.float()
+        while prior.shape[-1] < clues.cost.shape[-1]:
+            prior = icosphere_upsample(prior)
+        prior = prior.log_softmax(1)
+        start = self.fusion.start(clues, prior)
+        size = (offsets.norm(dim=-1).mean(-1) / self.min_depth).expand(len(images))
+        appearance = self._appearance(start[:, None], images, seen, offsets)
+        return self.fusion(clues, prior, start, appearance, self.up, size)  # type: ignore[no-any-return]
+
+    def refine(
+        self, fused: FusedLogits, images: Tensor, seen: Tensor, offsets: Float[Tensor, "*batch n 3"]
+    ) -> RefinedIndex:
+        """Return the answer at the level of the images, in inner hypotheses."""
+        candidates = candidates_of(fused)
+        appearance = self._appearance(candidates.index, images, seen, offsets)
+        return self.refinement(candidates, appearance, fused.state, self.inner_hypotheses)  # type: ignore[no-any-return]
+
+    def _appearance(self, index: Tensor, images: Tensor, seen: Tensor, offsets: Tensor) -> AppearanceAtDepth:
+        """What cameras see at indices ``(B, K, V)``."""
+        index = index.detach().clamp(0, self.inner_hypotheses - 1)
+        inverse_depth = inverse_depth_from_index(index, self.inner_hypotheses, self.min_depth)
+        return appearance_at_depth(images, seen, offsets.expand(len(images), -1, -1), inverse_depth)
+
+    def fixed_inputs(
+        self,
+        images: Float[Tensor, "B n 3 V_image"],
+        rig: CameraRig | RefinedTables,
+        seen: Bool[Tensor, "B n V_image"] | None = None,
+    ) -> dict[str, Tensor]:
+        """Return the clues in a form to be kept, a byte a number: they do not change while the prior does not."""
+        tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
+        with torch.no_grad():
+            seen = check_seen(tables.sweep.seen if seen is None else seen, images)
+            cost, best, mean, cameras, prior = self.clues(images, tables, seen)
+        return {
+            "cost": _bytes(cost / COST_RANGE),
+            "best": _bytes(best),
+            "mean": _bytes((mean + 1) / 2),
+            "cameras": cameras.to(torch.uint8),
+            "prior": prior.half(),
+        }
+
+    def training_loss(
+        self,
+        images: Float[Tensor, "B n 3 V_image"],
+        rig: CameraRig,
+        seen: Bool[Tensor, "B n V_image"] | None,
+        target: Float[Tensor, "B V_image"],
+        valid: Bool[Tensor, "B V_image"],
+        loss: Callable[..., Tensor],
+        fixed: Mapping[str, Tensor] | None = None,
+    ) -> Float[Tensor, ""]:
+        """Return a loss of the index at both levels, of the logits, and of the confidence.
+
+        What fewer than two cameras see counts a quarter. The logits' share is the cross entropy of the two hypotheses
+        around the true index, the confidence's that of being less than one hypothesis off.
+        """
+        tables = rig if isinstance(rig, RefinedTables) else (None if fixed else self.tables(rig))
+        if seen is None:
+            seen = self.tables(rig).sweep.seen if tables is None else tables.sweep.seen
+        seen = check_seen(seen, images)
+        offsets = rig.center[..., None, :] - rig.positions if tables is None else tables.offsets
+        clues = self.clues(images, tables, seen) if tables is not None else _from_bytes(fixed)  # type: ignore[arg-type]
+        fused = self.fuse(clues, images, seen, offsets)
+        refined = self.refine(fused, images, seen, offsets)
+        scale = (self.inner_hypotheses - 1) / (self.num_hypotheses - 1)
+        true = (target * scale).clamp(0, self.inner_hypotheses - 1)
+        ids = ids_of_coarser_level(self.level, self.level - 1, true.device)
+        coarse, coarse_valid = true[:, ids], valid[:, ids]
+        known = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * coarse_valid
+        both = torch.where(refined.seen, 1.0, 0.25) * valid
+        entropy = _cross_entropy(fused.logits, coarse)
+        right = ((refined.index.detach() - true).abs() < 1).to(true)
+        doubt = F.binary_cross_entropy_with_logits(refined.confidence, right, reduction="none")
+        return (
+            loss(refined.index, true, valid, weights=both)
+            + 0.4 * loss(two_modes(fused.logits)[0], coarse, coarse_valid, weights=known)
+            + 0.05 * (entropy * known).sum() / known.sum().clamp(min=1)
+            + 0.03 * (doubt * valid).sum() / valid.sum().clamp(min=1)
+        )
+
+
+def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:
+    """``(B, V)`` of logits ``(B, 2 N - 1, V)`` and the two tried hypotheses around an index, in proportion."""
+    place = 2 * index
+    lower = place.floor().long().clamp(0, logits.shape[1] - 2)
+    share = place - lower
+    log_probability = logits.log_softmax(1)
+    below, above = (log_probability.gather(1, (lower + step)[:, None]).squeeze(1) for step in (0, 1))
+    return -(below * (1 - share) + above * share)
+
+
+def _bytes(values: Tensor) -> Tensor:
+    return (values * 255).round().clamp(0, 255).to(torch.uint8)
+
+
+def _from_bytes(fixed: Mapping[str, Tensor]) -> SweepClues:
+    cost, best, mean = (fixed[name].float() / 255 for name in ("cost", "best", "mean"))
+    return SweepClues(cost * COST_RANGE, best, mean * 2 - 1, fixed["cameras"].float(), fixed["prior"].float())

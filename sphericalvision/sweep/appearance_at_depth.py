@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the cameras of a rig see at given depths: colours, and how far they agree."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sphericalvision.icosphere import TriangleLocator, icosphere_vertices, level_from_num_vertices
+from sphericalvision.sweep.visibility import check_seen
+
+__all__ = ["AppearanceAtDepth", "appearance_at_depth"]
+
+
+class AppearanceAtDepth(NamedTuple):
+    """Colours of the cameras that see a point, in the unit of the images.
+
+    Attributes:
+        color: ``(B, K, C, V)`` their mean.
+        deviation: ``(B, K, V)`` their mean absolute deviation from it, over cameras and colours.
+        cameras: ``(B, K, V)`` how many there are; where none sees the point the others are 0.
+    """
+
+    color: Float[Tensor, "B K C V"]
+    deviation: Float[Tensor, "B K V"]
+    cameras: Float[Tensor, "B K V"]
+
+
+@torch.no_grad()
+def appearance_at_depth(
+    images: Float[Tensor, "B n C V_image"],
+    seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"],
+    offsets: Float[Tensor, "B n 3"],
+    inverse_depths: Float[Tensor, "B K V"],
+) -> AppearanceAtDepth:
+    """Return what cameras see at the points of K inverse depths at each vertex of an icosphere; without gradient.
+
+    Args:
+        images: ``(B, n, C, V_image)`` on icospheres aligned with the world.
+        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something.
+        offsets: ``(B, n, 3)`` from each camera to the rig's centre, metres in the world.
+        inverse_depths: ``(B, K, V)`` in 1/m; 0 is infinity.
+
+    Examples:
+        >>> images, seen = torch.ones(1, 2, 3, 162), torch.ones(2, 162, dtype=torch.bool)
+        >>> offsets = torch.tensor([[[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]])
+        >>> color, deviation, cameras = appearance_at_depth(images, seen, offsets, torch.ones(1, 4, 642))
+        >>> color.shape, deviation.max().item() < 1e-6, cameras.unique().tolist()
+        (torch.Size([1, 4, 3, 642]), True, [2.0])
+    """
+    vertices = icosphere_vertices(
+        level_from_num_vertices(inverse_depths.shape[-1]), offsets.dtype, images.device
+    ).T.contiguous()
+    locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
+    shown = check_seen(seen, images).to(images)[:, :, None]
+    rows = torch.cat((images * shown, shown), 2).transpose(2, 3).contiguous()  # colours beside each other
+    found = []
+    for sample, offset, inverse_depth in zip(rows, offsets, inverse_depths, strict=True):
+        values = [
+            _looked_up(row, locator, vertices, camera, inverse_depth)
+            for row, camera in zip(sample, offset, strict=True)
+        ]
+        weights = [(value[..., -1:] > 0.5).to(value) for value in values]
+        colors = [value[..., :-1] / value[..., -1:].clamp(min=0.5) for value in values]
+        cameras = torch.stack(weights).sum(0)
+        mean, far = torch.zeros_like(colors[0]), torch.zeros_like(colors[0])
+        for weight, value in zip(weights, colors, strict=True):
+            mean += weight * value / cameras.clamp(min=1)
+        for weight, value in zip(weights, colors, strict=True):
+            far += weight * (value - mean).abs() / cameras.clamp(min=1)
+        found.append((mean.mT, far.mean(-1), cameras.squeeze(-1)))
+    color, deviation, cameras = (torch.stack(parts) for parts in zip(*found, strict=True))
+    return AppearanceAtDepth(color, deviation, cameras)
+
+
+def _looked_up(
+    rows: Tensor, locator: TriangleLocator, vertices: Tensor, offset: Tensor, inverse_depth: Tensor
+) -> Tensor:
+    """Values ``(K, V, C)`` of an image ``(V_image, C)`` in the directions of points at inverse depths ``(K, V)``."""
+    count = inverse_depth.numel()
+    values = []
+    rays = (vertices[:, None] + offset[:, None, None] * inverse_depth).reshape(3, count)
+    for part in rays.split(locator.chunk_size, 1):
+        triangles, shares = locator.find(part)
+        bags = locator.faces.index_select(0, triangles)
+        values.append(F.embedding_bag(bags, rows, per_sample_weights=shares.T.to(rows), mode="sum"))
+    return torch.cat(values).view(*inverse_depth.shape, -1)

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How near a scene comes to a rig, found by a sweep: the nearest hypothesis that is worth trying."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.sweep.hypotheses import depth_from_index
+from sphericalvision.sweep.semi_global import semi_global_sweep
+
+if TYPE_CHECKING:
+    from sphericalvision.cameras import CameraRig
+
+__all__ = ["nearest_depth"]
+
+ROUNDS = 3
+
+
+@torch.no_grad()
+def nearest_depth(
+    sphere_images: Float[Tensor, "B n 3 V_image"],
+    rig: CameraRig,
+    seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
+    quantile: float = 0.005,
+    margin: float = 0.85,
+    confidence: float = 0.6,
+    num_hypotheses: int = 32,
+) -> float:
+    """Return the depth in metres that a sweep of these images should begin with, from a few quick sweeps.
+
+    A hypothesis that nothing in the scene comes near to is wasted: it makes the steps between the others larger. The
+    first sweep begins a fifth outside the outermost camera, where no surface can be; each of the following ones a
+    margin before the nearest surfaces that the one before was sure of.
+
+    Args:
+        sphere_images: ``(B, n, 3, V_image)`` in [-1, 1] on icospheres aligned with the world: frames of one scene, or
+            of a sequence.
+        rig: of the n cameras, for all frames.
+        seen: ``([B,] n, V_image)`` bool, True where the images show something.
+        quantile: share of what is seen that may be nearer: a few false matches always are.
+        margin: of that depth which is returned.
+        confidence: above which an answer counts.
+        num_hypotheses: of each sweep.
+
+    Raises:
+        ArgumentError: if all cameras are in one place, or ``margin`` or ``quantile`` are not between 0 and 1.
+
+    Examples:
+        >>> import math
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.data import ToSphere, make_scene, render_rig
+        >>> rig = ring_rig(4, 0.05, (64, 64))
+        >>> images = ToSphere(4).images(render_rig(make_scene("hall", seed=1), rig), rig)[None]
+        >>> nearest_depth(images, rig) > 0.3  # a sweep of this rig would begin at 0.06 m
+        True
+    """
+    for name, value in (("quantile", quantile), ("margin", margin)):
+        if not 0 < value <= 1:
+            raise ArgumentError(f"{name}: expected more than 0, at most 1, got {value}")
+    radius = float((rig.positions - rig.center[..., None, :]).norm(dim=-1).max())
+    if radius < 1e-6:
+        raise ArgumentError(
+            "rig: expected cameras in different places, got all in one: nothing tells depths apart"
+        )
+    level = max(level_from_num_vertices(sphere_images.shape[-1]) - 1, 0)
+    nearest = least = 1.2 * radius
+    for _ in range(ROUNDS):
+        index, sure, both = semi_global_sweep(
+            sphere_images, rig, num_hypotheses, nearest, level=level, substeps=1, seen=seen
+        )
+        depths = depth_from_index(index, num_hypotheses, nearest)[both & (sure > confidence)]
+        if not len(depths):
+            break
+        found = max(least, margin * float(depths.quantile(quantile)))
+        if found < 1.1 * nearest:
+            return max(nearest, min(found, nearest * 1.1))
+        nearest = found
+    return nearest

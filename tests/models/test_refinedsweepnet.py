@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RefinedSweepNet: what it starts from, what it chooses between, and that it learns."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from sphericalvision.cameras import ring_rig
+from sphericalvision.core import ArgumentError
+from sphericalvision.data import ToSphere, make_scene, ray_depth, render_rig
+from sphericalvision.data.augmentation.fivefold import rotate_fivefold
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.losses import depth_index_huber
+from sphericalvision.models import IcoSweepNet, RefinedSweepNet
+from sphericalvision.models.candidate_refinement import candidates_of
+from sphericalvision.models.hexunet import HexUNet
+from sphericalvision.models.logit_fusion import FusedLogits, two_modes
+from sphericalvision.sweep import index_from_depth
+from sphericalvision.sweep.appearance_at_depth import appearance_at_depth
+
+PRIOR = {
+    "feature_channels": 4,
+    "norm": "instance",
+    "aggregation": "variance",
+    "feature_coarsening": 1,
+    "volume_channels": 2,
+}
+LEVEL = 4
+
+
+@pytest.fixture(scope="module")
+def frame():
+    """Images, rig, what is seen, and the true index of a room."""
+    rig = ring_rig(4, image_size=(96, 96))
+    scene = make_scene("room", seed=5)
+    to_sphere = ToSphere(LEVEL)
+    images, seen = to_sphere.images(render_rig(scene, rig, 2), rig)[None], to_sphere.seen(rig)[None]
+    depth = ray_depth(scene, rig.center, Icosphere(LEVEL).vertices)
+    return images, rig, seen, index_from_depth(depth, 16, 0.55)[None]
+
+
+@pytest.fixture
+def net():
+    torch.manual_seed(0)
+    prior = IcoSweepNet(LEVEL, 16, num_cameras=2, **PRIOR)
+    return RefinedSweepNet.around(prior, level=LEVEL, widths=(8, 8, 8)).eval()
+
+
+def test_starts_from_the_sum_of_costs_and_prior(net, frame):
+    images, rig, seen, true = frame
+    with torch.inference_mode():
+        tables = net.tables(rig)
+        clues = net.clues(images, tables, seen)
+        logits = net.fuse(clues, images, seen, tables.offsets).logits
+        index = net.predict(images, tables, seen).index
+    assert (clues.cost.amin(1) == 0).all()
+    # An untrained prior is nearly flat, so the least cost is the likeliest hypothesis nearly everywhere.
+    assert (logits.argmax(1) == clues.cost.argmin(1)).float().mean() > 0.9
+    valid = true <= 15
+    assert (index - true)[valid].abs().mean() < 0.5 * (true.median() - true)[valid].abs().mean()
+
+
+def test_fixed_inputs_stand_for_the_images(net, frame):
+    images, rig, seen, true = frame
+    fixed = net.fixed_inputs(images, rig, seen)
+    assert all(values.element_size() <= 2 for values in fixed.values())
+    arguments = (images, rig, seen, true.clamp(max=15), true <= 15, depth_index_huber)
+    with torch.no_grad():
+        computed, kept = net.training_loss(*arguments), net.training_loss(*arguments, fixed=fixed)
+    assert abs(computed - kept) < 0.02 * computed
+
+
+def test_turns_by_72_degrees_turn_the_answer(net, frame):
+    images, rig, seen, _ = frame
+    angle = torch.tensor(2 * math.pi / 5)
+    cos, sin = angle.cos(), angle.sin()
+    turn = torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    with torch.inference_mode():
+        index = net.predict(images, rig, seen).index
+        turned = net.predict(
+            rotate_fivefold(images, 1), rig.rotated(rotation=turn), rotate_fivefold(seen, 1)
+        ).index
+    assert (turned - rotate_fivefold(index, 1)).abs().median() < 1e-3
+
+
+def test_learns_and_leaves_the_prior_alone(net, frame):
+    images, rig, seen, true = frame
+    fixed, valid = net.fixed_inputs(images, rig, seen), true <= 15
+    before = {name: value.clone() for name, value in net.prior.state_dict().items()}
+    optimizer = torch.optim.Adam([p for p in net.parameters() if p.requires_grad], 3e-3)
+    losses = []
+    for _ in range(25):
+        loss = net.training_loss(images, rig, seen, true, valid, depth_index_huber, fixed)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.8 * losses[0]
+    assert all(torch.equal(value, before[name]) for name, value in net.prior.state_dict().items())
+    assert all(p.grad is not None and p.grad.any() for p in net.parameters() if p.requires_grad)
+
+
+def test_modes_are_surfaces_not_their_mean():
+    logits = torch.full((1, 31, 2), -20.0)
+    logits[0, 6, 0], logits[0, 24, 0] = 1.0, 0.9
+    logits[0, 10:12, 1] = 1.0
+    best, second = two_modes(logits)
+    torch.testing.assert_close(best, torch.tensor([[3.0, 5.25]]))
+    torch.testing.assert_close(second[0, 0], torch.tensor(12.0))
+
+
+def test_candidates_at_an_edge_are_both_sides():
+    grid = Icosphere(3)
+    near = grid.vertices[:, 0] > 0
+    logits = torch.full((1, 31, grid.num_vertices), -20.0)
+    logits[0, 20, near] = 20.0
+    logits[0, 4, ~near] = 20.0
+    index, likely, step = candidates_of(FusedLogits(logits, torch.zeros(1, 1, grid.num_vertices)))
+    edge = step[0] > 1
+    assert 0 < edge.float().mean() < 0.2
+    torch.testing.assert_close(
+        index[0, :3, edge], torch.tensor([6.0, 10.0, 2.0])[:, None].expand(3, edge.sum())
+    )
+    torch.testing.assert_close(likely[0, 1:3, edge], torch.full((2, int(edge.sum())), 0.5))
+    inside = (step[0] == 0) & (index[0, 1] == index[0, 2])
+    assert inside.float().mean() > 0.7
+
+
+def test_cameras_agree_at_the_true_depth(frame):
+    images, rig, seen, true = frame
+    inverse_depth = true / (15 * 0.55)
+    offsets = (rig.center - rig.positions)[None]
+    tried = torch.stack((inverse_depth, inverse_depth * 0.5, inverse_depth * 1.6), 1)
+    color, deviation, cameras = appearance_at_depth(images, seen[0], offsets, tried)
+    shared = (cameras >= 2).all(1)
+    right, far, near = (deviation[:, k][shared].mean() for k in range(3))
+    assert right < 0.7 * far
+    assert right < 0.7 * near
+    assert color.abs().max() <= 1 + 1e-5
+    assert cameras.max() <= 4
+
+
+def test_unet_keeps_levels_apart_at_first():
+    """Residual blocks begin as identities, so a U-Net of one level changes nothing."""
+    values = torch.rand(2, 4, 162)
+    assert torch.equal(HexUNet((4,), blocks=2)(values), values)
+    assert HexUNet((4, 6, 8))(values).shape == values.shape
+
+
+def test_refuses_levels_without_room_for_its_widths():
+    with pytest.raises(ArgumentError, match="level"):
+        RefinedSweepNet(level=4)
+    with pytest.raises(ArgumentError, match="prior"):
+        RefinedSweepNet.around(torch.nn.Identity())

@@ -45,16 +45,18 @@ def omnistereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("experiment", DEPTH_EXPERIMENTS)
 def test_every_experiment_makes_its_network_and_its_first_sample(experiment: str, omnistereo: Path) -> None:
-    rendered = "rig" in train_config(f"experiment={experiment}").data
-    scenes = ("data.cache_dir=null", "data.samples_per_pixel=1", "rig.image_size=[32,32]")
-    words = scenes if rendered else (f"data.root={omnistereo}", "data.missing=skip")
+    data = train_config(f"experiment={experiment}").data
+    words: tuple[str, ...] = (f"data.root={omnistereo}", "data.missing=skip")
+    if "cache_dir" in data:
+        size = "rig.image_size=[32,32]" if "rig" in data else "data.image_size=[32,32]"
+        words = ("data.cache_dir=null", "data.samples_per_pixel=1", size)
     config = train_config(f"experiment={experiment}", *words)
     net, data = build(config.model), build(config.data)
     data.serve(net)
     batch = collate_samples([data.dataset("train")[0]])
     images, seen = images_of(batch, net)
     assert seen is not None
-    assert images.shape[:3] == (1, 4, 3)
+    assert images.shape[:3] == (1, len(batch["rig"]), 3)
     assert (seen[:, :, None] | (images == 0)).all()
     inverse_depth, valid = truth_of(batch, net)
     assert inverse_depth.shape == valid.shape == (1, *net.grid.shape)

@@ -105,7 +105,7 @@ def test_mlflow_keeps_runs_in_a_file(run: Run, tmp_path: Path, tiny_training: Wo
     run("train", *tiny_training, "logger=mlflow", "trainer.max_steps=1", "callbacks=none", "output=run")
     with contextlib.closing(sqlite3.connect(tmp_path / "run/mlflow.db")) as database:
         keys = {key for (key,) in database.execute("select key from metrics")}
-    assert {"val/MAE", "train/loss"} <= keys
+    assert "val/MAE" in keys
 
 
 @pytest.mark.slow

@@ -102,9 +102,9 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
     """Run a command line in ``folder``, made small; ``/data`` of its words is the folder's."""
     words = [re.sub(r"=\.\.\.$", "=/data/omnithings", word) for word in command.words]
     words = [re.sub(r"(?<==)/data/", f"{folder}/data/", word) for word in words]
-    words += smaller(command.recipe, words, cache)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        words += smaller(command.recipe, words, cache)
         patch.setattr("sys.argv", [f"sphericalvision-{command.recipe}", *words])
         patch.setenv("WANDB_SILENT", "true")
         import_module(f"sphericalvision.recipes.{command.recipe}").main()

@@ -122,22 +122,19 @@ class RefinedSweepNet(DepthNetwork):
         self.register_buffer("up", -icosphere_vertices(level - 1)[:, 1], persistent=False)
 
     @classmethod
-    def around(cls, prior: IcoSweepNet | str, **hyperparameters: Any) -> Self:
+    def around(cls, prior: IcoSweepNet, **hyperparameters: Any) -> Self:
         """Return a network to be trained around a trained prior, whose weights stay as they are.
 
         Args:
-            prior: the network, or the name of one that ships.
+            prior: for instance ``pretrained("icosweepnet-small")``.
             hyperparameters: of the class, but ``prior``.
 
         Examples:
-            >>> net = RefinedSweepNet.around("icosweepnet-small", level=5)
+            >>> from sphericalvision.models import pretrained
+            >>> net = RefinedSweepNet.around(pretrained("icosweepnet-small"), level=5)
             >>> any(parameter.requires_grad for parameter in net.prior.parameters())
             False
         """
-        if isinstance(prior, str):
-            from sphericalvision.models.weights.pretrained import pretrained
-
-            prior = pretrained(prior)  # type: ignore[assignment]
         if not isinstance(prior, IcoSweepNet):
             raise ArgumentError(f"prior: expected an IcoSweepNet, got {type(prior).__name__}")
         scales = ("level", "num_hypotheses", "min_depth")

@@ -49,6 +49,7 @@ from sphericalvision.cameras.models.thin_prism_fisheye import (
     unproject_thin_prism_fisheye,
 )
 from sphericalvision.cameras.models.unified import UnifiedCamera, project_unified, unproject_unified
+from sphericalvision.cameras.refine import refine, refine_rig
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.cameras.remapping.remap import Remap, remap, remap_mask
 from sphericalvision.cameras.remapping.undistort import undistort, undistorted_camera
@@ -95,6 +96,8 @@ __all__ = [
     "read_camera",
     "read_cameras",
     "read_rig",
+    "refine",
+    "refine_rig",
     "register_camera",
     "remap",
     "remap_mask",

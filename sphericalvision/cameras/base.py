@@ -241,6 +241,24 @@ class Camera(ABC):
         _check_precision(moved.dtype)
         return moved
 
+    def with_intrinsics(self: AnyCamera, values: Mapping[str, Tensor]) -> AnyCamera:
+        """The same camera with other tensors for some of its intrinsics or ``max_angle``, taken as they are.
+
+        Their shapes must be those that they replace, but for batch dimensions that all have. Gradients reach them.
+
+        Raises:
+            ArgumentError: the camera has no such intrinsic.
+        """
+        unknown = set(values) - set(self._tensor_names())
+        if unknown:
+            raise ArgumentError(
+                f"intrinsics: this camera has {', '.join(self._tensor_names())}, not {', '.join(sorted(unknown))}"
+            )
+        changed = copy.copy(self)
+        for name, value in values.items():
+            setattr(changed, name, value)
+        return changed
+
     def with_max_angle(self: AnyCamera, max_angle: float | Tensor) -> AnyCamera:
         """The same camera with another limit of its field of view, in radians from the optical axis."""
         changed = copy.copy(self)

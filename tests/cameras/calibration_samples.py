@@ -376,3 +376,37 @@ def transforms(**changes: Any) -> dict[str, Any]:
         ],
         **changes,
     }
+
+
+def aria(**changes: Any) -> dict[str, Any]:
+    """Project Aria's device calibration of two cameras, with rounded numbers."""
+    lens = [
+        240.9,
+        320.4,
+        239.8,
+        -0.026,
+        0.103,
+        -0.08,
+        0.011,
+        0.004,
+        -0.001,
+        5e-4,
+        -3e-4,
+        1e-3,
+        -2e-4,
+        -6e-4,
+        1e-4,
+    ]
+    kinds = (("camera-slam-left", "FisheyeRadTanThinPrism", lens), ("camera-rgb", "KannalaBrandtK3", None))
+    poses = (([0.0, 0.0, 0.1], [1.0, [0.0, 0.0, 0.0]]), ([0.1, 0.0, 0.02], [HALF, [0.0, HALF, 0.0]]))
+    plain = [1200.5, 1201.0, 1439.5, 1440.25, 0.01, -0.02, 0.003, -0.0004]
+    cameras = [
+        {
+            "Calibrated": True,
+            "Label": label,
+            "Projection": {"Name": name, "Params": params or plain},
+            "T_Device_Camera": {"Translation": translation, "UnitQuaternion": quaternion},
+        }
+        for (label, name, params), (translation, quaternion) in zip(kinds, poses, strict=True)
+    ]
+    return {"CameraCalibrations": cameras, "DeviceClassInfo": {"DeviceClass": "Aria"}, **changes}

@@ -2,12 +2,14 @@
 """Calibration files, one module a format: readers that recognise them, and writers."""
 
 from sphericalvision.cameras.calibration import (  # noqa: F401  # each registers its format
+    aria,
     asl,
     basalt,
     camodocal,
     colmap,
     kalibr,
     kitti,
+    metashape,
     multicol,
     native,
     nerfstudio,

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Project Aria's json and Metashape's XML against their formulas, written once more."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sphericalvision.cameras import (
+    EquirectangularCamera,
+    ThinPrismFisheyeCamera,
+    read_camera,
+    read_cameras,
+    read_rig,
+)
+from sphericalvision.core import ArgumentError, FileFormatError
+from tests.cameras.calibration_samples import (
+    HALF,
+    aria,
+    assert_projects,
+    directions,
+    dump,
+    kannala_brandt,
+)
+
+
+def fisheye624(rays: np.ndarray, params: list[float]) -> np.ndarray:
+    """As its header file says it: radial, then tangential and thin prism of the distorted point."""
+    f, cx, cy, *more = params
+    k, (p0, p1), (s0, s1, s2, s3) = more[:6], more[6:8], more[8:]
+    x, y, z = rays.T
+    radius = np.hypot(x, y)
+    theta = np.arctan2(radius, z)
+    grown = theta * (1 + sum(c * theta ** (2 * i) for i, c in enumerate(k, start=1)))
+    scale = grown / np.where(radius > 0, radius, 1)
+    xr, yr = x * scale, y * scale
+    r2 = xr * xr + yr * yr
+    dot = 2 * (xr * p0 + yr * p1)
+    u = xr + dot * xr + r2 * p0 + s0 * r2 + s1 * r2 * r2
+    v = yr + dot * yr + r2 * p1 + s2 * r2 + s3 * r2 * r2
+    return np.stack((f * u + cx, f * v + cy), -1)
+
+
+def test_aria_cameras_are_fisheye624(tmp_path: Path) -> None:
+    rig = read_rig(dump(tmp_path / "device.json", aria()), dtype=torch.float64)
+    assert rig.names == ["camera-slam-left", "camera-rgb"]
+    rays = directions(60.0)
+    camera = rig.cameras["camera-slam-left"]
+    assert isinstance(camera, ThinPrismFisheyeCamera)
+    assert camera.image_size == (480, 640)
+    params = aria()["CameraCalibrations"][0]["Projection"]["Params"]
+    assert_projects(camera, fisheye624(rays, params), rays)
+    values = aria()["CameraCalibrations"][1]["Projection"]["Params"]
+    assert_projects(rig.cameras["camera-rgb"], kannala_brandt(rays, *values), rays)
+    torch.testing.assert_close(rig.positions[1], torch.tensor([0.1, 0.0, 0.02], dtype=torch.float64))
+    torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
+
+
+def test_aria_sizes_are_those_of_the_sensors_or_given(tmp_path: Path) -> None:
+    content = aria()
+    assert read_cameras(dump(tmp_path / "a.json", content), image_size=(240, 320))[
+        "camera-rgb"
+    ].image_size == (240, 320)
+    content["CameraCalibrations"][0]["Label"] = "left"
+    with pytest.raises(ArgumentError, match=r"image_size: .*'left'"):
+        read_cameras(dump(tmp_path / "a.json", content))
+    content["CameraCalibrations"][0]["Projection"]["Name"] = "Linear"
+    with pytest.raises(FileFormatError, match=r"\[0\], Projection, Name: expected FisheyeRadTanThinPrism"):
+        read_cameras(dump(tmp_path / "a.json", content))
+
+
+LENS = "<f>300</f><cx>3.5</cx><cy>-2.25</cy><k1>-0.1</k1><k2>0.02</k2><k3>-0.001</k3><p1>0.001</p1><p2>-0.002</p2>"
+SIZE = '<resolution width="640" height="480"/>'
+CALIBRATION = "<?xml version='1.0'?><calibration>"
+CALIBRATION += f"<projection>frame</projection><width>640</width><height>480</height>{LENS}"
+CALIBRATION += "<b1>0.5</b1></calibration>"
+CHUNK = f"""<?xml version="1.0" encoding="UTF-8"?>
+<document version="1.5.0"><chunk label="Chunk 1">
+<sensors>
+<sensor id="0" type="frame">{SIZE}<calibration type="frame" class="initial">{SIZE}<f>290</f></calibration>
+<calibration type="frame" class="adjusted">{SIZE}{LENS}</calibration></sensor>
+<sensor id="1" type="fisheye">{SIZE}<calibration type="fisheye" class="adjusted">{SIZE}{LENS}
+<k4>0.003</k4></calibration></sensor>
+<sensor id="2" type="spherical"><resolution width="640" height="320"/><calibration type="spherical"/></sensor>
+</sensors>
+<cameras>
+<camera id="0" sensor_id="0" label="DSC_1"><transform>1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</transform></camera>
+<camera id="1" sensor_id="1" label="DSC_2"><transform>0 0 1 0.2 0 1 0 0 -1 0 0 0 0 0 0 1</transform></camera>
+<camera id="2" sensor_id="0" label="lost"/>
+</cameras>
+<transform><scale>0.5</scale></transform>
+</chunk></document>
+"""
+
+
+def metashape(rays: np.ndarray, fisheye: bool, k4: float = 0.0, b1: float = 0.0) -> Any:
+    """The manual's appendix: x' = x (1 + ...) + P1 (r² + 2x²) + 2 P2 x y, u = w/2 + cx + x' f + x' B1."""
+    x, y, z = rays.T
+    x, y = x / z, y / z
+    if fisheye:
+        r0 = np.hypot(x, y)
+        x, y = (c * np.arctan(r0) / np.where(r0 > 0, r0, 1) for c in (x, y))
+    r2 = x * x + y * y
+    growth = 1 - 0.1 * r2 + 0.02 * r2**2 - 0.001 * r2**3 + k4 * r2**4
+    u = x * growth + 0.001 * (r2 + 2 * x * x) - 2 * 0.002 * x * y
+    v = y * growth - 0.002 * (r2 + 2 * y * y) + 2 * 0.001 * x * y
+    return np.stack((320 + 3.5 + u * (300 + b1) - 0.5, 240 - 2.25 + v * 300 - 0.5), -1)
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_metashape_formulas(tmp_path: Path) -> None:
+    rays = directions(35.0)
+    alone = read_camera(written(tmp_path / "lens.xml", CALIBRATION), dtype=torch.float64)
+    assert_projects(alone, metashape(rays, fisheye=False, b1=0.5), rays)
+    cameras = read_cameras(written(tmp_path / "cameras.xml", CHUNK), dtype=torch.float64)
+    assert_projects(cameras["cam0"], metashape(rays, fisheye=False), rays)
+    assert_projects(cameras["cam1"], metashape(rays, fisheye=True, k4=0.003), rays)
+    assert isinstance(cameras["cam2"], EquirectangularCamera)
+
+
+def test_metashape_cameras_are_a_rig_in_metres(tmp_path: Path) -> None:
+    rig = read_rig(written(tmp_path / "cameras.xml", CHUNK), dtype=torch.float64)
+    assert rig.names == ["DSC_1", "DSC_2"]
+    torch.testing.assert_close(rig.positions[1], torch.tensor([0.1, 0.0, 0.0], dtype=torch.float64))
+    torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<b1>0.5</b1>", "<b2>0.5</b2>", r"b2 \(skew\).*got b2 = 0.5"),
+        ("<f>300</f>", "<f>wide</f>", "f: expected numbers"),
+        ("<width>640</width>", "", "width and height: expected the width and height"),
+        (">frame<", ">cylindrical<", "type: expected frame or fisheye or spherical, got 'cylindrical'"),
+        ("</calibration>", "", "not valid XML"),
+    ],
+)
+def test_what_makes_no_sense_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(FileFormatError, match=rf"lens\.xml.*{message}"):
+        read_camera(written(tmp_path / "lens.xml", CALIBRATION.replace(old, new, 1)))
+
+
+@given(data=st.data())
+@settings(max_examples=80, deadline=None)
+def test_damaged_xml_is_refused_by_name(data: st.DataObject) -> None:
+    text = data.draw(st.sampled_from([CALIBRATION, CHUNK]))
+    place = data.draw(st.integers(0, len(text) - 1))
+    junk = data.draw(st.sampled_from(["", "nan", "x", "-", "<", "1e400", " ", "\0", "0 0"]))
+    damaged = text[:place] + junk + text[place + data.draw(st.integers(0, 12)) :]
+    with tempfile.TemporaryDirectory() as folder:
+        path, message = written(Path(folder) / "lens.xml", damaged), "lens.xml"
+        for read in (read_cameras, read_rig):
+            try:
+                read(path, max_angle=0.5)
+            except FileFormatError as error:
+                message = str(error)
+            assert "lens.xml" in message
+
+
+def test_a_turn_of_aria_is_a_quaternion_of_length_one(tmp_path: Path) -> None:
+    content = aria()
+    content["CameraCalibrations"][1]["T_Device_Camera"]["UnitQuaternion"] = [HALF, [0.0, HALF, 0.5]]
+    with pytest.raises(
+        FileFormatError, match=r"\[1\], T_Device_Camera, UnitQuaternion: expected length 1, got 1.12"
+    ):
+        read_rig(dump(tmp_path / "a.json", content))

@@ -21,6 +21,7 @@ from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.running import config_space
 from sphericalvision.recipes.app.words import quote_paths, read_words
+from tests.recipes.board_pictures import write_boards
 
 __all__ = ["PAGES", "ROOT", "Command", "blocks", "commands_of", "furnish", "run_command"]
 
@@ -102,6 +103,8 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
     """Run a command line in ``folder``, made small; ``/data`` of its words is the folder's."""
     words = [re.sub(r"=\.\.\.$", "=/data/omnithings", word) for word in command.words]
     words = [re.sub(r"(?<==)/data/", f"{folder}/data/", word) for word in words]
+    if command.recipe == "calibrate":
+        write_boards(folder / "board")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         words += smaller(command.recipe, words, cache)
@@ -114,7 +117,7 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
     """Words that make a command small: few and small frames, few steps, narrow networks."""
     if recipe == "benchmark":
         return BENCHMARK
-    if recipe in ("convert", "digits_table"):
+    if recipe in ("convert", "calibrate", "digits_table"):
         return []
     if "preset=benchmark" in words:
         return [*METHODS, f"benchmark.cache_dir={cache}"]

@@ -71,6 +71,20 @@ class Convert:
     translation_unit: str | None
 
 
+class Calibrate:
+    """``sphericalvision-calibrate``."""
+
+    images: str
+    board: str
+    square: Positive
+    to: str
+    field_of_view_deg: Positive
+    num_coefficients: Count | None
+    projection: str | None
+    output: str
+    format: str | None
+
+
 class Render:
     """``sphericalvision-render``."""
 
@@ -220,6 +234,7 @@ KEYS: dict[str, type] = {
     "predict": Predict,
     "inspect": Inspect,
     "convert": Convert,
+    "calibrate": Calibrate,
     "render": Render,
     "demo": Demo,
     "evaluate": Evaluate,

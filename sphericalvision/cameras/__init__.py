@@ -3,11 +3,13 @@
 
 from sphericalvision.cameras import sphere_images as _sphere_images  # noqa: F401  # CameraRig.sample_sphere
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.calibrate import calibrate_camera
 from sphericalvision.cameras.calibration import read_camera, read_cameras, read_rig, save_camera, save_rig
 from sphericalvision.cameras.conversion.convert import convert, fit_inverse_polynomial
 from sphericalvision.cameras.coverage import coverage, overlap, seen_by
-from sphericalvision.cameras.depth import depth_from_z, z_from_depth
+from sphericalvision.cameras.depth import depth_from_z, points_from_depth, z_from_depth
 from sphericalvision.cameras.field_of_view import field_of_view
+from sphericalvision.cameras.kornia_cameras import CameraModule, from_kornia, to_kornia
 from sphericalvision.cameras.models.atan import AtanCamera, project_atan, unproject_atan
 from sphericalvision.cameras.models.brown_conrady import (
     BrownConradyCamera,
@@ -53,12 +55,14 @@ from sphericalvision.cameras.refine import refine, refine_rig
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.cameras.remapping.remap import Remap, remap, remap_mask
 from sphericalvision.cameras.remapping.undistort import undistort, undistorted_camera
+from sphericalvision.cameras.remapping.views import perspective_views
 from sphericalvision.cameras.rig import CameraRig, ring_rig
 
 __all__ = [
     "AtanCamera",
     "BrownConradyCamera",
     "Camera",
+    "CameraModule",
     "CameraRig",
     "DivisionCamera",
     "DoubleSphereCamera",
@@ -74,12 +78,16 @@ __all__ = [
     "ThinPrismFisheyeCamera",
     "UnifiedCamera",
     "Unprojection",
+    "calibrate_camera",
     "convert",
     "coverage",
     "depth_from_z",
     "field_of_view",
     "fit_inverse_polynomial",
+    "from_kornia",
     "overlap",
+    "perspective_views",
+    "points_from_depth",
     "project_atan",
     "project_brown_conrady",
     "project_division",
@@ -105,6 +113,7 @@ __all__ = [
     "save_camera",
     "save_rig",
     "seen_by",
+    "to_kornia",
     "undistort",
     "undistorted_camera",
     "unproject_atan",

@@ -10,7 +10,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.core import ShapeError
 
-__all__ = ["depth_from_z", "z_from_depth"]
+__all__ = ["depth_from_z", "points_from_depth", "z_from_depth"]
 
 
 def depth_from_z(
@@ -70,8 +70,44 @@ def z_from_depth(
     return z, valid.expand(z.shape)
 
 
+def points_from_depth(
+    depth: Float[Tensor, "*#batch h w"], camera: Camera
+) -> tuple[Float[Tensor, "*batch h w 3"], Bool[Tensor, "*batch h w"]]:
+    """The points that a depth image along the rays shows, in the camera's frame, and where there are any.
+
+    What Kornia's ``depth_to_3d`` is for z and pinholes, for any lens; with z call ``depth_from_z`` first.
+
+    Args:
+        depth: ``(*b, h, w)``, metres along each pixel's ray.
+        camera: camera of the image.
+
+    Returns:
+        Points ``(*b, h, w, 3)``, 0 where not valid, and ``valid`` ``(*b, h, w)``: where the camera looks and the depth
+        is a finite number above 0.
+
+    Raises:
+        ShapeError: ``depth`` is not of the camera's size.
+
+    Examples:
+        >>> from sphericalvision.cameras import EquirectangularCamera
+        >>> points, valid = points_from_depth(torch.full((2, 4), 3.0), EquirectangularCamera((2, 4)))
+        >>> points.norm(dim=-1).mean().item(), valid.all().item()
+        (3.0, True)
+    """
+    directions, looks = _directions(depth, camera, "depth")
+    valid = looks & depth.isfinite() & (depth > 0)
+    points = torch.where(valid, depth, 0.0).unsqueeze(-1) * directions
+    return points, valid
+
+
 def _cosine(values: Tensor, camera: Camera, name: str) -> tuple[Tensor, Tensor]:
     """The z component of every pixel's direction (*b, h, w), and where the camera looks."""
+    directions, valid = _directions(values, camera, name)
+    return directions[..., 2], valid
+
+
+def _directions(values: Tensor, camera: Camera, name: str) -> tuple[Tensor, Tensor]:
+    """Every pixel's direction (*b, h, w, 3), and where the camera looks."""
     height, width = camera.image_size
     if values.ndim < 2 or tuple(values.shape[-2:]) != camera.image_size:
         raise ShapeError(
@@ -79,4 +115,4 @@ def _cosine(values: Tensor, camera: Camera, name: str) -> tuple[Tensor, Tensor]:
         )
     pixels = camera.pixel_grid(values.dtype).to(values.device)
     directions, valid = camera.unproject(pixels.expand(*camera.batch_shape, height, width, 2))
-    return directions[..., 2], valid
+    return directions, valid

@@ -133,7 +133,8 @@ def test_every_key_is_explained(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["train", "evaluate", "predict", "render", "convert", "inspect", "demo", "digits_table"]
+    "name",
+    ["train", "evaluate", "predict", "render", "convert", "calibrate", "inspect", "demo", "digits_table"],
 )
 def test_every_command_composes(name: str) -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
@@ -142,7 +143,18 @@ def test_every_command_composes(name: str) -> None:
     assert OmegaConf.is_config(config)
 
 
-COMMANDS = ("train", "evaluate", "predict", "render", "convert", "inspect", "demo", "study", "benchmark")
+COMMANDS = (
+    "train",
+    "evaluate",
+    "predict",
+    "render",
+    "convert",
+    "calibrate",
+    "inspect",
+    "demo",
+    "study",
+    "benchmark",
+)
 INNER = ("hydra", "rig", "equirect_rig", "data", "models", "model", "preset", "extra_training")
 """Groups, and what the code behind them checks."""
 

@@ -18,6 +18,7 @@ SCENES = ("skimage", "kornia", "scipy")
 COMMANDS = {
     "predict": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "torch._dynamo"),
     "convert": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "matplotlib"),
+    "calibrate": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "matplotlib"),
     "inspect": (*LIGHTNING, *SCENES, "sklearn", "trimesh"),
     "render": (*LIGHTNING, "sklearn", "trimesh", "matplotlib"),
     "demo": (*LIGHTNING, "sklearn"),

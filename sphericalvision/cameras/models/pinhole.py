@@ -22,7 +22,7 @@ from sphericalvision.cameras.models.image_plane import (
 )
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import check_last_dim
+from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry.directions import components, is_greater
 
 __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
@@ -99,6 +99,28 @@ class PinholeCamera(Camera):
         max_angle: float | Tensor = math.pi / 2,
     ) -> None:
         super().__init__(image_size, max_angle, focal_length=focal_length, principal_point=principal_point)
+
+    @classmethod
+    def from_field_of_view(
+        cls, image_size: Sequence[int], field_of_view: float, dtype: torch.dtype | None = None
+    ) -> PinholeCamera:
+        """The camera that sees ``field_of_view`` radians across the shorter side of the image, edge to edge.
+
+        Raises:
+            ArgumentError: the field of view is not between 0 and π.
+
+        Examples:
+            >>> PinholeCamera.from_field_of_view((480, 640), math.pi / 2).focal_length.tolist()
+            [240.0, 240.0]
+        """
+        if not 0 < field_of_view < math.pi:
+            raise ArgumentError(
+                f"field_of_view: expected radians in (0, π) for a pinhole, got {field_of_view}"
+            )
+        height, width = image_size
+        focal_length = min(height, width) / 2 / math.tan(field_of_view / 2)
+        center = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=dtype)
+        return cls([focal_length, focal_length], center, image_size)
 
     def _project(self, points: Tensor) -> Projection:
         return project_pinhole(points, *self._aligned(points))

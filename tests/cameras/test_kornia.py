@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joints with Kornia: its cameras agree with ours, intrinsics are learned by modules, views and points of images."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from kornia.geometry.depth import depth_to_3d_v2
+from kornia.image import ImageSize
+from kornia.sensors.camera import CameraModel, CameraModelType
+
+from sphericalvision.cameras import (
+    BrownConradyCamera,
+    Camera,
+    CameraModule,
+    DoubleSphereCamera,
+    EquirectangularCamera,
+    KannalaBrandtCamera,
+    PinholeCamera,
+    depth_from_z,
+    from_kornia,
+    perspective_views,
+    points_from_depth,
+    refine,
+    remap,
+    to_kornia,
+)
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry import transform_from_axis_angle, transform_points
+from tests.laws.cameras import MODELS
+
+SIZE = (480, 640)
+LENSES: list[Camera] = [
+    PinholeCamera([500.0, 510.0], [319.5, 239.5], SIZE).to(torch.float64),
+    BrownConradyCamera([500.0, 510.0], [319.5, 239.5], [-0.1, 0.02, 1e-3, -2e-3, 0.01], SIZE).to(
+        torch.float64
+    ),
+    KannalaBrandtCamera([300.0, 310.0], [319.5, 239.5], [0.01, -0.02, 0.003, 0.0], SIZE, 1.2).to(
+        torch.float64
+    ),
+]
+
+
+@pytest.mark.parametrize("camera", LENSES, ids=lambda camera: camera.model)
+def test_kornias_model_projects_as_ours(camera: Camera) -> None:
+    points = torch.tensor([[0.1, 0.2, 1.0], [-0.3, 0.25, 1.5], [0.5, -0.4, 2.0]], dtype=torch.float64)
+    theirs = to_kornia(camera)
+    assert isinstance(theirs, CameraModel)
+    from kornia.geometry.vector import Vector3
+
+    expected = theirs.project(Vector3(points)).data
+    torch.testing.assert_close(camera.project(points).pixels, expected, rtol=0, atol=1e-6)
+    again = from_kornia(theirs)
+    torch.testing.assert_close(again.project(points).pixels, expected, rtol=0, atol=1e-6)
+    assert again.image_size == camera.image_size
+
+
+def test_pinholes_with_poses() -> None:
+    pose = transform_from_axis_angle(torch.tensor([0.1, -0.2, 0.05]), torch.tensor([0.1, 0.2, 0.3]))
+    camera = PinholeCamera([500.0, 510.0], [319.5, 239.5], SIZE)
+    theirs = to_kornia(camera, pose)
+    points = torch.tensor([[0.1, 0.2, 1.0], [-0.3, 0.25, 1.5]])
+    expected = camera.project(transform_points(pose, points)).pixels
+    torch.testing.assert_close(theirs.project(points[None])[0], expected, rtol=0, atol=1e-3)
+    assert from_kornia(theirs).equals(PinholeCamera(camera.focal_length, camera.principal_point, SIZE))
+    batch = PinholeCamera.stack([camera, camera])
+    assert from_kornia(to_kornia(batch, pose)).batch_shape == (2,)
+
+
+def test_what_kornia_does_not_have_is_refused() -> None:
+    sphere = DoubleSphereCamera([100.0, 100.0], [49.5, 49.5], -0.2, 0.6, (100, 100), 1.5)
+    with pytest.raises(ArgumentError, match=r"Kornia has pinhole.*camera\.convert"):
+        to_kornia(sphere)
+    with pytest.raises(ArgumentError, match="with a pose are pinholes"):
+        to_kornia(LENSES[2], torch.eye(4))
+    six = KannalaBrandtCamera([300.0, 310.0], [319.5, 239.5], [0.01] * 6, SIZE, 1.2)
+    with pytest.raises(ArgumentError, match="KANNALA_BRANDT_K3 has 4 coefficients"):
+        to_kornia(six)
+    flat = CameraModel(
+        ImageSize(480, 640), CameraModelType.ORTHOGRAPHIC, torch.tensor([328.0, 328.0, 320.0, 240.0])
+    )
+    with pytest.raises(ArgumentError, match="but an orthographic one"):
+        from_kornia(flat)
+
+
+@pytest.mark.parametrize("name", ["kannala brandt", "ocam exact", "thin prism fisheye", "equidistant"])
+def test_intrinsics_are_learned_saved_and_moved(name: str) -> None:
+    camera = MODELS[name](1.0)
+    module = CameraModule(camera)
+    names = {key for key in camera.intrinsic_names if getattr(camera, key) is not None}
+    assert {key for key, _ in module.named_parameters()} == names
+    points = torch.tensor([[0.1, 0.2, 1.0], [0.5, -0.4, 0.7]], dtype=camera.dtype)
+    assert torch.equal(module(points).pixels, camera.project(points).pixels)
+    module(points).pixels.sum().backward()
+    assert all(
+        parameter.grad is not None and parameter.grad.isfinite().all() for parameter in module.parameters()
+    )
+    other = CameraModule(MODELS[name](1.05))
+    other.load_state_dict(module.state_dict())
+    assert torch.equal(other(points).pixels, module(points).pixels)
+    assert module.to(torch.float64).camera.dtype == torch.float64
+    fixed = CameraModule(camera, fixed=["principal_point"])
+    assert "principal_point" not in dict(fixed.named_parameters())
+    with pytest.raises(ArgumentError, match="fixed: this camera has"):
+        CameraModule(camera, fixed=["focus"])
+
+
+def test_a_module_and_refine_agree() -> None:
+    """Gradient descent on the module's parameters goes where Levenberg-Marquardt ends."""
+    truth = PinholeCamera([310.0, 300.0], [159.5, 119.5], (240, 320)).to(torch.float64)
+    board = torch.cartesian_prod(torch.arange(5.0), torch.arange(4.0), torch.zeros(1)).double() * 0.05
+    turns = torch.tensor([[0.4, 0.2, 0.0], [-0.3, 0.4, 0.1], [0.1, -0.5, 0.2]], dtype=torch.float64)
+    poses = transform_from_axis_angle(turns, torch.tensor([[-0.1, -0.08, 0.5]]).double().expand(3, 3))
+    pixels = truth.project(transform_points(poses, board)).pixels
+    start = PinholeCamera([300.0, 300.0], [159.5, 119.5], (240, 320)).to(torch.float64)
+    found = refine(start, board, pixels)
+    module = CameraModule(found.camera)
+    loss = (module(transform_points(found.camera_from_points, board)).pixels - pixels).square().sum()
+    loss.backward()
+    for parameter in module.parameters():
+        assert parameter.grad is not None
+        assert parameter.grad.abs().max() < 1e-5
+
+
+def test_points_from_depth_are_kornias_for_a_pinhole() -> None:
+    camera = PinholeCamera([50.0, 52.0], [19.5, 14.5], (30, 40))
+    z = torch.rand(30, 40, generator=torch.Generator().manual_seed(0)) + 0.5
+    matrix = torch.tensor([[50.0, 0, 19.5], [0, 52.0, 14.5], [0, 0, 1]])
+    points, valid = points_from_depth(depth_from_z(z, camera)[0], camera)
+    assert valid.all()
+    torch.testing.assert_close(points, depth_to_3d_v2(z[None], matrix[None])[0])
+    assert not points_from_depth(
+        torch.tensor([[math.inf, 0.0, -1.0, math.nan]]), EquirectangularCamera((1, 4))
+    )[1].any()
+
+
+def test_views_look_where_they_are_told() -> None:
+    """A panorama of directions: each view's middle shows its own, and the axes are right, down and forward."""
+    source = EquirectangularCamera((180, 360))
+    panorama = source.unproject(source.pixel_grid()).directions.movedim(-1, 0)
+    angles = [(0.0, 0.0, 0.0), (math.pi / 2, 0.0, 0.0), (0.3, -0.4, 0.0), (0.3, -0.4, math.pi / 2)]
+    views = perspective_views(panorama, angles, 1.0, (41, 41))
+    assert views.shape == (4, 3, 41, 41)
+    for view, (yaw, pitch, _) in zip(views, angles, strict=True):
+        expected = [math.sin(yaw) * math.cos(pitch), -math.sin(pitch), math.cos(yaw) * math.cos(pitch)]
+        torch.testing.assert_close(view[:, 20, 20], torch.tensor(expected), atol=1e-3, rtol=0)
+    upright, rolled = views[2], views[3]  # clockwise from behind: what was right is now up
+    torch.testing.assert_close(rolled[:, 20, 40], upright[:, 40, 20], atol=2e-3, rtol=0)
+    assert (views[0][1, -1, 20] > 0) & (views[0][0, 20, -1] > 0)
+    batch = perspective_views(panorama.expand(2, -1, -1, -1), angles, 1.0, (41, 41))
+    torch.testing.assert_close(batch[1], views)
+    lens = PinholeCamera.from_field_of_view((41, 41), 1.0)
+    torch.testing.assert_close(views[0], remap(panorama, source, lens))
+    with pytest.raises(ShapeError, match=r"views: expected \(n, 3\)"):
+        perspective_views(panorama, [(0.0, 0.0)])
+    with pytest.raises(ArgumentError, match=r"field_of_view: expected radians in \(0, π\)"):
+        perspective_views(panorama, angles, 3.2)

@@ -61,7 +61,7 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
     print_config(config, folder)
     data.render(config.split)
     frames = data.plain_train_dataset() if config.split == "train" else data.dataset(config.split)
-    name = "IcoSweepNet" if config.checkpoint is None else Path(config.checkpoint).stem
+    name = type(net).__name__ if config.checkpoint is None else Path(config.checkpoint).stem
     estimator = VertexEstimator(net)
     within = estimator.reaches(Icosphere(config.model.level - 2, device=net.device).vertices)
     estimators: dict[str, Estimator] = {name: estimator}

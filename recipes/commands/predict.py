@@ -23,6 +23,7 @@ from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.app.results import estimate_depth, save_result
 from sphericalvision.recipes.app.rigs import rig_from_file
+from sphericalvision.sweep.nearest_depth import nearest_depth
 
 __all__ = ["load_rig", "network_for", "predict"]
 
@@ -82,7 +83,9 @@ def nearest_hypothesis(net: DepthNetwork, rig: CameraRig, config: DictConfig) ->
     """
     if config.min_depth != "auto":
         if isinstance(config.min_depth, str):
-            raise ArgumentError(f"min_depth: expected a number of metres or auto, got {config.min_depth!r}")
+            raise ArgumentError(
+                f"min_depth: expected a number of metres, auto or scene, got {config.min_depth!r}"
+            )
         return float(config.min_depth)
     radius = float(rig.radius)
     if not radius > 0:
@@ -91,6 +94,15 @@ def nearest_hypothesis(net: DepthNetwork, rig: CameraRig, config: DictConfig) ->
             f"({', '.join(rig.names)}); give metres, min_depth=0.55, or more cameras"
         )
     return net.min_depth * radius / float(config.trained_radius)
+
+
+def nearest_in_scene(capture: Capture, rig: CameraRig, config: DictConfig) -> float:
+    """The nearest hypothesis in metres that suits what is seen, from quick sweeps of up to three frames of a capture."""
+    frames = list(capture.files.values())
+    chosen = [frames[number] for number in sorted({0, len(frames) // 2, len(frames) - 1})]
+    to_sphere = ToSphere(SCENE_LEVEL, antialias=config.antialias)
+    images = torch.stack([to_sphere.images(read_frame(files, rig), rig) for files in chosen])
+    return nearest_depth(images, rig, to_sphere.seen(rig))
 
 
 def prepare(net: DepthNetwork, images: Mapping[str, Tensor], rig: CameraRig, antialias: bool) -> Prepared:
@@ -116,6 +128,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     rig = load_rig(config)
     masks = () if config.masks is None else find_masks(config.masks, rig.names).values()
     capture = find_capture(config.images, rig.names, config.frames, leave_out=masks)
+    if config.min_depth == "scene":
+        config.min_depth = round(nearest_in_scene(capture, rig, config), 3)
     net = network_for(rig, config)
     print_config(config, folder)
     console.print(
@@ -150,6 +164,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     return written
 
 
+SCENE_LEVEL = 6
+"""Icosphere level of the images that ``min_depth=scene`` looks at."""
 ENOUGH = 0.98
 """Share of the sphere that two cameras see, below which it is said."""
 

@@ -40,7 +40,9 @@ def prepared(net: DepthNetwork, room: Room) -> tuple[Tensor, Tensor]:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("name", ["icosweepnet-small", "icosweepnet-study", "omnimvs-study"])
+@pytest.mark.parametrize(
+    "name", ["icosweepnet-small", "icosweepnet-study", "omnimvs-study", "refinedsweepnet"]
+)
 def test_zero_outside_says_the_same_as_what_was_seen(name: str, room: Room) -> None:
     """The networks were trained with zeros standing for what was not seen: where nothing else is 0, both agree."""
     net = pretrained(name)
@@ -60,7 +62,7 @@ def test_zero_outside_says_the_same_as_what_was_seen(name: str, room: Room) -> N
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("name", ["icosweepnet-small", "omnimvs-study"])
+@pytest.mark.parametrize("name", ["icosweepnet-small", "omnimvs-study", "refinedsweepnet"])
 def test_a_grey_patch_counts_as_seen(name: str, room: Room) -> None:
     """A wall of 0, exactly mid-grey, is as much seen as one a shade lighter."""
     net = pretrained(name)

@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from omegaconf import OmegaConf
 
+from sphericalvision.data import make_scene, ray_depth, render_rig
+from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.rigs import make_ring
@@ -96,6 +99,20 @@ def test_depth_scales_with_the_rig(run: Run, capture: Path, weights: Path, tmp_p
     small, large = (np.load(tmp_path / name / "00003_depth.npz") for name in ("small", "large"))
     np.testing.assert_allclose(large["index"], small["index"], atol=1e-3)
     np.testing.assert_allclose(large["inverse_depth"] * 10, small["inverse_depth"], atol=1e-3)
+
+
+def test_the_nearest_hypothesis_is_found_in_the_images(run: Run, weights: Path, tmp_path: Path) -> None:
+    """A small rig in a hall: scaled from the rig's radius, the nearest hypothesis would waste nearly all others."""
+    rig = make_ring(4, radius=0.05, image_size=(96, 96))
+    folder = tmp_path / "hall"
+    scene = make_scene("hall", seed=3)
+    for number, picture in enumerate(render_rig(scene, rig, 2).values(), 1):
+        write_image(folder / f"cam{number}" / "00003.png", picture)
+    rig.to_yaml(folder / "rig.yaml")
+    run("predict", *words(folder, weights, "out"), "min_depth=scene")
+    nearest = OmegaConf.load(tmp_path / "out/config.yaml").min_depth
+    truth = ray_depth(scene, rig.center, Icosphere(4).vertices).quantile(0.02)
+    assert 0.3 < nearest < truth
 
 
 def test_grey_images_are_read_as_three_equal_channels(

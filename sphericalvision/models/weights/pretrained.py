@@ -19,7 +19,7 @@ def available_weights() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.safetensors")))
 
 
-def pretrained(name: str = "icosweepnet-small") -> DepthNetwork:
+def pretrained(name: str = "refinedsweepnet") -> DepthNetwork:
     """Return a trained network that ships with the package, on the CPU and in eval mode.
 
     Its model card, ``shipped/<name>.md`` beside this file, tells how it was trained and how well it does.

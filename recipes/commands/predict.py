@@ -97,7 +97,7 @@ def nearest_hypothesis(net: DepthNetwork, rig: CameraRig, config: DictConfig) ->
 
 
 def nearest_in_scene(capture: Capture, rig: CameraRig, config: DictConfig) -> float:
-    """The nearest hypothesis in metres that suits what is seen, from quick sweeps of up to three frames of a capture."""
+    """The nearest hypothesis in metres that suits what is seen, from quick sweeps of up to three frames."""
     frames = list(capture.files.values())
     chosen = [frames[number] for number in sorted({0, len(frames) // 2, len(frames) - 1})]
     to_sphere = ToSphere(SCENE_LEVEL, antialias=config.antialias)

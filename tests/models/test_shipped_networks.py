@@ -78,7 +78,7 @@ def test_a_grey_patch_counts_as_seen(name: str, room: Room) -> None:
 
 @torch.no_grad()
 def test_the_refined_network_knows_masks_and_rooms(room: Room) -> None:
-    """Masks of the rig count without being passed, a grey wall is seen, and depth is near the truth where two see it."""
+    """Masks of the rig count without being passed, a grey wall is seen, and depth is near the truth."""
     net = pretrained("refinedsweepnet").with_changes(level=5)
     images, seen = prepared(net, room)
     index, confidence, both = net.predict(images, room[0])

@@ -154,6 +154,7 @@ class Study:
     equirect_size: list[Count] | None
     panorama_size: list[Count]
     baseline_frames: Count
+    training: list[str]
     panel_frame: Number
     panel_height: Count
     train: bool

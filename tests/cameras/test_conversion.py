@@ -70,7 +70,11 @@ def test_a_camera_is_its_own_conversion(name: str) -> None:
         camera.exact() if isinstance(camera, OCamCamera) and camera.inverse_polynomial is None else camera
     )
     conversion = camera.convert(to=type(camera))
-    tolerance = 0.01 if name == "ocam exact" else EXACT  # here an inverse polynomial is fitted
+    fitted = {  # an inverse polynomial; the sequential composition, which conversion makes
+        "ocam exact": 0.01,
+        "thin prism fisheye, additive": 0.05,
+    }
+    tolerance = fitted.get(name, EXACT)
     assert conversion.max_error < tolerance
     assert conversion.rms_error <= conversion.max_error
     assert type(conversion.camera) is type(camera)

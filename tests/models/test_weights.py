@@ -187,7 +187,7 @@ def test_the_reference_itself_loads(reference: Any, write_checkpoint: Writer) ->
 
 def test_shipped_weights_load() -> None:
     for name in available_weights():
-        assert pretrained(name).hyperparameters["num_cameras"] > 0
+        assert pretrained(name).num_cameras > 0
 
 
 def test_unknown_shipped_weights_list_the_known_ones() -> None:

@@ -16,6 +16,7 @@ References:
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -50,7 +51,8 @@ def recognizes(path: Path) -> bool:
     if path.suffix.lower() != ".xml":
         return False
     text = read_text(path)
-    return "<calibration" in text or ("<document" in text and "<chunk" in text)
+    first = re.search(r"<(\w+)", text)  # neither <?xml ...?> nor <!-- ... --> begins with a letter
+    return first is not None and (first[1] == "calibration" or (first[1] == "document" and "<chunk" in text))
 
 
 def contents(path: Path, options: Options) -> Contents:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from jaxtyping import Float, Shaped
 from torch import Tensor
 from torchmetrics import Metric, MetricCollection
 
@@ -39,7 +40,9 @@ class ByRegion(Metric):
 
     full_state_update = False
 
-    def __init__(self, metric: Metric, regions: Mapping[str, Tensor], **kwargs: object) -> None:
+    def __init__(
+        self, metric: Metric, regions: Mapping[str, Shaped[Tensor, "*grid"]], **kwargs: object
+    ) -> None:
         super().__init__(**kwargs)
         if not regions:
             raise ArgumentError("regions: expected at least one, got none")
@@ -48,7 +51,13 @@ class ByRegion(Metric):
         for name, region in regions.items():
             self.register_buffer(f"region_{name}", region.bool(), persistent=False)
 
-    def update(self, pred: Tensor, target: Tensor, mask: Tensor | None = None, **options: Tensor) -> None:
+    def update(
+        self,
+        pred: Float[Tensor, "*#batch"],
+        target: Float[Tensor, "*#batch"],
+        mask: Shaped[Tensor, "*#batch"] | None = None,
+        **options: Tensor,
+    ) -> None:
         """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and what else the metric takes."""
         self.everywhere.update(pred, target, mask, **options)
         for name, metric in self.by_region.items():

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_choice
@@ -135,7 +136,9 @@ class Primitives:
 
         return Primitives(**{f.name: move(getattr(self, f.name)) for f in fields(self)})
 
-    def transformed(self, rotation: Tensor | None = None, translation: Tensor | None = None) -> Primitives:
+    def transformed(
+        self, rotation: Float[Tensor, "3 3"] | None = None, translation: Float[Tensor, " 3"] | None = None
+    ) -> Primitives:
         """The table turned by ``rotation`` ``(3, 3)`` then moved by ``translation`` (metres)."""
         center, local_from_world = self.center, self.rotation
         if rotation is not None:

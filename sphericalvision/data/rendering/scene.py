@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, TypeVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.data.rendering.primitives import Primitives
@@ -110,7 +111,9 @@ class Scene:
             exposure=self.exposure.to(device),
         )
 
-    def transformed(self, rotation: Tensor | None = None, translation: Tensor | None = None) -> Scene:
+    def transformed(
+        self, rotation: Float[Tensor, "3 3"] | None = None, translation: Float[Tensor, " 3"] | None = None
+    ) -> Scene:
         """The scene turned by ``rotation`` ``(3, 3)`` then moved by ``translation`` (metres)."""
         position = self.lamps.position
         if rotation is not None:

@@ -23,6 +23,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_choice
@@ -89,7 +90,7 @@ def make_scene(
     seed: int = 0,
     device: torch.device | str | None = None,
     *,
-    center: Tensor | None = None,
+    center: Float[Tensor, " 3"] | None = None,
     scale: float = 1.0,
     clear_radius: float = 0.6,
 ) -> Scene:

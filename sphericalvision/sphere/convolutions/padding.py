@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Shaped
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -14,7 +15,9 @@ __all__ = ["CubePad2d", "EquirectangularPad2d", "cube_pad", "equirectangular_pad
 Padding = int | tuple[int, int, int, int]
 
 
-def equirectangular_pad(images: Tensor, padding: Padding) -> Tensor:
+def equirectangular_pad(
+    images: Shaped[Tensor, "*batch H W"], padding: Padding
+) -> Shaped[Tensor, "*batch H_out W_out"]:
     """Continue full panoramas across the seam and over the poles.
 
     Left and right edges meet. Beyond a pole the rows come back on the opposite side, half a turn away; an odd width has
@@ -70,14 +73,14 @@ class EquirectangularPad2d(nn.Module):
         super().__init__()
         self.padding = _four(padding)
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, images: Shaped[Tensor, "*batch H W"]) -> Shaped[Tensor, "*batch H_out W_out"]:
         return equirectangular_pad(images, self.padding)
 
     def extra_repr(self) -> str:
         return str(self.padding)
 
 
-def cube_pad(faces: Tensor, padding: Padding) -> Tensor:
+def cube_pad(faces: Shaped[Tensor, "*batch S S"], padding: Padding) -> Shaped[Tensor, "*batch H_out W_out"]:
     """Continue each face of cube maps by the rows and columns of the faces across its edges.
 
     Row k beyond an edge is row k of the neighbour on its side of the edge: the cube is unfolded there. In the corners,
@@ -189,7 +192,7 @@ class CubePad2d(nn.Module):
         super().__init__()
         self.padding = _four(padding)
 
-    def forward(self, faces: Tensor) -> Tensor:
+    def forward(self, faces: Shaped[Tensor, "*batch S S"]) -> Shaped[Tensor, "*batch H_out W_out"]:
         return cube_pad(faces, self.padding)
 
     def extra_repr(self) -> str:

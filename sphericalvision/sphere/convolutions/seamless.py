@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError
@@ -37,7 +38,7 @@ class PaddedConv2d(nn.Module):
         self.weight, self.bias = convolution.weight, convolution.bias
         self.stride, self.dilation, self.groups = convolution.stride, convolution.dilation, convolution.groups
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, images: Float[Tensor, "B C_in *size"]) -> Float[Tensor, "B C_out *size_out"]:
         return F.conv2d(self.pad(images), self.weight, self.bias, self.stride, 0, self.dilation, self.groups)
 
     def extra_repr(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, uses_reference_kernels
@@ -18,13 +19,13 @@ __all__ = ["SphereConv2d", "sphere_conv2d"]
 
 
 def sphere_conv2d(
-    images: Tensor,
-    weight: Tensor,
-    bias: Tensor | None = None,
+    images: Float[Tensor, "B C_in H W"],
+    weight: Float[Tensor, "C_out C_group h w"],
+    bias: Float[Tensor, " C_out"] | None = None,
     stride: int | tuple[int, int] = 1,
     dilation: int | tuple[int, int] = 1,
     groups: int = 1,
-) -> Tensor:
+) -> Float[Tensor, "B C_out H_out W_out"]:
     """Convolve equirectangular images with kernels in the tangent plane, across the seam and over the poles.
 
     Args:
@@ -116,7 +117,7 @@ class SphereConv2d(nn.Conv2d):
             in_channels, out_channels, kernel_size, stride, dilation=dilation, groups=groups, bias=bias
         )
 
-    def forward(self, input: Tensor) -> Tensor:
+    def forward(self, input: Float[Tensor, "B C_in H W"]) -> Float[Tensor, "B C_out H_out W_out"]:
         return sphere_conv2d(
             input, self.weight, self.bias, _pair(self.stride), _pair(self.dilation), self.groups
         )

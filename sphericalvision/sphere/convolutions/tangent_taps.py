@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -20,7 +21,7 @@ def sphere_taps(
     dilation: tuple[int, int] = (1, 1),
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
-) -> Tensor:
+) -> Float[Tensor, "rows h w 2"]:
     """Return the pixels (u, v) that the kernels in column 0 read, ``(rows, kernel height, kernel width, 2)``.
 
     The kernel of column j reads the same pixels j columns further on. With pixel steps Δλ = 2π / W and Δφ = π / H, tap

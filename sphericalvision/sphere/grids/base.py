@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+from jaxtyping import Float, Int
 from torch import Tensor
 
 __all__ = ["SphereGrid"]
@@ -33,17 +34,19 @@ class SphereGrid(Protocol):
         """Shape of values on the grid, without batch and channels."""
 
     @property
-    def directions(self) -> Tensor:
+    def directions(self) -> Float[Tensor, "*grid 3"]:
         """Unit directions ``(*shape, 3)`` at which values are given; x right, y down, z forward."""
 
     @property
-    def solid_angles(self) -> Tensor:
+    def solid_angles(self) -> Float[Tensor, "*grid"]:
         """Solid angles ``(*shape)`` in steradians, which sum to 4π where the grid covers the sphere."""
 
-    def sample(self, values: Tensor, directions: Tensor) -> Tensor:
+    def sample(
+        self, values: Float[Tensor, "*values"], directions: Float[Tensor, "*points 3"]
+    ) -> Float[Tensor, "*results"]:
         """Interpolate ``(*b, c, *shape)`` at ``(*b, n, 3)`` or ``(n, 3)``, giving ``(*b, c, n)``."""
 
-    def nearest(self, directions: Tensor) -> Tensor:
+    def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the index ``(*)``, into the flattened grid, of the value in whose cell ``(*, 3)`` lies.
 
         That is the value nearest by angle on an icosphere. Pixels of a panorama, a cube map, HEALPix or a tangent image

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.core import check_last_dim
@@ -28,7 +28,7 @@ _RIGHT_DOWN_FORWARD = (
 
 def world_from_cube_face(
     dtype: torch.dtype | None = None, device: torch.device | str | None = None
-) -> Tensor:
+) -> Shaped[Tensor, "6 3 3"]:
     """Rotations ``(6, 3, 3)`` whose columns are the right, down and forward axes of each face.
 
     Examples:
@@ -105,7 +105,7 @@ class Cubemap(nn.Module):
 
     def cell_samples(
         self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Float[Tensor, "P k 3"], Float[Tensor, "#P k"]]:
         """Directions ``(6 * size**2, samples**2, 3)`` spread over each pixel, and their shares of its solid angle."""
         count = self.size * samples
         tangent = (2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count) / count

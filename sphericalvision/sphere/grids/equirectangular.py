@@ -125,7 +125,7 @@ class Equirectangular(nn.Module):
 
     def cell_samples(
         self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Float[Tensor, "P k 3"], Float[Tensor, "#P k"]]:
         """Directions ``(height * width, samples**2, 3)`` spread over each pixel, and shares of its solid angle."""
         height, width = self.height * samples, self.width * samples
         column = torch.arange(width, dtype=torch.float64, device=device)

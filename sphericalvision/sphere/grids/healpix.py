@@ -91,7 +91,7 @@ class Healpix(nn.Module):
 
     def cell_samples(
         self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Float[Tensor, "P k 3"], Float[Tensor, "#P k"]]:
         """Directions ``(n, samples**2, 3)`` spread over each pixel, and their equal shares of its solid angle."""
         ids = torch.arange(self.num_pixels, device=device)
         of = place_from_nested if self.nested else place_from_ring

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -33,7 +34,7 @@ __all__ = [
 ]
 
 
-def nested_from_ring(ids: Tensor, nside: int) -> Tensor:
+def nested_from_ring(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
     """Numbers ``(*)`` in the nested order of pixels numbered ring by ring ``(*)``.
 
     Raises:
@@ -46,7 +47,7 @@ def nested_from_ring(ids: Tensor, nside: int) -> Tensor:
     return nested_from_place(*place_from_ring(ids, nside), nside)
 
 
-def ring_from_nested(ids: Tensor, nside: int) -> Tensor:
+def ring_from_nested(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
     """Numbers ``(*)`` ring by ring of pixels numbered in the nested order ``(*)``.
 
     Raises:

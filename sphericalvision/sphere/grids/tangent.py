@@ -123,7 +123,7 @@ class TangentImages(nn.Module):
 
     def cell_samples(
         self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Float[Tensor, "P k 3"], Float[Tensor, "#P k"]]:
         """Directions ``(n, samples**2, 3)`` spread over each whole pixel, and their shares of its solid angle."""
         x, y = self._plane(self.size * samples, device)
         rays = torch.stack((x, y, torch.ones_like(x)), -1)

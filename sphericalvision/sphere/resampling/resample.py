@@ -25,7 +25,7 @@ def resample(
     rotation: Float[Tensor, "*turns 3 3"] | None = None,
     mode: str = "bilinear",
     fill: float = 0.0,
-    mask: Tensor | None = None,
+    mask: Shaped[Tensor, "*mask"] | None = None,
 ) -> Shaped[Tensor, "*results"]:
     """Resample values from one grid or camera to another.
 
@@ -73,7 +73,7 @@ def resample_mask(
     target: SphereGrid | Camera,
     rotation: Float[Tensor, "*turns 3 3"] | None = None,
     mode: str = "bilinear",
-    mask: Tensor | None = None,
+    mask: Shaped[Tensor, "*mask"] | None = None,
 ) -> Bool[Tensor, "*results"]:
     """Return where ``resample`` finds values, bool ``(*b, *target_shape)``: all but what a camera cannot see, and what
     depends on masked values alone.
@@ -125,7 +125,7 @@ class Resample(nn.Module):
         rotation: Float[Tensor, "*turns 3 3"] | None = None,
         mode: str = "bilinear",
         fill: float = 0.0,
-        mask: Tensor | None = None,
+        mask: Shaped[Tensor, "*mask"] | None = None,
         dtype: torch.dtype | None = None,
         device: torch.device | str | None = None,
     ) -> None:
@@ -139,7 +139,9 @@ class Resample(nn.Module):
             dtype = torch.promote_types(_like(source).dtype, _like(target).dtype)
         self.tables = resample_tables(source, target, rotation, mode, fill, mask, device).to(dtype)
 
-    def forward(self, values: Tensor, mask: Tensor | None = None) -> Tensor:
+    def forward(
+        self, values: Shaped[Tensor, "*values"], mask: Shaped[Tensor, "*mask"] | None = None
+    ) -> Shaped[Tensor, "*results"]:
         """Values ``(*b, c, *source_shape)`` on the target, ``(*b, c, *target_shape)``.
 
         Args:
@@ -154,7 +156,7 @@ class Resample(nn.Module):
         result: Tensor = self.tables(values, mask)
         return result
 
-    def mask(self, mask: Tensor | None = None) -> Tensor:
+    def mask(self, mask: Shaped[Tensor, "*mask"] | None = None) -> Bool[Tensor, "*results"]:
         """Where results are valid, bool ``(*b, *target_shape)``; ``mask`` as in ``forward``."""
         return self.tables.mask(mask)
 

@@ -28,7 +28,7 @@ def nearest_depth(
     rig: CameraRig,
     seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
     quantile: float = 0.005,
-    margin: float = 0.85,
+    margin: float = 0.65,
     confidence: float = 0.6,
     num_hypotheses: int = 32,
 ) -> float:
@@ -74,10 +74,13 @@ def nearest_depth(
         index, sure, both = semi_global_sweep(
             sphere_images, rig, num_hypotheses, nearest, level=level, substeps=1, seen=seen
         )
-        depths = depth_from_index(index, num_hypotheses, nearest)[both & (sure > confidence)]
-        if not len(depths):
+        depths = depth_from_index(index, num_hypotheses, nearest)
+        certain, seen_twice = depths[both & (sure > confidence)], depths[both]
+        if not len(certain):
             break
-        found = max(least, margin * float(depths.quantile(quantile)))
+        # A bare floor is nowhere sure, and still there: what is merely seen counts, with more of it left out.
+        surface = torch.minimum(certain.quantile(quantile), seen_twice.quantile(4 * quantile))
+        found = max(least, margin * float(surface))
         if found < 1.1 * nearest:
             return max(nearest, min(found, nearest * 1.1))
         nearest = found

@@ -58,7 +58,8 @@ def network_for(rig: CameraRig, config: DictConfig) -> DepthNetwork:
         ArgumentError: the network wants another number of cameras, or ``min_depth`` is no number.
     """
     check_choice("method", config.method, ("network", "semi_global"))
-    net = load_network(config.checkpoint, config.level)
+    training_free = config.method == "semi_global"  # its level is the network's unless given
+    net = load_network(config.checkpoint, None if training_free else config.level)
     if len(rig) != net.num_cameras and not net.any_cameras:
         raise ArgumentError(
             f"calibration: {config.calibration} has {len(rig)} cameras ({', '.join(rig.names)}), the "
@@ -66,8 +67,8 @@ def network_for(rig: CameraRig, config: DictConfig) -> DepthNetwork:
             f"with model.num_cameras={len(rig)}"
         )
     net = net.with_changes(min_depth=nearest_hypothesis(net, rig, config)).configure(native=config.native)
-    if config.method == "semi_global":
-        level = net.level if net.images == "sphere" else 5
+    if training_free:
+        level = config.level or (net.level if net.images == "sphere" else 5)
         number = config.num_hypotheses or net.num_hypotheses
         net = SemiGlobalSweep(level, number, net.min_depth, depth_coarsening=1)
     elif config.num_hypotheses is not None:

@@ -205,6 +205,7 @@ class ImageLookup(nn.Module):
         found = self._interpolated(images)
         if self.across is not None and self.across_ids is not None and self.across_weights is not None:
             edge = weighted_sums(images.flatten(-2), self.across_ids, self.across_weights)
+            found = found.contiguous()  # the interpolation may have put its channels side by side
             found.view(*found.shape[:-2], -1).index_copy_(-1, self.across, edge.expand(*found.shape[:-2], -1))
         if self.seen is not None:
             found = torch.where(self.seen.unsqueeze(-3), found, 0.0)

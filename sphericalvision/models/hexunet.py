@@ -26,6 +26,7 @@ class HexResidualBlock(nn.Module):
         Zhang et al. (2019), "Fixup initialization: residual learning without normalization".
 
     Examples:
+        >>> import torch
         >>> values = torch.rand(1, 4, 162)
         >>> torch.equal(HexResidualBlock(4)(values), values)
         True
@@ -54,6 +55,7 @@ class HexUNet(nn.Module):
         Ronneberger et al. (2015), "U-Net: convolutional networks for biomedical image segmentation".
 
     Examples:
+        >>> import torch
         >>> HexUNet((4, 6, 8))(torch.rand(1, 4, 162)).shape
         torch.Size([1, 4, 162])
     """

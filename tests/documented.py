@@ -128,8 +128,8 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
         return ["rig.image_size=[32,32]", "samples_per_pixel=1", "height=32", "num_frames=2", "num_workers=0"]
     data = data_words(config.data, cache)
     if recipe == "evaluate":
-        # the network that ships is for images of level 6: at level 3 it takes no time
-        return [*data, "model.level=3", "device=cpu"]
+        # the network that ships is for images of level 6, and takes level 5 at least
+        return [*data, "model.level=5", "device=cpu"]
     if recipe == "train":
         return [*data, *network_words(config.model), *TRAINING]
     return [*data, *STUDY, *study_words(config, cache)]
@@ -152,7 +152,10 @@ def data_words(data: DictConfig, cache: Path) -> list[str]:
     words = ["data.num_workers=0"]
     target = str(OmegaConf.to_container(data)["_target_"])
     if "num_train" in data:
-        words += ["rig.image_size=[32,64]" if "equirect" in str(data.rig) else "rig.image_size=[32,32]"]
+        if "rig" in data:
+            words += ["rig.image_size=[32,64]" if "equirect" in str(data.rig) else "rig.image_size=[32,32]"]
+        else:
+            words += ["data.image_size=[32,32]"]
         words += ["data.num_train=3", "data.num_val=1", "data.num_test=2", "data.samples_per_pixel=1"]
         words += [f"data.cache_dir={cache}", "data.batch_size=1"]
     elif target.endswith("DigitsDataModule"):
@@ -186,6 +189,8 @@ def network_words(model: DictConfig) -> list[str]:
     target = str(model._target_).rpartition(".")[2]
     if target == "SphereClassifier":
         return ["model.level=3", "model.width=2"]
+    if target == "around":  # RefinedSweepNet.around, with the prior that ships
+        return ["model.level=3", "model.widths=[4,4]"]
     size = ["model.output_size=[20,40]", "model.num_scales=2"] if target == "OmniMVS" else ["model.level=3"]
     return [*size, "model.num_hypotheses=4", "model.feature_channels=2"]
 
@@ -196,7 +201,7 @@ TRAINING = [
     "trainer.num_sanity_val_steps=0",
     "trainer.accelerator=cpu",
 ]
-PREDICT = ["height=16", "level=3", "device=cpu"]
+PREDICT = ["height=16", "level=5", "device=cpu"]
 BENCHMARK = [
     "seconds=0.01",
     "settings=[[3,4]]",

@@ -50,10 +50,11 @@ class RigTables:
         return self._tables[key]
 
     def _weight(self) -> int:
-        return sum(
-            part.nbytes
-            for tables in self._tables.values()
-            if isinstance(tables, tuple)
-            for part in tables
-            if isinstance(part, Tensor)
-        )
+        return sum(map(_bytes, self._tables.values()))
+
+
+def _bytes(tables: Any) -> int:
+    """How much tensors in tuples of tuples weigh."""
+    if isinstance(tables, Tensor):
+        return tables.nbytes
+    return sum(map(_bytes, tables)) if isinstance(tables, tuple) else 0

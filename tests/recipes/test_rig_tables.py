@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 
+import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.models import IcoSweepNet
+from sphericalvision.models import IcoSweepNet, SemiGlobalSweep
 from sphericalvision.recipes.training.rig_tables import RigTables
 
 
@@ -22,3 +23,12 @@ def test_tables_are_those_of_the_rig_and_made_once() -> None:
             assert torch.equal(mine, fresh)
     assert tables.of(rigs[2]) is tables.of(ring_rig(2, field_of_view=math.pi))
     assert tables.of(rigs[0]) is not first  # the oldest made room
+
+
+def test_tables_within_tables_count_against_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of a sweep without training hold those of the sphere sweep."""
+    monkeypatch.setattr("sphericalvision.recipes.training.rig_tables.BYTES", 1)
+    tables = RigTables(SemiGlobalSweep(level=3, num_hypotheses=4))
+    first = tables.of(ring_rig(2))
+    tables.of(ring_rig(3))  # too heavy to stay beside the first
+    assert tables.of(ring_rig(2)) is not first

@@ -176,6 +176,9 @@ def study_words(config: DictConfig, cache: Path) -> list[str]:
         training = composed("train", own)
         added = [*network_words(training.model), *data_words(training.data, cache)]
         words.append(f"models.{name}.train={listed([*map(str, model.train), *added])}")
+    own = [*map(str, config.training)]
+    if "omnithings" in str(own):  # the frames that a constant depth map is the median of
+        words.append(f"training={listed([*own, 'data.missing=skip'])}")
     return [*words, f"extra_training={listed(common)}"]
 
 

@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 from importlib import import_module
-from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sphericalvision.deploy import Predictor as Predictor
 
 __version__ = "0.1.0"
 
@@ -13,6 +16,7 @@ _ROOMS = (
     "core",
     "crown",
     "data",
+    "deploy",
     "geometry",
     "icosphere",
     "io",
@@ -26,11 +30,17 @@ _ROOMS = (
 """Packages that are imported when they are first asked for: ``sphericalvision.cameras`` after a bare import."""
 
 
-def __getattr__(name: str) -> ModuleType:
+_NAMES = {"Predictor": "deploy"}
+"""Names that the package itself offers, and the room that each comes from."""
+
+
+def __getattr__(name: str) -> Any:
     if name in _ROOMS:
         return import_module(f"{__name__}.{name}")
+    if name in _NAMES:
+        return getattr(import_module(f"{__name__}.{_NAMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_ROOMS])
+    return sorted([*globals(), *_ROOMS, *_NAMES])

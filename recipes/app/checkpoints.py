@@ -5,22 +5,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
-
-from sphericalvision.core import ArgumentError, FileFormatError, check_file
-from sphericalvision.models import DepthNetwork, network_class
-from sphericalvision.models.weights import (
-    available_weights,
-    load_reference_checkpoint,
-    load_weights,
-    pretrained,
-)
-from sphericalvision.models.weights.filling import filled
+from sphericalvision.core import ArgumentError
+from sphericalvision.models import DepthNetwork
+from sphericalvision.models.weights.checkpoints import read_network
 
 __all__ = ["initialize", "load_network"]
-
-REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
-"""Of checkpoints in the authors' format."""
 
 
 def load_network(
@@ -46,7 +35,7 @@ def load_network(
         MissingFileError: no such file.
         FileFormatError: the file holds no network of this package.
     """
-    net = _read(checkpoint).with_changes(level=level, min_depth=min_depth)
+    net = read_network(checkpoint).with_changes(level=level, min_depth=min_depth)
     return net.configure(native=native).eval()
 
 
@@ -73,31 +62,3 @@ def initialize(net: DepthNetwork, weights: str | Path) -> None:
             + " or take other weights"
         )
     net.load_state_dict(state)
-
-
-def _read(checkpoint: str | Path | None) -> DepthNetwork:
-    if checkpoint is None:
-        return pretrained()
-    if str(checkpoint) in available_weights() and not Path(checkpoint).exists():
-        return pretrained(str(checkpoint))
-    path = check_file(checkpoint, "a checkpoint (.safetensors, .ckpt, or the authors' format)")
-    if path.suffix == ".safetensors":
-        return load_weights(path)
-    if path.suffix in REFERENCE_SUFFIXES:
-        return load_reference_checkpoint(path)
-    if path.suffix != ".ckpt":
-        known = ", ".join((".safetensors", ".ckpt", *REFERENCE_SUFFIXES))
-        raise ArgumentError(f"checkpoint: {path} has none of the suffixes of checkpoints, {known}")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        state = {key[4:]: value for key, value in content["state_dict"].items() if key.startswith("net.")}
-        net = network_class(content["architecture"])(**content["network_hyperparameters"])
-        return filled(net, state, path)
-    except FileFormatError:
-        raise
-    except Exception as error:  # whatever a damaged file makes of itself
-        raise FileFormatError(
-            f"{path}: is not a checkpoint of sphericalvision-train, or is damaged "
-            f"({(str(error).splitlines() or [type(error).__name__])[0]:.200}). Give a .ckpt or .safetensors file from "
-            "the checkpoints folder of a training run."
-        ) from error

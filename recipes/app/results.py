@@ -14,15 +14,15 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.deploy import Depth
 from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere import Equirectangular
-from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import rgb_panorama, save_depth_panorama
 from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_cloud
 
-__all__ = ["DepthResult", "estimate_depth", "save_result"]
+__all__ = ["DepthResult", "estimate_depth", "result_of", "save_result"]
 
 
 @dataclass(frozen=True)
@@ -69,28 +69,25 @@ def estimate_depth(
     ``seen`` ``(n, V)`` or ``(n, H, W)`` tells where they show something.
     """
     device = net.device
-    estimate = net.predict(
-        images[None].to(device), rig.to(device), None if seen is None else seen[None].to(device)
-    )
-    index = estimate.index.float()
-    number, min_depth = net.num_hypotheses, net.min_depth
-    inverse_depth = inverse_depth_from_index(index, number, min_depth)
-    view = Equirectangular(height, 2 * height, device=device)
-    rays = view.directions.reshape(-1, 3)
-    around, reached = net.index_at(inverse_depth, rays)
-    panorama = around[0].where(reached, math.nan).view(view.shape)
-    matched = (net.index_at(estimate.seen.to(inverse_depth), rays)[0][0] > 0.5) & reached
-    max_depth = float(depth_from_index(torch.tensor(0.5), number, min_depth))
+    rig = rig.to(device)
+    estimate = net.predict(images[None].to(device), rig, None if seen is None else seen[None].to(device))
+    index, confidence, both = (values[0] for values in estimate)
+    return result_of(Depth(index.float(), confidence.float(), both, net, rig, {}), height)
+
+
+def result_of(depth: Depth, height: int = 320) -> DepthResult:
+    """One frame's depth with a panorama of ``height`` rows, on the CPU."""
+    panorama = depth.panorama(height)
     return DepthResult(
-        net.grid.directions.reshape(-1, 3).cpu(),
-        index.flatten().cpu(),
-        inverse_depth.flatten().cpu(),
-        estimate.confidence.float().flatten().cpu(),
-        estimate.seen.flatten().cpu(),
-        panorama.reciprocal().cpu(),
-        matched.view(view.shape).cpu(),
-        min_depth,
-        max_depth,
+        depth.directions.reshape(-1, 3).cpu(),
+        depth.index.flatten().cpu(),
+        depth.inverse_depth.flatten().cpu(),
+        depth.confidence.flatten().cpu(),
+        depth.seen.flatten().cpu(),
+        panorama.depth.cpu(),
+        panorama.seen.cpu(),
+        depth.min_depth,
+        depth.max_depth,
     )
 
 

@@ -5,34 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
 
-import torch
 from omegaconf import DictConfig
 from rich.progress import track
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice
-from sphericalvision.data import ToSphere
-from sphericalvision.data.seen import pixels_seen
+from sphericalvision.deploy import Predictor
 from sphericalvision.io.images import read_image
-from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.recipes.app.captures import Capture, find_capture, find_masks, read_frame
-from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
-from sphericalvision.recipes.app.results import estimate_depth, save_result
+from sphericalvision.recipes.app.results import result_of, save_result
 from sphericalvision.recipes.app.rigs import rig_from_file
-from sphericalvision.sweep.nearest_depth import nearest_depth
 
-__all__ = ["load_rig", "network_for", "predict"]
-
-
-class Prepared(NamedTuple):
-    """Images of one frame as a network takes them, and what of them was seen."""
-
-    images: Tensor
-    seen: Tensor
+__all__ = ["load_rig", "predict", "predictor_for"]
 
 
 def load_rig(config: DictConfig) -> CameraRig:
@@ -48,75 +35,35 @@ def load_rig(config: DictConfig) -> CameraRig:
     return CameraRig(rig.cameras, rig.world_from_camera, masks=masks)
 
 
-def network_for(rig: CameraRig, config: DictConfig) -> DepthNetwork:
-    """Load the network at the scale of ``rig``, or the sweep without training that stands in its place.
-
-    Scaling a rig and everything around it changes no image. A network that was trained with one ring of cameras
-    serves any larger or smaller rig once its nearest hypothesis is scaled alike: that is ``min_depth=auto``.
+def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
+    """The predictor that a configuration describes.
 
     Raises:
-        ArgumentError: the network wants another number of cameras, or ``min_depth`` is no number.
+        ArgumentError: the network wants another number of cameras, or ``min_depth`` is no number and no known word.
     """
-    check_choice("method", config.method, ("network", "semi_global"))
-    training_free = config.method == "semi_global"  # its level is the network's unless given
-    net = load_network(config.checkpoint, None if training_free else config.level)
-    if len(rig) != net.num_cameras and not net.any_cameras:
+    if isinstance(config.min_depth, str) and config.min_depth not in ("auto", "scene"):
         raise ArgumentError(
-            f"calibration: {config.calibration} has {len(rig)} cameras ({', '.join(rig.names)}), the "
-            f"checkpoint is for {net.num_cameras}; choose {net.num_cameras} with cameras=[...], or train a network "
-            f"with model.num_cameras={len(rig)}"
+            f"min_depth: expected a number of metres, auto or scene, got {config.min_depth!r}"
         )
-    net = net.with_changes(min_depth=nearest_hypothesis(net, rig, config)).configure(native=config.native)
-    if training_free:
-        level = config.level or (net.level if net.images == "sphere" else 5)
-        number = config.num_hypotheses or net.num_hypotheses
-        net = SemiGlobalSweep(level, number, net.min_depth, depth_coarsening=1)
-    elif config.num_hypotheses is not None:
-        net = net.with_changes(num_hypotheses=config.num_hypotheses)
-    return net.eval().to(choose_device(config.device))
+    return Predictor(
+        rig,
+        config.checkpoint,
+        method=config.method,
+        min_depth=None if config.min_depth == "auto" else config.min_depth,
+        level=config.level,
+        num_hypotheses=config.num_hypotheses,
+        device=choose_device(config.device),
+        antialias=config.antialias,
+        native=config.native,
+        trained_radius=config.trained_radius,
+    )
 
 
-def nearest_hypothesis(net: DepthNetwork, rig: CameraRig, config: DictConfig) -> float:
-    """``config.min_depth`` in metres; ``auto`` is what the network was trained with, scaled as the rig is.
-
-    Raises:
-        ArgumentError: another word, or the rig has no size to scale by.
-    """
-    if config.min_depth != "auto":
-        if isinstance(config.min_depth, str):
-            raise ArgumentError(
-                f"min_depth: expected a number of metres, auto or scene, got {config.min_depth!r}"
-            )
-        return float(config.min_depth)
-    radius = float(rig.radius)
-    if not radius > 0:
-        raise ArgumentError(
-            f"min_depth: auto scales with the rig, and {config.calibration} has all its cameras in one place "
-            f"({', '.join(rig.names)}); give metres, min_depth=0.55, or more cameras"
-        )
-    return net.min_depth * radius / float(config.trained_radius)
-
-
-def nearest_in_scene(capture: Capture, rig: CameraRig, config: DictConfig) -> float:
-    """The nearest hypothesis in metres that suits what is seen, from quick sweeps of up to three frames."""
+def find_nearest(predictor: Predictor, capture: Capture, rig: CameraRig) -> float:
+    """The nearest hypothesis in metres that suits what is seen in up to three frames of a capture."""
     frames = list(capture.files.values())
     chosen = [frames[number] for number in sorted({0, len(frames) // 2, len(frames) - 1})]
-    to_sphere = ToSphere(SCENE_LEVEL, antialias=config.antialias)
-    images = torch.stack([to_sphere.images(read_frame(files, rig), rig) for files in chosen])
-    return nearest_depth(images, rig, to_sphere.seen(rig))
-
-
-def prepare(net: DepthNetwork, images: Mapping[str, Tensor], rig: CameraRig, antialias: bool) -> Prepared:
-    """Images by camera name, and what was seen, as the network wants them."""
-    if net.images == "sphere":
-        to_sphere = ToSphere(net.level, antialias=antialias)
-        return Prepared(to_sphere.images(images, rig), to_sphere.seen(rig))
-    sizes = sorted({tuple(image.shape[-2:]) for image in images.values()})
-    if len(sizes) > 1:
-        raise ArgumentError(f"images: {type(net).__name__} wants images of one size, got {sizes}")
-    seen = torch.stack(list(pixels_seen(rig).values()))
-    stacked = torch.stack([images[name] for name in rig.names]) * 2 - 1
-    return Prepared(stacked * seen[:, None], seen)
+    return predictor.find_min_depth(read_frame(files, rig) for files in chosen)
 
 
 def predict(config: DictConfig, folder: Path) -> list[Path]:
@@ -129,13 +76,13 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     rig = load_rig(config)
     masks = () if config.masks is None else find_masks(config.masks, rig.names).values()
     capture = find_capture(config.images, rig.names, config.frames, leave_out=masks)
+    predictor = predictor_for(rig, config)
     if config.min_depth == "scene":
-        config.min_depth = round(nearest_in_scene(capture, rig, config), 3)
-    net = network_for(rig, config)
+        config.min_depth = round(find_nearest(predictor, capture, rig), 3)
     print_config(config, folder)
     console.print(
         f"{len(capture.files)} frame(s), {len(rig)} cameras, rig radius {float(rig.radius):.3f} m, "
-        f"nearest hypothesis {net.min_depth:.3f} m"
+        f"nearest hypothesis {predictor.min_depth:.3f} m"
     )
     written, wrong, seen = [], [], []
     for frame, files in track(todo(capture, folder, config).items(), "estimating depth", console=console):
@@ -147,8 +94,7 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
             wrong.append(str(error))
             console.print(f"left out: {error}", style="yellow", highlight=False, soft_wrap=True)
             continue
-        prepared = prepare(net, images, rig, config.antialias)
-        result = estimate_depth(net, prepared.images, rig, config.height, prepared.seen)
+        result = result_of(predictor(images), config.height)
         seen.append(result.share_matched)
         written += save_result(folder, prefix_of(frame), result, images, rig)
     for path in written:
@@ -165,8 +111,6 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     return written
 
 
-SCENE_LEVEL = 6
-"""Icosphere level of the images that ``min_depth=scene`` looks at."""
 ENOUGH = 0.98
 """Share of the sphere that two cameras see, below which it is said."""
 

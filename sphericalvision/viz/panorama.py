@@ -20,6 +20,7 @@ from sphericalvision.io.images import write_image
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color
 from sphericalvision.viz.figure import add_scale_bar, sheet
+from sphericalvision.viz.point_colors import point_colors
 
 __all__ = [
     "depth_panorama",
@@ -150,8 +151,6 @@ def rgb_panorama(
     Raises:
         ShapeError: depth of another shape, or the images' names are not the cameras'.
     """
-    if set(images) != set(rig.names):
-        raise ShapeError(f"images: expected those of the cameras {list(rig.names)}, got {list(images)}")
     dtype, device = rig.world_from_camera.dtype, rig.world_from_camera.device
     directions = Equirectangular(height, 2 * height, dtype, device).directions.reshape(-1, 3)
     far = torch.as_tensor(depth, dtype=dtype, device=device).reshape(-1, 1)
@@ -161,20 +160,8 @@ def rgb_panorama(
         )
     far = torch.where((far > 0) & (far < _FAR), far, _FAR)
     points = rig.center + far * directions
-    projection = rig.project(points)
-    total: Tensor | float = 0.0
-    weights = points.new_zeros(len(points))
-    for index, (name, camera) in enumerate(rig.cameras.items()):
-        seen = projection.valid[index]
-        pixels = torch.where(seen.unsqueeze(-1), projection.pixels[index], 0.0)
-        colors = camera.interpolate(images[name].to(device, dtype), pixels)
-        ray = points - rig.positions[index]
-        forward = (ray @ rig.axes[index] / ray.norm(dim=-1) + 1) / 2
-        weight = seen * forward.clamp(min=1e-3) ** 8
-        total = total + weight * torch.where(seen, colors, 0.0)
-        weights = weights + weight
-    panorama = total / weights.clamp(min=1e-12)
-    return panorama.reshape(-1, height, 2 * height), (weights > 0).reshape(height, 2 * height)
+    colors, seen = point_colors(rig, images, points)
+    return colors.reshape(-1, height, 2 * height), seen.reshape(height, 2 * height)
 
 
 _FAR = 1e4  # metres; no rig is so large that its cameras would see a difference beyond

@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``Predictor``: a rig and a network in one thing that is called with images and answers with depth."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.base import check_single
+from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
+from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.data.seen import pixels_seen
+from sphericalvision.deploy.depth import Depth
+from sphericalvision.deploy.photographs import as_photographs
+from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.models import DepthNetwork, SemiGlobalSweep
+from sphericalvision.models.weights.checkpoints import read_network
+from sphericalvision.sweep.nearest_depth import nearest_depth
+
+__all__ = ["METHODS", "Predictor", "nearest_in_frames"]
+
+METHODS = ("network", "semi_global")
+SCENE_LEVEL = 6
+"""Icosphere level of the images that the nearest depth of a scene is looked for in."""
+
+
+class _Ready(NamedTuple):
+    """What is made once for a rig: the network at its scale, its tables, and where the images are looked up."""
+
+    net: DepthNetwork
+    tables: Any
+    lookups: list[SphereLookup]
+    seen: Tensor
+
+
+class Predictor:
+    """Depth all around from the images of a rig.
+
+    Everything that follows from the rig is computed once. Calls may come from several threads; they are answered one
+    after the other, each with the whole machine.
+
+    Args:
+        rig: calibrated cameras, for instance ``cameras.read_rig("capture/config.yaml")``; masks are heeded.
+        weights: a name of ``models.available_weights()``, a file of weights, or a network; the best that ships when
+            not given.
+        method: ``"network"``, or ``"semi_global"``: a sweep without training in its place, at its level.
+        min_depth: nearest hypothesis in metres; ``"scene"`` finds it in the first images (one to three seconds, once);
+            ``None`` is what the network was trained with, scaled as the rig is.
+        level: icosphere level of the images; as trained when not given. One less is four times as fast.
+        num_hypotheses: N; as trained when not given.
+        device: where to compute; where the network is (a CPU, when read from weights) if not given.
+        antialias: whether images finer than the icosphere are averaged over the area between its vertices.
+        native: whether a CPU uses operators in C++, compiled once, which are faster.
+        channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
+        trained_radius: metres; radius of the rigs that the network was trained with, for ``min_depth=None``.
+
+    Raises:
+        ArgumentError: the network is for another number of cameras, or an argument makes no sense.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.data import make_scene, render_rig
+        >>> rig = ring_rig(4, image_size=(64, 64))
+        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.55)
+        >>> depth = predictor(render_rig(make_scene("room", seed=1), rig))
+        >>> depth.depth.shape, depth.panorama(32).depth.shape, depth.camera("cam1").depth.shape
+        (torch.Size([642]), torch.Size([32, 64]), torch.Size([64, 64]))
+        >>> depth.points().points.shape[1]
+        3
+    """
+
+    def __init__(
+        self,
+        rig: CameraRig,
+        weights: str | Path | DepthNetwork | None = None,
+        *,
+        method: Literal["network", "semi_global"] = "network",
+        min_depth: float | Literal["scene"] | None = "scene",
+        level: int | None = None,
+        num_hypotheses: int | None = None,
+        device: torch.device | str | None = None,
+        antialias: bool = True,
+        native: bool = False,
+        channels: Literal["rgb", "bgr"] = "rgb",
+        trained_radius: float = 0.2,
+    ) -> None:
+        check_single(rig)
+        check_choice("method", method, METHODS)
+        check_choice("channels", channels, ("rgb", "bgr"))
+        net = weights if isinstance(weights, DepthNetwork) else read_network(weights)
+        if method == "network" and level is not None:
+            net = net.with_changes(level=level)
+        if len(rig) != net.num_cameras and not net.any_cameras:
+            raise ArgumentError(
+                f"rig: it has {len(rig)} cameras ({', '.join(rig.names)}), the checkpoint is for {net.num_cameras}; "
+                f"choose {net.num_cameras} of them (rig.subset([...]), cameras=[...] of the command), or "
+                f"train a network with model.num_cameras={len(rig)}"
+            )
+        self._device = net.device if device is None else torch.device(device)
+        self._rig = rig.to(self._device)
+        self._antialias, self._channels = antialias, channels
+        self._lock = threading.Lock()
+        self._ready: _Ready | None = None
+        self._net, self._native = net, native
+        self._method, self._level, self._num_hypotheses = method, level, num_hypotheses
+        self._min_depth: float | None = None
+        if min_depth is None:
+            self._min_depth = scaled_min_depth(net, rig, trained_radius)
+        elif min_depth != "scene":
+            self._min_depth = checked_min_depth(min_depth)
+
+    @property
+    def rig(self) -> CameraRig:
+        """The cameras, on the device of the network."""
+        return self._rig
+
+    @property
+    def min_depth(self) -> float | None:
+        """Nearest hypothesis in metres; None as long as it has not been found in images."""
+        return self._min_depth
+
+    @property
+    def network(self) -> DepthNetwork:
+        """The network at the scale of the rig.
+
+        Raises:
+            ArgumentError: the scale is not known before the first images came (``min_depth="scene"``).
+        """
+        if self._ready is None and self._min_depth is None:
+            raise ArgumentError(
+                "network: min_depth='scene' is found in the first images; call the predictor, or its find_min_depth"
+            )
+        return self._prepared(None).net
+
+    def find_min_depth(self, frames: Iterable[Mapping[str, Any]]) -> float:
+        """Find the nearest depth in metres worth trying in a few frames, and use it from now on.
+
+        Args:
+            frames: of images by camera name, as the predictor is called with, one frame each.
+        """
+        photographs = [self._photographs(images) for images in frames]
+        with self._lock:
+            self._min_depth, self._ready = nearest_in_frames(photographs, self._rig, self._antialias), None
+            return self._min_depth
+
+    @torch.inference_mode()
+    def __call__(self, images: Mapping[str, Any]) -> Depth:
+        """Estimate depth.
+
+        Args:
+            images: camera name -> image: numpy or torch, ``(h, w)``, ``(h, w, 3)`` or ``(3, h, w)`` or a batch of them,
+                uint8, uint16 or float in [0, 1], of the size that the camera is calibrated for.
+
+        Raises:
+            ArgumentError: images of other cameras, or values out of range.
+            ShapeError: an image has another size than its camera.
+        """
+        photographs = self._photographs(images)
+        ready = self._prepared(photographs)
+        batch = photographs[self._rig.names[0]].shape[:-3]
+        inputs = self._inputs(ready, photographs)
+        with self._lock:  # parts of networks keep their working memory from call to call
+            estimate = ready.net.predict(
+                inputs.reshape(-1, *inputs.shape[len(batch) :]), ready.tables, ready.seen
+            )
+        index, confidence, seen = (values.reshape(*batch, *values.shape[1:]) for values in estimate)
+        return Depth(index.float(), confidence.float(), seen, ready.net, self._rig, photographs)
+
+    def inputs(
+        self, images: Mapping[str, Any]
+    ) -> tuple[Float[Tensor, "*batch n 3 *size"], Bool[Tensor, " n *size"]]:
+        """Return images as the network takes them, in [-1, 1], and what of them was seen; arguments as of a call."""
+        photographs = self._photographs(images)
+        ready = self._prepared(photographs)
+        return self._inputs(ready, photographs), ready.seen
+
+    def __repr__(self) -> str:
+        near = (
+            "nearest depth still to be found" if self._min_depth is None else f"from {self._min_depth:.3g} m"
+        )
+        return f"Predictor({type(self._net).__name__}, {near}, {self._rig})"
+
+    def _photographs(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
+        found = as_photographs(images, self._rig, self._channels)
+        return {name: image.to(self._device, non_blocking=True) for name, image in found.items()}
+
+    def _inputs(self, ready: _Ready, photographs: Mapping[str, Tensor]) -> Tensor:
+        """``(*b, n, 3, V)`` on icospheres, or ``(*b, n, 3, h, w)``; 0 where nothing was seen."""
+        if ready.net.images == "camera":
+            stacked = torch.stack(list(photographs.values()), -4) * 2 - 1
+            return stacked * ready.seen[:, None]
+        values = [look(image, 0) for look, image in zip(ready.lookups, photographs.values(), strict=True)]
+        return torch.stack(values, -3).mul_(2).sub_(ready.seen.unsqueeze(1).float())
+
+    def _prepared(self, photographs: Mapping[str, Tensor] | None) -> _Ready:
+        """Network and tables, made by the first call; others wait for it."""
+        ready = self._ready
+        if ready is not None:
+            return ready
+        with self._lock:
+            if self._ready is None:
+                if self._min_depth is None and photographs is not None:
+                    self._min_depth = nearest_in_frames(frames_of(photographs), self._rig, self._antialias)
+                self._ready = self._made()
+            return self._ready
+
+    def _made(self) -> _Ready:
+        number = self._num_hypotheses
+        net = self._net.with_changes(min_depth=self._min_depth).configure(native=self._native)
+        if self._method == "semi_global":  # one level coarser than the images
+            level = self._level or (net.level if net.images == "sphere" else SCENE_LEVEL - 1)
+            net = SemiGlobalSweep(level, number or net.num_hypotheses, net.min_depth, depth_coarsening=1)
+        elif number is not None:
+            net = net.with_changes(num_hypotheses=number)
+        net = net.eval().to(self._device)
+        if net.images == "sphere":
+            vertices = icosphere_vertices(net.level, torch.float32, self._device)
+            lookups = sphere_lookups(self._rig, vertices.to(self._rig.world_from_camera), self._antialias)
+            return _Ready(net, net.tables(self._rig), lookups, torch.stack([look.seen for look in lookups]))
+        sizes = sorted({camera.image_size for camera in self._rig.cameras.values()})
+        if len(sizes) > 1:
+            raise ShapeError(f"images: {type(net).__name__} wants images of one size, got {sizes}")
+        return _Ready(net, net.tables(self._rig), [], torch.stack(list(pixels_seen(self._rig).values())))
+
+
+def frames_of(photographs: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
+    """One dictionary a frame of images ``(*b, 3, h, w)``: the first, the middle and the last of a batch."""
+    first = next(iter(photographs.values()))
+    if first.ndim == 3:
+        return [dict(photographs)]
+    chosen = sorted({0, len(first) // 2, len(first) - 1})
+    return [{name: image[frame] for name, image in photographs.items()} for frame in chosen]
+
+
+def nearest_in_frames(
+    frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]], rig: CameraRig, antialias: bool = True
+) -> float:
+    """Return the nearest depth in metres that suits what a few frames show, from quick sweeps.
+
+    Args:
+        frames: camera name -> ``(3, h, w)`` in [0, 1].
+        rig: unbatched.
+        antialias: as of ``Predictor``.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.data import make_scene, render_rig
+        >>> rig = ring_rig(3, radius=0.05, image_size=(32, 32))
+        >>> nearest_in_frames([render_rig(make_scene("hall", seed=1), rig)], rig) > 0.06
+        True
+    """
+    vertices = icosphere_vertices(SCENE_LEVEL, torch.float32, rig.world_from_camera.device)
+    lookups = sphere_lookups(rig, vertices.to(rig.world_from_camera), antialias)
+    seen = torch.stack([look.seen for look in lookups])
+    images = [
+        torch.stack([look(frame[name], 0) for name, look in zip(rig.names, lookups, strict=True)])
+        for frame in frames
+    ]
+    return nearest_depth(torch.stack(images).mul_(2).sub_(seen.unsqueeze(1).float()), rig, seen)
+
+
+def scaled_min_depth(net: DepthNetwork, rig: CameraRig, trained_radius: float = 0.2) -> float:
+    """Return the nearest hypothesis in metres that a network was trained with, scaled as the rig is.
+
+    Scaling a rig and everything around it changes no image. A network that was trained with one ring of cameras serves
+    any larger or smaller rig once its nearest hypothesis is scaled alike.
+
+    Raises:
+        ArgumentError: all cameras are in one place, so there is no size to scale by.
+    """
+    radius = float(rig.radius)
+    if not radius > 0:
+        raise ArgumentError(
+            f"min_depth: scales with the rig, which has all its cameras in one place ({', '.join(rig.names)}); "
+            "give metres, min_depth=0.55, or more cameras"
+        )
+    return net.min_depth * radius / float(trained_radius)
+
+
+def checked_min_depth(min_depth: Any) -> float:
+    """Return metres, or raise ``ArgumentError`` for what is no positive number."""
+    if (
+        isinstance(min_depth, bool)
+        or not isinstance(min_depth, int | float)
+        or not 0 < min_depth < float("inf")
+    ):
+        raise ArgumentError(
+            f"min_depth: expected a positive number of metres, 'scene' or None (as trained), got {min_depth!r}"
+        )
+    return float(min_depth)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A network from any file of weights that this package knows, or by the name of weights that ship."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from sphericalvision.core import ArgumentError, FileFormatError, check_file
+from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.weights.files import load_weights
+from sphericalvision.models.weights.filling import filled
+from sphericalvision.models.weights.pretrained import available_weights, pretrained
+from sphericalvision.models.weights.reference import load_reference_checkpoint
+from sphericalvision.models.weights.registry import network_class
+
+__all__ = ["read_network"]
+
+REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
+"""Of checkpoints in the authors' format."""
+
+
+def read_network(source: str | Path | None = None) -> DepthNetwork:
+    """Return the network of a file, of a training's checkpoint, or of weights that ship, on the CPU and in eval mode.
+
+    Args:
+        source: ``.safetensors``, a ``.ckpt`` of a training, or ``.pth`` in the authors' format; or the name of weights
+            that ship with the package, of which the best when not given.
+
+    Raises:
+        ArgumentError: the suffix is of no known format.
+        MissingFileError: no such file.
+        FileFormatError: the file holds no network of this package.
+
+    Examples:
+        >>> type(read_network("icosweepnet-small")).__name__
+        'IcoSweepNet'
+    """
+    if source is None:
+        return pretrained()
+    if str(source) in available_weights() and not Path(source).exists():
+        return pretrained(str(source))
+    path = check_file(source, "a checkpoint (.safetensors, .ckpt, or the authors' format)")
+    if path.suffix == ".safetensors":
+        return load_weights(path)
+    if path.suffix in REFERENCE_SUFFIXES:
+        return load_reference_checkpoint(path)
+    if path.suffix != ".ckpt":
+        known = ", ".join((".safetensors", ".ckpt", *REFERENCE_SUFFIXES))
+        raise ArgumentError(f"checkpoint: {path} has none of the suffixes of checkpoints, {known}")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        state = {key[4:]: value for key, value in content["state_dict"].items() if key.startswith("net.")}
+        net = network_class(content["architecture"])(**content["network_hyperparameters"])
+        return filled(net, state, path).eval()
+    except FileFormatError:
+        raise
+    except Exception as error:  # whatever a damaged file makes of itself
+        raise FileFormatError(
+            f"{path}: is not a checkpoint of sphericalvision-train, or is damaged "
+            f"({(str(error).splitlines() or [type(error).__name__])[0]:.200}). Give a .ckpt or .safetensors file from "
+            "the checkpoints folder of a training run."
+        ) from error

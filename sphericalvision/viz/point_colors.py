@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Colours of points of the world, blended from the images of the cameras that see them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Bool, Float, Shaped
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ShapeError
+
+__all__ = ["point_colors"]
+
+
+def point_colors(
+    rig: CameraRig, images: Mapping[str, Shaped[Tensor, "c _ _"]], points: Float[Tensor, "n 3"]
+) -> tuple[Float[Tensor, "c n"], Bool[Tensor, " n"]]:
+    """Return colours ``(c, n)`` of points ``(n, 3)``, zero where no camera looks, and where some camera does ``(n,)``.
+
+    Cameras that see a point nearer to their axis count more. What stands in the way is not known.
+
+    Raises:
+        ShapeError: the images' names are not the cameras'.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig = ring_rig(2, image_size=(8, 8))
+        >>> colors, seen = point_colors(rig, {name: torch.ones(3, 8, 8) for name in rig.names}, 3 * torch.eye(3))
+        >>> colors.shape, seen.tolist()
+        (torch.Size([3, 3]), [True, True, True])
+    """
+    if set(images) != set(rig.names):
+        raise ShapeError(f"images: expected those of the cameras {list(rig.names)}, got {list(images)}")
+    if not len(points):
+        return points.new_zeros(next(iter(images.values())).shape[0], 0), torch.zeros(0, dtype=torch.bool)
+    projection = rig.project(points)
+    total: Tensor | float = 0.0
+    weights = points.new_zeros(len(points))
+    for index, (name, camera) in enumerate(rig.cameras.items()):
+        seen = projection.valid[index]
+        pixels = torch.where(seen.unsqueeze(-1), projection.pixels[index], 0.0)
+        colors = camera.interpolate(images[name].to(points), pixels)
+        ray = points - rig.positions[index]
+        forward = (ray @ rig.axes[index] / ray.norm(dim=-1) + 1) / 2
+        weight = seen * forward.clamp(min=1e-3) ** 8
+        total = total + weight * torch.where(seen, colors, 0.0)
+        weights = weights + weight
+    return total / weights.clamp(min=1e-12), weights > 0  # type: ignore[return-value]

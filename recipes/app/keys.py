@@ -21,6 +21,9 @@ class Predict:
     calibration: str
     images: str
     frames: list[int | str] | None
+    start: Number
+    stop: Count | None
+    every: Count
     cameras: list[str | int] | None
     masks: str | None
     translation_unit: str | None
@@ -32,7 +35,10 @@ class Predict:
     min_depth: Positive | str
     trained_radius: Positive
     antialias: bool
+    outputs: list[str] | None
     height: Count
+    min_confidence: Annotated[float, AtLeast(0)]
+    voxel: Positive | None
     output: str
     skip_existing: bool
     on_error: str

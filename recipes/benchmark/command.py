@@ -31,6 +31,7 @@ GROUPS = (
     "sweep",
     "training",
     "processes",
+    "predict",
 )
 """Each is a module ``<group>`` beside this one with a function ``comparisons(config, device)``."""
 

@@ -8,17 +8,18 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig
+from torch import Tensor
 from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere, collate_samples
+from sphericalvision.deploy import Predictor
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
 from sphericalvision.recipes.app.frames import RenderedFrames, SceneDepths
-from sphericalvision.recipes.app.results import DepthResult, estimate_depth, save_result
 from sphericalvision.recipes.evaluation.inputs import VertexEstimator
 from sphericalvision.recipes.evaluation.tables import (
     Row,
@@ -28,6 +29,7 @@ from sphericalvision.recipes.evaluation.tables import (
     save_rows,
     sweep_estimator,
 )
+from sphericalvision.recipes.prediction.outputs import Settings, Views, save_views
 from sphericalvision.sweep import index_from_inverse_depth
 from sphericalvision.viz import depth_panorama, error_panorama, sheet
 
@@ -57,9 +59,9 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
         write_image(folder / f"input_{name}.png", image)
     with console.status(f"estimating depth: level {net.level}, {net.num_hypotheses} hypotheses"):
         sample = ToSphere(net.level, antialias=True)(frame)
-        result = estimate_depth(net, sample["images"], rig, config.height, sample["seen"])
-        save_result(folder, "", result, frame["images"], rig)
-        _save_comparison(folder, frame, result, net)
+        views = Views(Predictor(rig, net, min_depth=net.min_depth)(frame["images"]), config.height)
+        save_views(folder, "", views, Settings(["depth", "cloud", "npz"], config.height))
+        _save_comparison(folder, frame, views.panorama.depth, net)
     depths = SceneDepths(rig, config.baseline_scenes, net.level, config.train_seed, config.kind, scale)
     rows = _table(net, sample, DataLoader(depths, batch_size=8))
     print_rows(f"errors of this scene, percent of N = {net.num_hypotheses} (smaller is better)", rows)
@@ -68,11 +70,11 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
     return rows
 
 
-def _save_comparison(folder: Path, frame: dict[str, Any], result: DepthResult, net: DepthNetwork) -> None:
+def _save_comparison(folder: Path, frame: dict[str, Any], depth: Tensor, net: DepthNetwork) -> None:
     """Ground truth and error as pictures, and everything side by side."""
     number, min_depth = net.num_hypotheses, net.min_depth
     truth = frame["inverse_depth"]
-    estimate = index_from_inverse_depth(result.panorama.reciprocal(), number, min_depth)
+    estimate = index_from_inverse_depth(depth.reciprocal(), number, min_depth)
     error = (estimate - index_from_inverse_depth(truth, number, min_depth)).abs() * (100 / number)
     pictures = {
         "ground truth": depth_panorama(truth.reciprocal(), min_depth),
@@ -80,9 +82,9 @@ def _save_comparison(folder: Path, frame: dict[str, Any], result: DepthResult, n
     }
     write_image(folder / "ground_truth.png", pictures["ground truth"])
     write_image(folder / "error.png", pictures["error"])
-    depth = {"estimated depth": depth_panorama(result.panorama, min_depth)}
+    estimated = {"estimated depth": depth_panorama(depth, min_depth)}
     views = {name: (view * 255).byte().permute(1, 2, 0).numpy() for name, view in frame["images"].items()}
-    overview = {"input": sheet(views, columns=2), **depth, **pictures}
+    overview = {"input": sheet(views, columns=2), **estimated, **pictures}
     write_image(folder / "overview.png", sheet(overview, columns=2))
 
 

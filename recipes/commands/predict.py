@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of one's own captures: picture, point cloud and arrays of each frame."""
+"""Depth of one's own captures: image files, videos or live cameras in; pictures, points, arrays and a video out."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from omegaconf import DictConfig
-from rich.progress import track
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice
-from sphericalvision.deploy import Predictor
+from sphericalvision.deploy import Depth, Predictor
 from sphericalvision.io.images import read_image
-from sphericalvision.recipes.app.captures import Capture, find_capture, find_masks, read_frame
+from sphericalvision.recipes.app.captures import find_masks
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
-from sphericalvision.recipes.app.results import result_of, save_result
 from sphericalvision.recipes.app.rigs import rig_from_file
+from sphericalvision.recipes.prediction.frames import Frame, Selection, Source
+from sphericalvision.recipes.prediction.outputs import Outputs, Settings, done_file
+from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
+from sphericalvision.recipes.prediction.threads import Behind, ahead
 
 __all__ = ["load_rig", "predict", "predictor_for"]
 
@@ -59,15 +63,8 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
     )
 
 
-def find_nearest(predictor: Predictor, capture: Capture, rig: CameraRig) -> float:
-    """The nearest hypothesis in metres that suits what is seen in up to three frames of a capture."""
-    frames = list(capture.files.values())
-    chosen = [frames[number] for number in sorted({0, len(frames) // 2, len(frames) - 1})]
-    return predictor.find_min_depth(read_frame(files, rig) for files in chosen)
-
-
 def predict(config: DictConfig, folder: Path) -> list[Path]:
-    """Write picture, point cloud and arrays of each frame to ``folder``; returns the files.
+    """Write what ``config.outputs`` names of each frame to ``folder``; returns the files.
 
     Raises:
         FileFormatError: images of some frames cannot be read; the others are done before that is told.
@@ -75,57 +72,135 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     check_choice("on_error", config.on_error, ("skip", "stop"))
     rig = load_rig(config)
     masks = () if config.masks is None else find_masks(config.masks, rig.names).values()
-    capture = find_capture(config.images, rig.names, config.frames, leave_out=masks)
+    source = open_source(config.images, rig, config.frames, masks)
+    sizes = source.sizes()
+    fitting = rig_for_images(rig, sizes)
+    if fitting is not rig:
+        print(_other_size(rig, sizes))
+        source.rig = rig = fitting
     predictor = predictor_for(rig, config)
-    if config.min_depth == "scene":
-        config.min_depth = round(find_nearest(predictor, capture, rig), 3)
+    if config.min_depth == "scene" and (samples := source.samples()):
+        config.min_depth = round(predictor.find_min_depth(samples), 3)
     print_config(config, folder)
+    selection = Selection(config.start, config.stop, config.every)
+    names = source.names(selection)
+    near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
+    many = "live" if names is None else f"{len(names)} frame(s)"
     console.print(
-        f"{len(capture.files)} frame(s), {len(rig)} cameras, rig radius {float(rig.radius):.3f} m, "
-        f"nearest hypothesis {predictor.min_depth:.3f} m"
+        f"{many}, {len(rig)} cameras, rig radius {float(rig.radius):.3f} m, nearest hypothesis {near}"
     )
-    written, wrong, seen = [], [], []
-    for frame, files in track(todo(capture, folder, config).items(), "estimating depth", console=console):
-        try:
-            images = read_frame(files, rig)
-        except (FileFormatError, OSError) as error:
-            if config.on_error == "stop":
-                raise
-            wrong.append(str(error))
-            console.print(f"left out: {error}", style="yellow", highlight=False, soft_wrap=True)
-            continue
-        result = result_of(predictor(images), config.height)
-        seen.append(result.share_matched)
-        written += save_result(folder, prefix_of(frame), result, images, rig)
-    for path in written:
+    kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
+    rate = (source.rate or 10.0) / config.every
+    outputs = Outputs(folder, Settings(list(kinds), config.height, config.min_confidence, config.voxel, rate))
+    left = _left_to_do(names, folder, config, outputs.settings)
+    wrong = run(source, selection, predictor, outputs, left, config.on_error == "stop")
+    for path in outputs.written:
         print(path)
-    if seen and min(seen) < ENOUGH:
+    if outputs.shares and min(outputs.shares) < ENOUGH:
         print(
-            f"Two cameras see {100 * min(seen):.0f} % of all directions at the depth estimated. Elsewhere nothing can "
-            "be measured: grey in depth.png, left out of points.ply, False in matched_panorama of depth.npz."
+            f"Two cameras see {100 * min(outputs.shares):.0f} % of all directions at the depth estimated. Elsewhere "
+            "nothing can be measured: grey in pictures, left out of point clouds, False in matched_panorama of arrays."
         )
     if wrong:
-        raise FileFormatError(
-            f"{len(wrong)} of {len(capture.files)} frames were left out. The first: {wrong[0]}"
-        )
-    return written
+        number = "some" if names is None else f"{len(wrong)} of {len(names)}"
+        raise FileFormatError(f"{number} frames were left out. The first: {wrong[0]}")
+    return outputs.written
 
 
-ENOUGH = 0.98
+ENOUGH = 0.9
 """Share of the sphere that two cameras see, below which it is said."""
 
 
-def prefix_of(frame: str) -> str:
-    """What the names of a frame's files begin with."""
-    return f"{frame}_" if frame else ""
+class Done(NamedTuple):
+    """A frame on its way to the files."""
+
+    frame: Frame
+    depth: Depth
 
 
-def todo(capture: Capture, folder: Path, config: DictConfig) -> dict[str, Mapping[str, Path]]:
+def run(
+    source: Source,
+    selection: Selection,
+    predictor: Predictor,
+    outputs: Outputs,
+    left: set[str] | None,
+    stop_on_error: bool = False,
+) -> list[str]:
+    """Estimate frame after frame, while threads read the next ones and write the ones before; returns what was wrong.
+
+    Args:
+        source: of the frames.
+        selection: which of them.
+        predictor: of their depth.
+        outputs: where depth goes.
+        left: names of the frames to be done; None for all of them.
+        stop_on_error: whether to raise the error of a frame that cannot be read.
+    """
+    columns = (
+        TextColumn("estimating depth"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[speed]}"),
+        TimeRemainingColumn(),
+    )
+    wrong: list[str] = []
+    number, busy = 0, 0.0
+    frames = ahead(source.frames(selection, lambda name: left is None or name in left), newest=source.live)
+    began = time.perf_counter()
+    try:
+        with (
+            Progress(*columns, console=console) as progress,
+            Behind[Done](lambda done: outputs.write(done.frame.name, done.depth)) as behind,
+        ):
+            task = progress.add_task("", total=None if left is None else len(left), speed="")
+            for frame in frames:
+                if frame.images is None:
+                    if stop_on_error and frame.error is not None:
+                        raise frame.error
+                    wrong.append(str(frame.error))
+                    console.print(f"left out: {frame.error}", style="yellow", highlight=False, soft_wrap=True)
+                else:
+                    start = time.perf_counter()
+                    depth = predictor(frame.images)
+                    busy += time.perf_counter() - start
+                    behind.put(Done(frame, depth))
+                    number += 1
+                progress.update(
+                    task, advance=1, speed=f"{number / (time.perf_counter() - began):.2f} frames/s"
+                )
+    except KeyboardInterrupt:
+        if not source.live:  # live cameras have no other end
+            raise
+    finally:
+        frames.close()  # type: ignore[attr-defined]
+        outputs.close()
+    took = time.perf_counter() - began
+    if number:
+        console.print(
+            f"{number} frame(s) in {took:.1f} s: {number / took:.2f} frames/s, the network busy "
+            f"{100 * busy / took:.0f} % of the time",
+            highlight=False,
+        )
+    return wrong
+
+
+def _left_to_do(
+    names: list[str] | None, folder: Path, config: DictConfig, settings: Settings
+) -> set[str] | None:
     """The frames that are to be done: with ``skip_existing`` those whose last file is not there yet."""
-    frames = dict(capture.files)
-    if config.skip_existing:
-        frames = {
-            f: files for f, files in frames.items() if not (folder / f"{prefix_of(f)}depth.npz").is_file()
-        }
-        console.print(f"{len(capture.files) - len(frames)} frame(s) are in {folder} already", soft_wrap=True)
-    return frames
+    if names is None or not config.skip_existing:
+        return None if names is None else set(names)
+    files: dict[str, Any] = {name: done_file(folder, name, settings.outputs) for name in names}
+    left = {name for name, file in files.items() if file is None or not file.is_file()}
+    console.print(f"{len(names) - len(left)} frame(s) are in {folder} already", soft_wrap=True)
+    return left
+
+
+def _other_size(rig: CameraRig, sizes: dict[str, tuple[int, int]]) -> str:
+    name = next(name for name, size in sizes.items() if size != rig.cameras[name].image_size)
+    (height, width), (h, w) = sizes[name], rig.cameras[name].image_size
+    return (
+        f"Warning: images of {name} have {width} x {height} pixels (width x height), the calibration is for {w} x {h}. "
+        "They are taken as the whole image resized; if they are a part of it, depth will be wrong: crop the "
+        "calibration, or capture at its size."
+    )

@@ -66,16 +66,22 @@ def panorama_point_cloud(
     return PointCloud(points, colors.movedim(0, -1)[known])
 
 
-def save_point_cloud(path: str | Path, points: Float[Tensor, "n 3"], colors: Shaped[Tensor, "n 3"]) -> Path:
+def save_point_cloud(
+    path: str | Path,
+    points: Float[Tensor, "n 3"],
+    colors: Shaped[Tensor, "n 3"],
+    normals: Float[Tensor, "n 3"] | None = None,
+) -> Path:
     """Write a coloured point cloud (binary .ply, or another format of trimesh) and return its path.
 
     Args:
         path: the suffix chooses the format.
         points: ``(n, 3)`` metres.
         colors: ``(n, 3)`` in [0, 1], or uint8.
+        normals: ``(n, 3)`` unit vectors, which .ply files hold; other formats go without.
 
     Raises:
-        ShapeError: not ``(n, 3)`` both.
+        ShapeError: not ``(n, 3)`` all.
         ArgumentError: no points, or some are not finite; viewers refuse such files.
     """
     path = Path(path)
@@ -83,6 +89,8 @@ def save_point_cloud(path: str | Path, points: Float[Tensor, "n 3"], colors: Sha
         raise ShapeError(
             f"points, colors: expected (n, 3) both, got {tuple(points.shape)} and {tuple(colors.shape)}"
         )
+    if normals is not None and normals.shape != points.shape:
+        raise ShapeError(f"normals: expected {tuple(points.shape)} as the points, got {tuple(normals.shape)}")
     if not len(points) or not points.isfinite().all():
         raise ArgumentError(
             f"points: expected finite points to write {path.name}, got {len(points)} points, "
@@ -92,7 +100,7 @@ def save_point_cloud(path: str | Path, points: Float[Tensor, "n 3"], colors: Sha
         colors = (colors.clamp(0, 1) * 255).round().to(torch.uint8)
     vertices, levels = points.detach().cpu().numpy(), colors.detach().cpu().numpy()
     if path.suffix == ".ply":
-        write_bytes(path, _ply(vertices, levels))
+        write_bytes(path, _ply(vertices, levels, None if normals is None else normals.detach().cpu().numpy()))
         return path
     import trimesh  # a second to import
 
@@ -102,11 +110,17 @@ def save_point_cloud(path: str | Path, points: Float[Tensor, "n 3"], colors: Sha
     return path
 
 
-def _ply(points: npt.NDArray[Any], colors: npt.NDArray[Any]) -> bytes:
-    """A binary PLY file of coloured points: a header in plain text, and 15 bytes for each."""
+def _ply(points: npt.NDArray[Any], colors: npt.NDArray[Any], normals: npt.NDArray[Any] | None) -> bytes:
+    """A binary PLY file of coloured points: a header in plain text, and 15 or 27 bytes for each."""
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
     header += "".join(f"property float {axis}\n" for axis in "xyz")
+    fields: list[Any] = [("point", "<f4", 3)]
+    if normals is not None:
+        header += "".join(f"property float n{axis}\n" for axis in "xyz")
+        fields.append(("normal", "<f4", 3))
     header += "".join(f"property uchar {channel}\n" for channel in ("red", "green", "blue"))
-    rows = np.empty(len(points), [("point", "<f4", 3), ("color", "u1", 3)])
+    rows = np.empty(len(points), [*fields, ("color", "u1", 3)])
     rows["point"], rows["color"] = points, colors
+    if normals is not None:
+        rows["normal"] = normals
     return f"{header}end_header\n".encode() + rows.tobytes()

@@ -181,6 +181,14 @@ def test_processor_time_by_both_ways(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert all(row.median > 0 and row.unit == "s" for row in rows)
 
 
+def test_prediction_is_timed_from_video_to_video(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sphericalvision.recipes.benchmark.predict.SIZE", (32, 32))
+    monkeypatch.setattr("sphericalvision.recipes.benchmark.predict.SETTINGS", {"tiny": (5, 16)})
+    rows = benchmark(config("groups=[predict]"), tmp_path)
+    assert [row.name for row in rows] == ["network alone", "sphericalvision"]
+    assert all(row.median > 0 and row.unit == "s" for row in rows)
+
+
 def test_two_processes_share_the_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rates of both are added, and what they take is the time of one sample."""
     rates = iter(("2.0", "3.0"))

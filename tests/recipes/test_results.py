@@ -7,33 +7,69 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 import trimesh
 
-from sphericalvision.cameras import ring_rig
-from sphericalvision.recipes.app.results import DepthResult, save_result
-from sphericalvision.sphere import Equirectangular
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.core import ArgumentError
+from sphericalvision.deploy import Depth
+from sphericalvision.io.images import read_image
+from sphericalvision.models import WinnerTakesAll
+from sphericalvision.recipes.prediction.outputs import OUTPUTS, Outputs, Settings, Views, save_views
+
+
+def ball(rig: CameraRig) -> Depth:
+    """Depth of 2 m all around, said to be measured everywhere."""
+    net = WinnerTakesAll(4, 8, min_depth=1.0, depth_coarsening=0)
+    ones = torch.ones(net.grid.num_vertices)
+    images = {name: torch.rand(3, *camera.image_size) for name, camera in rig.cameras.items()}
+    return Depth(3.5 * ones, torch.linspace(0, 1, len(ones)), ones > 0, net, rig, images)
 
 
 def test_points_that_no_camera_sees_are_not_in_the_cloud(tmp_path: Path) -> None:
     """One camera looks forward; a network says something about what is behind it, too."""
     rig = ring_rig(2, field_of_view=math.radians(120), image_size=(64, 64)).subset([0])
-    grid = Equirectangular(32, 64)
-    directions = grid.directions.flatten(0, 1)
-    result = DepthResult(
-        directions=directions,
-        index=torch.full((len(directions),), 8.0),
-        inverse_depth=torch.full((len(directions),), 0.5),
-        confidence=torch.ones(len(directions)),
-        seen=torch.ones(len(directions), dtype=torch.bool),
-        panorama=torch.full((32, 64), 2.0),
-        matched=torch.ones(32, 64, dtype=torch.bool),
-        min_depth=0.5,
-        max_depth=10.0,
-    )
-    save_result(tmp_path, "", result, {name: torch.rand(3, 64, 64) for name in rig.names}, rig)
+    save_views(tmp_path, "", Views(ball(rig), 32), Settings(["cloud"]))
     points = torch.from_numpy(np.asarray(trimesh.load(tmp_path / "points.ply").vertices)).float() - rig.center
     angles = torch.atan2(points[:, :2].norm(dim=1), points[:, 2])
+    assert len(points)
     assert angles.max() < math.radians(61)
-    seen = np.load(tmp_path / "depth.npz")["seen_panorama"]
-    assert len(points) == seen.sum() < seen.size
+
+
+def test_every_output_is_what_it_says(tmp_path: Path) -> None:
+    rig = ring_rig(3, image_size=(16, 16))
+    depth = ball(rig)
+    outputs = Outputs(tmp_path, Settings(OUTPUTS, 32, min_confidence=0.25, voxel=0.1))
+    outputs.write("7", depth)
+    outputs.close()
+    assert outputs.shares == pytest.approx([1.0], abs=1e-4)
+    assert {path.name for path in outputs.written} == {
+        "7_color.png",
+        "7_depth.png",
+        "7_confidence.png",
+        "7_points.ply",
+        "7_points.glb",
+        "7_depth.npz",
+        "depth.mp4",
+    }
+    assert all(path.is_file() for path in outputs.written)
+    assert not torch.equal(read_image(tmp_path / "7_depth.png"), read_image(tmp_path / "7_confidence.png"))
+    expected = depth.points(0.25, voxel=0.1)
+    cloud = trimesh.load(tmp_path / "7_points.ply")
+    np.testing.assert_allclose(cloud.vertices, expected.points, atol=1e-6)
+    stored = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    normals = np.stack([stored[f"n{axis}"] for axis in "xyz"], -1).reshape(-1, 3)
+    np.testing.assert_allclose(normals, expected.normals, atol=1e-6)
+    (upright,) = trimesh.load(tmp_path / "7_points.glb").geometry.values()
+    np.testing.assert_allclose(upright.vertices, expected.points * torch.tensor([1, -1, -1]), atol=1e-6)
+    with np.load(tmp_path / "7_depth.npz") as arrays:
+        np.testing.assert_allclose(arrays["depth_panorama"], 2.0, rtol=1e-4)
+        np.testing.assert_allclose(arrays["depth"], 2.0, rtol=1e-4)
+        np.testing.assert_allclose(arrays["directions"], depth.directions)
+        assert arrays["confidence_panorama"].max() <= 1
+
+
+def test_unknown_outputs_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="outputs: expected one of 'depth'"):
+        Outputs(tmp_path, Settings(["depth", "mesh"]))

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prediction from a video to a video: seconds a frame from end to end, beside the network alone."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import torch
+from omegaconf import DictConfig
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.data import make_scene, render_rig
+from sphericalvision.deploy import Predictor
+from sphericalvision.recipes.benchmark.measuring import Comparison
+from sphericalvision.recipes.commands.predict import run
+from sphericalvision.recipes.prediction.frames import Selection
+from sphericalvision.recipes.prediction.outputs import Outputs, Settings
+from sphericalvision.recipes.prediction.videos import Videos
+
+__all__ = ["comparisons"]
+
+SIZE = (400, 400)
+SETTINGS = {"default": (6, 320), "fast": (5, 160)}
+"""Name -> level of the images, rows of the panoramas."""
+
+
+def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """Four fisheye views side by side in a video, ``config.num_frames`` frames."""
+    rig = ring_rig(4, image_size=SIZE)
+    for name, (level, height) in SETTINGS.items():
+        predictor = Predictor(rig, level=level, min_depth=0.55, device=device)
+        images = render_rig(make_scene("room", seed=1), rig)
+        predictor(images)  # makes the tables
+        yield Comparison(
+            f"predict, {name}: level {level}, 4 x {SIZE[1]} x {SIZE[0]}, video to video, seconds a frame",
+            {
+                "network alone": lambda p=predictor, i=images: _alone(p, i, config.num_frames),  # type: ignore[misc]
+                "sphericalvision": _end_to_end(predictor, rig, images, height, config.num_frames),
+            },
+            "network alone",
+            unit="reported s",
+            rounds=2,
+        )
+
+
+def _alone(predictor: Predictor, images: dict[str, torch.Tensor], number: int) -> float:
+    start = time.perf_counter()
+    for _ in range(number):
+        predictor(images)
+    return (time.perf_counter() - start) / number
+
+
+def _end_to_end(
+    predictor: Predictor, rig: CameraRig, images: dict[str, torch.Tensor], height: int, number: int
+) -> Callable[[], float]:
+    def measured() -> float:
+        with tempfile.TemporaryDirectory() as folder:
+            video = Path(folder, "views.avi")
+            _write_video(video, images, number)
+            outputs = Outputs(Path(folder, "out"), Settings(["video"], height))
+            start = time.perf_counter()
+            run(Videos({"": video}, rig), Selection(), predictor, outputs, None)
+            return (time.perf_counter() - start) / number
+
+    return measured
+
+
+def _write_video(path: Path, images: dict[str, torch.Tensor], number: int) -> None:
+    row = (torch.cat(list(images.values()), -1) * 255).byte().movedim(0, -1).flip(-1).contiguous().numpy()
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (row.shape[1], row.shape[0]))
+    for _ in range(number):
+        writer.write(row)
+    writer.release()

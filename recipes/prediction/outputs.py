@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that depth becomes: pictures, point clouds and arrays of each frame, a video and a table of all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from sphericalvision.core import FileFormatError, check_choice
+from sphericalvision.deploy import Depth, DepthImage
+from sphericalvision.io.files import atomic_write
+from sphericalvision.io.images import write_image
+from sphericalvision.viz.color import colorize
+from sphericalvision.viz.figure import add_scale_bar
+from sphericalvision.viz.panorama import depth_panorama, rgb_panorama
+from sphericalvision.viz.pointcloud import save_point_cloud
+
+__all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
+
+OUTPUTS = ("depth", "confidence", "cloud", "glb", "npz", "video")
+FILES = {
+    "depth": "depth.png",
+    "confidence": "confidence.png",
+    "cloud": "points.ply",
+    "glb": "points.glb",
+    "npz": "depth.npz",
+}
+"""Output -> what the name of its file for a frame ends with; the last one chosen tells that a frame is done."""
+
+
+class Settings(NamedTuple):
+    """How results are written.
+
+    Attributes:
+        outputs: of ``OUTPUTS``.
+        height: rows of panoramas.
+        min_confidence: below which there are no points.
+        voxel: side of the cubes of which each keeps one point, metres.
+        rate: frames a second of the video.
+    """
+
+    outputs: Sequence[str]
+    height: int = 320
+    min_confidence: float = 0.0
+    voxel: float | None = None
+    rate: float = 10.0
+
+
+class Views:
+    """Panoramas of one frame, each computed when something first wants it."""
+
+    def __init__(self, depth: Depth, height: int) -> None:
+        self.depth, self.height = depth, height
+
+    @cached_property
+    def panorama(self) -> DepthImage:
+        """Depth, confidence and what was seen."""
+        return DepthImage(*(values.cpu() for values in self.depth.panorama(self.height)))
+
+    @cached_property
+    def colors(self) -> tuple[Tensor, Tensor]:
+        """Colours ``(3, h, w)``, and where there are any."""
+        images = {name: image.cpu() for name, image in self.depth.images.items()}
+        return rgb_panorama(self.depth.rig.to("cpu"), images, self.height, self.panorama.depth)
+
+    @cached_property
+    def depth_picture(self) -> npt.NDArray[Any]:
+        """Depth in colours with a scale, grey where fewer than two cameras look."""
+        return depth_panorama(self.panorama.measured, self.depth.min_depth)
+
+    @property
+    def share_seen(self) -> float:
+        """Share of the sphere, by solid angle, that two cameras see at the depth estimated."""
+        areas = self.depth.network.grid.solid_angles
+        return float((areas * self.depth.seen).sum()) / (4 * math.pi)
+
+
+def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> list[Path]:
+    """Write the files of one frame, their names after ``prefix``; returns the paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    if "depth" in settings.outputs:
+        write_image(folder / f"{prefix}color.png", views.colors[0])
+        write_image(folder / f"{prefix}depth.png", views.depth_picture)
+        written += [folder / f"{prefix}color.png", folder / f"{prefix}depth.png"]
+    if "confidence" in settings.outputs:
+        sure = views.panorama.confidence.where(views.panorama.seen, math.nan)
+        ticks = [(k / 4, f"{k / 4:g}") for k in range(5)]
+        picture = add_scale_bar(colorize(sure.numpy(), "viridis"), "viridis", ticks, "confidence")
+        write_image(folder / f"{prefix}confidence.png", picture)
+        written.append(folder / f"{prefix}confidence.png")
+    clouds = [kind for kind in ("cloud", "glb") if kind in settings.outputs]
+    if clouds:
+        cloud = views.depth.points(settings.min_confidence, voxel=settings.voxel)
+        for kind in clouds if len(cloud.points) else ():
+            # .glb has y up and looks along -z, which viewers of it rely on.
+            points = cloud.points * cloud.points.new_tensor([1, -1, -1] if kind == "glb" else [1, 1, 1])
+            path = folder / f"{prefix}{FILES[kind]}"
+            written.append(save_point_cloud(path, points, cloud.colors, cloud.normals))
+    if "npz" in settings.outputs:
+        path = folder / f"{prefix}depth.npz"
+        with atomic_write(path) as temporary:
+            np.savez_compressed(temporary, **arrays_of(views))
+        written.append(path)
+    return written
+
+
+def arrays_of(views: Views) -> dict[str, Any]:
+    """What ``depth.npz`` holds: the answer on the network's grid, and the panorama of depth."""
+    depth, panorama = views.depth, views.panorama
+    arrays = {
+        "index": depth.index.flatten(),
+        "inverse_depth": depth.inverse_depth.flatten(),
+        "depth": depth.depth.flatten(),
+        "confidence": depth.confidence.flatten(),
+        "seen": depth.seen.flatten(),
+        "directions": depth.directions.reshape(-1, 3),
+        "depth_panorama": panorama.depth,
+        "confidence_panorama": panorama.confidence.half(),
+        "matched_panorama": panorama.seen,
+        "center": depth.rig.center,
+    }
+    return {key: value.cpu().numpy() for key, value in arrays.items()}
+
+
+class Outputs:
+    """Writes frame after frame, and what is made of all of them.
+
+    Args:
+        folder: of the results.
+        settings: how.
+
+    Raises:
+        ArgumentError: an unknown output.
+    """
+
+    def __init__(self, folder: Path, settings: Settings) -> None:
+        for output in settings.outputs:
+            check_choice("outputs", output, OUTPUTS)
+        self.folder, self.settings = folder, settings
+        self.written: list[Path] = []
+        self.shares: list[float] = []
+        self._video: _Video | None = None
+
+    def write(self, frame: str, depth: Depth) -> None:
+        """Write what there is to write of a frame."""
+        with torch.inference_mode():
+            views = Views(depth, self.settings.height)
+            self.shares.append(views.share_seen)
+            if "video" in self.settings.outputs:
+                if self._video is None:
+                    self._video = _Video(self.folder, self.settings.rate)
+                    self.written.append(self._video.path)
+                self._video.write(views)
+            self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
+
+    def close(self) -> None:
+        """Finish the video."""
+        if self._video is not None:
+            self._video.close()
+
+
+class _Video:
+    """A video of colours above depth; the first name of ``depth.mp4``, ``depth_2.mp4``, ... that is free."""
+
+    def __init__(self, folder: Path, rate: float) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        names = ("depth.mp4" if number == 1 else f"depth_{number}.mp4" for number in range(1, 10**6))
+        self.path = next(folder / name for name in names if not (folder / name).exists())
+        self.rate = rate
+        self._writer: cv2.VideoWriter | None = None
+
+    def write(self, views: Views) -> None:
+        """Add a frame."""
+        colors = (views.colors[0].clamp(0, 1) * 255).round().byte().movedim(0, -1).numpy()
+        depth = views.depth_picture
+        side = (depth.shape[1] - colors.shape[1]) // 2  # the scale may be wider than a small panorama
+        colors = np.pad(
+            colors, ((0, 0), (side, depth.shape[1] - colors.shape[1] - side), (0, 0)), constant_values=255
+        )
+        picture = np.concatenate((colors, depth))
+        picture = np.pad(picture, [(0, size % 2) for size in picture.shape[:2]] + [(0, 0)], mode="edge")
+        if self._writer is None:
+            size = (picture.shape[1], picture.shape[0])
+            codec = cv2.VideoWriter.fourcc(*"mp4v")
+            self._writer = cv2.VideoWriter(str(self.path), codec, self.rate, size)
+            if not self._writer.isOpened():
+                raise FileFormatError(
+                    f"{self.path}: this OpenCV writes no MPEG-4 videos; leave video out of outputs"
+                )
+        self._writer.write(cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2BGR))
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.release()
+
+
+def prefix_of(frame: str) -> str:
+    """What the names of a frame's files begin with."""
+    return f"{frame}_" if frame else ""
+
+
+def done_file(folder: Path, frame: str, outputs: Sequence[str]) -> Path | None:
+    """The file that is there once a frame is done; None where frames leave no files, or may leave none."""
+    sure = [FILES[output] for output in FILES if output in outputs and output not in ("cloud", "glb")]
+    return folder / f"{prefix_of(frame)}{sure[-1]}" if sure else None

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``images=`` may be: a pattern of images or videos, a folder, one video of all views, or live cameras."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError, MissingFileError
+from sphericalvision.recipes.app.captures import find_capture
+from sphericalvision.recipes.prediction.frames import Files, Source
+from sphericalvision.recipes.prediction.videos import VIDEO_SUFFIXES, Videos
+
+__all__ = ["open_source", "rig_for_images"]
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+STEMS = (
+    "{camera}/{frame}",
+    "cam{camera}/{frame}",
+    "{camera}_{frame}",
+    "cam{camera}_{frame}",
+    "{camera}",
+    "cam{camera}",
+)
+"""How folders of captures are laid out, most explicit first."""
+
+
+def open_source(
+    images: str, rig: CameraRig, frames: Iterable[int | str] | None = None, leave_out: Iterable[Path] = ()
+) -> Source:
+    """Find the frames that ``images`` stands for.
+
+    Args:
+        images: a pattern of image files (``c/cam{camera}/{frame:05d}.png``) or of videos (``c/{camera}.mp4``); a
+            folder; a video with all views side by side; or ``live:0,1,2,3``, devices of this machine, or ``live:0``,
+            one with all views.
+        rig: the cameras.
+        frames: names or numbers of the frames to take, of image files.
+        leave_out: files that are no images, such as masks beside them.
+
+    Raises:
+        ArgumentError: ``images`` is none of these, or frames are named of a video.
+        MissingFileError: there is nothing.
+    """
+    if images.startswith("live:"):
+        _refuse_frames(frames)
+        return Videos(_devices(images, rig), rig)
+    path = Path(images).expanduser()
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        _refuse_frames(frames)
+        if "{" not in images:
+            if not path.is_file():
+                raise MissingFileError(
+                    f"images: {path}: no such file (a video with the views of all cameras expected)"
+                )
+            return Videos({"": path}, rig)
+        (files,) = find_capture(images, rig.names).files.values()
+        return Videos(files, rig)
+    if path.is_dir():
+        return _of_folder(path, rig, frames, leave_out)
+    return Files(find_capture(images, rig.names, frames, leave_out), rig)
+
+
+def _of_folder(
+    folder: Path, rig: CameraRig, frames: Iterable[int | str] | None, leave_out: Iterable[Path]
+) -> Source:
+    """The first layout for which there are files of every camera."""
+    there = sorted({file.suffix for file in (*folder.glob("*"), *folder.glob("*/*")) if file.is_file()})
+    left_out = list(leave_out)
+    for suffix in there:
+        if suffix.lower() in VIDEO_SUFFIXES:
+            alone = [file for file in folder.glob(f"*{suffix}") if file.is_file()]
+            stems = [stem for stem in STEMS if "{frame}" not in stem]
+            for stem in stems:
+                try:
+                    return open_source(f"{folder}/{stem}{suffix}", rig, frames)
+                except MissingFileError:
+                    continue
+            if len(alone) == 1:
+                return open_source(str(alone[0]), rig, frames)
+        elif suffix.lower() in IMAGE_SUFFIXES:
+            for stem in STEMS:
+                try:
+                    return Files(find_capture(f"{folder}/{stem}{suffix}", rig.names, frames, left_out), rig)
+                except (MissingFileError, ArgumentError):
+                    continue
+    raise MissingFileError(
+        f"images: {folder} holds no images or videos of all {len(rig)} cameras ({', '.join(rig.names)}); tried "
+        f"{', '.join(STEMS)} with the suffixes {', '.join(there) or '(no files)'}. Give a pattern, "
+        f"images='{folder}/cam{{camera}}/{{frame}}.png'"
+    )
+
+
+def _devices(images: str, rig: CameraRig) -> dict[str, Path | int]:
+    found = re.fullmatch(r"live:(\d+(?:,\d+)*)", images)
+    numbers = [int(number) for number in found[1].split(",")] if found else []
+    if len(numbers) == 1 < len(rig):
+        return {"": numbers[0]}
+    if len(numbers) != len(rig):
+        raise ArgumentError(
+            f"images: expected live:0 for one device that has all views, or {len(rig)} devices in the order of "
+            f"{', '.join(rig.names)}, such as live:{','.join(map(str, range(len(rig))))}, got {images!r}"
+        )
+    return dict(zip(rig.names, numbers, strict=True))
+
+
+def _refuse_frames(frames: Iterable[int | str] | None) -> None:
+    if frames is not None:
+        raise ArgumentError("frames: of videos and live cameras choose frames with start=, stop= and every=")
+
+
+def rig_for_images(rig: CameraRig, sizes: dict[str, tuple[int, int]]) -> CameraRig:
+    """The rig for images of other sizes than calibrated, where they have the same shape; else the rig as it is."""
+    other = {}
+    for name, (height, width) in sizes.items():
+        h, w = rig.cameras[name].image_size
+        if (height, width) != (h, w) and abs(height * w - width * h) <= 0.005 * height * w:
+            other[name] = (height, width)
+    return rig.resized(other) if other else rig

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prediction on videos, folders and live cameras: the frames that were asked for, whatever they come in."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from sphericalvision.cameras import ring_rig
+from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.io.images import read_image, write_image
+from sphericalvision.recipes.prediction.frames import Selection
+from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
+from sphericalvision.recipes.prediction.threads import Behind, ahead
+from sphericalvision.recipes.prediction.videos import views_layout
+from tests.recipes.tiny import Run
+
+SIZE = (32, 40)
+FRAMES = 7
+RIG = ring_rig(4, image_size=SIZE)
+
+
+def picture(frame: int, camera: int) -> np.ndarray:
+    """A picture that tells frame and camera by its grey, which survives compression."""
+    return np.full((*SIZE, 3), 20 + 30 * frame + 5 * camera, np.uint8)
+
+
+def write_video(path: Path, pictures: list[np.ndarray]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    height, width = pictures[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 5.0, (width, height))
+    assert writer.isOpened()
+    for image in pictures:
+        writer.write(image)
+    writer.release()
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    """The same seven frames as videos of each camera, as videos of all, and as images."""
+    folder = tmp_path / "capture"
+    folder.mkdir()
+    RIG.to_yaml(folder / "rig.yaml")
+    for camera in range(4):
+        write_video(folder / f"videos/cam{camera + 1}.avi", [picture(f, camera) for f in range(FRAMES)])
+        for frame in range(FRAMES):
+            write_image(folder / f"images/cam{camera + 1}/{frame:03d}.png", picture(frame, camera))
+    views = [[picture(frame, camera) for camera in range(4)] for frame in range(FRAMES)]
+    write_video(folder / "row.avi", [np.concatenate(row, 1) for row in views])
+    write_video(
+        folder / "square.avi",
+        [np.concatenate([np.concatenate(row[:2], 1), np.concatenate(row[2:], 1)]) for row in views],
+    )
+    return folder
+
+
+def values(frame: object) -> list[float]:
+    """Mean grey of each camera's picture, in the order of the rig."""
+    images = frame.images  # type: ignore[attr-defined]
+    return [float(torch.as_tensor(np.asarray(images[name])).float().mean()) for name in RIG.names]
+
+
+@pytest.mark.parametrize(
+    "images",
+    [
+        "videos/{camera}.avi",
+        "videos",
+        "row.avi",
+        "square.avi",
+        "images",
+        "images/cam{camera}/{frame:03d}.png",
+    ],
+)
+def test_all_sources_give_the_same_frames(capture: Path, images: str) -> None:
+    source = open_source(str(capture / images), RIG)
+    chosen = Selection(1, 6, 2)
+    assert source.sizes() == dict.fromkeys(RIG.names, SIZE)
+    names = source.names(chosen)
+    assert names is not None
+    assert [int(name) for name in names] == [1, 3, 5]
+    frames = list(source.frames(chosen, lambda name: int(name) != 3))
+    assert [frame.name for frame in frames] == [names[0], names[2]]
+    scale = 255 if "images" in images else 1  # image files come as [0, 1]
+    for frame in frames:
+        expected = [20 + 30 * int(frame.name) + 5 * camera for camera in range(4)]
+        np.testing.assert_allclose(np.multiply(values(frame), scale), expected, atol=3)
+    assert 1 <= len(source.samples()) <= 3
+
+
+def test_colours_of_videos_are_red_green_blue(tmp_path: Path) -> None:
+    red = np.zeros((*SIZE, 3), np.uint8)
+    red[..., 2] = 200  # OpenCV writes blue, green, red
+    write_video(tmp_path / "all.avi", [np.concatenate([red] * 4, 1)] * 2)
+    frame = next(iter(open_source(str(tmp_path / "all.avi"), RIG).frames(Selection(), lambda _: True)))
+    assert frame.images is not None
+    assert frame.images["cam2"][..., 0].mean() > 180
+    assert frame.images["cam2"][..., 2].mean() < 30
+
+
+def test_live_cameras_are_frames_without_an_end(capture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Devices are videos that are opened by number."""
+    opened = cv2.VideoCapture
+
+    def device(which: int | str) -> cv2.VideoCapture:
+        return opened(str(capture / f"videos/cam{which + 1}.avi") if isinstance(which, int) else which)
+
+    monkeypatch.setattr(cv2, "VideoCapture", device)
+    source = open_source("live:0,1,2,3", RIG)
+    assert source.live
+    assert source.names(Selection()) is None
+    assert source.samples() == []
+    frames = list(source.frames(Selection(0, 4, 2), lambda _: True))
+    assert [int(frame.name) for frame in frames] == [0, 2]
+    np.testing.assert_allclose(values(frames[1]), [80, 85, 90, 95], atol=3)
+    with pytest.raises(ArgumentError, match="live:0,1,2,3"):
+        open_source("live:0,1", RIG)
+
+
+def test_what_cannot_be_opened_or_cut_is_named(capture: Path, tmp_path: Path) -> None:
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+    with pytest.raises(FileFormatError, match=r"broken\.mp4"):
+        open_source(str(tmp_path / "broken.mp4"), RIG)
+    with pytest.raises(FileNotFoundError, match="views of all cameras"):
+        open_source(str(tmp_path / "none.mp4"), RIG)
+    with pytest.raises(FileNotFoundError, match="no images or videos of all 4 cameras"):
+        open_source(str(capture), RIG)
+    with pytest.raises(ArgumentError, match="4 views of the shape 40 x 32"):
+        views_layout((32, 41), RIG)
+    with pytest.raises(ArgumentError, match="start="):
+        open_source(str(capture / "row.avi"), RIG, frames=[1])
+    with pytest.raises(ArgumentError, match="of 7 frame"):
+        open_source(str(capture / "row.avi"), RIG).names(Selection(9))
+
+
+def test_a_resized_capture_has_a_resized_rig() -> None:
+    half = rig_for_images(RIG, dict.fromkeys(RIG.names, (16, 20)))
+    assert half.cameras["cam3"].image_size == (16, 20)
+    assert rig_for_images(RIG, dict.fromkeys(RIG.names, SIZE)) is RIG
+    assert rig_for_images(RIG, {"cam1": (16, 30)}) is RIG  # a part of it, or another camera
+
+
+def test_a_video_becomes_a_video(
+    run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [f"calibration={capture / 'rig.yaml'}", f"checkpoint={weights}", "height=32", "device=cpu"]
+    run("predict", *words, f"images={capture}/row.avi", "output=out", "every=3", "min_depth=scene")
+    video = cv2.VideoCapture(str(tmp_path / "out/depth.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
+    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(5 / 3, abs=0.01)
+    assert video.read()[1].shape[0] > 64  # colours above depth and its scale
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["config.yaml", "depth.mp4"]
+    printed = capsys.readouterr().out
+    assert re.search(
+        r"3 frame\(s\) in [\d.]+ s: [\d.]+ frames/s, the network busy \d+ % of the time", printed
+    )
+    run("predict", *words, f"images={capture}/row.avi", "output=out", "stop=2", "outputs=[npz]")
+    first = (tmp_path / "out/000000_depth.npz").stat().st_mtime_ns
+    more = ("stop=3", "outputs=[npz,video]", "skip_existing=true")
+    run("predict", *words, f"images={capture}/row.avi", "output=out", *more)
+    assert (tmp_path / "out/000000_depth.npz").stat().st_mtime_ns == first
+    assert (tmp_path / "out/000002_depth.npz").is_file()
+    assert (tmp_path / "out/depth_2.mp4").is_file()  # what is there is not written over
+
+
+def test_the_fast_preset_is_one_level_coarser(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
+    words = [f"calibration={capture / 'rig.yaml'}", f"checkpoint={weights}", "device=cpu", "stop=1"]
+    run("predict", *words, f"images={capture}/images", "preset=fast", "output=out", "outputs=[npz]")
+    with np.load(tmp_path / "out/000_depth.npz") as arrays:
+        assert arrays["depth_panorama"].shape == (160, 320)
+        assert len(arrays["index"]) == 10 * 4**3 + 2
+
+
+def test_images_of_another_size_are_told(
+    run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in (capture / "images").glob("*/*.png"):
+        write_image(path, read_image(path)[:, ::2, ::2])
+    words = [
+        f"calibration={capture / 'rig.yaml'}",
+        f"checkpoint={weights}",
+        "device=cpu",
+        "stop=1",
+        "height=16",
+    ]
+    run("predict", *words, f"images={capture}/images", "output=out")
+    assert "images of cam1 have 20 x 16 pixels (width x height), the calibration is for 40 x 32" in (
+        capsys.readouterr().out.replace("\n", " ")
+    )
+    assert (tmp_path / "out/000_depth.npz").is_file()
+
+
+def test_reading_ahead_is_bounded_keeps_order_and_hands_errors_on() -> None:
+    taken = []
+
+    def numbers() -> Iterator[int]:
+        for number in range(100):
+            taken.append(number)
+            yield number
+        raise ValueError("damaged")
+
+    items = ahead(numbers(), most=2)
+    assert next(items) == 0
+    time.sleep(0.05)
+    assert len(taken) <= 5  # one given, two waiting, one in the hand
+    with pytest.raises(ValueError, match="damaged"):
+        list(items)
+    assert taken == list(range(100))
+    stopped = ahead(numbers(), most=2)
+    next(stopped)
+    stopped.close()  # type: ignore[attr-defined]
+    assert not [thread for thread in threading.enumerate() if thread.name == "reading ahead"]
+
+
+def test_live_frames_that_nobody_took_make_room() -> None:
+    ready = threading.Event()
+
+    def numbers() -> Iterator[int]:
+        yield from range(20)
+        ready.set()
+
+    items = ahead(numbers(), most=2, newest=True)
+    assert next(items) == 0
+    assert ready.wait(20)
+    assert list(items)[-1] == 19
+
+
+def test_writing_behind_hands_errors_on() -> None:
+    def fail(number: int) -> None:
+        if number == 2:
+            raise OSError("disk full")
+
+    def write_all() -> None:
+        with Behind(fail, most=1) as behind:
+            for number in range(50):
+                behind.put(number)
+
+    with pytest.raises(OSError, match="disk full"):
+        write_all()

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drawings for the pages, made by the library itself while the site is built.
+
+Each function of the files here draws one figure and returns it as HTML. Lines and letters take the colour of the page's
+text, so a figure is readable in the light and in the dark scheme.
+"""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+from collections.abc import Sequence
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+__all__ = ["CHARTS", "FAINT", "INK", "MARK", "bare_axes", "new_figure", "to_html"]
+
+#: Stands for the colour of the page's text; ``to_html`` puts that in.
+INK = "#123456"
+#: For lines in the background; grey on both schemes.
+FAINT = "#8a939b"
+#: For what the reader should look at.
+MARK = "#e4572e"
+#: Colours of the five charts of an icosphere, or of the cameras of a rig.
+CHARTS = ("#2a9d8f", "#e9b44c", "#5b8fd1", "#e4572e", "#9a6fb0")
+
+STYLE = {
+    "svg.fonttype": "none",
+    "font.size": 9.5,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": FAINT,
+    "axes.titlecolor": INK,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "savefig.facecolor": "none",
+}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure in the style of the pages, inches."""
+    plt.rcParams.update(STYLE)
+    return plt.figure(figsize=(width, height))
+
+
+def bare_axes(figure: Figure, place: Sequence[float], title: str = "") -> Axes:
+    """Axes without ticks, as wide as high, at ``(left, bottom, width, height)`` in shares of the figure."""
+    axes = figure.add_axes((place[0], place[1], place[2], place[3]))
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    axes.set_title(title)
+    return axes
+
+
+def to_html(figure: Figure, alt: str, caption: str = "") -> str:
+    """The figure as SVG inside the page; ``alt`` is read to those who do not see it."""
+    text = io.StringIO()
+    figure.savefig(text, format="svg")
+    plt.close(figure)
+    svg = text.getvalue()
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
+    svg = re.sub(r"font-family: [^;\"]*", "font-family: inherit", svg.replace(INK, "currentColor"))
+    svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1; font-family: inherit", svg)
+    alt = html.escape(alt)
+    svg = svg.replace("<svg", f'<svg class="drawing" role="img" aria-label="{alt}"', 1)
+    svg = re.sub(r"(<svg[^>]*>)", rf"\1<title>{alt}</title>", svg, count=1)
+    below = f"<figcaption>{caption}</figcaption>" if caption else ""
+    return f"<figure>{svg}{below}</figure>"

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the network that ships makes of a scene: images, depth, confidence, points, and one "
+"vertex's probabilities."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from torch import Tensor
+
+from figures import MARK, bare_axes, new_figure, to_html
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.data import ToSphere, make_scene, ray_depth, render_rig
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import pretrained
+from sphericalvision.sphere import Equirectangular, resample
+from sphericalvision.sweep import index_from_depth
+from sphericalvision.viz import rgb_panorama
+
+__all__ = ["Result", "confidence", "failures", "hero", "result", "scene_images"]
+
+PANORAMA = Equirectangular(180, 360)
+#: Scenes in which the network errs most, and why.
+HARD = {
+    ("polished", 2): "a floor that mirrors",
+    ("bare", 2): "walls without texture",
+    ("floating", 5): "things before each other",
+    ("outdoors", 2): "thin poles, and trees before the sky",
+}
+
+
+class Result(NamedTuple):
+    """A scene, what the cameras see, and what the network says."""
+
+    rig: CameraRig
+    pictures: dict[str, Tensor]
+    colors: Tensor
+    depth: Tensor
+    index: Tensor
+    true_index: Tensor
+    confidence: Tensor
+    seen: Tensor
+
+
+@functools.cache
+def scene_images(kind: str, seed: int) -> tuple[CameraRig, dict[str, Tensor], Tensor]:
+    """The rig, its photographs, and these on the network's icosphere, ``(1, 4, 3, V)``."""
+    rig = ring_rig(4, 0.2, image_size=(400, 400))
+    pictures = render_rig(make_scene(kind, 10_100_000 + seed), rig, samples_per_pixel=2)
+    return rig, pictures, ToSphere(6).images(pictures, rig)[None]
+
+
+@functools.cache
+def result(kind: str = "room", seed: int = 11) -> Result:
+    """One scene through four 220° fisheyes of 400 pixels, and the shipped network's answer, on a panorama."""
+    net = pretrained("refinedsweepnet")
+    rig, pictures, images = scene_images(kind, seed)
+    scene = make_scene(kind, 10_100_000 + seed)
+    with torch.inference_mode():
+        index, sure, seen = net.predict(images, net.tables(rig))
+    ico = Icosphere(net.level)
+    truth = ray_depth(scene, rig.center, PANORAMA.directions)
+    shown = resample(torch.cat([index, sure, seen.float()]), ico, PANORAMA)
+    depth = net.depth(shown[0])
+    colors, _ = rgb_panorama(rig, pictures, PANORAMA.shape[0], depth)
+    return Result(
+        rig,
+        pictures,
+        colors,
+        depth,
+        shown[0],
+        index_from_depth(truth, net.num_hypotheses, net.min_depth),
+        shown[1],
+        shown[2] > 0.5,
+    )
+
+
+def draw_fisheyes(axes: Axes, pictures: dict[str, Tensor]) -> None:
+    """The images in a square of two by two, without what lies around their circles."""
+    views = list(pictures.values())
+    rows = [torch.cat(views[:2], -1), torch.cat(views[2:], -1)]
+    image = torch.cat(rows, -2).movedim(0, -1)
+    side = image.shape[0] // 2
+    place = (torch.arange(side) - (side - 1) / 2) / (side / 2)
+    circle = (place[:, None] ** 2 + place**2 < 1).float().repeat(2, 2)
+    axes.imshow(torch.cat([image, circle[..., None]], -1).clamp(0, 1), interpolation="antialiased")
+
+
+def draw_cloud(axes: Axes, shown: Result) -> None:
+    """Points of the depth map from above and behind, without the ceiling."""
+    points = (PANORAMA.directions * shown.depth[..., None]).reshape(-1, 3).numpy()
+    colors = shown.colors.movedim(0, -1).reshape(-1, 3).clamp(0, 1).numpy()
+    kept = (points[:, 1] > -0.6) & (np.abs(points).max(1) < 6) & (shown.confidence.reshape(-1) > 0.5).numpy()
+    turn, tilt = np.radians(35), np.radians(38)
+    x, y, z = points[kept].T
+    right, away = x * np.cos(turn) - z * np.sin(turn), x * np.sin(turn) + z * np.cos(turn)
+    up, towards = -y * np.cos(tilt) + away * np.sin(tilt), -y * np.sin(tilt) - away * np.cos(tilt)
+    order = towards.argsort()
+    axes.scatter(right[order], up[order], c=colors[kept][order], s=1.6, linewidths=0, rasterized=True)
+
+
+def hero() -> str:
+    """Input, depth and points of one scene."""
+    shown = result()
+    figure = new_figure(8.8, 5.3)
+    draw_fisheyes(bare_axes(figure, (0.0, 0.47, 0.3, 0.47), "four 220° fisheye images"), shown.pictures)
+    axes = bare_axes(figure, (0.32, 0.47, 0.68, 0.47), "estimated depth, all around")
+    axes.imshow(shown.index, cmap="turbo", vmin=0, vmax=max(4.0, float(shown.index.max())))
+    axes = bare_axes(figure, (0.0, 0.0, 0.46, 0.43))
+    axes.imshow(shown.colors.movedim(0, -1).clamp(0, 1))
+    axes = bare_axes(figure, (0.47, -0.03, 0.53, 0.47))
+    draw_cloud(axes, shown)
+    return to_html(
+        figure,
+        "Four fisheye images of a room, the estimated inverse depth as a panorama, its colours, and "
+        "its points from above",
+        "A scene that the network has never seen. Red is near, blue is far. Below: what the cameras "
+        "see, put together, and the "
+        "points that it makes, seen from above through the open ceiling.",
+    )
+
+
+def confidence() -> str:
+    """Image, depth, error and confidence; then kept share against error."""
+    shown = result()
+    error = (shown.index - shown.true_index).abs()
+    figure = new_figure(8.8, 2.6)
+    for k, (values, title, most, colors) in enumerate(
+        [(error, "error, hypotheses", 2.0, "magma"), (shown.confidence, "confidence", 1.0, "gray")]
+    ):
+        axes = bare_axes(figure, (0.355 * k, 0.02, 0.345, 0.86), title)
+        axes.imshow(values, cmap=colors, vmin=0, vmax=most)
+    axes = figure.add_axes((0.78, 0.22, 0.2, 0.62))
+    order = shown.confidence.flatten().argsort(descending=True)
+    weights = PANORAMA.solid_angles.flatten()[order]
+    mean = (error.flatten()[order] * weights).cumsum(0) / weights.cumsum(0)
+    axes.plot(100 * weights.cumsum(0) / weights.sum(), mean, color=MARK)
+    axes.set(xlabel="kept, % of the sphere", ylabel="mean error", ylim=(0, None), xlim=(0, 100))
+    return to_html(
+        figure,
+        "Error and confidence as panoramas, and the mean error of the surest share of all points",
+        "The network knows where it may be wrong: dark in the second picture, where the first is "
+        "bright. Dropping the least sure "
+        "fifth leaves a smaller error.",
+    )
+
+
+def failures() -> str:
+    """Where the network errs most: image, answer, truth, error."""
+    figure = new_figure(8.8, 1.42 * len(HARD))
+    height = 1 / len(HARD)
+    for row, ((kind, seed), why) in enumerate(HARD.items()):
+        shown = result(kind, seed)
+        bottom = 1 - (row + 1) * height
+        error = (shown.index - shown.true_index.clamp(min=0)).abs()
+        pictures = [
+            (shown.colors.movedim(0, -1).clamp(0, 1), None, 1.0, why),
+            (shown.index, "turbo", 8.0, "estimated"),
+            (shown.true_index, "turbo", 8.0, "true"),
+            (error, "magma", 4.0, "error"),
+        ]
+        for k, (values, colors, most, title) in enumerate(pictures):
+            axes = bare_axes(figure, (0.25 * k + 0.003, bottom, 0.244, height * 0.84))
+            axes.set_title(title, fontsize=9)
+            axes.imshow(values, cmap=colors, vmin=0, vmax=most)
+    return to_html(
+        figure,
+        "Four scenes in which the network errs, with its answer, the truth and the error",
+        "Scenes that it was not trained on, chosen because it errs on them. Colours are indices of 0 "
+        "to 8 (red), errors of 0 to 4.",
+    )

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of images: views of a panorama, resampling modes, scenes of the renderer."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from skimage.data import brick
+
+from figures import bare_axes, new_figure, to_html
+from sphericalvision.cameras import (
+    EquirectangularCamera,
+    FisheyeCamera,
+    PinholeCamera,
+    perspective_views,
+    remap,
+)
+from sphericalvision.data import make_scene, ray_depth, render_camera
+from sphericalvision.sphere import Equirectangular, resample
+
+__all__ = ["panorama_views", "resampling_modes", "scenes"]
+
+SCENES = {"room": 3, "floating": 5, "hall": 1, "corridor": 2, "bare": 1, "polished": 0, "outdoors": 1}
+YAWS = (0, 90, 180, 270)
+
+
+def panorama_views() -> str:
+    """A panorama, a fisheye and pinhole views cut from it."""
+    panorama = Equirectangular(240, 480)
+    camera = EquirectangularCamera((240, 480))
+    picture = render_camera(make_scene("room", 10_100_007), camera, torch.eye(4), samples_per_pixel=2)
+    figure = new_figure(8.8, 4.2)
+    axes = bare_axes(figure, (0.0, 0.4, 0.62, 0.55), "a panorama")
+    axes.imshow(picture.movedim(0, -1))
+    lens = FisheyeCamera.from_field_of_view((240, 240), math.radians(200))
+    axes = bare_axes(figure, (0.66, 0.4, 0.33, 0.55), "a 200° fisheye")
+    axes.imshow(resample(picture, panorama, lens).movedim(0, -1).clamp(0, 1))
+    views = [(math.radians(yaw), 0.0, 0.0) for yaw in YAWS]
+    for k, image in enumerate(perspective_views(picture, views, math.radians(75), (160, 200))):
+        axes = bare_axes(figure, (0.25 * k, 0.0, 0.243, 0.33))
+        axes.set_title(f"pinhole, {YAWS[k]}° to the right", fontsize=9)
+        axes.imshow(image.movedim(0, -1).clamp(0, 1))
+    return to_html(figure, "A panorama of a room, and a fisheye and four perspective views cut from it")
+
+
+def resampling_modes() -> str:
+    """One photograph around the sphere, read by each mode on a coarser and on a finer grid."""
+    wall = torch.from_numpy(brick()).float()[None] / 255
+    source = EquirectangularCamera((512, 1024))
+    wall = torch.cat((wall, wall), -1)
+    coarser, finer = (
+        EquirectangularCamera((48, 96)),
+        PinholeCamera.from_field_of_view((96, 192), math.radians(5)),
+    )
+    figure = new_figure(8.8, 2.7)
+    for k, mode in enumerate(("nearest", "bilinear", "bicubic", "area")):
+        for row, target in enumerate((finer, coarser)):
+            axes = bare_axes(figure, (0.252 * k, 0.46 - 0.46 * row, 0.243, 0.45), "" if row else mode)
+            axes.imshow(remap(wall, source, target, mode=mode)[0], cmap="gray", vmin=0.15, vmax=0.85)
+    return to_html(
+        figure,
+        "One photograph resampled to a finer and to a coarser grid by four modes",
+        "A photograph of bricks around the sphere. Above, a view of 5°, seven times finer; below, a "
+        "panorama eleven times coarser, "
+        "where all modes but the last see a pattern that is not there.",
+    )
+
+
+def scenes() -> str:
+    """A fisheye image and the inverse depth of one scene of each kind."""
+    camera, panorama = (
+        FisheyeCamera.from_field_of_view((160, 160), math.radians(220)),
+        Equirectangular(60, 120),
+    )
+    figure = new_figure(8.8, 2.1)
+    for k, (kind, seed) in enumerate(SCENES.items()):
+        scene, place = make_scene(kind, seed), k / len(SCENES)
+        axes = bare_axes(figure, (place, 0.36, 0.138, 0.52), kind)
+        axes.imshow(render_camera(scene, camera, torch.eye(4), samples_per_pixel=2).permute(1, 2, 0))
+        axes = bare_axes(figure, (place, 0.0, 0.138, 0.34))
+        axes.imshow(1 / ray_depth(scene, torch.zeros(3), panorama.directions), cmap="turbo", vmin=0, vmax=1.8)
+    return to_html(figure, "A fisheye image and the depth all around for each kind of rendered scene")

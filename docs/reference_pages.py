@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reference pages that write themselves: tables of public names by theme, and of every key of every configuration file.
+
+``on_page_markdown`` is called by MkDocs and puts a table of names above each ``::: sphericalvision.…`` of the API's
+pages. ``configuration_tables`` is called by the page of keys.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, get_type_hints
+
+import yaml
+
+from sphericalvision.recipes.app.keys import KEYS
+from sphericalvision.recipes.app.schema import problem
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+class Key(NamedTuple):
+    """One key of a file: its dotted name, its value as written, and the comment beside it."""
+
+    name: str
+    value: str
+    comment: str
+
+
+def first_sentence(doc: str | None) -> str:
+    """First sentence of a docstring on one line, fit for a cell of a table."""
+    paragraph = " ".join((doc or "").strip().partition("\n\n")[0].split())
+    sentence = re.split(r"(?<=[.!?])\s+(?=[A-Z`])", paragraph)[0].replace("``", "`")
+    # Shapes have bars and brackets that a table or Markdown would take for its own.
+    outside = re.split(r"(`[^`]*`)", sentence)
+    return "".join(
+        part if part.startswith("`") else re.sub(r"([\[\]*_<])", r"\\\1", part) for part in outside
+    ).replace("|", "\\|")
+
+
+def names_tables(module_name: str) -> str:
+    """What a package exports, by the file it comes from, with the first sentence of each."""
+    package = importlib.import_module(module_name)
+    themes: dict[str, list[str]] = {}
+    for name in package.__all__:
+        value = getattr(package, name)
+        home = inspect.getmodule(value)
+        theme = (
+            first_sentence(home.__doc__)
+            if home is not None and home is not package
+            else "Constants and types."
+        )
+        doc = value.__doc__ if inspect.isroutine(value) or inspect.isclass(value) else None
+        themes.setdefault(theme, []).append(f"| [`{name}`](#{module_name}.{name}) | {first_sentence(doc)} |")
+    parts = [
+        f"**{theme.rstrip('.')}**\n\n| name | |\n|---|---|\n" + "\n".join(rows)
+        for theme, rows in sorted(themes.items(), key=lambda item: item[0].startswith("Constants"))
+    ]
+    return "\n\n".join(parts)
+
+
+def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
+    """Put the tables of names above what MkDocs makes of the docstrings."""
+    if not page.file.src_uri.startswith("api/"):
+        return markdown
+    return re.sub(
+        r"^::: (sphericalvision\.\w+)$",
+        lambda found: f"{names_tables(found[1])}\n\n{found[0]}",
+        markdown,
+        flags=re.M,
+    )
+
+
+def keys_of_file(text: str) -> Iterator[Key]:
+    """Keys of a YAML file that hold a value, in their order."""
+    path: list[tuple[int, str]] = []
+    body = re.sub(r"^defaults:\n(?: +.*\n|\n)*", "", text, flags=re.M)
+    for line in body.splitlines():
+        found = re.match(r"^( *)([\w/]+): *(.*?)(?: +# (.*))?$", line)
+        if found is None:
+            continue
+        depth = len(found[1])
+        path = [(d, key) for d, key in path if d < depth] + [(depth, found[2])]
+        names = [key for _, key in path]
+        if (found[3] or found[4]) and names[0] != "hydra" and names[-1] != "_partial_":
+            yield Key(".".join(names), found[3], found[4] or "")
+
+
+def heading(text: str) -> str:
+    """The comment at the top of a file."""
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        if "@package" not in line and "SPDX" not in line:
+            lines.append(line.removeprefix("#").strip())
+    return " ".join(lines)
+
+
+def type_of(key: Key, hints: dict[str, Any]) -> str:
+    """What may be put in: from the command's types, or else as the default is."""
+    if key.name in hints:
+        return problem(object(), hints[key.name]) or ""
+    value = yaml.safe_load(key.value or "null") if not key.value.startswith(("$", "?")) else None
+    words = {
+        bool: "true or false",
+        int: "a whole number",
+        float: "a number",
+        str: "text",
+        list: "a list",
+        dict: "a table",
+    }
+    return words.get(type(value), "")
+
+
+def configuration_tables() -> str:
+    """Every file of ``conf/`` with its keys, commands first, then the groups."""
+    parts = []
+    files = sorted((ROOT / "conf").glob("*.yaml")) + sorted((ROOT / "conf").glob("*/*.yaml"))
+    group = None
+    for path in files:
+        text = path.read_text()
+        command = path.parent.name == "conf"
+        if group != (here := "Commands" if command else f"`{path.parent.name}=…`"):
+            group = here
+            parts.append(f"## {group}\n")
+        name = f"sphericalvision-{path.stem}" if command else f"{path.parent.name}={path.stem}"
+        hints = get_type_hints(KEYS[path.stem], include_extras=True) if command and path.stem in KEYS else {}
+        parts.append(f"### `{name}`\n\n{heading(text)}\n")
+        parents = re.findall(r"^ {2}- (\w+)\s*$", text.partition("defaults:")[2], re.M)
+        if parents := [parent for parent in parents if parent != "_self_"]:
+            parts.append(f"As {', '.join(f'`{parent}`' for parent in parents)}, and:\n")
+        rows = [
+            f"| `{key.name}` | {cell(key.value)} | {type_of(key, hints)} | {key.comment.replace('|', chr(92) + '|')} |"
+            for key in keys_of_file(text)
+        ]
+        if rows:
+            parts.append("| key | default | type | |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")
+    return "\n".join(parts)
+
+
+def cell(value: str) -> str:
+    """A value in code, or nothing."""
+    return f"`{value.replace('|', chr(92) + '|')}`" if value else ""

@@ -86,6 +86,19 @@ def test_wheel_holds_the_licence_and_no_tests(wheel: set[str]) -> None:
     assert not [name for name in wheel if name.startswith(("tests/", "docs/", "recipes/", "conf/"))]
 
 
+def test_wheel_holds_nothing_else(wheel: set[str]) -> None:
+    """Code, configs, weights and their cards; no caches, outputs, keys or notes that lay about."""
+    known = (".py", ".yaml", ".safetensors", ".md", ".cpp", ".h", ".html", ".js", ".css", ".json", "py.typed")
+    strange = [name for name in wheel if ".dist-info/" not in name and not name.endswith(known)]
+    assert not strange
+    in_tree = {
+        in_wheel(path)
+        for folder in ("sphericalvision", "recipes", "conf")
+        for path in (ROOT / folder).rglob("*")
+    }
+    assert not [name for name in wheel if ".dist-info/" not in name and name not in in_tree]
+
+
 def test_declared_packages_are_the_folders_on_disk() -> None:
     on_disk = {
         ".".join(init.parent.relative_to(ROOT).parts)

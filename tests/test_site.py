@@ -45,7 +45,9 @@ def browser() -> Iterator[Any]:
         running.close()
 
 
-@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 1280), ("light", 390), ("dark", 390)])
+@pytest.mark.parametrize(
+    ("scheme", "width"), [("light", 1280), ("dark", 1280), ("light", 390), ("dark", 390)]
+)
 def test_pages_are_clean(site: Path, browser: Any, scheme: str, width: int) -> None:
     """No errors in the console, no request that leaves the disk, nothing wider than the window."""
     context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
@@ -54,7 +56,9 @@ def test_pages_are_clean(site: Path, browser: Any, scheme: str, width: int) -> N
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.on(
         "request",
-        lambda request: faults.append(request.url) if not request.url.startswith(("file:", "data:", "blob:")) else None,
+        lambda request: (
+            faults.append(request.url) if not request.url.startswith(("file:", "data:", "blob:")) else None
+        ),
     )
     wrong = {}
     for name in PAGES:

@@ -162,7 +162,10 @@ def _described(hint: Any) -> str:
         return "one of " + ", ".join(map(str, arguments))
     if origin in (list, Sequence, tuple):
         items = [_described(choice) for choice in arguments if choice is not Ellipsis]
-        many = [item.removeprefix("a ").replace("number", "numbers").replace("numberss", "numbers") for item in items]
+        many = [
+            item.removeprefix("a ").replace("number", "numbers").replace("numberss", "numbers")
+            for item in items
+        ]
         inner = " or ".join(dict.fromkeys(many))
         return f"a list of {inner}" if inner else "a list"
     return WORDS.get(hint, getattr(hint, "__name__", str(hint)))

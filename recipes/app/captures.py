@@ -34,6 +34,7 @@ def find_capture(
     names: Sequence[str],
     frames: Iterable[int | str] | None = None,
     leave_out: Iterable[Path] = (),
+    key: str = "images",
 ) -> Capture:
     """Find the frames that every camera has, or the frames asked for.
 
@@ -46,6 +47,7 @@ def find_capture(
         names: cameras of the rig, in order.
         frames: frame numbers or names; all that are found when not given.
         leave_out: files that are no images, such as masks that lie beside them.
+        key: that the pattern was given by, for messages.
 
     Raises:
         ArgumentError: the pattern has no ``{camera}``, or other fields.
@@ -54,7 +56,7 @@ def find_capture(
     fields = _fields(pattern)
     if "camera" not in fields or not fields <= {"camera", "frame"}:
         raise ArgumentError(
-            f"images: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
+            f"{key}: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
             f"'capture/cam{{camera}}/{{frame:05d}}.png', got {pattern!r}"
         )
     wanted = None if frames is None else [_frame_text(pattern, frame) for frame in frames]
@@ -66,7 +68,7 @@ def find_capture(
     else:
         tried = ", ".join(f"{labels[0]}..{labels[-1]}" for labels in _labelings(names))
         raise MissingFileError(
-            f"images: no files of all {len(names)} cameras match {pattern!r} (looked in {Path.cwd()}). {{camera}} was "
+            f"{key}: no files of all {len(names)} cameras match {pattern!r} (looked in {Path.cwd()}). {{camera}} was "
             f"tried as {tried}; the pattern must reach a file for each camera of the rig: {', '.join(names)}."
         )
     common = set.intersection(*(set(files) for files in found.values()))
@@ -75,7 +77,7 @@ def find_capture(
         if not chosen:
             counts = ", ".join(f"{name}: {len(files)}" for name, files in found.items())
             raise MissingFileError(
-                f"images: no frame of {pattern!r} is there for every camera ({counts} files)"
+                f"{key}: no frame of {pattern!r} is there for every camera ({counts} files)"
             )
     else:
         chosen = wanted
@@ -83,7 +85,7 @@ def find_capture(
         for (name, files), label in zip(found.items(), labels, strict=True):
             if frame not in files:
                 raise MissingFileError(
-                    f"images: {_path(pattern, label, frame)}: no such file, frame {frame} of camera {name}; its first "
+                    f"{key}: {_path(pattern, label, frame)}: no such file, frame {frame} of camera {name}; its first "
                     f"frames are {', '.join(sorted(files, key=_natural)[:4])}. Correct frames=... or the pattern."
                 )
     return Capture({frame: {name: found[name][frame] for name in names} for frame in chosen})
@@ -95,7 +97,7 @@ def find_masks(pattern: str, names: Sequence[str]) -> dict[str, Path]:
         raise ArgumentError(
             f"masks: expected a pattern with {{camera}} only, such as 'capture/cam{{camera}}/mask.png', got {pattern!r}"
         )
-    (files,) = find_capture(pattern, names).files.values()
+    (files,) = find_capture(pattern, names, key="masks").files.values()
     return dict(files)
 
 

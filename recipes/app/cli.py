@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.tree import Tree
 
 from sphericalvision.core import ArgumentError, SphericalVisionError
+from sphericalvision.recipes.app.lightning_words import explained
 from sphericalvision.recipes.app.schema import check_node
 
 __all__ = [
@@ -52,7 +53,9 @@ def build(config: Any, where: str = "", **kwargs: Any) -> Any:
             raise ArgumentError(f"{where}: {_missing_package(where, cause)}") from error
         if isinstance(cause, (ValueError, TypeError)) or type(cause).__name__ == "MisconfigurationException":
             target = str(config.get("_target_")).rpartition(".")[2]
-            raise ArgumentError(f"{where}: {target} refuses these values: {cause}") from error
+            raise ArgumentError(
+                explained(where, str(cause)) or f"{where}: {target} refuses these values: {cause}"
+            ) from error
         raise
 
 
@@ -102,5 +105,5 @@ def choose_device(device: str) -> torch.device:
     try:
         return torch.empty(0, device=device).device
     except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
+        reason = str(error).splitlines()[0].partition("Expected one of")[0] or "torch knows no such device"
         raise ArgumentError(f"device: expected auto, cpu or cuda, got {device!r} ({reason})") from None

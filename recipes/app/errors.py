@@ -19,10 +19,11 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from sphericalvision.recipes.app.help import keys_of
 from sphericalvision.recipes.app.keys import GROUPS, KEYS
+from sphericalvision.recipes.app.misspelt import wrong_place
 from sphericalvision.recipes.app.schema import check_config
 from sphericalvision.recipes.app.words import CommandLine
 
-__all__ = ["check_keys", "check_overrides", "plain_errors"]
+__all__ = ["check_keys", "check_overrides", "plain_errors", "refuse"]
 
 
 PLUGINS = {"hydra/sweeper": "optuna", "hydra/launcher": "launchers"}
@@ -46,7 +47,7 @@ def plain_errors(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], An
             message = _user_message(error)
             if message is None or os.environ.get("HYDRA_FULL_ERROR") == "1":
                 raise
-            _exit(message)
+            refuse(message)
 
     return guarded
 
@@ -54,14 +55,21 @@ def plain_errors(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], An
 def check_overrides(config_name: str, line: CommandLine) -> None:
     """Exit with status 1 and one paragraph if the words of a command line do not fit the config ``config_name``."""
     try:
-        config = compose(config_name, _first_values(line.overrides) if line.multirun else line.overrides)
+        words = _first_values(line.overrides) if line.multirun else line.overrides
+        config = compose(config_name, words, return_hydra_config=True)
         check_keys(config_name, config)
+        if not line.flags and (wrong := wrong_place(config)):
+            refuse(wrong)
     except (HydraException, OmegaConfBaseException) as error:
         if os.environ.get("HYDRA_FULL_ERROR") == "1":
             raise
-        _exit(_override_message(error, config_name, line))
+        refuse(_override_message(error, config_name, line))
     except ValueError as error:  # a key of another type
-        _exit(str(error))
+        if "Got NoneType" in str(error) and (left := [w for w in line.overrides if w.endswith("=null")]):
+            refuse(
+                f"{left[0]}: this group cannot be left out; {_program(config_name)} --help lists its options"
+            )
+        refuse(str(error))
 
 
 def check_keys(config_name: str, config: DictConfig) -> None:
@@ -88,7 +96,8 @@ def _first_values(overrides: list[str]) -> list[str]:
     ]
 
 
-def _exit(message: str) -> None:
+def refuse(message: str) -> None:
+    """Say what is wrong and exit with status 1."""
     print(f"\nError: {message}", file=sys.stderr)
     raise SystemExit(1) from None
 

@@ -3,107 +3,116 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from sphericalvision.recipes.app.schema import AtLeast
+from sphericalvision.recipes.app.kinds import (
+    Count,
+    Device,
+    Distance,
+    FullAngle,
+    HalfAngle,
+    Names,
+    Number,
+    Positive,
+    Share,
+    Size,
+    Text,
+    Unit,
+)
+from sphericalvision.recipes.app.schema import AtLeast, Like, NotEmpty
 
 __all__ = ["GROUPS", "KEYS"]
-
-Positive = Annotated[float, AtLeast(0, above=True)]
-Count = Annotated[int, AtLeast(1)]
-Number = Annotated[int, AtLeast(0)]
-Depths = list[Positive]
 
 
 class Predict:
     """``sphericalvision-predict``."""
 
-    calibration: str
-    images: str
-    frames: list[int | str] | None
+    calibration: Text
+    images: Text
+    frames: Annotated[list[int | str], NotEmpty()] | None
     start: Number
     stop: Count | None
     every: Count
-    cameras: list[str | int] | None
-    masks: str | None
-    translation_unit: str | None
-    max_angle_deg: Positive | None
-    method: str
-    checkpoint: str | None
+    cameras: Names | None
+    masks: Text | None
+    translation_unit: Unit | None
+    max_angle_deg: HalfAngle | None
+    method: Literal["network", "semi_global"]
+    checkpoint: Text | None
     level: Count | None
     num_hypotheses: Annotated[int, AtLeast(2)] | None
-    min_depth: Positive | str
+    min_depth: Positive | Literal["auto", "scene"]
     trained_radius: Positive
     antialias: bool
     outputs: list[str] | None
     height: Count
-    min_confidence: Annotated[float, AtLeast(0)]
+    min_confidence: Share
     voxel: Positive | None
-    output: str
+    output: Text
     skip_existing: bool
-    on_error: str
-    device: str
+    on_error: Literal["skip", "stop"]
+    device: Device
     native: bool
 
 
 class Inspect:
     """``sphericalvision-inspect``."""
 
-    calibration: str
-    images: str | None
+    calibration: Text
+    images: Text | None
     frame: int | str | None
-    cameras: list[str | int] | None
-    masks: str | None
-    depths: Depths
-    picture_depths: Depths
+    cameras: Names | None
+    masks: Text | None
+    depths: Annotated[list[Distance], NotEmpty()]
+    picture_depths: list[Distance]
     level: Number
-    max_angle_deg: Positive | None
-    translation_unit: str | None
-    output: str
+    max_angle_deg: HalfAngle | None
+    translation_unit: Unit | None
+    output: Text
 
 
 class Convert:
     """``sphericalvision-convert``."""
 
-    calibration: str
-    to: str | None
-    output: str | None
-    format: str | None
-    camera: str | int | None
+    calibration: Text
+    to: Text | None
+    output: Text | None
+    format: Text | None
+    camera: Text | int | None
     num_coefficients: Count | None
-    projection: str | None
-    fit_angle_deg: Positive | None
-    max_angle_deg: Positive | None
-    translation_unit: str | None
+    projection: Text | None
+    fit_angle_deg: HalfAngle | None
+    max_angle_deg: HalfAngle | None
+    translation_unit: Unit | None
 
 
 class Calibrate:
     """``sphericalvision-calibrate``."""
 
-    images: str
-    board: str
+    images: Text
+    board: Text
     square: Positive
-    to: str
-    field_of_view_deg: Positive
+    to: Text
+    field_of_view_deg: FullAngle
     num_coefficients: Count | None
-    projection: str | None
-    output: str
-    format: str | None
+    projection: Text | None
+    output: Text
+    format: Text | None
 
 
 class Render:
     """``sphericalvision-render``."""
 
-    output: str
-    num_frames: int
+    output: Text
+    num_frames: Count
     first_frame: Number
     first_seed: Annotated[int, AtLeast(0)]
-    kind: str
-    mesh: str | list[str] | None
-    mesh_up: str
+    kind: Text
+    mesh: Text | list[str] | None
+    mesh_up: Literal["y", "z"]
     mesh_scale: Positive
-    carrier: str | None
-    release: str | None
+    carrier: Text | None
+    release: Literal["png", "tiff"] | None
     min_depth: Positive
     scale: Positive
     samples_per_pixel: Count
@@ -114,25 +123,25 @@ class Render:
 class Demo:
     """``python -m sphericalvision.recipes.demo``."""
 
-    output: str
-    kind: str
+    output: Text
+    kind: Text
     scene_seed: Number
     samples_per_pixel: Count
     height: Count
     baseline_scenes: Count
     train_seed: Number
-    checkpoint: str | None
-    device: str
+    checkpoint: Text | None
+    device: Device
 
 
 class Evaluate:
     """``sphericalvision-evaluate``."""
 
-    output: str
-    checkpoint: str | None
-    split: str
+    output: Text
+    checkpoint: Text | None
+    split: Literal["train", "val", "test"]
     baselines: bool
-    device: str
+    device: Device
     native: bool
     seed: Number
 
@@ -140,53 +149,53 @@ class Evaluate:
 class Train:
     """``sphericalvision-train``."""
 
-    output: str
+    output: Text
     tags: list[str | int]
     seed: Number
-    resume: str | None
-    init_weights: str | None
+    resume: Text | None
+    init_weights: Text | None
 
 
 class Study:
     """``sphericalvision-study``."""
 
-    output: str
-    angles_deg: list[float]
-    seeds: list[Number]
-    inputs: str
+    output: Text
+    angles_deg: Annotated[list[float], NotEmpty()]
+    seeds: Annotated[list[Number], NotEmpty()]
+    inputs: Literal["fisheye", "equirect"]
     num_hypotheses: Annotated[int, AtLeast(2)]
     frames: Count | None
-    image_size: list[Count] | None
-    equirect_size: list[Count] | None
-    panorama_size: list[Count]
+    image_size: Size | None
+    equirect_size: Size | None
+    panorama_size: Size
     baseline_frames: Count
     training: list[str]
     panel_frame: Number
     panel_height: Count
     train: bool
-    on_change: str
-    device: str
+    on_change: Literal["refuse", "redo"]
+    device: Device
     seed: Number
 
 
 class Benchmark:
     """``sphericalvision-benchmark``."""
 
-    output: str
-    groups: list[str]
-    only: str | None
+    output: Text
+    groups: Annotated[list[str], NotEmpty()]
+    only: Text | None
     seconds: Positive
     threads: Count | None
-    device: str
+    device: Device
     peak_size: Count
-    settings: list[list[Count]]
+    settings: list[Size]
     feature_channels: Count
-    image_size: list[Count]
+    image_size: Size
     training: bool
     memory: bool
     options: list[str]
     variants: list[str]
-    convolution_settings: list[list[Count]]
+    convolution_settings: list[Size]
     num_frames: Count
     num_points: Count
 
@@ -195,21 +204,40 @@ class Trainer:
     """The group ``trainer``: what Lightning would refuse in its own words."""
 
     max_steps: Annotated[int, AtLeast(-1)]
-    max_time: str | dict[str, Any] | None
-    val_check_interval: Annotated[float, AtLeast(0, above=True)] | None
-    limit_val_batches: Annotated[float, AtLeast(0)] | None
+    max_time: Annotated[str, Like(r"\d+:\d\d:\d\d:\d\d", "days to seconds as 00:12:00:00")] | dict | None  # type: ignore[type-arg]
+    val_check_interval: Count
+    check_val_every_n_epoch: None
+    limit_val_batches: Count | Share | None
     num_sanity_val_steps: Annotated[int, AtLeast(-1)]
-    accelerator: str
-    devices: Annotated[int, AtLeast(-1)] | str | list[int]
+    accelerator: Literal["auto", "cpu", "gpu", "cuda", "mps", "tpu"]
+    devices: (
+        Literal["auto", -1]
+        | Count
+        | Annotated[str, Like(r"\d+(,\d+)*", "numbers of GPUs as 0,2")]
+        | Annotated[list[Number], NotEmpty()]
+    )
     num_nodes: Count
-    strategy: str
-    precision: str | int
+    strategy: Text
+    precision: Literal[
+        "32-true",
+        "16-mixed",
+        "bf16-mixed",
+        "64-true",
+        "16-true",
+        "bf16-true",
+        "transformer-engine",
+        "bf16",
+        64,
+        32,
+        16,
+    ]
     use_distributed_sampler: Literal[False]
     sync_batchnorm: bool
     accumulate_grad_batches: Count
     gradient_clip_val: Annotated[float, AtLeast(0)] | None
-    overfit_batches: Annotated[float, AtLeast(0)]
+    overfit_batches: Number | Share
     log_every_n_steps: Number
+    profiler: Literal["simple", "advanced", "pytorch"] | dict | None  # type: ignore[type-arg]
     detect_anomaly: bool
     enable_model_summary: bool
 

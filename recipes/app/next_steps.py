@@ -8,6 +8,7 @@ from pathlib import Path
 
 from hydra import compose
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.recipes.app.words import unquote_paths
@@ -20,7 +21,17 @@ def resume_command(last: Path, max_steps: int | None = None) -> str:
     replaced = ("resume=", "output=", *(["trainer.max_steps="] if max_steps else []))
     given = [word for word in HydraConfig.get().overrides.task if not word.startswith(replaced)]
     longer = [f"trainer.max_steps={max_steps}"] if max_steps else []
-    words = [*own_configs(), *unquote_paths(given), *longer, f"output={last.parent.parent}", f"resume={last}"]
+    alone = (
+        ["hydra.mode=RUN"] if HydraConfig.get().mode == RunMode.MULTIRUN else []
+    )  # a file of hparams sweeps
+    words = [
+        *own_configs(),
+        *unquote_paths(given),
+        *alone,
+        *longer,
+        f"output={last.parent.parent}",
+        f"resume={last}",
+    ]
     return shlex.join(["sphericalvision-train", *words])
 
 

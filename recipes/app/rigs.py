@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Annotated, Literal
 
 import torch
 
@@ -19,10 +20,13 @@ from sphericalvision.cameras import (
     read_rig,
     ring_rig,
 )
-from sphericalvision.core import FileFormatError
+from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.recipes.app.kinds import Count, FullAngle, HalfAngle, Positive, Text, Unit
+from sphericalvision.recipes.app.schema import Exactly
 
 __all__ = [
+    "keys_named",
     "make_corner_rig",
     "make_panorama_ring",
     "make_ring",
@@ -33,10 +37,10 @@ __all__ = [
 
 
 def make_ring(
-    num_cameras: int = 4,
-    radius: float = 0.2,
-    image_size: Sequence[int] = (320, 320),
-    field_of_view_deg: float = 220.0,
+    num_cameras: Count = 4,
+    radius: Positive = 0.2,
+    image_size: Annotated[Sequence[Count], Exactly(2)] = (320, 320),
+    field_of_view_deg: FullAngle = 220.0,
     projection: Literal["equidistant", "equisolid", "stereographic", "orthographic"] = "equidistant",
 ) -> CameraRig:
     """A ring of fisheyes that look outwards; see ``sphericalvision.cameras.ring_rig``.
@@ -50,7 +54,9 @@ def make_ring(
 
 
 def make_panorama_ring(
-    num_cameras: int = 4, radius: float = 0.2, image_size: Sequence[int] = (256, 512)
+    num_cameras: Count = 4,
+    radius: float = 0.2,
+    image_size: Annotated[Sequence[Count], Exactly(2)] = (256, 512),
 ) -> CameraRig:
     """Cameras that see all around, posed as those of ``make_ring``: their images are equirectangular panoramas.
 
@@ -63,10 +69,10 @@ def make_panorama_ring(
 
 
 def make_corner_rig(
-    width: float = 0.44,
-    length: float = 0.6,
-    image_size: Sequence[int] = (320, 320),
-    field_of_view_deg: float = 185.0,
+    width: Positive = 0.44,
+    length: Positive = 0.6,
+    image_size: Annotated[Sequence[Count], Exactly(2)] = (320, 320),
+    field_of_view_deg: FullAngle = 185.0,
     tilt_deg: float = 40.0,
 ) -> CameraRig:
     """Four fisheyes at the corners of a vehicle that look outwards along its diagonals and down.
@@ -102,7 +108,7 @@ def make_corner_rig(
 
 
 def rig_from_file(
-    path: str, translation_unit: str | None = None, max_angle_deg: float | None = None
+    path: Text, translation_unit: Unit | None = None, max_angle_deg: HalfAngle | None = None
 ) -> CameraRig:
     """A rig from a calibration file of any format that ``sphericalvision.cameras.read_rig`` knows.
 
@@ -111,8 +117,8 @@ def rig_from_file(
         translation_unit: of ``poses.txt``: "m", "cm" or "mm".
         max_angle_deg: half the field of view in degrees, where the file does not say it.
     """
-    max_angle = None if max_angle_deg is None else math.radians(max_angle_deg)
-    return cameras.read_rig(path, translation_unit=translation_unit, max_angle=max_angle)
+    with keys_named(path="calibration", max_angle="max_angle_deg"):
+        return cameras.read_rig(path, translation_unit=translation_unit, max_angle=radians(max_angle_deg))
 
 
 def read_calibration(
@@ -126,13 +132,34 @@ def read_calibration(
     Raises:
         FileFormatError: the file holds neither.
     """
-    try:
-        return read_rig(path, translation_unit=translation_unit, max_angle=max_angle, dtype=dtype)
-    except FileFormatError as no_rig:
+    with keys_named(path="calibration", max_angle="max_angle_deg"):
         try:
-            return read_cameras(path, max_angle=max_angle, dtype=dtype)
-        except FileFormatError:
-            raise no_rig from None
+            return read_rig(path, translation_unit=translation_unit, max_angle=max_angle, dtype=dtype)
+        except FileFormatError as no_rig:
+            try:
+                return read_cameras(path, max_angle=max_angle, dtype=dtype)
+            except FileFormatError:
+                raise no_rig from None
+
+
+@contextmanager
+def keys_named(**keys: str) -> Iterator[None]:
+    """Tell errors of an argument by the key that it comes from.
+
+    Examples:
+        >>> with keys_named(path="calibration"):
+        ...     raise ArgumentError("path: two files are there")
+        Traceback (most recent call last):
+        ...
+        sphericalvision.core.errors.ArgumentError: calibration: two files are there
+    """
+    try:
+        yield
+    except ArgumentError as error:
+        argument, colon, rest = str(error).partition(": ")
+        if colon and argument in keys:
+            raise ArgumentError(f"{keys[argument]}: {rest}") from error
+        raise
 
 
 def radians(degrees: float | None) -> float | None:

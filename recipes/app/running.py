@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
+import gc
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -18,8 +21,9 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig
 
 from sphericalvision import __version__
-from sphericalvision.recipes.app.errors import check_overrides, plain_errors
+from sphericalvision.recipes.app.errors import check_overrides, plain_errors, refuse
 from sphericalvision.recipes.app.help import print_help
+from sphericalvision.recipes.app.misspelt import wrong_word
 from sphericalvision.recipes.app.words import ELSEWHERE, CommandLine, quote_paths, read_words
 
 __all__ = ["config_space", "run_command"]
@@ -34,6 +38,8 @@ def run_command(config_name: str, task: Callable[[DictConfig], Any]) -> None:
         print(f"sphericalvision {__version__}")
         return
     line = line._replace(overrides=[*search_path_of_plugins(line), *quote_paths(line.overrides)])
+    if wrong := wrong_word(line):
+        refuse(wrong)
     if line.has("--help", "-h"):
         with config_space(line.config_dir):
             print_help(config_name, line.overrides)
@@ -43,7 +49,29 @@ def run_command(config_name: str, task: Callable[[DictConfig], Any]) -> None:
             check_overrides(config_name, line)
     sys.argv[1:] = line.arguments
     warnings.formatwarning = _plain_warning
-    hydra.main(version_base="1.3", config_path=CONF, config_name=config_name)(plain_errors(task))()
+    decorate = hydra.main(version_base="1.3", config_path=CONF, config_name=config_name)
+    decorate(after_torch(plain_errors(task)))()
+
+
+def after_torch(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
+    """Import torch before ``task``, and keep what that makes out of the garbage collector's sight.
+
+    Modules live until the end. To look through their hundreds of thousands of objects again and again, and once more
+    at the exit, takes a second of a command that takes five.
+    """
+
+    @functools.wraps(task)
+    def prepared(config: DictConfig) -> Any:
+        if "torch" not in sys.modules:
+            gc.disable()
+            import torch  # noqa: F401
+
+            gc.freeze()
+            gc.enable()
+            atexit.register(gc.freeze)
+        return task(config)
+
+    return prepared
 
 
 @contextmanager

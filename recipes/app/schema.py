@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import inspect
+import math
+import re
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +14,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 
-__all__ = ["AtLeast", "check_config", "check_node", "problem"]
+__all__ = ["AtLeast", "Exactly", "Finite", "Like", "NotEmpty", "check_config", "check_node", "problem"]
 
 WORDS = {
     int: "a whole number",
@@ -25,17 +27,79 @@ WORDS = {
 
 @dataclass(frozen=True)
 class AtLeast:
-    """In ``Annotated``: the least value, or the bound that a value must be above."""
+    """In ``Annotated``: the least number, or the bound that it must be above, and the greatest if there is one."""
 
     least: float
     above: bool = False
+    most: float = math.inf
 
     def holds(self, value: Any) -> bool:
-        """Whether a number keeps the bound."""
-        return bool(value > self.least if self.above else value >= self.least)
+        """Whether a number keeps the bounds."""
+        if not isinstance(value, int | float):
+            return True
+        return bool(value > self.least if self.above else value >= self.least) and value <= self.most
 
     def __str__(self) -> str:
+        if self.most < math.inf:
+            first = "above" if self.above else "from"
+            return f"{first} {self.least:g} to {self.most:g}"
         return f"above {self.least:g}" if self.above else f"of {self.least:g} or more"
+
+
+@dataclass(frozen=True)
+class Finite:
+    """In ``Annotated``: a number that is not infinite."""
+
+    def holds(self, value: Any) -> bool:
+        """Whether it is."""
+        return not isinstance(value, float) or math.isfinite(value)
+
+    def __str__(self) -> str:
+        return "and finite"
+
+
+@dataclass(frozen=True)
+class NotEmpty:
+    """In ``Annotated``: text or a list with something in it."""
+
+    def holds(self, value: Any) -> bool:
+        """Whether there is."""
+        return not isinstance(value, str | list | tuple) or len(value) > 0
+
+    def __str__(self) -> str:
+        return "(not empty)"
+
+
+@dataclass(frozen=True)
+class Exactly:
+    """In ``Annotated``: how many items a list has."""
+
+    number: int
+
+    def holds(self, value: Any) -> bool:
+        """Whether it has."""
+        return not isinstance(value, list | tuple) or len(value) == self.number
+
+    def __str__(self) -> str:
+        return f"({self.number} of them)"
+
+
+@dataclass(frozen=True)
+class Like:
+    """In ``Annotated``: a regular expression for text, and how to say it."""
+
+    pattern: str
+    words: str
+
+    def holds(self, value: Any) -> bool:
+        """Whether all of the text is like that."""
+        return not isinstance(value, str) or re.fullmatch(self.pattern, value) is not None
+
+    def __str__(self) -> str:
+        return self.words
+
+
+BOUNDS = (AtLeast, Finite, NotEmpty, Exactly, Like)
 
 
 def problem(value: Any, hint: Any) -> str | None:
@@ -48,6 +112,10 @@ def problem(value: Any, hint: Any) -> str | None:
         'a whole number of 0 or more'
         >>> problem(3, list[int] | None)
         'a list of whole numbers or null'
+        >>> problem("", Annotated[str, NotEmpty()])
+        'text (not empty)'
+        >>> problem([3], Annotated[list[int], Exactly(2)])
+        'a list of whole numbers (2 of them)'
     """
     return None if _fits(value, hint) else _described(hint)
 
@@ -59,6 +127,8 @@ def check_config(config: DictConfig, schema: type, prefix: str = "") -> None:
         ArgumentError: the first value that does not fit.
     """
     for key, hint in get_type_hints(schema, include_extras=True).items():
+        if not prefix and key not in config.keys():  # noqa: SIM118 (`in` says no where a value is still missing)
+            raise _error(f"{key}: this command needs the key; ~{key} takes it away")
         if (
             key in config
             and not OmegaConf.is_missing(config, key)
@@ -81,7 +151,11 @@ def check_node(config: Any, where: str, given: Sequence[str] = ()) -> None:
     """
     if not isinstance(config, Mapping | DictConfig) or "_target_" not in config:
         return
-    target = get_object(config["_target_"])
+    try:
+        target = get_object(config["_target_"])
+    except (ImportError, ValueError, AttributeError) as error:
+        reason = " ".join(str(error).split())
+        raise _error(f"{where}._target_: {config['_target_']!r} cannot be imported ({reason})") from error
     try:
         parameters = inspect.signature(target).parameters
         hints = get_type_hints(target.__init__ if inspect.isclass(target) else target, include_extras=True)
@@ -100,10 +174,21 @@ def check_node(config: Any, where: str, given: Sequence[str] = ()) -> None:
                 f"{where}.{key}: a value is needed here; give it on the command line as {where}.{key}=..."
             )
         value = config[key]
+        if isinstance(value, DictConfig) and "_target_" in value:
+            check_node(value, _place(config, key) or f"{where}.{key}")
         if OmegaConf.is_config(value):
             value = OmegaConf.to_container(value, resolve=True)
         if key in hints and not isinstance(value, dict):
             _refuse(f"{where}.{key}", value, hints[key])
+
+
+def _place(config: Any, key: Any) -> str | None:
+    """The key that another one stands for: ``rig`` for ``rig: ${rig}``."""
+    if not isinstance(config, DictConfig) or not OmegaConf.is_interpolation(config, key):
+        return None
+    node: Any = config._get_node(key)
+    match = re.fullmatch(r"\$\{([\w.]+)\}", str(node._value()))
+    return match[1] if match else None
 
 
 def _refuse(key: str, value: Any, hint: Any) -> None:
@@ -123,11 +208,8 @@ def _error(message: str) -> Exception:
 def _fits(value: Any, hint: Any) -> bool:
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return _fits(value, arguments[0]) and (
-            value is None
-            or isinstance(value, str)
-            or all(bound.holds(value) for bound in arguments[1:] if isinstance(bound, AtLeast))
-        )
+        bounds = [bound for bound in arguments[1:] if isinstance(bound, BOUNDS)]
+        return _fits(value, arguments[0]) and all(bound.holds(value) for bound in bounds)
     if origin in (Union, types.UnionType):
         return any(_fits(value, choice) for choice in arguments)
     if origin is Literal:
@@ -152,9 +234,10 @@ def _fits(value: Any, hint: Any) -> bool:
 def _described(hint: Any) -> str:
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return " ".join(
-            [_described(arguments[0]), *(str(b) for b in arguments[1:] if isinstance(b, AtLeast))]
-        )
+        like = [bound for bound in arguments[1:] if isinstance(bound, Like)]
+        if like:
+            return str(like[0])
+        return " ".join([_described(arguments[0]), *(str(b) for b in arguments[1:] if isinstance(b, BOUNDS))])
     if origin in (Union, types.UnionType):
         known = [choice for choice in arguments if not inspect.isclass(choice) or choice in WORDS]
         return " or ".join(dict.fromkeys(_described(choice) for choice in known))
@@ -163,7 +246,7 @@ def _described(hint: Any) -> str:
     if origin in (list, Sequence, tuple):
         items = [_described(choice) for choice in arguments if choice is not Ellipsis]
         many = [
-            item.removeprefix("a ").replace("number", "numbers").replace("numberss", "numbers")
+            re.sub(r"\bnumber\b", "numbers", item.removeprefix("a ").replace(" or a ", " or "))
             for item in items
         ]
         inner = " or ".join(dict.fromkeys(many))

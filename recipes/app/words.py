@@ -34,6 +34,10 @@ ELSEWHERE = ("--config-path", "-cp", "--config-name", "-cn")
 """Flags that take the whole configuration from another place, as the processes of one training do."""
 
 
+VALUED = ("--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun", *ELSEWHERE)
+"""Flags that a value follows."""
+
+
 class CommandLine(NamedTuple):
     """A command line taken apart.
 
@@ -79,7 +83,7 @@ def read_words(arguments: list[str]) -> CommandLine:
             config_dir = value if equals else next(waiting, None)
         elif word in ("--multirun", "-m"):
             multirun = True
-        elif name in ("--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun", *ELSEWHERE):
+        elif name in VALUED:
             flags.append(word)
             if not equals and (value := next(waiting, "")):
                 flags.append(value)

@@ -14,7 +14,7 @@ from sphericalvision.cameras.base import Conversion
 from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import console, print_table
-from sphericalvision.recipes.app.rigs import radians, read_calibration
+from sphericalvision.recipes.app.rigs import keys_named, radians, read_calibration
 
 __all__ = ["convert"]
 
@@ -69,12 +69,13 @@ def _converted(name: str, camera: Camera, config: DictConfig) -> Conversion:
     if config.to is None:
         return Conversion(camera, 0.0, 0.0, float(camera.max_angle))
     try:
-        return camera.convert(
-            to=config.to,
-            max_angle=radians(config.fit_angle_deg),
-            num_coefficients=config.num_coefficients,
-            projection=config.projection,
-        )
+        with keys_named(max_angle="fit_angle_deg"):
+            return camera.convert(
+                to=config.to,
+                max_angle=radians(config.fit_angle_deg),
+                num_coefficients=config.num_coefficients,
+                projection=config.projection,
+            )
     except ArgumentError as error:
         raise ArgumentError(f"{config.calibration}, {name}: {error}") from None
 

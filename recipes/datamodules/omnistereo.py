@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift
 from sphericalvision.data.augmentation.transforms import Compose
+from sphericalvision.recipes.app.kinds import Positive, Text
+from sphericalvision.recipes.app.schema import AtLeast, NotEmpty
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import ChosenEntries, Wanted
 
@@ -41,22 +43,22 @@ class OmniStereoDataModule(SampleDataModule):
 
     def __init__(
         self,
-        root: str,
+        root: Text,
         level: int | None = None,
-        min_depth: float | None = None,
+        min_depth: Positive | None = None,
         dataset: str = "omnithings",
         protocol: str = "paper",
-        release: str | None = None,
-        missing: str = "error",
+        release: Literal["png", "tiff"] | None = None,
+        missing: Literal["error", "skip"] = "error",
         photometric: bool = True,
-        shift: float = 0.5,
+        shift: Annotated[float, AtLeast(0)] = 0.5,
         train_split: str = "train",
         val_split: str = "val",
         test_split: str = "test",
         batch_size: int = 4,
         num_workers: int = 4,
         seed: int = 0,
-        entries: Sequence[str] | None = None,
+        entries: Annotated[Sequence[str], NotEmpty()] | None = None,
         depth_level: int | None = None,
     ) -> None:
         super().__init__(batch_size, num_workers, seed)

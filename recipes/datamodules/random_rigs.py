@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from rich.progress import track
@@ -18,6 +18,8 @@ from sphericalvision.data.cache import ArrayCache
 from sphericalvision.data.random_rig_scenes import RandomRigScenes
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share, Text
+from sphericalvision.recipes.app.schema import Exactly
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.scenes import Augmented
 
@@ -82,20 +84,20 @@ class RandomRigDataModule(SampleDataModule):
     def __init__(
         self,
         level: int | None = None,
-        min_depth: float | None = None,
+        min_depth: Positive | None = None,
         shares: Mapping[str, float] | None = None,
-        level_rigs: float = 0.4,
-        disturbed: float = 0.5,
-        image_size: Sequence[int] = (256, 256),
-        samples_per_pixel: int = 1,
-        num_train: int = 4000,
-        num_val: int = 28,
-        num_test: int = 56,
-        train_seed: int = 0,
-        val_seed: int = 1_000_000,
-        test_seed: int = 2_000_000,
+        level_rigs: Share = 0.4,
+        disturbed: Share = 0.5,
+        image_size: Annotated[Sequence[Count], Exactly(2)] = (256, 256),
+        samples_per_pixel: Count = 1,
+        num_train: Count = 4000,
+        num_val: Count = 28,
+        num_test: Count = 56,
+        train_seed: Number = 0,
+        val_seed: Number = 1_000_000,
+        test_seed: Number = 2_000_000,
         augment: bool = True,
-        cache_dir: str | None = None,
+        cache_dir: Text | None = None,
         batch_size: int = 1,
         num_workers: int = 0,
         seed: int = 0,

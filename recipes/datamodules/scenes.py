@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
 from rich.progress import track
@@ -17,6 +17,8 @@ from sphericalvision.data import RotateFivefold, SceneDataset
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, mesh_files
+from sphericalvision.recipes.app.kinds import Count, Number, Positive, Text
+from sphericalvision.recipes.app.schema import Exactly, NotEmpty
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import Wanted
 
@@ -71,26 +73,26 @@ class SceneDataModule(SampleDataModule):
         rig: CameraRig,
         level: int | None = None,
         depth_level: int | None = None,
-        min_depth: float | None = None,
-        entries: Sequence[str] | None = None,
-        panorama_size: Sequence[int] | None = None,
+        min_depth: Positive | None = None,
+        entries: Annotated[Sequence[str], NotEmpty()] | None = None,
+        panorama_size: Annotated[Sequence[Count], Exactly(2)] | None = None,
         kind: str = "mixed",
-        num_train: int = 1000,
-        num_val: int = 32,
-        num_test: int = 64,
-        train_seed: int = 0,
-        val_seed: int = 1_000_000,
-        test_seed: int = 2_000_000,
-        samples_per_pixel: int = 4,
+        num_train: Count = 1000,
+        num_val: Count = 32,
+        num_test: Count = 64,
+        train_seed: Number = 0,
+        val_seed: Number = 1_000_000,
+        test_seed: Number = 2_000_000,
+        samples_per_pixel: Count = 4,
         antialias: bool = True,
         augment: bool = True,
-        cache_dir: str | None = None,
+        cache_dir: Text | None = None,
         batch_size: int = 4,
         num_workers: int = 0,
         seed: int = 0,
         mesh: str | list[str] | None = None,
-        mesh_up: str = "y",
-        mesh_scale: float = 1.0,
+        mesh_up: Literal["y", "z"] = "y",
+        mesh_scale: Positive = 1.0,
         carrier: str | None = None,
     ) -> None:
         super().__init__(batch_size, num_workers, seed)

@@ -9,6 +9,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.models.classifier import classifier_grid
+from sphericalvision.recipes.app.kinds import Count, FullAngle
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.digits.dataset import ORIENTATIONS, SphericalDigits
 
@@ -38,9 +39,9 @@ class DigitsDataModule(SampleDataModule):
         network: str,
         level: int,
         orientation: str = "upright",
-        field_of_view_deg: float = 120.0,
-        num_val: int = 200,
-        num_test: int = 500,
+        field_of_view_deg: FullAngle = 120.0,
+        num_val: Count = 200,
+        num_test: Count = 500,
         batch_size: int = 32,
         num_workers: int = 0,
         seed: int = 0,

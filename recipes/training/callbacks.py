@@ -16,6 +16,7 @@ from pytorch_lightning.loggers import TensorBoardLogger
 from pytorch_lightning.utilities.exceptions import SIGTERMException
 
 from sphericalvision.io.images import write_image
+from sphericalvision.recipes.app.kinds import Count, Number, Positive
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import depth_to_color, error_to_color
 
@@ -35,7 +36,7 @@ class DepthPanels(Callback):
     """
 
     def __init__(
-        self, folder: str | Path, num_frames: int = 2, height: int = 128, max_error: float = 10.0
+        self, folder: str | Path, num_frames: Number = 2, height: Count = 128, max_error: Positive = 10.0
     ) -> None:
         self.folder, self.num_frames = Path(folder), num_frames
         self.height, self.max_error = height, max_error
@@ -97,7 +98,7 @@ class SaveOnInterrupt(Callback):
 class TrainingBar(RichProgressBar):
     """Lightning's bar without its count of epochs: training is counted in iterations."""
 
-    def __init__(self, refresh_rate: int = 1, every_seconds: float | None = None) -> None:
+    def __init__(self, refresh_rate: Number = 1, every_seconds: float | None = None) -> None:
         super().__init__(refresh_rate)
 
     def _get_train_description(self, current_epoch: int) -> str:
@@ -142,6 +143,6 @@ class PlainProgress(Callback):
             print(f"step {trainer.global_step} validation: {values}", flush=True)
 
 
-def progress(every_seconds: float = 15.0) -> Callback:
+def progress(every_seconds: Positive = 15.0) -> Callback:
     """A bar on a terminal, lines elsewhere."""
     return TrainingBar() if sys.stdout.isatty() else PlainProgress(every_seconds)

@@ -41,7 +41,8 @@ def read_network(source: str | Path | None = None) -> DepthNetwork:
         return pretrained()
     if str(source) in available_weights() and not Path(source).exists():
         return pretrained(str(source))
-    path = check_file(source, "a checkpoint (.safetensors, .ckpt, or the authors' format)")
+    known = ", ".join(available_weights())
+    path = check_file(source, f"a checkpoint (.safetensors, .ckpt, or the authors' format) or one of {known}")
     if path.suffix == ".safetensors":
         return load_weights(path)
     if path.suffix in REFERENCE_SUFFIXES:

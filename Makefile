@@ -15,7 +15,7 @@ PROGRESS := $(BIN)/python -uc 'import sys; [print("   ", line.strip()[:90]) for 
 # A process for each core, up to four, each with one thread: the tests are many and small.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: help demo test test-all lint format docs bench dist clean
+.PHONY: help demo test test-all lint format docs notebooks bench dist clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -48,6 +48,9 @@ docs: $(VENV)/.installed-all ## build the documentation into site/; a warning is
 
 bench: $(VENV)/.installed-recipes ## measure speed; ARGS="groups=[cameras]" for a part of it
 	@$(BIN)/python -m sphericalvision.recipes.benchmark $(ARGS)
+
+notebooks: $(VENV)/.installed-all ## the tutorials as Jupyter notebooks, in notebooks/
+	@$(BIN)/python docs/notebooks.py notebooks
 
 dist: $(VENV)/.installed-all ## build sdist and wheel into dist/, and run the demo from the wheel in an empty environment
 	@rm -rf dist build/dist && $(BIN)/python -m build --no-isolation --outdir dist . > build-dist.log 2>&1 || { cat build-dist.log; exit 1; }

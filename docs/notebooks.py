@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tutorials as Jupyter notebooks.
+
+Run as ``python docs/notebooks.py FOLDER``, or ``make notebooks``. The pages are the source; jupytext reads their blocks
+as cells.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import jupytext
+
+TUTORIALS = Path(__file__).parent / "tutorials"
+#: In a notebook a picture is shown by IPython, not printed into a page.
+SHOWN = """import cv2
+from IPython.display import Image, display
+
+
+def picture(pixels):
+    return Image(cv2.imencode(".png", pixels[..., ::-1])[1].tobytes())
+
+
+"""
+
+
+def notebook(page: Path) -> Any:
+    """A page of the tutorials as a notebook."""
+    text = page.read_text()
+    text = re.sub(r"^```python [^\n]*$", "```python", text, flags=re.M)
+    # Command lines are to be read, not run.
+    text = re.sub(r"^```bash\n(.*?)^```$", r"~~~bash\n\1~~~", text, flags=re.M | re.S)
+    # Links to other pages lead nowhere from here: their words stay.
+    text = re.sub(r"\[([^\]\n]*(?:\n[^\]\n]*)?)\]\((?!https?:)[^)\s]*\)", r"\1", text)
+    text = text.replace("from shown import picture\n", SHOWN).replace("print(picture(", "display(picture(")
+    made = jupytext.reads(text, fmt="md")
+    made.metadata["kernelspec"] = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    return made
+
+
+def main(folder: str) -> None:
+    """Write all of them."""
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    for page in sorted(TUTORIALS.glob("*.md")):
+        path = target / f"{page.stem}.ipynb"
+        jupytext.write(notebook(page), path)
+        print(path)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1] if len(sys.argv) > 1 else "notebooks")

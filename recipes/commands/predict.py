@@ -96,6 +96,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     wrong = run(source, selection, predictor, outputs, left, config.on_error == "stop")
     for path in outputs.written:
         print(path)
+    for warning in outputs.warnings:
+        print(f"Warning: {warning}")
     if outputs.shares and min(outputs.shares) < ENOUGH:
         print(
             f"Two cameras see {100 * min(outputs.shares):.0f} % of all directions at the depth estimated. Elsewhere "

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sphericalvision.core import FileFormatError, check_choice
 from sphericalvision.deploy import Depth, DepthImage
+from sphericalvision.deploy.checks import hypotheses_warning, poses_warning
 from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import write_image
 from sphericalvision.viz.color import colorize
@@ -139,6 +140,11 @@ class Outputs:
         folder: of the results.
         settings: how.
 
+    Attributes:
+        written: files so far.
+        shares: of the sphere that two cameras see, frame by frame.
+        warnings: what is probably wrong, told from the first frame.
+
     Raises:
         ArgumentError: an unknown output.
     """
@@ -149,12 +155,15 @@ class Outputs:
         self.folder, self.settings = folder, settings
         self.written: list[Path] = []
         self.shares: list[float] = []
+        self.warnings: list[str] = []
         self._video: _Video | None = None
 
     def write(self, frame: str, depth: Depth) -> None:
         """Write what there is to write of a frame."""
         with torch.inference_mode():
             views = Views(depth, self.settings.height)
+            if not self.shares:
+                self._warn(depth)
             self.shares.append(views.share_seen)
             if "video" in self.settings.outputs:
                 if self._video is None:
@@ -162,6 +171,12 @@ class Outputs:
                     self.written.append(self._video.path)
                 self._video.write(views)
             self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
+
+    def _warn(self, depth: Depth) -> None:
+        """Say what is probably wrong, told from the first frame."""
+        for warning in (hypotheses_warning(depth), poses_warning(depth)):
+            if warning is not None:
+                self.warnings.append(warning)
 
     def close(self) -> None:
         """Finish the video."""

@@ -115,6 +115,8 @@ class Predictor:
             self._min_depth = scaled_min_depth(net, rig, trained_radius)
         elif min_depth != "scene":
             self._min_depth = checked_min_depth(min_depth)
+        else:
+            check_places(rig)
 
     @property
     def rig(self) -> CameraRig:
@@ -138,6 +140,19 @@ class Predictor:
                 "network: min_depth='scene' is found in the first images; call the predictor, or its find_min_depth"
             )
         return self._prepared(None).net
+
+    @property
+    def tables(self) -> tuple[list[SphereLookup], Any, Bool[Tensor, " n *size"]]:
+        """What is made once: lookups of the images, none for networks that take them as they are; the network's tables;
+        and what the images show.
+
+        Raises:
+            ArgumentError: as ``network``.
+        """
+        if self._ready is None and self._min_depth is None:
+            _ = self.network
+        ready = self._prepared(None)
+        return ready.lookups, ready.tables, ready.seen
 
     def find_min_depth(self, frames: Iterable[Mapping[str, Any]]) -> float:
         """Find the nearest depth in metres worth trying in a few frames, and use it from now on.
@@ -276,12 +291,25 @@ def scaled_min_depth(net: DepthNetwork, rig: CameraRig, trained_radius: float = 
         ArgumentError: all cameras are in one place, so there is no size to scale by.
     """
     radius = float(rig.radius)
-    if not radius > 0:
-        raise ArgumentError(
-            f"min_depth: scales with the rig, which has all its cameras in one place ({', '.join(rig.names)}); "
-            "give metres, min_depth=0.55, or more cameras"
-        )
+    check_places(rig)
     return net.min_depth * radius / float(trained_radius)
+
+
+def check_places(rig: CameraRig) -> None:
+    """Raise ``ArgumentError`` if all cameras are in one place; poses that are inverted may be why."""
+    if float(rig.radius) > 1e-6:
+        return
+    other = float(CameraRig(rig.cameras, rig.camera_from_world).radius)
+    hint = (
+        f". Inverted, the poses have a radius of {other:.3f} m: the calibration seems to hold camera-from-world; "
+        "CameraRig(rig.cameras, rig.camera_from_world) is the other way round"
+        if other > 1e-6
+        else ""
+    )
+    raise ArgumentError(
+        f"min_depth: the rig has all its cameras in one place ({', '.join(rig.names)}), so there is no scale; "
+        f"give metres, min_depth=0.55, or more cameras{hint}"
+    )
 
 
 def checked_min_depth(min_depth: Any) -> float:

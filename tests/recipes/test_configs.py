@@ -95,12 +95,22 @@ def learning_rates(config: DictConfig, steps: int) -> list[float]:
     return rates
 
 
-@pytest.mark.parametrize("experiment", ["quickstart", "icosweepnet_small", "spherical_digits"])
-def test_the_learning_rate_is_a_rise_times_half_a_cosine(experiment: str) -> None:
+@pytest.mark.parametrize(
+    ("experiment", "highest", "last"),
+    [
+        ("quickstart", 2e-3, 4e-5),
+        ("icosweepnet_small", 1.5e-3, 1.5e-5),
+        ("refinedsweepnet", 1e-3, 1.5e-5),
+        ("spherical_digits", 3e-3, 3e-5),
+    ],
+)
+def test_the_learning_rate_is_a_rise_times_half_a_cosine(
+    experiment: str, highest: float, last: float
+) -> None:
     """As the weights that ship were trained: (s + 1) / W to 1, times a cosine from 1 to f at the last iteration."""
     config = train_config(f"experiment={experiment}")
-    steps, highest = config.trainer.max_steps, config.optimizer.lr
-    warmup, final = config.scheduler.warmup.total_iters + 1, config.scheduler.cosine.eta_min / highest
+    assert (config.optimizer.lr, config.scheduler.cosine.eta_min) == (highest, last)
+    steps, warmup, final = config.trainer.max_steps, config.scheduler.warmup.total_iters + 1, last / highest
     assert config.scheduler.warmup.start_factor == 1 / warmup
     expected = [
         highest
@@ -110,8 +120,13 @@ def test_the_learning_rate_is_a_rise_times_half_a_cosine(experiment: str) -> Non
     ]
     rates = learning_rates(config, steps + 1)
     assert rates == pytest.approx(expected, rel=2e-3)
-    assert rates[-1] == pytest.approx(config.scheduler.cosine.eta_min, rel=2e-3)
+    assert rates[-1] == pytest.approx(last, rel=2e-3)
     assert max(rates) < highest
+
+
+def test_the_plain_cosine_ends_at_nothing() -> None:
+    rates = learning_rates(train_config("scheduler=cosine", "trainer.max_steps=40", "optimizer.lr=0.5"), 41)
+    assert rates == pytest.approx([0.25 * (1 + math.cos(math.pi * step / 40)) for step in range(41)])
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(CONF)))

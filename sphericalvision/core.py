@@ -23,7 +23,6 @@ __all__ = [
     "ShapeError",
     "SphericalVisionError",
     "reference_kernels",
-    "uses_reference_kernels",
 ]
 
 

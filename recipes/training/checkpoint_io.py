@@ -12,7 +12,8 @@ from torch import nn
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
-from sphericalvision.models import DepthNetwork, network_name, save_weights
+from sphericalvision.models import DepthNetwork, save_weights
+from sphericalvision.models.weights.registry import network_name
 
 __all__ = ["WeightsBesideCheckpoint"]
 

@@ -13,7 +13,7 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.models import network_name
+from sphericalvision.models.weights.registry import network_name
 from sphericalvision.recipes.training.schedule import progress_only
 
 __all__ = ["TrainingModule", "name_of"]

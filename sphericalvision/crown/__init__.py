@@ -4,7 +4,7 @@
 from sphericalvision.crown.block import CrownBlock3d, CrownConvNorm2d, CrownConvNorm3d, crown_block3d
 from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, crown_conv2d, crown_conv3d
 from sphericalvision.crown.hexconv import HexConv2d, HexConv3d, hex_conv2d, hex_conv3d, north_fraction
-from sphericalvision.crown.layout import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
+from sphericalvision.crown.layout import Crown, crown_relu, exchange, from_crown, to_crown
 from sphericalvision.crown.modules import CrownExchange, CrownPointwise, FromCrown, ToCrown
 from sphericalvision.crown.norm import (
     CrownBatchNorm2d,
@@ -46,7 +46,6 @@ __all__ = [
     "crown_block3d",
     "crown_conv2d",
     "crown_conv3d",
-    "crown_map",
     "crown_max_pool2d",
     "crown_relu",
     "crown_upsample",

@@ -9,7 +9,6 @@ from sphericalvision.data.augmentation.sphere_transforms import RandomSphereRota
 from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
 from sphericalvision.data.collate import collate_samples
 from sphericalvision.data.omnistereo.dataset import OmniStereoDataset
-from sphericalvision.data.omnistereo.ground_truth import read_ground_truth, write_ground_truth
 from sphericalvision.data.omnistereo.writer import write_omnistereo
 from sphericalvision.data.rendering.mesh_scene import MeshScene, read_mesh_scene
 from sphericalvision.data.rendering.to_mesh import mesh_from_scene
@@ -44,13 +43,11 @@ __all__ = [
     "mesh_from_scene",
     "random_rotations",
     "ray_depth",
-    "read_ground_truth",
     "read_image",
     "read_mesh_scene",
     "render_camera",
     "render_directions",
     "render_rig",
-    "write_ground_truth",
     "write_image",
     "write_omnistereo",
 ]

@@ -23,7 +23,8 @@ from sphericalvision.data.cache import ArrayCache, decode, encode
 from sphericalvision.data.scenes.carriers import CARRIERS, carrier_masks, with_carrier
 from sphericalvision.data.scenes.recipes import SCENE_KINDS, make_scene, ray_depth, render_rig
 from sphericalvision.data.seeded_scenes import GENERATION, HELD_OUT_SEED, NATURAL_MIN_DEPTH
-from sphericalvision.icosphere import Icosphere, check_level
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.icosphere.topology import check_level
 
 __all__ = ["SHARES", "RandomRigScenes"]
 

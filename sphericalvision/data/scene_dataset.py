@@ -24,7 +24,8 @@ from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.recipes import ray_depth, render_rig
 from sphericalvision.data.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, MeshFiles, SeededScenes
 from sphericalvision.data.seen import pixels_seen
-from sphericalvision.icosphere import Icosphere, check_level
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere import Equirectangular
 
 __all__ = ["ENTRIES", "FisheyeSceneDataset", "SceneDataset"]

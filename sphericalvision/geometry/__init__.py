@@ -13,7 +13,6 @@ from sphericalvision.geometry.directions import (
 )
 from sphericalvision.geometry.interpolation import bilinear_sample
 from sphericalvision.geometry.transforms import (
-    axis_angle_from_transform,
     invert_transform,
     transform_from_axis_angle,
     transform_from_quaternion,
@@ -22,7 +21,6 @@ from sphericalvision.geometry.transforms import (
 
 __all__ = [
     "angle_from_axis",
-    "axis_angle_from_transform",
     "bilinear_sample",
     "directions_from_longitude_latitude",
     "invert_transform",

@@ -20,7 +20,6 @@ from sphericalvision.icosphere.pooling import (
 )
 from sphericalvision.icosphere.subdivision import from_subdivision_order, to_subdivision_order
 from sphericalvision.icosphere.topology import (
-    check_level,
     icosphere_faces,
     level_from_num_vertices,
     num_icosphere_vertices,
@@ -31,7 +30,6 @@ __all__ = [
     "IcospherePool",
     "IcosphereUpsample",
     "TriangleLocator",
-    "check_level",
     "from_subdivision_order",
     "icosphere_edges",
     "icosphere_faces",

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.icosphere import Icosphere, check_level
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.per_camera import camera_by_camera
@@ -21,8 +22,8 @@ from sphericalvision.sweep import (
     SweepTables,
     SweepVolume,
     depth_estimate,
-    named_aggregation,
 )
+from sphericalvision.sweep.aggregation import named_aggregation
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig

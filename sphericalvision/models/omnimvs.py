@@ -17,12 +17,12 @@ from sphericalvision.sweep import (
     Aggregation,
     DepthEstimate,
     PanoramaSweep,
-    PanoramaTables,
     SweepVolume,
-    named_aggregation,
     soft_argmax,
     soft_argmax_confidence,
 )
+from sphericalvision.sweep.aggregation import named_aggregation
+from sphericalvision.sweep.panorama_sweep import PanoramaTables
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig

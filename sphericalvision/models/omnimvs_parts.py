@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from sphericalvision.crown.recompute import RecomputedModule
 from sphericalvision.models.omnimvs_layers import ImageConv, SphereConv, VolumeConv, VolumeUpConv
-from sphericalvision.sweep import PanoramaSweep, PanoramaTables
+from sphericalvision.sweep import PanoramaSweep
+from sphericalvision.sweep.panorama_sweep import PanoramaTables
 
 __all__ = ["CostHourglass", "FisheyeFeatures", "Transference"]
 

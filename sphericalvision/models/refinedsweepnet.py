@@ -12,14 +12,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.icosphere import Icosphere, check_level, icosphere_upsample, icosphere_vertices
+from sphericalvision.icosphere import Icosphere, icosphere_upsample, icosphere_vertices
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.candidate_refinement import CandidateRefinement, RefinedIndex, candidates_of
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.logit_fusion import FusedLogits, LogitFusion, SweepClues, two_modes
 from sphericalvision.sweep import (
     DepthEstimate,
-    SemiGlobalTables,
     SweepTables,
     inverse_depth_from_index,
     semi_global_costs,
@@ -27,6 +27,7 @@ from sphericalvision.sweep import (
 )
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth, appearance_at_depth
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
+from sphericalvision.sweep.semi_global import SemiGlobalTables
 from sphericalvision.sweep.visibility import check_seen
 
 if TYPE_CHECKING:

@@ -11,15 +11,11 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.icosphere import Icosphere, check_level
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.sweep import (
-    DepthEstimate,
-    SemiGlobalTables,
-    photo_consistency,
-    semi_global_sweep,
-    semi_global_tables,
-)
+from sphericalvision.sweep import DepthEstimate, photo_consistency, semi_global_sweep, semi_global_tables
+from sphericalvision.sweep.semi_global import SemiGlobalTables
 
 __all__ = ["SemiGlobalSweep", "WinnerTakesAll"]
 

@@ -5,7 +5,6 @@ from sphericalvision.sweep.aggregation import (
     Aggregation,
     Concatenation,
     MeanVariance,
-    named_aggregation,
     register_aggregation,
 )
 from sphericalvision.sweep.correlation import correlation_evidence
@@ -16,7 +15,7 @@ from sphericalvision.sweep.hypotheses import (
     inverse_depth_from_index,
     inverse_depth_hypotheses,
 )
-from sphericalvision.sweep.panorama_sweep import PanoramaSweep, PanoramaTables
+from sphericalvision.sweep.panorama_sweep import PanoramaSweep
 from sphericalvision.sweep.photo_consistency import photo_consistency
 from sphericalvision.sweep.regression import (
     DepthEstimate,
@@ -25,7 +24,6 @@ from sphericalvision.sweep.regression import (
     soft_argmax_confidence,
 )
 from sphericalvision.sweep.semi_global import (
-    SemiGlobalTables,
     semi_global_costs,
     semi_global_sweep,
     semi_global_tables,
@@ -39,8 +37,6 @@ __all__ = [
     "DepthEstimate",
     "MeanVariance",
     "PanoramaSweep",
-    "PanoramaTables",
-    "SemiGlobalTables",
     "SphereSweep",
     "SweepTables",
     "SweepVolume",
@@ -51,7 +47,6 @@ __all__ = [
     "index_from_inverse_depth",
     "inverse_depth_from_index",
     "inverse_depth_hypotheses",
-    "named_aggregation",
     "photo_consistency",
     "register_aggregation",
     "semi_global_costs",

@@ -17,7 +17,8 @@ from jaxtyping import Bool, Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import check_level, level_from_num_vertices
+from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import Icosphere, check_level, level_from_num_vertices
+from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.correlation import LEAST_SHARE
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import check_level, icosphere_vertices, level_from_num_vertices
+from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sweep.confidence import sweep_confidence
 from sphericalvision.sweep.correlation import LEAST_SHARE, NOISE, correlation_evidence
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses

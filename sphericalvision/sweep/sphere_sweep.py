@@ -11,13 +11,8 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError
 from sphericalvision.geometry.lookup import weighted_rows
-from sphericalvision.icosphere import (
-    check_level,
-    icosphere_vertices,
-    level_from_num_vertices,
-    num_icosphere_vertices,
-)
-from sphericalvision.icosphere.topology import coarse_vertex_ids
+from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices, num_icosphere_vertices
+from sphericalvision.icosphere.topology import check_level, coarse_vertex_ids
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
 

@@ -10,8 +10,6 @@ from sphericalvision.viz.panorama import (
     depth_panorama,
     error_panorama,
     rgb_panorama,
-    save_depth_panorama,
-    save_error_panorama,
 )
 from sphericalvision.viz.pointcloud import panorama_point_cloud, save_point_cloud
 from sphericalvision.viz.rigs import coverage_panorama, rig_picture
@@ -28,8 +26,6 @@ __all__ = [
     "panorama_point_cloud",
     "rgb_panorama",
     "rig_picture",
-    "save_depth_panorama",
-    "save_error_panorama",
     "save_point_cloud",
     "sheet",
     "sphere_mesh",

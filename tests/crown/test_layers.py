@@ -18,11 +18,11 @@ from sphericalvision.crown import (
     crown_avg_pool2d,
     crown_conv2d,
     crown_conv3d,
-    crown_map,
     crown_upsample,
     from_crown,
     to_crown,
 )
+from sphericalvision.crown.layout import crown_map
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors, num_icosphere_vertices
 
 # Neighbours in the order of the taps 0 to 5, as (row, column) steps in each kind of rectangle.

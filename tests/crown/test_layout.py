@@ -9,7 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sphericalvision.core import ShapeError
-from sphericalvision.crown import Crown, crown_map, crown_relu, exchange, from_crown, to_crown
+from sphericalvision.crown import (
+    Crown,
+    crown_relu,
+    exchange,
+    from_crown,
+    to_crown,
+)
+from sphericalvision.crown.layout import crown_map
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids
 

@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from sphericalvision.geometry import (
-    axis_angle_from_transform,
     invert_transform,
     transform_from_axis_angle,
     transform_from_quaternion,
     transform_points,
 )
+from sphericalvision.geometry.transforms import axis_angle_from_transform
 
 
 def random_transforms(generator: torch.Generator, *shape: int) -> torch.Tensor:

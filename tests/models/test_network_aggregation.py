@@ -14,8 +14,8 @@ from torch import Tensor
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.models import IcoSweepNet, OmniMVS, load_weights, save_weights
-from sphericalvision.sweep import Aggregation, SweepVolume, named_aggregation, register_aggregation
-from sphericalvision.sweep.aggregation import _AGGREGATIONS
+from sphericalvision.sweep import Aggregation, SweepVolume, register_aggregation
+from sphericalvision.sweep.aggregation import _AGGREGATIONS, named_aggregation
 
 
 @torch.no_grad()

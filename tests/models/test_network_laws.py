@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from sphericalvision.models import network_class
 from sphericalvision.models.weights import network_names
+from sphericalvision.models.weights.registry import network_class
 from tests.laws.network_laws import LAWS, NETWORKS, inputs
 
 

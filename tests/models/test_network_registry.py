@@ -20,12 +20,11 @@ from sphericalvision.models import (
     IcoSweepNet,
     OmniMVS,
     load_weights,
-    network_class,
-    network_name,
     register_network,
     save_weights,
 )
 from sphericalvision.models.weights import network_names
+from sphericalvision.models.weights.registry import network_class, network_name
 
 BUILT_IN = network_names()
 

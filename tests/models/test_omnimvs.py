@@ -25,7 +25,8 @@ from sphericalvision.models import (
 from sphericalvision.models.omnimvs_layers import SphereConv, VolumeConv, VolumeUpConv
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
 from sphericalvision.sphere import Equirectangular
-from sphericalvision.sweep import PanoramaTables, SweepVolume, inverse_depth_from_index
+from sphericalvision.sweep import SweepVolume, inverse_depth_from_index
+from sphericalvision.sweep.panorama_sweep import PanoramaTables
 
 SIZE = (24, 30)
 

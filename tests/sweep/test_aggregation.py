@@ -13,10 +13,9 @@ from sphericalvision.sweep import (
     Concatenation,
     MeanVariance,
     SweepVolume,
-    named_aggregation,
     register_aggregation,
 )
-from sphericalvision.sweep.aggregation import mean_and_variance
+from sphericalvision.sweep.aggregation import mean_and_variance, named_aggregation
 
 
 def random_volume(generator: torch.Generator, num_cameras: int = 4) -> SweepVolume:

@@ -17,14 +17,8 @@ from sphericalvision.core import ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
-from sphericalvision.viz import (
-    depth_to_color,
-    error_to_color,
-    rgb_panorama,
-    save_depth_panorama,
-    save_error_panorama,
-)
-from sphericalvision.viz.panorama import icosphere_to_panorama
+from sphericalvision.viz import depth_to_color, error_to_color, rgb_panorama
+from sphericalvision.viz.panorama import icosphere_to_panorama, save_depth_panorama, save_error_panorama
 
 HALF = torch.tensor([2.0, 1.2, 4.0])
 

@@ -11,13 +11,8 @@ from torch import Tensor, nn
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import bilinear_sample
-from sphericalvision.icosphere import (
-    check_level,
-    icosphere_faces,
-    icosphere_vertices,
-    locate,
-    num_icosphere_vertices,
-)
+from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
 from sphericalvision.sphere.grids.pixel_solid_angles import solid_angles_in_triangle

@@ -104,12 +104,24 @@ def described(value: Any) -> str:
     return repr(value)
 
 
+def looks(value: Any) -> Any:
+    """All that a check looks at of a value: of tensors kind and shape, of others what they are."""
+    if isinstance(value, Tensor):
+        return value.dtype, value.shape
+    if isinstance(value, tuple | list):
+        return type(value), *map(looks, value)
+    if isinstance(value, Mapping):
+        return type(value), *map(looks, value.values())
+    return type(value)
+
+
 class Contract:
     """What the annotations of a function say about tensors, read when it is called for the first time."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.function = function
         self.signature = inspect.signature(function)
+        self.kept: set[Any] = set()  # calls that looked the same were right
 
     @functools.cached_property
     def hints(self) -> dict[str, Any]:
@@ -125,6 +137,9 @@ class Contract:
         """Raise ``AnnotationError`` if a call contradicts the annotations."""
         if torch.compiler.is_compiling():
             return
+        call = tuple(kwargs), looks((args, kwargs, result))
+        if call in self.kept:
+            return
         given = self.signature.bind(*args, **kwargs).arguments
         with jaxtyped("context"):
             for name, value in {**given, "return": result}.items():
@@ -138,6 +153,7 @@ class Contract:
                         f"which contradicts {self.function.__annotations__[name]} where the other arguments are "
                         f"{ {other: described(value) for other, value in given.items() if other in self.hints} }"
                     )
+        self.kept.add(call)
 
 
 def has_shapes(function: types.FunctionType) -> bool:

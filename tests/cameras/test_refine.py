@@ -151,7 +151,14 @@ def test_a_knocked_rig_is_brought_back() -> None:
 
 
 @pytest.mark.parametrize(
-    "model", ["kannala_brandt", "double_sphere", "extended_unified", "unified", "brown_conrady"]
+    "model",
+    [
+        "kannala_brandt",
+        "double_sphere",
+        "brown_conrady",
+        pytest.param("extended_unified", marks=pytest.mark.slow),
+        pytest.param("unified", marks=pytest.mark.slow),
+    ],
 )
 def test_a_camera_from_boards_alone(model: str) -> None:
     """Nothing is given but the size of the image and a field of view that is a fifth off."""

@@ -110,7 +110,6 @@ CAMERAS = [
         ),
         own_tolerance=0.01,
         smooth_on_axis=False,
-        traced=True,
     ),
     CameraCase(
         "ocam exact",
@@ -141,9 +140,7 @@ CAMERAS = [
             [24.0 * s, 23.8], CENTER, [0.03, -0.02, 0.004, 1e-3, -4e-4, 3e-5], SIZE, math.radians(100)
         ),
     ),
-    CameraCase(
-        "atan", lambda s: AtanCamera([26.0 * s, 25.8], CENTER, 0.93, SIZE, math.radians(105)), traced=True
-    ),
+    CameraCase("atan", lambda s: AtanCamera([26.0 * s, 25.8], CENTER, 0.93, SIZE, math.radians(105))),
     CameraCase("division", lambda s: DivisionCamera([30.0 * s, 29.7], CENTER, [-0.22], SIZE)),
     CameraCase(
         "division, 3",

@@ -10,6 +10,7 @@ import copy
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +53,21 @@ class Example:
 
     def net(self) -> DepthNetwork:
         """The network with random weights, which are the same every time, in eval mode."""
+        net = self.make()
+        net.load_state_dict(self.state)
+        return net.eval()
+
+    @cached_property
+    def state(self) -> dict[str, Tensor]:
+        """Weights, and statistics other than those of a new network, so that it tells hypotheses apart."""
         torch.manual_seed(0)
         net = self.make()
-        with torch.no_grad():  # statistics other than those it starts with, so that it tells hypotheses apart
+        with torch.no_grad():
             for part in net.modules():
                 if isinstance(part, torch.nn.modules.batchnorm._BatchNorm):
                     part.momentum = 1.0
             net.train()(*inputs(net, 2, seed=1))
-        return net.eval()
+        return net.state_dict()
 
 
 SMALL = {"feature_channels": 2, "num_cameras": 3}

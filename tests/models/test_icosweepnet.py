@@ -77,20 +77,20 @@ def test_a_rig_a_sample_and_prepared_tables(generator: torch.Generator) -> None:
 
 @torch.no_grad()
 def test_the_order_of_the_cameras_matters_and_is_shuffled_in_training(generator: torch.Generator) -> None:
-    net, batch, rig = lived_in(small_net(), generator), images(generator), ring_rig(3)
+    net, batch, rig = lived_in(small_net(), generator), images(generator, batch=1), ring_rig(3)
     orders = [net(batch[:, order], rig.permuted(order)) for order in map(list, permutations(range(3)))]
     assert all((index - orders[0]).abs().max() > 1e-4 for index in orders[1:])
     net.aggregation.train()  # shuffles; everything else stays as it is
     found = set()
-    for seed in range(12):
+    for seed in range(6):
         torch.manual_seed(seed)
         index = net(batch, rig)
         nearest = min(range(6), key=lambda order: float((orders[order] - index).abs().max()))
         torch.testing.assert_close(index, orders[nearest])
         found.add(nearest)
-        torch.manual_seed(seed)
-        assert torch.equal(net(batch, rig), index)
-    assert len(found) > 3
+    assert len(found) > 2
+    torch.manual_seed(5)
+    assert torch.equal(net(batch, rig), index)
     net.eval()
     torch.testing.assert_close(net(batch, rig), orders[0])
 
@@ -171,13 +171,13 @@ def test_native_stays_off_without_a_compiler(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_few_steps_fit_one_sample(generator: torch.Generator) -> None:
-    net, rig = small_net(shuffle_cameras=False).train(), ring_rig(3)
-    batch = images(generator, batch=1)
-    target = 3 * torch.rand(1, DEPTH_VERTICES, generator=generator)
+    net, rig = small_net(shuffle_cameras=False, level=2).train(), ring_rig(3)
+    batch = images(generator, batch=1)[..., :162]
+    target = 3 * torch.rand(1, 12, generator=generator)
     tables = net.sweep.tables(rig)
-    optimizer = torch.optim.Adam(net.parameters(), 1e-2)
+    optimizer = torch.optim.Adam(net.parameters(), 2e-2)
     losses = []
-    for _ in range(40):
+    for _ in range(25):
         loss = depth_index_huber(net(batch, tables), target)
         optimizer.zero_grad()
         loss.backward()

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.precision import HALF, at_least_float32
@@ -89,7 +89,9 @@ class Camera(ABC):
     image_size: tuple[int, int]
     max_angle: Tensor
 
-    def __init__(self, image_size: Sequence[int], max_angle: float | Tensor, **intrinsics: Any) -> None:
+    def __init__(
+        self, image_size: Sequence[int], max_angle: float | Float[Tensor, "*#batch"], **intrinsics: Any
+    ) -> None:
         self.image_size = _checked_size(image_size)
         given = [value for value in (*intrinsics.values(), max_angle) if isinstance(value, Tensor)]
         floating = [value for value in given if value.is_floating_point()]
@@ -192,7 +194,9 @@ class Camera(ABC):
         from_middle_u, from_middle_v = (u - (width - 1) / 2).abs(), (v - (height - 1) / 2).abs()
         return is_at_least(width / 2, from_middle_u) & is_at_least(height / 2, from_middle_v)
 
-    def sample(self, image: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    def sample(
+        self, image: Shaped[Tensor, "*images c h w"], points: Float[Tensor, "*points n 3"]
+    ) -> tuple[Float[Tensor, "*batch c n"], Bool[Tensor, "*seen n"]]:
         """Values (*b, c, n) of ``image`` (*b, c, h, w) where ``points`` (*b, n, 3) appear, and validity (*b, n).
 
         Bilinear; 0 where not valid.
@@ -217,7 +221,9 @@ class Camera(ABC):
         values = self.interpolate(image, pixels)
         return torch.where(valid.unsqueeze(-2), values, 0.0), valid
 
-    def interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
+    def interpolate(
+        self, image: Shaped[Tensor, "*images c h w"], pixels: Float[Tensor, "*pixels n 2"]
+    ) -> Float[Tensor, "*batch c n"]:
         """Values (*b, c, n) of ``image`` (*b, c, h, w) at ``pixels`` (*b, n, 2), bilinear; a panorama's seam is closed.
 
         The image may have another size than the camera's, for instance that of a feature map; the pixels are its own.
@@ -259,7 +265,7 @@ class Camera(ABC):
             setattr(changed, name, value)
         return changed
 
-    def with_max_angle(self: AnyCamera, max_angle: float | Tensor) -> AnyCamera:
+    def with_max_angle(self: AnyCamera, max_angle: float | Float[Tensor, "*#batch"]) -> AnyCamera:
         """The same camera with another limit of its field of view, in radians from the optical axis."""
         changed = copy.copy(self)
         changed.max_angle = _checked_angle(max_angle, self.max_angle).expand(self.batch_shape)

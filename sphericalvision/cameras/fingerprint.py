@@ -6,6 +6,7 @@ from __future__ import annotations
 from hashlib import sha256
 
 import torch
+from jaxtyping import Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
@@ -41,7 +42,7 @@ def rig_fingerprint(rig: CameraRig, beside: object = "", digits: int = 5) -> str
     return digest.hexdigest()[:16]
 
 
-def rounded_text(values: Tensor, digits: int = 5) -> bytes:
+def rounded_text(values: Shaped[Tensor, " ..."], digits: int = 5) -> bytes:
     """Numbers as text of a few digits: float32 and float64, and other ways to compute them, give the same."""
     flat = values.detach().cpu().double().flatten()
     return " ".join(

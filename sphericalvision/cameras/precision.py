@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -25,7 +26,7 @@ HALF = (torch.float16, torch.bfloat16)
 AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 
 
-def at_least_float32(name: str, values: Tensor) -> Tensor:
+def at_least_float32(name: str, values: Shaped[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """``values`` (*), in float32 if they are in half precision.
 
     Raises:

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection
@@ -156,7 +156,7 @@ class CameraRig:
             {n: self.cameras[n] for n in chosen}, self.world_from_camera[..., index, :, :], masks
         )
 
-    def permuted(self, order: Sequence[int] | Tensor) -> CameraRig:
+    def permuted(self, order: Sequence[int] | Int[Tensor, " n"]) -> CameraRig:
         """The rig with its cameras in another order, a permutation of 0 ... n - 1."""
         order = [int(i) for i in order]
         if sorted(order) != list(range(len(self))):

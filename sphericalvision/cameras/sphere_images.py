@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -46,7 +47,9 @@ class SphereLookup(NamedTuple):
         return small.reshape(*image.shape[:-2], *small.shape[-2:])
 
 
-def sphere_lookups(rig: CameraRig, directions: Tensor, antialias: bool = False) -> list[SphereLookup]:
+def sphere_lookups(
+    rig: CameraRig, directions: Float[Tensor, "V 3"], antialias: bool = False
+) -> list[SphereLookup]:
     """Where directions ``(V, 3)`` of the world fall in the images of a rig's cameras, in order.
 
     Examples:
@@ -72,11 +75,11 @@ def sphere_lookups(rig: CameraRig, directions: Tensor, antialias: bool = False) 
 @implements("CameraRig.sample_sphere")
 def sample_sphere(
     rig: CameraRig,
-    images: Mapping[str, Tensor] | Sequence[Tensor],
-    directions: Tensor,
+    images: Mapping[str, Shaped[Tensor, "*#batch c _ _"]] | Sequence[Shaped[Tensor, "*#batch c _ _"]],
+    directions: Float[Tensor, "V 3"],
     fill: float = 0.5,
     antialias: bool = False,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Shaped[Tensor, "*batch n c V"], Bool[Tensor, "*seen n V"]]:
     """The function behind ``CameraRig.sample_sphere``, which describes it.
 
     Examples:

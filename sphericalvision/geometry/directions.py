@@ -12,7 +12,7 @@ import functools
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import check_last_dim
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 
-def components(vectors: Tensor) -> tuple[Tensor, ...]:
+def components(vectors: Float[Tensor, "*batch n"]) -> tuple[Float[Tensor, "*batch"], ...]:
     """The components of ``vectors`` (*, n), each (*) and contiguous.
 
     On a CPU most functions of every n-th number take several times as long as of numbers in a row.
@@ -46,7 +46,7 @@ def components(vectors: Tensor) -> tuple[Tensor, ...]:
     return tuple(component.contiguous() for component in vectors.unbind(-1))
 
 
-def from_components(*parts: Tensor) -> Tensor:
+def from_components(*parts: Float[Tensor, " ..."]) -> Float[Tensor, "*batch n"]:
     """Vectors (*, n) of n components, each (*) or broadcastable to it: the undoing of ``components``.
 
     ``torch.stack`` along the last dimension, which is slow on a CPU, where no derivative is asked for in a fraction of
@@ -68,7 +68,7 @@ def from_components(*parts: Tensor) -> Tensor:
     return vectors
 
 
-def is_at_least(a: Tensor | float, b: Tensor) -> Tensor:
+def is_at_least(a: Float[Tensor, " ..."] | float, b: Float[Tensor, " ..."]) -> Bool[Tensor, " ..."]:
     """Where ``a`` is ``b`` (*) or more; else as ``is_greater``.
 
     Examples:
@@ -80,7 +80,7 @@ def is_at_least(a: Tensor | float, b: Tensor) -> Tensor:
     return (a - b).detach().ge_(0).bool()
 
 
-def is_greater(a: Tensor, b: Tensor | float) -> Tensor:
+def is_greater(a: Float[Tensor, " ..."], b: Float[Tensor, " ..."] | float) -> Bool[Tensor, " ..."]:
     """Where ``a`` (*) is greater than ``b``; on a CPU in about half of the time of ``a > b``. Not where one is NaN.
 
     Examples:
@@ -98,7 +98,7 @@ def is_traced() -> bool:
     return torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active()
 
 
-def safe_sqrt(x: Tensor) -> Tensor:
+def safe_sqrt(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Square root of ``x`` (*), with value and derivative 0 where ``x`` is not positive.
 
     Examples:
@@ -109,7 +109,7 @@ def safe_sqrt(x: Tensor) -> Tensor:
     return x.clamp_min(tiny).sqrt() - math.sqrt(tiny)
 
 
-def safe_hypot(x: Tensor, y: Tensor) -> Tensor:
+def safe_hypot(x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Length of (x, y), shape (*), with derivative 0 instead of NaN at the origin.
 
     Examples:
@@ -120,7 +120,9 @@ def safe_hypot(x: Tensor, y: Tensor) -> Tensor:
     return torch.where(origin, 0.0, torch.hypot(torch.where(origin, 1.0, x), y))
 
 
-def lifted_radius(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+def lifted_radius(
+    x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"], z: Float[Tensor, "*batch"]
+) -> Float[Tensor, "*batch"]:
     """``hypot(x, y)`` (*) of points, kept off 0 by so little that a lens does not notice.
 
     A lens model divides by it: u = x f(θ) / radius with θ = atan2(radius, z). Lifted, the quotient f(θ) / radius and
@@ -172,7 +174,9 @@ def angle_from_axis(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"
     return torch.atan2(safe_hypot(x, y), z)
 
 
-def cosine_and_lifted_sinc(angle_squared: Tensor) -> tuple[Tensor, Tensor]:
+def cosine_and_lifted_sinc(
+    angle_squared: Float[Tensor, "*batch"],
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """``cos(a)`` and ``sin(a)/a`` from the squared angle (*) in rad², for ``x * sinc`` with x² + y² = c · a².
 
     Exact to rounding; the derivatives of such products are right at zero, those of ``sinc`` alone are not.

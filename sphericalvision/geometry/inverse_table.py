@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 __all__ = ["InverseTable", "samples_towards", "tabulate_inverse"]
@@ -22,14 +23,14 @@ def _place(share: Tensor) -> Tensor:
 class InverseTable(NamedTuple):
     """Arguments of an increasing function that starts at 0, for values from 0 to its largest; without derivatives."""
 
-    limit: Tensor
+    limit: Float[Tensor, "*batch"]
     """The largest value (*b)."""
-    knots: Tensor
+    knots: Float[Tensor, "*batch size"]
     """The arguments (*b, size)."""
-    steps: Tensor
+    steps: Float[Tensor, "*batch size"]
     """From each argument to the next one, (*b, size)."""
 
-    def lookup(self, value: Tensor) -> Tensor:
+    def lookup(self, value: Float[Tensor, " ..."]) -> Float[Tensor, " ..."]:
         """The argument (*b, *) of ``value`` (*b, *), interpolated; the last one for larger values.
 
         ``value`` has as many dimensions as ``limit`` and broadcasts with it; NaN gives the first argument.
@@ -47,7 +48,7 @@ class InverseTable(NamedTuple):
             return torch.addcmul(knot.reshape(index.shape), place - below, step.reshape(index.shape))
 
 
-def samples_towards(upper: Tensor, samples: int = 512) -> Tensor:
+def samples_towards(upper: Float[Tensor, "*batch"], samples: int = 512) -> Float[Tensor, "*batch n"]:
     """Arguments (*, samples) from 0 to ``upper`` (*), closer and closer, for ``tabulate_inverse``.
 
     Examples:
@@ -58,7 +59,9 @@ def samples_towards(upper: Tensor, samples: int = 512) -> Tensor:
     return upper.unsqueeze(-1) * (1 - share * share)
 
 
-def tabulate_inverse(arguments: Tensor, values: Tensor, size: int = 512) -> InverseTable:
+def tabulate_inverse(
+    arguments: Float[Tensor, "*#batch n"], values: Float[Tensor, "*batch n"], size: int = 512
+) -> InverseTable:
     """Make the table of an increasing function from samples of it.
 
     Args:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 __all__ = ["LeastSquares", "solve_least_squares"]
@@ -17,7 +18,7 @@ _PATIENCE = 12  # rejected steps in a row, each with ten times the damping
 class LeastSquares(NamedTuple):
     """A minimum and how good it is."""
 
-    solution: Tensor
+    solution: Float[Tensor, " p"]
     """Parameters (p,)."""
     rms: float
     """Root of the mean of the squared residuals there."""
@@ -26,10 +27,10 @@ class LeastSquares(NamedTuple):
 @torch.no_grad()
 def solve_least_squares(
     residuals: Callable[[Tensor], Tensor],
-    start: Tensor,
+    start: Float[Tensor, " p"],
     jacobian: Callable[[Tensor], Tensor] | None = None,
-    lower: Tensor | None = None,
-    upper: Tensor | None = None,
+    lower: Float[Tensor, " p"] | None = None,
+    upper: Float[Tensor, " p"] | None = None,
     iterations: int = 100,
     tolerance: float = 1e-9,
 ) -> LeastSquares:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.core import uses_reference_kernels
@@ -112,14 +112,18 @@ class Lookup(nn.Module):
     seen: Tensor | None
 
     def __init__(
-        self, ids: Tensor, weights: Tensor | None = None, seen: Tensor | None = None, dims: int = 1
+        self,
+        ids: Int[Tensor, " ..."],
+        weights: Float[Tensor, "*#g P k"] | None = None,
+        seen: Bool[Tensor, "*#g P"] | None = None,
+        dims: int = 1,
     ) -> None:
         super().__init__()
         self.dims = dims
         for name, table in (("ids", ids), ("weights", weights), ("seen", seen)):
             self.register_buffer(name, table, persistent=False)
 
-    def forward(self, values: Tensor) -> Tensor:
+    def forward(self, values: Shaped[Tensor, " ..."]) -> Shaped[Tensor, "*batch C P"]:
         """``values`` (*b, C, *source) at the targets, (*b, C, P)."""
         values = values.flatten(-self.dims)
         if self.weights is not None:
@@ -162,10 +166,10 @@ class ImageLookup(nn.Module):
 
     def __init__(
         self,
-        pixels: Tensor,
-        seen: Tensor,
+        pixels: Float[Tensor, "*#g P m 2"],
+        seen: Bool[Tensor, "*#g P m"],
         image_size: tuple[int, int],
-        shares: Tensor | None = None,
+        shares: Float[Tensor, "*#g P m"] | None = None,
         edges: str = "border",
         cubic: bool = False,
     ) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -41,8 +42,8 @@ class MaskedLookup(nn.Module):
         target_shape: tuple[int, ...],
         mode: str,
         fill: float = 0.0,
-        valid: Tensor | None = None,
-        usable: Tensor | None = None,
+        valid: Bool[Tensor, "*g P"] | None = None,
+        usable: Shaped[Tensor, " ..."] | None = None,
         whole: bool = True,
     ) -> None:
         super().__init__()
@@ -63,7 +64,9 @@ class MaskedLookup(nn.Module):
         filling = None if self.valid is None or fill == 0 or self.picks else self._filling(self.valid)
         self.register_buffer("filling", filling, persistent=False)
 
-    def forward(self, values: Tensor, mask: Tensor | None = None) -> Tensor:
+    def forward(
+        self, values: Shaped[Tensor, " ..."], mask: Shaped[Tensor, " ..."] | None = None
+    ) -> Shaped[Tensor, " ..."]:
         """``values`` (*b, C, *source_shape) on the target, (*b, C, *target_shape), of their dtype."""
         if not values.is_floating_point() and self.mode != "nearest":
             raise ArgumentError(
@@ -85,7 +88,9 @@ class MaskedLookup(nn.Module):
             found = found + filling.to(found.dtype).unsqueeze(-2)
         return found.to(values.dtype).unflatten(-1, self.target_shape)
 
-    def means(self, values: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+    def means(
+        self, values: Float[Tensor, " ..."], mask: Shaped[Tensor, " ..."] | None = None
+    ) -> tuple[Float[Tensor, "*batch C P"], Bool[Tensor, "*seen P"] | None]:
         """Means (*b, C, P) over usable ones of ``values`` (*b, C, *source_shape), zero where not valid, and where."""
         gain, valid, usable = self.gain, self.valid, self.usable
         if mask is not None:
@@ -96,7 +101,7 @@ class MaskedLookup(nn.Module):
         found: Tensor = self.lookup(values)
         return found if gain is None else found * gain.to(found.dtype).unsqueeze(-2), valid
 
-    def mask(self, mask: Tensor | None = None) -> Tensor:
+    def mask(self, mask: Shaped[Tensor, " ..."] | None = None) -> Bool[Tensor, " ..."]:
         """Where results are valid, bool ``(*b, *target_shape)``, given the values that may be used."""
         valid = self._valid(mask)
         if valid is None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 __all__ = [
@@ -44,7 +45,9 @@ def _horner(coefficients: Tensor, x: Tensor, order: int) -> list[Tensor]:
     return taylor
 
 
-def polynomial_value(coefficients: Tensor, x: Tensor) -> Tensor:
+def polynomial_value(
+    coefficients: Float[Tensor, "*coefficients n"], x: Float[Tensor, " ..."]
+) -> Float[Tensor, " ..."]:
     """Value (*) at ``x`` (*) of the polynomials with ascending ``coefficients`` (*, n).
 
     Examples:
@@ -54,7 +57,9 @@ def polynomial_value(coefficients: Tensor, x: Tensor) -> Tensor:
     return _horner(coefficients, x, 0)[0]
 
 
-def polynomial(coefficients: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+def polynomial(
+    coefficients: Float[Tensor, "*coefficients n"], x: Float[Tensor, " ..."]
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """Value and derivative (*) at ``x`` (*) of the polynomials with ascending ``coefficients`` (*, n).
 
     Examples:
@@ -66,7 +71,9 @@ def polynomial(coefficients: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
     return value, derivative
 
 
-def polynomial_with_curvature(coefficients: Tensor, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def polynomial_with_curvature(
+    coefficients: Float[Tensor, "*coefficients n"], x: Float[Tensor, " ..."]
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """Value, first and second derivative (*) at ``x`` (*) of the polynomials with ascending ``coefficients`` (*, n).
 
     Examples:
@@ -78,8 +85,11 @@ def polynomial_with_curvature(coefficients: Tensor, x: Tensor) -> tuple[Tensor, 
 
 
 def increasing_limit(
-    derivative: Callable[[Tensor], Tensor], upper: Tensor, samples: int = 128, refinements: int = 2
-) -> Tensor:
+    derivative: Callable[[Tensor], Tensor],
+    upper: Float[Tensor, "*batch"],
+    samples: int = 128,
+    refinements: int = 2,
+) -> Float[Tensor, "*batch"]:
     """How far from 0 towards ``upper`` (*) a function increases.
 
     The first of ``samples`` at which it does not is looked for. Between it and the sample before, the zero of the
@@ -118,7 +128,10 @@ def _false_position(low: Tensor, high: Tensor, positive: Tensor, negative: Tenso
 
 
 def refine_root(
-    function: Callable[[Tensor], tuple[Tensor, Tensor, Tensor]], target: Tensor, start: Tensor, upper: Tensor
+    function: Callable[[Tensor], tuple[Tensor, Tensor, Tensor]],
+    target: Float[Tensor, " ..."],
+    start: Float[Tensor, " ..."],
+    upper: Float[Tensor, " ..."],
 ) -> Root:
     """Solve ``function(x) = target`` for ``x`` (*) in [0, upper] from a start close by: two steps of Halley's method.
 

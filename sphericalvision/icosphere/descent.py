@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.icosphere.mesh import icosahedron_rectangles
@@ -32,20 +33,20 @@ class Triangles(NamedTuple):
     sign: Tensor
     corners: tuple[Tensor, Tensor, Tensor]
 
-    def vertex_ids(self, level: int) -> Tensor:
+    def vertex_ids(self, level: int) -> Int[Tensor, "M 3"]:
         """Ids ``(M, 3)`` of the corners on the icosphere of this level."""
         chart, row, column, sign, _ = self
         rows = torch.stack((row, row, row + sign), -1)
         columns = torch.stack((column, column + sign, column), -1)
         return vertex_at(chart[:, None], rows, columns, level)
 
-    def numbers(self, level: int) -> Tensor:
+    def numbers(self, level: int) -> Int[Tensor, " M"]:
         """Numbers ``(M,)`` of the triangles in ``icosphere_faces`` of this level."""
         n, half = 2**level, (1 - self.sign) // 2
         return 2 * ((self.chart * (2 * n) + self.row - half) * n + self.column - half) + half
 
 
-def base_corners(like: Tensor) -> Tensor:
+def base_corners(like: Float[Tensor, " ..."]) -> Float[Tensor, "20 3 3"]:
     """Corners ``(20, 3, 3)`` of the icosahedron's faces, in the order of ``icosphere_faces(0)``."""
     rectangles = icosahedron_rectangles(dtype=torch.float64)
     charts = rectangles[:, 1:, :-1].reshape(10, 3)
@@ -53,25 +54,30 @@ def base_corners(like: Tensor) -> Tensor:
     return vertices[icosphere_faces(0, like.device)].to(like.dtype)
 
 
-def base_places(face: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def base_places(
+    face: Int[Tensor, "*batch"],
+) -> tuple[Int[Tensor, "*batch"], Int[Tensor, "*batch"], Int[Tensor, "*batch"], Int[Tensor, "*batch"]]:
     """Chart, row, column and sign of faces of the icosahedron."""
     chart, half = face // 4, face % 2
     return chart, (face // 2) % 2 + half, half, 1 - 2 * half
 
 
-def barycentric_weights(unit: Tensor, corners: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+def barycentric_weights(
+    unit: Float[Tensor, "M 3"],
+    corners: tuple[Float[Tensor, "M 3"], Float[Tensor, "M 3"], Float[Tensor, "M 3"]],
+) -> Float[Tensor, "M 3"]:
     """Return ``(M, 3)`` weights from determinants of small differences, which are accurate in float32."""
     a, b, c = (corner - unit for corner in corners)
     volumes = torch.stack((triple(unit, b, c), triple(unit, c, a), triple(unit, a, b)), -1)
     return volumes / volumes.sum(-1, keepdim=True)
 
 
-def triple(a: Tensor, b: Tensor, c: Tensor) -> Tensor:
+def triple(a: Float[Tensor, "M 3"], b: Float[Tensor, "M 3"], c: Float[Tensor, "M 3"]) -> Float[Tensor, " M"]:
     """Return the determinant of the rows a, b, c, each ``(M, 3)``."""
     return (a * torch.linalg.cross(b, c)).sum(-1)
 
 
-def descend(unit: Tensor, level: int) -> Triangles:
+def descend(unit: Float[Tensor, "M 3"], level: int) -> Triangles:
     """Return the triangles that contain unit vectors ``(M, 3)``; corners are recomputed on the way, in their dtype."""
     bases = base_corners(unit)
     # The faces of a regular icosahedron are the Voronoi cells of their centres.

@@ -80,7 +80,9 @@ def level_from_num_vertices(num_vertices: int) -> int:
     return level
 
 
-def vertex_at(chart: Tensor, row: Tensor, column: Tensor, level: int) -> Tensor:
+def vertex_at(
+    chart: Int[Tensor, " ..."], row: Int[Tensor, " ..."], column: Int[Tensor, " ..."], level: int
+) -> Int[Tensor, " ..."]:
     """Return the vertex at a place of a chart, borders included; shapes broadcast.
 
     Args:

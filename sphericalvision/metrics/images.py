@@ -6,7 +6,7 @@ from __future__ import annotations
 from abc import abstractmethod
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 from torchmetrics import Metric
 
@@ -15,7 +15,12 @@ from sphericalvision.core import ShapeError
 __all__ = ["MeanOverImages", "shares_of_points", "weighted_mean"]
 
 
-def shares_of_points(pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None) -> Tensor:
+def shares_of_points(
+    pred: Shaped[Tensor, "B V"],
+    target: Shaped[Tensor, "B V"],
+    mask: Shaped[Tensor, "B V"] | None,
+    weights: Shaped[Tensor, " ..."] | None,
+) -> Float[Tensor, "B V"]:
     """Return float64 weights ``(B, V)``: zero outside the mask, one in total per image (NaN if empty)."""
     if pred.ndim != 2:
         raise ShapeError(f"prediction: expected shape (B, V), got {tuple(pred.shape)}")
@@ -35,7 +40,7 @@ def shares_of_points(pred: Tensor, target: Tensor, mask: Tensor | None, weights:
     return shares / shares.sum(1, keepdim=True)
 
 
-def weighted_mean(values: Tensor, shares: Tensor) -> Tensor:
+def weighted_mean(values: Shaped[Tensor, "B V"], shares: Float[Tensor, "B V"]) -> Float[Tensor, " B"]:
     """Return the weighted mean ``(B,)``; values without weight are ignored, NaN included."""
     return torch.where(shares == 0, 0.0, values * shares).sum(1)
 

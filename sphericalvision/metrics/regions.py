@@ -70,7 +70,7 @@ class ByRegion(Metric):
             inside = region.expand(pred.shape)
             metric.update(pred, target, inside if mask is None else inside & mask.bool(), **options)
 
-    def compute(self) -> dict[str, Tensor]:
+    def compute(self) -> dict[str, Float[Tensor, " ..."]]:
         """Return the errors everywhere and in each region."""
         values: dict[str, Tensor] = dict(self.everywhere.compute())
         for name, metric in self.by_region.items():

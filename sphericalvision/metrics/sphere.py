@@ -255,7 +255,7 @@ class SolidAngleIoU(_OnGrid):
         pair = true[counts] * self.num_classes + predicted[counts]
         self.areas.view(-1).index_add_(0, pair.long(), weights[counts])
 
-    def compute(self) -> dict[str, Tensor]:
+    def compute(self) -> dict[str, Float[Tensor, " ..."]]:
         """Return accuracy and intersection over union."""
         both = self.areas.diagonal()
         iou = both / (self.areas.sum(0) + self.areas.sum(1) - both)

@@ -8,7 +8,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import torch
-from jaxtyping import Bool, Float, Num
+from jaxtyping import Bool, Float, Num, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -151,7 +151,7 @@ class DepthNetwork(RemembersArguments):
         images: Float[Tensor, "B n C *size"],
         rig: CameraRig | Any,
         seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
-    ) -> dict[str, Tensor]:
+    ) -> dict[str, Shaped[Tensor, "B ..."]]:
         """Return what is computed of images before anything that is trained, to be kept beside them; most have nothing.
 
         Values are on icospheres, their last dimension; turns by 72 degrees must turn them as they turn the images.

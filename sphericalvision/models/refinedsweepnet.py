@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -195,7 +195,11 @@ class RefinedSweepNet(DepthNetwork):
         return SweepClues(cost, best, mean[:, ::2], cameras[:, places], prior)
 
     def fuse(
-        self, clues: SweepClues, images: Tensor, seen: Tensor, offsets: Float[Tensor, "*batch n 3"]
+        self,
+        clues: SweepClues,
+        images: Float[Tensor, "B n 3 V_image"],
+        seen: Bool[Tensor, "B n V_image"],
+        offsets: Float[Tensor, "*batch n 3"],
     ) -> FusedLogits:
         """Return the logits ``(B, M, V)`` one level above the images."""
         prior = clues.prior.float()
@@ -208,7 +212,11 @@ class RefinedSweepNet(DepthNetwork):
         return self.fusion(clues, prior, start, appearance, self.up, size)  # type: ignore[no-any-return]
 
     def refine(
-        self, fused: FusedLogits, images: Tensor, seen: Tensor, offsets: Float[Tensor, "*batch n 3"]
+        self,
+        fused: FusedLogits,
+        images: Float[Tensor, "B n 3 V_image"],
+        seen: Bool[Tensor, "B n V_image"],
+        offsets: Float[Tensor, "*batch n 3"],
     ) -> RefinedIndex:
         """Return the answer at the level of the images, in inner hypotheses."""
         candidates = candidates_of(fused)
@@ -226,7 +234,7 @@ class RefinedSweepNet(DepthNetwork):
         images: Float[Tensor, "B n 3 V_image"],
         rig: CameraRig | RefinedTables,
         seen: Bool[Tensor, "B n V_image"] | None = None,
-    ) -> dict[str, Tensor]:
+    ) -> dict[str, Shaped[Tensor, "B ..."]]:
         """Return the clues in a form to be kept, a byte a number: they do not change while the prior does not."""
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
         with torch.no_grad():

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.parsing import numbers
@@ -62,7 +63,7 @@ def matrix(value: Any, where: str, count: int | None = None) -> list[float]:
     return found
 
 
-def rotation(value: Any, where: str) -> Tensor:
+def rotation(value: Any, where: str) -> Float[Tensor, "3 3"]:
     """A rotation (3, 3) from a matrix or a rotation vector."""
     found = matrix(value, where)
     if len(found) == 3:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.parsing import numbers
@@ -14,7 +15,7 @@ from sphericalvision.core import FileFormatError
 __all__ = ["axis_angle_from_rotation", "checked_rigid", "quaternion_from_rotation", "transform_from_rows"]
 
 
-def checked_rigid(transform: Tensor, where: str) -> Tensor:
+def checked_rigid(transform: Float[Tensor, "4 4"], where: str) -> Float[Tensor, "4 4"]:
     """``transform`` (4, 4) if its rotation is one to three digits, else ``FileFormatError``."""
     rotation = transform[:3, :3]
     deviation = float((rotation @ rotation.mT - torch.eye(3, dtype=rotation.dtype)).abs().max())
@@ -26,7 +27,7 @@ def checked_rigid(transform: Tensor, where: str) -> Tensor:
     return transform
 
 
-def transform_from_rows(values: Any, where: str) -> Tensor:
+def transform_from_rows(values: Any, where: str) -> Float[Tensor, "4 4"]:
     """A rigid transform (4, 4), float64, from 4 or 3 rows of 4 numbers, nested or one after the other.
 
     Examples:
@@ -48,7 +49,7 @@ def transform_from_rows(values: Any, where: str) -> Tensor:
     return checked_rigid(torch.cat((upper, last)), where)
 
 
-def quaternion_from_rotation(rotation: Tensor) -> list[float]:
+def quaternion_from_rotation(rotation: Float[Tensor, "3 3"]) -> list[float]:
     """(w, x, y, z) with w >= 0 of a rotation (3, 3), to the last digits for every angle.
 
     It is the eigenvector of the largest eigenvalue of a symmetric matrix of the rotation's entries, for which no angle
@@ -76,7 +77,7 @@ def quaternion_from_rotation(rotation: Tensor) -> list[float]:
     return values
 
 
-def axis_angle_from_rotation(rotation: Tensor) -> list[float]:
+def axis_angle_from_rotation(rotation: Float[Tensor, "3 3"]) -> list[float]:
     """The rotation vector in radians of a rotation (3, 3), to the last digits for every angle.
 
     Examples:

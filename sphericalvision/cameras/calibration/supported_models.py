@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from jaxtyping import Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
@@ -30,7 +31,7 @@ def check_holds(format: str, camera: Camera) -> None:
         )
 
 
-def numbers_of(tensor: Tensor) -> list[float]:
+def numbers_of(tensor: Shaped[Tensor, " ..."]) -> list[float]:
     """Plain float64 numbers of a parameter, whatever its device and whether it is learned."""
     values: list[float] = tensor.detach().to("cpu").double().flatten().tolist()
     return values

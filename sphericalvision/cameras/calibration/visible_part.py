@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Bool
 from torch import Tensor
 
 from sphericalvision.cameras.base import AnyCamera, Camera
@@ -16,7 +17,7 @@ __all__ = ["bounded", "widest_angle"]
 
 
 @torch.no_grad()
-def widest_angle(camera: Camera, mask: Tensor | None = None) -> float:
+def widest_angle(camera: Camera, mask: Bool[Tensor, "h w"] | None = None) -> float:
     """The largest angle from the axis, in radians, at which a usable pixel of the image looks.
 
     Formats that do not tell a field of view get it from here. It is as good as the mask: an image without one is
@@ -64,7 +65,9 @@ def _angles_at_the_edge(camera: Camera, border: Tensor) -> Tensor:
     return widest
 
 
-def bounded(camera: AnyCamera, max_angle: float | None, where: str, mask: Tensor | None = None) -> AnyCamera:
+def bounded(
+    camera: AnyCamera, max_angle: float | None, where: str, mask: Bool[Tensor, "h w"] | None = None
+) -> AnyCamera:
     """``camera`` with ``max_angle``, or where that is ``None``, with as much as its image shows."""
     if max_angle is None:
         with errors_of_file(where):

@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -34,7 +35,7 @@ class Fit(NamedTuple):
     rms: float
 
 
-def fit_model(camera: Camera, model: FittedModel, held_out: Tensor, limit: float) -> Fit:
+def fit_model(camera: Camera, model: FittedModel, held_out: Float[Tensor, "n 3"], limit: float) -> Fit:
     """The best fit within ``limit``; the field of view shrinks to what the model reaches of ``held_out`` directions.
 
     Raises:
@@ -94,7 +95,7 @@ def _samples(camera: Camera, limit: float, model: FittedModel) -> Samples:
     return Samples(directions[valid], pixels[valid], center, focal_length)
 
 
-def cap(limit: float, count: int, like: Camera) -> Tensor:
+def cap(limit: float, count: int, like: Camera) -> Float[Tensor, "n 3"]:
     """Directions (count, 3) within ``limit`` of the axis, on a spiral of equal areas."""
     step = torch.arange(count, dtype=torch.float64, device=like.device)
     angle = 2 * torch.asin(math.sin(limit / 2) * ((step + 0.5) / count).sqrt())

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection
@@ -34,12 +35,12 @@ class Samples(NamedTuple):
     """Pixels per radian at the axis (2,)."""
 
     @property
-    def angle(self) -> Tensor:
+    def angle(self) -> Float[Tensor, " n"]:
         """Angles from the axis (n,)."""
         return angle_from_axis(self.directions)
 
     @property
-    def radius(self) -> Tensor:
+    def radius(self) -> Float[Tensor, " n"]:
         """Image radii (n,) in focal lengths."""
         return ((self.pixels - self.center) / self.focal_length).norm(dim=-1)
 
@@ -68,7 +69,7 @@ class FittedModel:
     constants: dict[str, Any] = field(default_factory=dict)
     complete: Callable[[dict[str, Any]], dict[str, Any]] | None = None
 
-    def intrinsics(self, vector: Tensor) -> dict[str, Tensor]:
+    def intrinsics(self, vector: Float[Tensor, "*batch p"]) -> dict[str, Tensor]:
         """The parts by name of one vector or of many, (*, p)."""
         parts = vector.split([size or 1 for size in self.sizes.values()], dim=-1)
         return {
@@ -76,16 +77,18 @@ class FittedModel:
             for (name, size), part in zip(self.sizes.items(), parts, strict=True)
         }
 
-    def vector(self, intrinsics: dict[str, Tensor]) -> Tensor:
+    def vector(self, intrinsics: dict[str, Tensor]) -> Float[Tensor, " p"]:
         """The intrinsics, one after the other."""
         return torch.cat([intrinsics[name].reshape(-1) for name in self.sizes])
 
-    def pixels(self, vector: Tensor, directions: Tensor) -> Projection:
+    def pixels(self, vector: Float[Tensor, "*vectors p"], directions: Float[Tensor, "n 3"]) -> Projection:
         """Pixels (n, 2) of directions (n, 3)."""
         return self.project(directions, *self.intrinsics(vector).values())
 
     @torch.enable_grad()
-    def jacobian(self, vector: Tensor, directions: Tensor) -> Tensor:
+    def jacobian(
+        self, vector: Float[Tensor, " p"], directions: Float[Tensor, "n 3"]
+    ) -> Float[Tensor, "n 2 p"]:
         """Derivatives (n, 2, p) of the pixels; a copy of the vector for each direction makes it two backward passes."""
         copies = vector.expand(len(directions), -1).clone().requires_grad_()
         u, v = self.pixels(copies, directions).pixels.unbind(-1)
@@ -93,14 +96,14 @@ class FittedModel:
         (grad_v,) = torch.autograd.grad(v.sum(), copies)
         return torch.stack((grad_u, grad_v), dim=1)
 
-    def limits(self, like: Tensor) -> tuple[Tensor, Tensor]:
+    def limits(self, like: Float[Tensor, " ..."]) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
         """Smallest and largest values of the vector."""
         open_ended = (-math.inf, math.inf)
         ends = [[self.bounds.get(name, open_ended)] * (size or 1) for name, size in self.sizes.items()]
         table = like.new_tensor(list(itertools.chain.from_iterable(ends)))
         return table[:, 0], table[:, 1]
 
-    def own_start(self, camera: Camera) -> list[Tensor]:
+    def own_start(self, camera: Camera) -> list[Float[Tensor, " p"]]:
         """The camera's own intrinsics, if it is of this model with as many numbers."""
         if type(camera) is not self.camera_class:
             return []
@@ -113,7 +116,9 @@ class FittedModel:
             return []
         return [self.vector(values).double()]
 
-    def build(self, vector: Tensor, image_size: tuple[int, int], max_angle: float, like: Camera) -> Camera:
+    def build(
+        self, vector: Float[Tensor, " p"], image_size: tuple[int, int], max_angle: float, like: Camera
+    ) -> Camera:
         """The camera of a vector, in the dtype and on the device of ``like``."""
         vector = vector.to(like.device, like.dtype)
         intrinsics: dict[str, Any] = self.intrinsics(vector) | self.constants

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.fitting.model import FittedModel, Samples
@@ -18,7 +19,9 @@ PLANE_REACH = math.radians(80)
 """A model of the image plane is fitted up to here, unless the original ends before."""
 
 
-def with_shapes(model: FittedModel, samples: Samples, shapes: Iterable[Sequence[float]]) -> list[Tensor]:
+def with_shapes(
+    model: FittedModel, samples: Samples, shapes: Iterable[Sequence[float]]
+) -> list[Float[Tensor, " p"]]:
     """The two best vectors of models that scale and shift a unit image, which numbers beyond that shape.
 
     For each shape, focal lengths and principal point follow by linear least squares.
@@ -50,7 +53,7 @@ def shape_grid(*axes: Sequence[float], then: int = 0) -> Callable[[FittedModel, 
     return starts
 
 
-def solve_linear(columns: Tensor, target: Tensor) -> Tensor:
+def solve_linear(columns: Float[Tensor, "m k"], target: Float[Tensor, " m"]) -> Float[Tensor, " k"]:
     """Linear least squares with columns of unit length."""
     length = columns.norm(dim=0)
     solution = torch.linalg.lstsq(columns / length, target.unsqueeze(-1), driver="gelsd").solution

@@ -115,17 +115,17 @@ class AtanCamera(Camera):
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "omega")
     sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "omega": ()}
 
-    focal_length: Tensor
-    principal_point: Tensor
-    omega: Tensor
+    focal_length: Float[Tensor, "*batch 2"]
+    principal_point: Float[Tensor, "*batch 2"]
+    omega: Float[Tensor, "*batch"]
 
     def __init__(
         self,
-        focal_length: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
-        omega: float | Tensor,
+        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
+        omega: float | Float[Tensor, "*#batch"],
         image_size: Sequence[int],
-        max_angle: float | Tensor | None = None,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,

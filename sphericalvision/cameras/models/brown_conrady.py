@@ -182,17 +182,17 @@ class BrownConradyCamera(Camera):
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
     sizes: ClassVar[dict[str, tuple[int, ...]]] = IMAGE_PLANE
 
-    focal_length: Tensor
-    principal_point: Tensor
-    distortion: Tensor
+    focal_length: Float[Tensor, "*batch 2"]
+    principal_point: Float[Tensor, "*batch 2"]
+    distortion: Float[Tensor, "*batch k"]
 
     def __init__(
         self,
-        focal_length: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
-        distortion: Sequence[float] | Tensor,
+        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
+        distortion: Sequence[float] | Float[Tensor, "*#batch k"],
         image_size: Sequence[int],
-        max_angle: float | Tensor | None = None,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,
@@ -206,7 +206,7 @@ class BrownConradyCamera(Camera):
             self.max_angle = torch.atan(fold_radius(self.distortion))
         self._end_before_second_fold()
 
-    def with_max_angle(self, max_angle: float | Tensor) -> BrownConradyCamera:
+    def with_max_angle(self, max_angle: float | Float[Tensor, "*#batch"]) -> BrownConradyCamera:
         """The same camera with another limit of its field of view, in radians from the optical axis.
 
         At most between the first fold of the radial distortion and where it turns again.

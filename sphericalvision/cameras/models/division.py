@@ -140,17 +140,17 @@ class DivisionCamera(Camera):
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
     sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "distortion": tuple(range(1, 7))}
 
-    focal_length: Tensor
-    principal_point: Tensor
-    distortion: Tensor
+    focal_length: Float[Tensor, "*batch 2"]
+    principal_point: Float[Tensor, "*batch 2"]
+    distortion: Float[Tensor, "*batch k"]
 
     def __init__(
         self,
-        focal_length: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
-        distortion: Sequence[float] | Tensor,
+        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
+        distortion: Sequence[float] | Float[Tensor, "*#batch k"],
         image_size: Sequence[int],
-        max_angle: float | Tensor | None = None,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,

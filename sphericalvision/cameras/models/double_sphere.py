@@ -125,19 +125,19 @@ class DoubleSphereCamera(Camera):
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "xi", "alpha")
     sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "xi": (), "alpha": ()}
 
-    focal_length: Tensor
-    principal_point: Tensor
-    xi: Tensor
-    alpha: Tensor
+    focal_length: Float[Tensor, "*batch 2"]
+    principal_point: Float[Tensor, "*batch 2"]
+    xi: Float[Tensor, "*batch"]
+    alpha: Float[Tensor, "*batch"]
 
     def __init__(
         self,
-        focal_length: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
-        xi: float | Tensor,
-        alpha: float | Tensor,
+        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
+        xi: float | Float[Tensor, "*#batch"],
+        alpha: float | Float[Tensor, "*#batch"],
         image_size: Sequence[int],
-        max_angle: float | Tensor | None = None,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
@@ -91,7 +91,7 @@ class EquirectangularCamera(Camera):
         super().__init__(image_size, math.pi)
         self.vertical_field_of_view = float(vertical_field_of_view)
 
-    def contains(self, pixels: Tensor) -> Tensor:
+    def contains(self, pixels: Float[Tensor, "*pixels 2"]) -> Bool[Tensor, " ..."]:
         """As for any camera, up to rounding at the seam, where the outermost half pixels meet."""
         height, width = self.image_size
         slack = 8 * torch.finfo(pixels.dtype).eps * max(height, width)
@@ -127,7 +127,9 @@ class EquirectangularCamera(Camera):
     def _unproject(self, pixels: Tensor) -> Unprojection:
         return unproject_equirectangular(pixels, self.image_size, self.vertical_field_of_view)
 
-    def interpolate(self, image: Tensor, pixels: Tensor) -> Tensor:
+    def interpolate(
+        self, image: Shaped[Tensor, "*images c h w"], pixels: Float[Tensor, "*pixels n 2"]
+    ) -> Float[Tensor, "*batch c n"]:
         """As for any camera, across the seam."""
         if (
             self.vertical_field_of_view < math.pi - 1e-9

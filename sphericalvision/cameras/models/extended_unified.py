@@ -125,19 +125,19 @@ class ExtendedUnifiedCamera(Camera):
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "alpha", "beta")
     sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "alpha": (), "beta": ()}
 
-    focal_length: Tensor
-    principal_point: Tensor
-    alpha: Tensor
-    beta: Tensor
+    focal_length: Float[Tensor, "*batch 2"]
+    principal_point: Float[Tensor, "*batch 2"]
+    alpha: Float[Tensor, "*batch"]
+    beta: Float[Tensor, "*batch"]
 
     def __init__(
         self,
-        focal_length: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
-        alpha: float | Tensor,
-        beta: float | Tensor,
+        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
+        alpha: float | Float[Tensor, "*#batch"],
+        beta: float | Float[Tensor, "*#batch"],
         image_size: Sequence[int],
-        max_angle: float | Tensor | None = None,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,

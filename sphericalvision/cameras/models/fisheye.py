@@ -200,16 +200,16 @@ class FisheyeCamera(Camera):
     option_names: ClassVar[tuple[str, ...]] = ("projection",)
 
     projection: str
-    focal_length: Tensor
-    principal_point: Tensor
+    focal_length: Float[Tensor, "*batch _"]
+    principal_point: Float[Tensor, "*batch 2"]
 
     def __init__(
         self,
         projection: str,
-        focal_length: float | Tensor,
-        principal_point: Sequence[float] | Tensor,
+        focal_length: float | Float[Tensor, " ..."],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
         image_size: Sequence[int],
-        max_angle: float | Tensor | None = None,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         check_choice("projection", projection, FISHEYE_PROJECTIONS)
         super().__init__(

@@ -210,19 +210,19 @@ class OCamCamera(Camera):
     sizes: ClassVar[dict[str, tuple[int, ...]]] = {"principal_point": (2,), "affine": (3,)}
     optional_names: ClassVar[tuple[str, ...]] = ("inverse_polynomial",)
 
-    polynomial: Tensor
-    inverse_polynomial: Tensor | None
-    principal_point: Tensor
-    affine: Tensor
+    polynomial: Float[Tensor, "*batch n"]
+    inverse_polynomial: Float[Tensor, "*batch m"] | None
+    principal_point: Float[Tensor, "*batch 2"]
+    affine: Float[Tensor, "*batch 3"]
 
     def __init__(
         self,
-        polynomial: Sequence[float] | Tensor,
-        inverse_polynomial: Sequence[float] | Tensor | None,
-        principal_point: Sequence[float] | Tensor,
-        affine: Sequence[float] | Tensor,
+        polynomial: Sequence[float] | Float[Tensor, "*#batch n"],
+        inverse_polynomial: Sequence[float] | Float[Tensor, "*#batch m"] | None,
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
+        affine: Sequence[float] | Float[Tensor, "*#batch 3"],
         image_size: Sequence[int],
-        max_angle: float | Tensor,
+        max_angle: float | Float[Tensor, "*#batch"],
     ) -> None:
         super().__init__(
             image_size,

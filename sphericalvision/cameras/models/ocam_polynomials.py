@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import check_single
@@ -97,7 +98,7 @@ def _profile(camera: OCamCamera, widest: Tensor) -> tuple[Tensor, Tensor]:
     return angle[:last], radius[:last]
 
 
-def fit_inverse(angle: Tensor, radius: Tensor, degree: int) -> Tensor:
+def fit_inverse(angle: Float[Tensor, " n"], radius: Float[Tensor, " n"], degree: int) -> Float[Tensor, " k"]:
     """Ascending coefficients of the image radius (n,) in the angle from the image plane, ``angle`` (n,) − π/2."""
     theta = (angle - math.pi / 2).cpu().numpy()
     fit = np.polynomial.Chebyshev.fit(
@@ -107,7 +108,9 @@ def fit_inverse(angle: Tensor, radius: Tensor, degree: int) -> Tensor:
     return torch.as_tensor(coefficients, dtype=radius.dtype, device=radius.device)
 
 
-def fit_direct(angle: Tensor, radius: Tensor, tolerance: float = 1e-3) -> Tensor:
+def fit_direct(
+    angle: Float[Tensor, " n"], radius: Float[Tensor, " n"], tolerance: float = 1e-3
+) -> Float[Tensor, " k"]:
     """Coefficients a0, 0, a2, ... of the direct polynomial f with ``tan(angle) = −radius / f(radius)``, (n,) each.
 
     Of the smallest degree whose error in the image is within ``tolerance`` pixels, or the best up to 17.

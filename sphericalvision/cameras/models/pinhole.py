@@ -88,15 +88,15 @@ class PinholeCamera(Camera):
     intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point")
     sizes: ClassVar[dict[str, tuple[int, ...]]] = IMAGE_PLANE
 
-    focal_length: Tensor
-    principal_point: Tensor
+    focal_length: Float[Tensor, "*batch 2"]
+    principal_point: Float[Tensor, "*batch 2"]
 
     def __init__(
         self,
-        focal_length: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
+        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
         image_size: Sequence[int],
-        max_angle: float | Tensor = math.pi / 2,
+        max_angle: float | Float[Tensor, "*#batch"] = math.pi / 2,
     ) -> None:
         super().__init__(image_size, max_angle, focal_length=focal_length, principal_point=principal_point)
 

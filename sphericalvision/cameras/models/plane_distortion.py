@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor, addcmul
 
 from sphericalvision.geometry.directions import is_greater
@@ -60,7 +61,7 @@ class Jacobian(NamedTuple):
     vy: Tensor
 
     @property
-    def determinant(self) -> Tensor:
+    def determinant(self) -> Float[Tensor, " ..."]:
         """Positive where the distortion keeps orientation, and so is one-to-one near by."""
         return addcmul(self.ux * self.vy, self.uy, self.vx, value=-1)
 
@@ -73,7 +74,12 @@ class Undistorted(NamedTuple):
     converged: Tensor
 
 
-def distort(x: Tensor, y: Tensor, coefficients: Tensor, largest: Tensor | None = None) -> Distorted:
+def distort(
+    x: Float[Tensor, " ..."],
+    y: Float[Tensor, " ..."],
+    coefficients: Float[Tensor, "*coefficients k"],
+    largest: Float[Tensor, " ..."] | None = None,
+) -> Distorted:
     """The distorted (u, v), each (*), of the plane's points (x, y); r² counts as ``largest`` (*) where it is more.
 
     Examples:
@@ -96,8 +102,11 @@ def distort(x: Tensor, y: Tensor, coefficients: Tensor, largest: Tensor | None =
 
 
 def distort_inside(
-    x: Tensor, y: Tensor, coefficients: Tensor, largest_radius: Tensor | None = None
-) -> tuple[Tensor, Tensor, Tensor]:
+    x: Float[Tensor, " ..."],
+    y: Float[Tensor, " ..."],
+    coefficients: Float[Tensor, "*coefficients k"],
+    largest_radius: Float[Tensor, " ..."] | None = None,
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
     """Distorted (u, v), and where the distortion is one-to-one; each (*).
 
     Looked at up to ``largest_radius`` (*), at most ``radius_limit``, which it is by default. Beyond it r² counts as its
@@ -132,7 +141,12 @@ def _determinant(x: Tensor, y: Tensor, distorted: Distorted, coefficients: Tenso
     return addcmul(along * distorted.factor, across, across, value=-4 / 3)
 
 
-def jacobian(x: Tensor, y: Tensor, distorted: Distorted, coefficients: Tensor) -> Jacobian:
+def jacobian(
+    x: Float[Tensor, " ..."],
+    y: Float[Tensor, " ..."],
+    distorted: Distorted,
+    coefficients: Float[Tensor, "*coefficients k"],
+) -> Jacobian:
     """The derivatives of ``distort`` at (x, y), from what it returned there.
 
     Examples:
@@ -155,7 +169,7 @@ def jacobian(x: Tensor, y: Tensor, distorted: Distorted, coefficients: Tensor) -
     return Jacobian(ux, uy, vx, vy)
 
 
-def radius_limit(coefficients: Tensor) -> Tensor:
+def radius_limit(coefficients: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch"]:
     """A radius (*) between the first fold of the radial distortion and where it would turn again, or 10⁴.
 
     Inside of it a positive determinant means one-to-one: together they are the domain of the distortion. Without
@@ -169,7 +183,7 @@ def radius_limit(coefficients: Tensor) -> Tensor:
         return torch.where(before[..., -1] > 0, LARGEST_RADIUS, torch.tan(middle * _STEP))
 
 
-def fold_radius(coefficients: Tensor, azimuths: int = 32) -> Tensor:
+def fold_radius(coefficients: Float[Tensor, "*batch k"], azimuths: int = 32) -> Float[Tensor, "*batch"]:
     """The largest radius (*) at which the distortion is still one-to-one, over all azimuths; 10⁴ where it always is.
 
     Without derivatives.
@@ -193,7 +207,12 @@ def fold_radius(coefficients: Tensor, azimuths: int = 32) -> Tensor:
         return torch.tan(increasing_limit(determinant, end, _SAMPLES)).amax(-1)
 
 
-def undistort(u: Tensor, v: Tensor, coefficients: Tensor, iterations: int = 10) -> Undistorted:
+def undistort(
+    u: Float[Tensor, "*batch"],
+    v: Float[Tensor, "*batch"],
+    coefficients: Float[Tensor, "*coefficients k"],
+    iterations: int = 10,
+) -> Undistorted:
     """The plane's points (x, y) whose distorted places are (u, v), each (*): the inverse of ``distort``.
 
     Newton's method in two dimensions from a table of the radial part. A step that would leave the region where the
@@ -222,8 +241,8 @@ def undistort(u: Tensor, v: Tensor, coefficients: Tensor, iterations: int = 10) 
 
 def invert_plane_map(
     function: Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Jacobian]],
-    u: Tensor,
-    v: Tensor,
+    u: Float[Tensor, "*batch"],
+    v: Float[Tensor, "*batch"],
     start: tuple[Tensor, Tensor],
     inside: Callable[[Tensor, Tensor], Tensor] | None = None,
     iterations: int = 10,

@@ -154,17 +154,17 @@ class RadialPolynomialCamera(Camera):
     intrinsic_names: ClassVar[tuple[str, ...]] = ("polynomial", "principal_point", "aspect_ratio")
     sizes: ClassVar[dict[str, tuple[int, ...]]] = {"principal_point": (2,), "aspect_ratio": ()}
 
-    polynomial: Tensor
-    principal_point: Tensor
-    aspect_ratio: Tensor
+    polynomial: Float[Tensor, "*batch n"]
+    principal_point: Float[Tensor, "*batch 2"]
+    aspect_ratio: Float[Tensor, "*batch"]
 
     def __init__(
         self,
-        polynomial: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
-        aspect_ratio: float | Tensor,
+        polynomial: Sequence[float] | Float[Tensor, "*#batch n"],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
+        aspect_ratio: float | Float[Tensor, "*#batch"],
         image_size: Sequence[int],
-        max_angle: float | Tensor | None = None,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,

@@ -262,22 +262,22 @@ class ThinPrismFisheyeCamera(Camera):
     }
     option_names: ClassVar[tuple[str, ...]] = ("composition",)
 
-    focal_length: Tensor
-    principal_point: Tensor
-    distortion: Tensor
-    tangential: Tensor
-    thin_prism: Tensor
+    focal_length: Float[Tensor, "*batch 2"]
+    principal_point: Float[Tensor, "*batch 2"]
+    distortion: Float[Tensor, "*batch k"]
+    tangential: Float[Tensor, "*batch 2"]
+    thin_prism: Float[Tensor, "*batch 4"]
     composition: str
 
     def __init__(
         self,
-        focal_length: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
-        distortion: Sequence[float] | Tensor,
-        tangential: Sequence[float] | Tensor,
-        thin_prism: Sequence[float] | Tensor,
+        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
+        distortion: Sequence[float] | Float[Tensor, "*#batch k"],
+        tangential: Sequence[float] | Float[Tensor, "*#batch 2"],
+        thin_prism: Sequence[float] | Float[Tensor, "*#batch 4"],
         image_size: Sequence[int],
-        max_angle: float | Tensor | None = None,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
         composition: str = "sequential",
     ) -> None:
         check_choice("composition", composition, COMPOSITIONS)

@@ -139,19 +139,19 @@ class UnifiedCamera(Camera):
     sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "xi": ()}
     optional_names: ClassVar[tuple[str, ...]] = ("distortion",)
 
-    focal_length: Tensor
-    principal_point: Tensor
-    xi: Tensor
-    distortion: Tensor | None
+    focal_length: Float[Tensor, "*batch 2"]
+    principal_point: Float[Tensor, "*batch 2"]
+    xi: Float[Tensor, "*batch"]
+    distortion: Float[Tensor, "*batch k"] | None
 
     def __init__(
         self,
-        focal_length: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
-        xi: float | Tensor,
-        distortion: Sequence[float] | Tensor | None,
+        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
+        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
+        xi: float | Float[Tensor, "*#batch"],
+        distortion: Sequence[float] | Float[Tensor, "*#batch k"] | None,
         image_size: Sequence[int],
-        max_angle: float | Tensor | None = None,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,

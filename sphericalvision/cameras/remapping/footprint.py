@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -30,7 +31,9 @@ class SampleGroup(NamedTuple):
     """From the pixel's centre to its samples (s, 2), in target pixels."""
 
 
-def footprint(pixels: Tensor, valid: Tensor, source: Camera) -> Tensor:
+def footprint(
+    pixels: Float[Tensor, "*batch h w 2"], valid: Bool[Tensor, "*batch h w"], source: Camera
+) -> Float[Tensor, "h w 2"]:
     """Source pixels that one target pixel spans along u and along v, (h, w, 2); at least 1.
 
     Measured between neighbouring target pixels, the larger of the two sides, the largest of a batch. In a panorama a
@@ -57,7 +60,7 @@ def footprint(pixels: Tensor, valid: Tensor, source: Camera) -> Tensor:
     return torch.stack(spans, dim=-1).clamp(min=1)
 
 
-def sample_groups(spans: Tensor, image_size: tuple[int, int]) -> list[SampleGroup]:
+def sample_groups(spans: Float[Tensor, "h w 2"], image_size: tuple[int, int]) -> list[SampleGroup]:
     """Target pixels grouped by the number of samples that their footprint ``spans`` (h, w, 2) asks for.
 
     Samples lie about one pixel apart. A footprint of more than 16 pixels is looked up in an image averaged over

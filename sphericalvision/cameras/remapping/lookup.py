@@ -9,6 +9,7 @@ from typing import cast
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
@@ -20,8 +21,11 @@ __all__ = ["PyramidLookup", "image_edges", "level_size", "nearest_pixel", "sourc
 
 
 def source_pixels(
-    source: Camera, target: Camera, rotation: Tensor | None, positions: Tensor
-) -> tuple[Tensor, Tensor]:
+    source: Camera,
+    target: Camera,
+    rotation: Float[Tensor, "*turns 3 3"] | None,
+    positions: Float[Tensor, "*positions 2"],
+) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
     """Pixels (*b, *, 2) of the source that show what the target shows at ``positions`` (*, 2), and validity (*b, *).
 
     Args:
@@ -53,7 +57,7 @@ def image_edges(camera: Camera) -> str:
     return "sphere" if camera.vertical_field_of_view > math.pi - 1e-6 else "around"
 
 
-def nearest_pixel(camera: Camera, pixels: Tensor) -> Tensor:
+def nearest_pixel(camera: Camera, pixels: Float[Tensor, "*batch 2"]) -> Int[Tensor, "*batch"]:
     """Index (*) into the flattened image of the pixel whose centre is nearest to ``pixels`` (*, 2).
 
     Examples:
@@ -89,14 +93,14 @@ class PyramidLookup(nn.Module):
     order: Tensor
 
     def __init__(
-        self, lookups: Sequence[ImageLookup], levels: Sequence[int], members: Sequence[Tensor]
+        self, lookups: Sequence[ImageLookup], levels: Sequence[int], members: Sequence[Int[Tensor, " _"]]
     ) -> None:
         super().__init__()
         self.lookups = cast("Sequence[ImageLookup]", nn.ModuleList(lookups))
         self.levels = tuple(levels)
         self.register_buffer("order", torch.cat(list(members)).argsort(), persistent=False)
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, images: Shaped[Tensor, "*images C h w"]) -> Shaped[Tensor, "*batch C P"]:
         """``images`` (*b, C, height, width) at the targets, (*b, C, P)."""
         full, level, found = tuple(images.shape[-2:]), 0, []
         small = images

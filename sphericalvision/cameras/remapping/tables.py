@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -27,10 +28,10 @@ REMAP_MODES = ("bilinear", "area", "bicubic", "nearest", "depth")
 def remap_tables(
     source: Camera,
     target: Camera,
-    rotation: Tensor | None,
+    rotation: Float[Tensor, "*turns 3 3"] | None,
     mode: str,
     fill: float,
-    mask: Tensor | None,
+    mask: Shaped[Tensor, "*masks h w"] | None,
     device: torch.device | str,
 ) -> MaskedLookup:
     """Where every target pixel is looked up; gradients reach rotation and intrinsics through it."""
@@ -71,7 +72,7 @@ def remap_tables(
     return tables(lookup, size, target.image_size, mode, fill, centers_valid, usable, whole)
 
 
-def check_image(image: Tensor, image_size: tuple[int, int]) -> None:
+def check_image(image: Shaped[Tensor, "*batch C h w"], image_size: tuple[int, int]) -> None:
     """Raise ``ShapeError`` unless ``image`` is ``(*b, c, *image_size)``.
 
     Examples:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -20,16 +21,16 @@ __all__ = ["undistort", "undistorted_camera"]
 
 
 def undistort(
-    image: Tensor,
+    image: Shaped[Tensor, "*images C h w"],
     camera: Camera,
     field_of_view: float | None = None,
-    focal_length: float | Tensor | None = None,
+    focal_length: float | Float[Tensor, " ..."] | None = None,
     image_size: Sequence[int] | None = None,
-    rotation: Tensor | None = None,
+    rotation: Float[Tensor, "*turns 3 3"] | None = None,
     mode: str = "bilinear",
     fill: float = 0.0,
-    mask: Tensor | None = None,
-) -> Tensor:
+    mask: Shaped[Tensor, "*masks h w"] | None = None,
+) -> Shaped[Tensor, "*batch C h_out w_out"]:
     """The perspective picture in a wide image: ``remap`` to ``undistorted_camera``.
 
     Args:
@@ -67,7 +68,7 @@ def undistort(
 def undistorted_camera(
     camera: Camera,
     field_of_view: float | None = None,
-    focal_length: float | Tensor | None = None,
+    focal_length: float | Float[Tensor, " ..."] | None = None,
     image_size: Sequence[int] | None = None,
 ) -> PinholeCamera:
     """The pinhole camera of the picture that ``undistort`` makes with the same arguments.

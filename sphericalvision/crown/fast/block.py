@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.fast.double_backward import reference_gradients
@@ -68,8 +69,8 @@ class Moments(NamedTuple):
 
 
 def convolve_block(
-    values: Tensor, first: NormedLayer, second: NormedLayer, native: bool = False
-) -> tuple[Tensor, list[Moments]]:
+    values: Float[Tensor, "B C N V"], first: NormedLayer, second: NormedLayer, native: bool = False
+) -> tuple[Float[Tensor, "B O N V"], list[Moments]]:
     """Convolve volumes, normalise, rectify, convolve, normalise, and exchange.
 
     The same as ``crown_conv3d`` and batch normalisation in training mode between ``to_crown`` and ``from_crown``, in

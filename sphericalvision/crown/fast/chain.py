@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.fast.rectangles import PlaceSum, Rectangles
@@ -33,7 +34,9 @@ SLOW_ALONE = 20480
 
 
 @torch.no_grad()
-def convolve_chain(values: Tensor, layers: Sequence[Layer], native: bool = False) -> Tensor:
+def convolve_chain(
+    values: Float[Tensor, "B C N V"], layers: Sequence[Layer], native: bool = False
+) -> Float[Tensor, "B O N V"]:
     """Convolve volumes on an icosphere several times, with a ReLU between two times, and exchange at the end.
 
     The same numbers as ``crown_conv3d`` and ``crown_relu`` in turn between ``to_crown`` and ``from_crown``, in less

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.crown.fast.block import NormedLayer, convolve_block
@@ -38,12 +39,14 @@ __all__ = [
 Pair = tuple[Tensor, Tensor]
 
 
-def unfold(values: Tensor) -> Pair | None:
+def unfold(values: Shaped[Tensor, "B C *N V"]) -> Pair | None:
     """Values ``(B, C, [N,] V)`` at all places of the crown."""
     return Unfold.apply(values) if available() else None
 
 
-def fold(col: Tensor, row: Tensor) -> Tensor | None:
+def fold(
+    col: Float[Tensor, "B 5 C *N h w"], row: Float[Tensor, "B 5 C *N w h"]
+) -> Float[Tensor, "B C *N V"] | None:
     """The mean of each vertex over all its places, ``(B, C, [N,] V)``."""
     if not available():
         return None
@@ -51,7 +54,12 @@ def fold(col: Tensor, row: Tensor) -> Tensor | None:
 
 
 def conv(
-    col: Tensor, row: Tensor, weight: Tensor, bias: Tensor | None, stride: int, native: bool = False
+    col: Float[Tensor, "B 5 C *N h w"],
+    row: Float[Tensor, "B 5 C *N w h"],
+    weight: Float[Tensor, "O C taps"],
+    bias: Float[Tensor, " O"] | None,
+    stride: int,
+    native: bool = False,
 ) -> Pair | None:
     """Rectangles ``(B, 5, in, [N,] h, w)`` convolved with a weight ``(out, in, 7)`` or ``(out, in, 21)``."""
     if not available() or stride != 1 or col.device.type != "cpu" or torch.is_autocast_enabled("cpu"):
@@ -81,15 +89,25 @@ def conv(
 
 
 def conv_charts(
-    charts: Tensor, weight: Tensor, bias: Tensor | None, stride: int, native: bool
-) -> Tensor | None:
+    charts: Float[Tensor, "B 5 C *N h_in w_in"],
+    weight: Float[Tensor, "O C taps"],
+    bias: Float[Tensor, " O"] | None,
+    stride: int,
+    native: bool,
+) -> Float[Tensor, "B 5 O *N h w"] | None:
     """Charts ``(B, 5, in, [N,] h + 2, w + 2)`` with their border convolved, ``(B, 5, out, [N,] h, w)``."""
     if not (available() and native and hex_convolution_pays(charts, weight, stride)):
         return None
     return hex_convolution(charts.flatten(0, 1), weight, bias, COL_TAPS, border=True).unflatten(0, (-1, 5))
 
 
-def conv_norm(col: Tensor, row: Tensor, conv_layer: Any, norm: Any, relu: bool) -> Pair | None:
+def conv_norm(
+    col: Float[Tensor, "B 5 C *N h w"],
+    row: Float[Tensor, "B 5 C *N w h"],
+    conv_layer: Any,
+    norm: Any,
+    relu: bool,
+) -> Pair | None:
     """A convolution, its normalisation and, if asked for, a ReLU, of the modules ``conv_layer`` and ``norm``."""
     if not available():
         return None
@@ -113,7 +131,9 @@ def conv_norm(col: Tensor, row: Tensor, conv_layer: Any, norm: Any, relu: bool) 
     return normalize(*pair, norm, relu, conv_layer.native)
 
 
-def block3d(volume: Tensor, first: Any, second: Any, residual: bool) -> Tensor | None:
+def block3d(
+    volume: Float[Tensor, "B C N V"], first: Any, second: Any, residual: bool
+) -> Float[Tensor, "B O N V"] | None:
     """Two layers on the crown of a volume ``(B, C, N, V)``, from vertices to vertices; see ``crown_block3d``.
 
     ``first`` is a module of a convolution ``conv`` and its normalisation ``norm``, ``second`` another one, or a

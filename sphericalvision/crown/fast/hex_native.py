@@ -14,6 +14,7 @@ from typing import Any
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.fast.double_backward import reference_gradients
@@ -27,7 +28,9 @@ LANES = 16
 """Results are summed in vectors of so many channels."""
 
 
-def hex_convolution_pays(images: Tensor, weight: Tensor, stride: int) -> bool:
+def hex_convolution_pays(
+    images: Float[Tensor, " ..."], weight: Float[Tensor, "O C taps"], stride: int
+) -> bool:
     """Whether the operators can convolve these: on a CPU, in single or double precision, at stride 1."""
     return (
         stride == 1
@@ -40,8 +43,12 @@ def hex_convolution_pays(images: Tensor, weight: Tensor, stride: int) -> bool:
 
 
 def hex_convolution(
-    images: Tensor, weight: Tensor, bias: Tensor | None, taps: Taps, border: bool = False
-) -> Tensor:
+    images: Float[Tensor, "B C *N h_in w_in"],
+    weight: Float[Tensor, "O C taps"],
+    bias: Float[Tensor, " O"] | None,
+    taps: Taps,
+    border: bool = False,
+) -> Float[Tensor, "B O *N h w"]:
     """Convolve rectangles or charts of one kind, differentiable twice.
 
     Args:

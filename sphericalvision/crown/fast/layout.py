@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.places import own_charts
@@ -41,7 +42,7 @@ class Fold(torch.autograd.Function):
         return Unfold.apply(*gradients)
 
 
-def places_per_vertex(n: int, like: Tensor) -> Tensor:
+def places_per_vertex(n: int, like: Float[Tensor, " ..."]) -> Float[Tensor, " V"]:
     """Number of places ``(V,)`` in the crown of level ``log2(n)`` that each vertex stands in."""
     ones = like.new_ones(1)
     return _fold(ones.expand(1, 5, 1, 2 * n + 1, n + 1), ones.expand(1, 5, 1, n + 1, 2 * n + 1)).view(-1)

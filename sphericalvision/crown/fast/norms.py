@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
@@ -25,7 +26,9 @@ def is_affine(norm: _BatchNorm) -> bool:
     return not norm.training and norm.running_var is not None
 
 
-def folded(weight: Tensor, norm: _BatchNorm) -> tuple[Tensor, Tensor]:
+def folded(
+    weight: Float[Tensor, "O C taps"], norm: _BatchNorm
+) -> tuple[Float[Tensor, "O C taps"], Float[Tensor, " O"]]:
     """Return weight ``(out, in, taps)`` and bias of a convolution that normalises, too, where ``is_affine``."""
     assert norm.running_mean is not None
     assert norm.running_var is not None
@@ -38,13 +41,19 @@ def folded(weight: Tensor, norm: _BatchNorm) -> tuple[Tensor, Tensor]:
     return weight * scale[:, None, None], shift
 
 
-def normalizes(col: Tensor, norm: Any) -> bool:
+def normalizes(col: Float[Tensor, "B 5 C *N h w"], norm: Any) -> bool:
     """Whether ``normalize`` can: by statistics of what is given, in the precision of the parameters, on a CPU."""
     fits = norm.weight is not None and norm.weight.dtype == col.dtype and col.device.type == "cpu"
     return fits and not is_affine(norm) and not torch.is_autocast_enabled("cpu")
 
 
-def normalize(col: Tensor, row: Tensor, norm: Any, relu: bool, native: bool = False) -> tuple[Tensor, Tensor]:
+def normalize(
+    col: Float[Tensor, "B 5 C *N h w"],
+    row: Float[Tensor, "B 5 C *N w h"],
+    norm: Any,
+    relu: bool,
+    native: bool = False,
+) -> tuple[Float[Tensor, "B 5 C *N h w"], Float[Tensor, "B 5 C *N w h"]]:
     """Normalise rectangles by their own statistics, which running averages take in, and rectify them, if asked for.
 
     Channels stay next to each other in memory, where the layers of torch, which normalise channels one by one, would

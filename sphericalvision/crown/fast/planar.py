@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.fast.double_backward import reference_gradients
@@ -14,7 +15,11 @@ from sphericalvision.crown.fast.double_backward import reference_gradients
 __all__ = ["conv2d_replicate"]
 
 
-def conv2d_replicate(images: Tensor, kernel: Tensor, bias: Tensor | None = None) -> Tensor:
+def conv2d_replicate(
+    images: Float[Tensor, "B C h w"],
+    kernel: Float[Tensor, "O C 3 3"],
+    bias: Float[Tensor, " O"] | None = None,
+) -> Float[Tensor, "B O h w"]:
     """Convolve images ``(B, C, h, w)`` with ``(O, C, 3, 3)``, continued by their own border values.
 
     For the backward pass the images are kept as they are given, not a second time with their borders.

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.fast.layout import places_per_vertex
@@ -97,7 +98,7 @@ class PlaceSum:
         self.top = values.new_empty(count, 5, n + 1, channels)
         self.east = values.new_empty(count, 5, 2 * n, channels)
 
-    def add(self, rectangles: Tensor, group: RectangleGroup) -> None:
+    def add(self, rectangles: Float[Tensor, "g N h w C"], group: RectangleGroup) -> None:
         """Add values ``(g, N, h, w, C)`` at the places of a group."""
         n = self.n
         for k, rectangle in enumerate(rectangles, group.first):
@@ -112,7 +113,7 @@ class PlaceSum:
             self.charts[:, following, n - 1 :, 1:] += rectangle[:, :, n + 1 : -1]
             self.east[:, following, n - 1 :] += rectangle[:, :, -1]
 
-    def total(self) -> Tensor:
+    def total(self) -> Float[Tensor, "N V C"]:
         """Values ``(N, V, C)``, once everything is added."""
         n, charts, top, east = self.n, self.charts, self.top, self.east
         self.values[:, 0] = top[:, :, 0].sum(1)
@@ -122,6 +123,6 @@ class PlaceSum:
         charts[:, :, -1, 1:] += east[:, :, n:-1].roll(1, 1)
         return self.values
 
-    def mean(self) -> Tensor:
+    def mean(self) -> Float[Tensor, "N V C"]:
         """Values ``(N, V, C)``: the sums by the number of places."""
         return self.total().mul_(places_per_vertex(self.n, self.values)[:, None].reciprocal_())

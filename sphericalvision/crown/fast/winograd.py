@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.fast.double_backward import reference_gradients
@@ -81,7 +82,7 @@ _RESULT = (
 
 
 def winograd_pays(
-    volumes: Tensor, vertices: int, channels: int, out_channels: int, native: bool = False
+    volumes: Float[Tensor, " ..."], vertices: int, channels: int, out_channels: int, native: bool = False
 ) -> bool:
     """Whether Winograd's way is the faster one: float32 on a CPU, four hypotheses or more, and channels enough.
 
@@ -100,8 +101,11 @@ def winograd_pays(
 
 
 def conv3d_winograd(
-    volumes: Tensor, kernel: Tensor, bias: Tensor | None = None, taps: Sequence[int] = ALL_TAPS
-) -> Tensor:
+    volumes: Float[Tensor, "B C N h w"],
+    kernel: Float[Tensor, "O C 3 3 3"],
+    bias: Float[Tensor, " O"] | None = None,
+    taps: Sequence[int] = ALL_TAPS,
+) -> Float[Tensor, "B O N h w"]:
     """Convolve volumes ``(B, C, N, h, w)`` with ``(O, C, 3, 3, 3)``, continued by their own border values.
 
     Only the volumes are kept for the backward pass, not their transforms. In single precision the result is within
@@ -169,10 +173,10 @@ class _Winograd(torch.autograd.Function):
 
 
 def convolve_padded(
-    padded: Tensor,
+    padded: Float[Tensor, "B N_padded h_padded w_padded C"],
     kernels: list[PlanarKernel],
-    bias: Tensor | None,
-    result: Tensor,
+    bias: Float[Tensor, " O"] | None,
+    result: Float[Tensor, "B N h w O"],
     workspace: Workspace,
     rectify: bool = False,
 ) -> None:
@@ -204,11 +208,11 @@ def convolve_padded(
 
 
 def convolve_padded_backward(
-    grad_result: Tensor,
-    padded: Tensor,
+    grad_result: Float[Tensor, "B N _ _ O"],
+    padded: Float[Tensor, "B N_padded h_padded w_padded C"],
     kernels: list[PlanarKernel],
-    grad_padded: Tensor | None,
-    grad_kernels: Tensor | None,
+    grad_padded: Float[Tensor, "B N_padded _ _ C"] | None,
+    grad_kernels: Float[Tensor, "6 4 3 O C"] | None,
     workspace: Workspace,
     taps: Sequence[int] = ALL_TAPS,
 ) -> None:
@@ -293,7 +297,7 @@ def _add_gradient_of_tiles(
         grad_padded[:, place : place + length - 2 : 4] += values
 
 
-def kernel_gradient(grad_kernels: Tensor) -> Tensor:
+def kernel_gradient(grad_kernels: Float[Tensor, "6 4 3 O C"]) -> Float[Tensor, "O C 3 9"]:
     """Gradient ``(O, C, 3, 9)`` of a kernel from that of its transforms ``(6, 4, 3, O, C)``."""
     return torch.einsum("kd,ktoc->ocdt", grad_kernels.new_tensor(_TAPS), row_kernel_gradient(grad_kernels))
 
@@ -315,7 +319,7 @@ def _padded(volumes: Tensor, slack: int = 0) -> Tensor:
     return padded
 
 
-def repeat_border(padded: Tensor, count: int) -> None:
+def repeat_border(padded: Float[Tensor, "B N_padded h_padded w_padded C"], count: int) -> None:
     """Continue N = ``count`` volumes inside ``(B, N' + 2, h + 2, w + 2, C)`` by their own border values."""
     inner = padded[:, 1 : count + 1]
     inner[:, :, 0, 1:-1], inner[:, :, -1, 1:-1] = inner[:, :, 1, 1:-1], inner[:, :, -2, 1:-1]
@@ -324,7 +328,9 @@ def repeat_border(padded: Tensor, count: int) -> None:
     padded[:, count + 1 :] = padded[:, count : count + 1]
 
 
-def unpadded(padded: Tensor, count: int) -> Tensor:
+def unpadded(
+    padded: Float[Tensor, "B N_padded h_padded w_padded C"], count: int
+) -> Float[Tensor, "B N h w C"]:
     """The adjoint of ``repeat_border``: what was repeated is added to where it came from, ``(B, N, h, w, C)``."""
     padded[:, 1] += padded[:, 0]
     padded[:, count] += padded[:, count + 1 :].sum(1)
@@ -336,12 +342,14 @@ def unpadded(padded: Tensor, count: int) -> Tensor:
     return inner[:, :, 1:-1, 1:-1]
 
 
-def transformed_kernels(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> list[PlanarKernel]:
+def transformed_kernels(
+    kernel: Float[Tensor, "O C 3 3 3"], taps: Sequence[int] = ALL_TAPS
+) -> list[PlanarKernel]:
     """Six planar kernels ``(O, C, 3, 3)`` of one ``(O, C, 3, 3, 3)`` whose taps but those given are zero."""
     transformed = torch.einsum("kd,ocdij->kocij", kernel.new_tensor(_TAPS), kernel)
     return [planar_kernel(k, taps) for k in transformed]
 
 
-def adjoint_kernels(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> list[PlanarKernel]:
+def adjoint_kernels(kernel: Float[Tensor, "O C 3 3 3"], taps: Sequence[int] = ALL_TAPS) -> list[PlanarKernel]:
     """The six for the gradient of what is convolved."""
     return transformed_kernels(kernel.flip(3, 4).transpose(0, 1), [8 - tap for tap in taps])

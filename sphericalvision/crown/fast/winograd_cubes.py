@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.crown.fast.native import native_operators
@@ -66,7 +67,7 @@ _RESULT = (
 )
 
 
-def cubes_pay(volumes: Tensor, side: int) -> bool:
+def cubes_pay(volumes: Float[Tensor, " ..."], side: int) -> bool:
     """Whether cubes are faster for rectangles of ``side`` edges times twice as many; they need float32 on a CPU."""
     return side >= MIN_SIDE and volumes.dtype == torch.float32 and volumes.device.type == "cpu"
 
@@ -83,7 +84,7 @@ class CubeKernel(NamedTuple):
     slots: Tensor
 
 
-def cube_kernel(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> CubeKernel:
+def cube_kernel(kernel: Float[Tensor, "O C 3 3 3"], taps: Sequence[int] = ALL_TAPS) -> CubeKernel:
     """Transform a kernel ``(O, C, 3, 3, 3)`` on the CPU; of nine taps in the plane all but those given are zero."""
     exact = torch.tensor(LINE_TAPS, dtype=torch.float64)
     transformed = torch.einsum("kd,ri,sj,ocdij->krsco", exact, exact, exact, kernel.double()).to(kernel.dtype)
@@ -94,10 +95,10 @@ def cube_kernel(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> CubeKernel:
 
 
 def convolve_cubes(
-    padded: Tensor,
+    padded: Float[Tensor, "B N_padded h_padded w_padded C"],
     kernel: CubeKernel,
-    bias: Tensor | None,
-    result: Tensor,
+    bias: Float[Tensor, " O"] | None,
+    result: Float[Tensor, "B N h w O"],
     workspace: Workspace,
     rectify: bool = False,
     native: bool = False,
@@ -141,7 +142,11 @@ def convolve_cubes(
             results_of_products(products, slots, bias, rectify, slab)
 
 
-def tiles_of_volumes(padded: Tensor, slots: Tensor, tiles: Tensor) -> None:
+def tiles_of_volumes(
+    padded: Float[Tensor, "B N_padded h_padded w_padded C"],
+    slots: Int[Tensor, " ..."],
+    tiles: Float[Tensor, "planes cubes C"],
+) -> None:
     """Transform cubes of ``(B, 4 T + 2, h + 2, w + 2, C)`` into ``(6 S, B * T * R * Q, C)``: ``winograd_tiles``.
 
     Where h and w are no multiples of four the last values are repeated.
@@ -155,7 +160,11 @@ def tiles_of_volumes(padded: Tensor, slots: Tensor, tiles: Tensor) -> None:
 
 
 def results_of_products(
-    products: Tensor, slots: Tensor, bias: Tensor | None, rectify: bool, result: Tensor
+    products: Float[Tensor, "planes cubes O"],
+    slots: Int[Tensor, " ..."],
+    bias: Float[Tensor, " O"] | None,
+    rectify: bool,
+    result: Float[Tensor, "B N h w O"],
 ) -> None:
     """Transform products ``(6 S, B * T * R * Q, O)`` into ``(B, 4 T, h, w, O)``: ``winograd_results``."""
     batch, count, height, width, channels = result.shape

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.fast.workspace import Workspace
@@ -51,7 +52,7 @@ class PlanarKernel(NamedTuple):
     columns: list[tuple[int, int]]
 
 
-def planar_kernel(kernel: Tensor, taps: Sequence[int] = ALL_TAPS) -> PlanarKernel:
+def planar_kernel(kernel: Float[Tensor, "O C 3 3"], taps: Sequence[int] = ALL_TAPS) -> PlanarKernel:
     """Transform a kernel ``(O, C, 3, 3)``, all of whose taps are zero but those given, of nine."""
     north, center, south = kernel.unbind(2)
     half_sum, half_center = (north + south) / 2, center / 2
@@ -72,7 +73,11 @@ def _columns(taps: Sequence[int]) -> list[tuple[int, int]]:
 
 
 def convolve_rows(
-    images: Tensor, kernel: PlanarKernel, bias: Tensor | None, out: Tensor, workspace: Workspace
+    images: Float[Tensor, "B h_padded w_padded C"],
+    kernel: PlanarKernel,
+    bias: Float[Tensor, " O"] | None,
+    out: Float[Tensor, "B h w O"],
+    workspace: Workspace,
 ) -> None:
     """Convolve images ``(B, h + 2, w + 2, C)`` into ``(B, h, w, O)``; both of any strides.
 
@@ -113,7 +118,11 @@ def _transformed(
 
 
 def add_gradient_of_rows(
-    grad_result: Tensor, images: Tensor, taps: Sequence[int], out: Tensor, workspace: Workspace
+    grad_result: Float[Tensor, "B h w O"],
+    images: Float[Tensor, "B h_padded w_padded C"],
+    taps: Sequence[int],
+    out: Float[Tensor, "4 3 O C"],
+    workspace: Workspace,
 ) -> None:
     """Add to ``out`` the gradient of a kernel's transform: one product a tap of one grid, shifted.
 
@@ -142,6 +151,6 @@ def add_gradient_of_rows(
             out[place, tap] += torch.bmm(grad_rows, rows[:, tap : tap + number]).sum(0)
 
 
-def row_kernel_gradient(grad_kernels: Tensor) -> Tensor:
+def row_kernel_gradient(grad_kernels: Float[Tensor, "*batch 4 3 O C"]) -> Float[Tensor, "*batch 9 O C"]:
     """Gradients ``(*, 9, O, C)`` of kernels from those of their transforms ``(*, 4, 3, O, C)``."""
     return torch.einsum("mr,...mtoc->...rtoc", grad_kernels.new_tensor(_ROWS), grad_kernels).flatten(-4, -3)

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 __all__ = ["Workspace", "workspace"]
@@ -19,7 +20,7 @@ class Workspace:
     def __init__(self) -> None:
         self._kept: dict[tuple[str, torch.dtype, torch.device], Tensor] = {}
 
-    def take(self, name: str, shape: Sequence[int], like: Tensor) -> Tensor:
+    def take(self, name: str, shape: Sequence[int], like: Float[Tensor, " ..."]) -> Float[Tensor, " ..."]:
         """A tensor of that shape whose values are left from before; whoever asks for the name next overwrites it."""
         key, size = (name, like.dtype, like.device), math.prod(shape)
         kept = self._kept.get(key)

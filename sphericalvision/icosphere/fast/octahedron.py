@@ -8,12 +8,13 @@ with the coordinates x + z and x - z, which is cut into ``resolution**2`` cells.
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 __all__ = ["cell_centers", "cell_numbers"]
 
 
-def cell_numbers(rays: Tensor, resolution: int) -> Tensor:
+def cell_numbers(rays: Float[Tensor, "3 m"], resolution: int) -> Int[Tensor, " m"]:
     """Numbers ``(m,)``, int32, of the cells of rays ``(3, m)`` of any length, below ``2 * resolution**2``.
 
     A zero vector or one with a NaN gets the number of some cell.
@@ -30,7 +31,7 @@ def cell_numbers(rays: Tensor, resolution: int) -> Tensor:
     return (y < 0).int().mul_(resolution).add_(row).mul_(resolution).add_(column)
 
 
-def cell_centers(resolution: int) -> Tensor:
+def cell_centers(resolution: int) -> Float[Tensor, "3 n"]:
     """Rays ``(3, 2 * resolution**2)`` through the middles of the cells, in the order of their numbers.
 
     Examples:

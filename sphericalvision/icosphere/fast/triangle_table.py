@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.icosphere.descent import descend
@@ -60,7 +61,9 @@ def triangle_table(level: int, dtype: torch.dtype, device: torch.device) -> Tria
     return TriangleTable(level, ids, matrices, neighbors, cells, _resolution(level))
 
 
-def find_triangles(rays: Tensor, table: TriangleTable, guess: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def find_triangles(
+    rays: Float[Tensor, "3 m"], table: TriangleTable, guess: Int[Tensor, " m"] | None = None
+) -> tuple[Int[Tensor, " m"], Float[Tensor, "3 m"]]:
     """Return the triangles ``(m,)``, int32, that rays ``(3, m)`` pierce, and their coefficients ``(3, m)``.
 
     Args:
@@ -94,7 +97,9 @@ def find_triangles(rays: Tensor, table: TriangleTable, guess: Tensor | None = No
     return triangles, shares
 
 
-def coefficients(rays: Tensor, triangles: Tensor, table: TriangleTable) -> Tensor:
+def coefficients(
+    rays: Float[Tensor, "3 m"], triangles: Int[Tensor, " m"], table: TriangleTable
+) -> Float[Tensor, "3 m"]:
     """Return coefficients ``(3, m)`` with which the corners of triangles ``(m,)`` add up to rays ``(3, m)``."""
     x, y, z = table.matrices.view(9, -1).index_select(1, triangles).view(3, 3, -1)
     return (x * rays[0]).addcmul_(y, rays[1]).addcmul_(z, rays[2])

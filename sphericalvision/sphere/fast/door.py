@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import uses_reference_kernels
@@ -18,8 +19,13 @@ Pair = tuple[int, int]
 
 
 def conv_in_rows(
-    images: Tensor, weight: Tensor, stride: Pair, dilation: Pair, groups: int, taps_of: Callable[..., Tensor]
-) -> Tensor | None:
+    images: Float[Tensor, "B C_in H W"],
+    weight: Float[Tensor, "C_out C_group k_h k_w"],
+    stride: Pair,
+    dilation: Pair,
+    groups: int,
+    taps_of: Callable[..., Tensor],
+) -> Float[Tensor, "B C_out H_out W_out"] | None:
     """Convolve panoramas ``(B, in, H, W)`` by sums of rows, or None where that does not pay.
 
     Args:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor
 
 __all__ = ["RowSums", "adjoint", "conv_of_row_sums", "row_sums"]
@@ -37,7 +38,13 @@ class RowSums(NamedTuple):
     needed: Tensor
 
 
-def row_sums(made: Tensor, row: Tensor, shift: Tensor, weight: Tensor, num_made: int) -> RowSums:
+def row_sums(
+    made: Int[Tensor, " e"],
+    row: Int[Tensor, " e"],
+    shift: Int[Tensor, " e"],
+    weight: Float[Tensor, " e"],
+    num_made: int,
+) -> RowSums:
     """Sort entries ``(e,)`` by the row that they belong to.
 
     Examples:
@@ -73,8 +80,12 @@ def adjoint(sums: RowSums, num_rows: int, num_taps: int, length: int) -> RowSums
 
 
 def conv_of_row_sums(
-    rows: Tensor, weight: Tensor, forward: RowSums, backward: RowSums, groups: int
-) -> Tensor:
+    rows: Float[Tensor, " ..."],
+    weight: Float[Tensor, " ..."],
+    forward: RowSums,
+    backward: RowSums,
+    groups: int,
+) -> Float[Tensor, " ..."]:
     """Convolve rows of pixels, differentiable twice.
 
     Args:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from jaxtyping import Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -41,7 +42,7 @@ def check_positive(**sizes: int) -> None:
             raise ArgumentError(f"{name}: expected a positive number of pixels, got {size!r}")
 
 
-def check_values(values: Tensor, shape: Sequence[int]) -> None:
+def check_values(values: Shaped[Tensor, " ..."], shape: Sequence[int]) -> None:
     """Raise ``ShapeError`` unless ``values`` is ``(*b, c, *shape)``.
 
     Examples:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import torch
+from jaxtyping import Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
@@ -22,8 +23,12 @@ _DICE = {"left": (1, 0), "front": (1, 1), "right": (1, 2), "back": (1, 3), "up":
 
 
 def cube_to_layout(
-    values: Tensor, layout: str = "dice", fill: float = 0.0
-) -> Tensor | list[Tensor] | dict[str, Tensor]:
+    values: Shaped[Tensor, "*batch 6 s s"], layout: str = "dice", fill: float = 0.0
+) -> (
+    Shaped[Tensor, "*batch _ _"]
+    | list[Shaped[Tensor, "*batch s s"]]
+    | dict[str, Shaped[Tensor, "*batch s s"]]
+):
     """Arrange the faces of a cube map.
 
     Args:
@@ -63,7 +68,12 @@ def cube_to_layout(
     return torch.cat([torch.cat(row, -1) for row in rows], -2)
 
 
-def cube_from_layout(faces: Tensor | Sequence[Tensor] | Mapping[str, Tensor], layout: str = "dice") -> Tensor:
+def cube_from_layout(
+    faces: Shaped[Tensor, " ..."]
+    | Sequence[Shaped[Tensor, "*batch s s"]]
+    | Mapping[str, Shaped[Tensor, "*batch s s"]],
+    layout: str = "dice",
+) -> Shaped[Tensor, "*batch_out 6 s s"]:
     """Return the cube map ``(*, 6, s, s)`` that ``cube_to_layout`` arranged.
 
     Raises:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -60,7 +60,9 @@ def ring_from_nested(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*ba
     return ring_from_place(*place_from_nested(ids, nside), nside)
 
 
-def nested_from_place(face: Tensor, column: Tensor, row: Tensor, nside: int) -> Tensor:
+def nested_from_place(
+    face: Int[Tensor, "*batch"], column: Int[Tensor, "*batch"], row: Int[Tensor, "*batch"], nside: int
+) -> Int[Tensor, "*batch"]:
     """Nested numbers ``(*)``: the face, then the bits of row (y) and column (x) in turns."""
     ids = face * nside**2
     for bit in range(_order(nside)):
@@ -68,7 +70,9 @@ def nested_from_place(face: Tensor, column: Tensor, row: Tensor, nside: int) -> 
     return ids
 
 
-def place_from_nested(ids: Tensor, nside: int) -> tuple[Tensor, Tensor, Tensor]:
+def place_from_nested(
+    ids: Int[Tensor, "*batch"], nside: int
+) -> tuple[Int[Tensor, "*batch"], Int[Tensor, "*batch"], Int[Tensor, "*batch"]]:
     """Face, column (x) and row (y), each ``(*)``, of nested numbers ``(*)``."""
     column, row = torch.zeros_like(ids), torch.zeros_like(ids)
     for bit in range(_order(nside)):
@@ -77,7 +81,9 @@ def place_from_nested(ids: Tensor, nside: int) -> tuple[Tensor, Tensor, Tensor]:
     return torch.div(ids, nside**2, rounding_mode="floor"), column, row
 
 
-def ring_from_place(face: Tensor, column: Tensor, row: Tensor, nside: int) -> Tensor:
+def ring_from_place(
+    face: Int[Tensor, "*batch"], column: Int[Tensor, "*batch"], row: Int[Tensor, "*batch"], nside: int
+) -> Int[Tensor, "*batch"]:
     """Ring numbers ``(*)`` of pixels at ``column`` (x) and ``row`` (y) of a base face."""
     ring = (torch.div(face, 4, rounding_mode="floor") + 2) * nside - column - row - 1
     start, count, shift = ring_start_count_shift(ring, nside)
@@ -87,7 +93,9 @@ def ring_from_place(face: Tensor, column: Tensor, row: Tensor, nside: int) -> Te
     return start + position % count
 
 
-def place_from_ring(ids: Tensor, nside: int) -> tuple[Tensor, Tensor, Tensor]:
+def place_from_ring(
+    ids: Int[Tensor, "*batch"], nside: int
+) -> tuple[Int[Tensor, "*batch"], Int[Tensor, "*batch"], Int[Tensor, "*batch"]]:
     """Face, column and row of ring numbers: each pixel's centre lies in the middle of its square."""
     ring = ring_of_pixel(ids, nside)
     start, count, shift = ring_start_count_shift(ring, nside)
@@ -97,7 +105,7 @@ def place_from_ring(ids: Tensor, nside: int) -> tuple[Tensor, Tensor, Tensor]:
     return face, column, row
 
 
-def ring_of_pixel(ids: Tensor, nside: int) -> Tensor:
+def ring_of_pixel(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
     """Ring ``(*)``, 1 (north) to ``4 * nside - 1``, of ring numbers ``(*)``."""
     cap, total = 2 * nside * (nside - 1), 12 * nside**2
 
@@ -111,7 +119,9 @@ def ring_of_pixel(ids: Tensor, nside: int) -> Tensor:
     return torch.where(ids < cap, north, torch.where(ids >= total - cap, south, belt))
 
 
-def ring_start_count_shift(ring: Tensor, nside: int) -> tuple[Tensor, Tensor, Tensor]:
+def ring_start_count_shift(
+    ring: Int[Tensor, "*batch"], nside: int
+) -> tuple[Int[Tensor, "*batch"], Int[Tensor, "*batch"], Int[Tensor, "*batch"]]:
     """First pixel, number of pixels and shift (0 or 1, in half pixels) of rings ``(*)`` from 1 to ``4 * nside - 1``."""
     from_pole = torch.minimum(ring, 4 * nside - ring)
     cap = from_pole < nside
@@ -122,13 +132,15 @@ def ring_start_count_shift(ring: Tensor, nside: int) -> tuple[Tensor, Tensor, Te
     return start, count, torch.where(cap, 1, (ring - nside + 1) % 2)
 
 
-def ring_theta(ring: Tensor, nside: int, dtype: torch.dtype) -> Tensor:
+def ring_theta(ring: Int[Tensor, "*batch"], nside: int, dtype: torch.dtype) -> Float[Tensor, "*batch"]:
     """Angle from the north pole ``(*)`` of rings ``(*)``; 0 and π for the rings 0 and ``4 * nside``."""
     z, radius = _height(ring.double() / nside)
     return torch.atan2(radius, z).to(dtype)
 
 
-def place_of_direction(unit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def place_of_direction(
+    unit: Float[Tensor, "*batch 3"],
+) -> tuple[Int[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """Base face and (x, y) in [0, 1], each ``(*)``, of unit directions ``(*, 3)``."""
     x, y, z = unit.unbind(-1)
     flat = 1 - (x * x + z * z) / (1 + y.abs())  # |y|, exact near the poles
@@ -139,7 +151,9 @@ def place_of_direction(unit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return _place(ring, quarters)
 
 
-def direction_of_place(face: Tensor, x: Tensor, y: Tensor) -> Tensor:
+def direction_of_place(
+    face: Int[Tensor, "*batch"], x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]
+) -> Float[Tensor, "*batch 3"]:
     """Unit directions ``(*, 3)`` of places (x, y) in [0, 1] of base faces, each ``(*)``."""
     ring = torch.div(face, 4, rounding_mode="floor") + 2 - x - y
     from_pole = torch.minimum(ring, 4 - ring).clamp(0, 1)

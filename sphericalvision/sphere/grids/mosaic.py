@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 from torch.nn import functional as F
 
 __all__ = ["mosaic", "mosaic_pixels"]
 
 
-def mosaic(tiles: Tensor) -> Tensor:
+def mosaic(tiles: Shaped[Tensor, "*batch n s s"]) -> Shaped[Tensor, "*batch _ _"]:
     """One image ``(*, rows * s, columns * s)`` of tiles ``(*, n, s, s)``, row by row; zeros where none is left.
 
     Examples:
@@ -31,7 +32,9 @@ def mosaic(tiles: Tensor) -> Tensor:
     return tiles.reshape(*tiles.shape[:-4], rows * side, columns * side)
 
 
-def mosaic_pixels(tile: Tensor, pixels: Tensor, count: int, side: int) -> Tensor:
+def mosaic_pixels(
+    tile: Int[Tensor, "*batch"], pixels: Float[Tensor, "*batch 2"], count: int, side: int
+) -> Float[Tensor, "*batch 2"]:
     """Pixels (u, v) ``(*, 2)`` of the mosaic from pixels of tiles ``(*)`` of ``count``, each ``side`` wide.
 
     Examples:

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 __all__ = ["solid_angles_in_triangle"]
 
 
-def solid_angles_in_triangle(edges: Tensor, corners: Tensor) -> Tensor:
+def solid_angles_in_triangle(
+    edges: Float[Tensor, " ..."], corners: Float[Tensor, " ..."]
+) -> Float[Tensor, "t k k"]:
     """Solid angle ``(t, k, k)`` of the part of each pixel that lies inside a triangle, in steradians.
 
     The boundary of that part is the pixel's edges inside the triangle and the triangle's edges inside the pixel. Each

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
@@ -17,7 +18,9 @@ from sphericalvision.sphere.grids.base import SphereGrid
 __all__ = ["make_lookup", "nearest_index"]
 
 
-def make_lookup(source: SphereGrid | Camera, directions: Tensor, shares: Tensor) -> nn.Module:
+def make_lookup(
+    source: SphereGrid | Camera, directions: Float[Tensor, " ..."], shares: Float[Tensor, " ..."]
+) -> nn.Module:
     """A lookup of the source's interpolated values: values (*b, c, *source_shape) to (*b, c, n).
 
     Args:
@@ -42,7 +45,9 @@ def make_lookup(source: SphereGrid | Camera, directions: Tensor, shares: Tensor)
     return Lookup(ids, weights, None if bool(seen.all()) else seen.any(-1), len(source.shape))
 
 
-def nearest_index(source: SphereGrid | Camera, directions: Tensor) -> Tensor:
+def nearest_index(
+    source: SphereGrid | Camera, directions: Float[Tensor, "*batch 3"]
+) -> Int[Tensor, "*batch"]:
     """Index (*) into the flattened source of the value nearest to each direction (*, 3)."""
     if not isinstance(source, Camera):
         return source.nearest(directions)

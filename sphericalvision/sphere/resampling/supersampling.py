@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import Camera
@@ -76,7 +77,7 @@ def cell_samples(
     return CellSamples(directions, torch.ones_like(directions[..., 0]), None)
 
 
-def cell_widths(grid: SphereGrid | Camera) -> Tensor:
+def cell_widths(grid: SphereGrid | Camera) -> Float[Tensor, " n"]:
     """How wide each cell is, in radians ``(n,)``: the square root of its solid angle.
 
     Rows of a panorama hold more pixels near the poles than content, so there a width at the equator counts.

@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
@@ -28,10 +29,10 @@ _SLACK = 0.25  # samples may lie this much further apart than the source's value
 def resample_tables(
     source: SphereGrid | Camera,
     target: SphereGrid | Camera,
-    rotation: Tensor | None,
+    rotation: Float[Tensor, "*turns 3 3"] | None,
     mode: str,
     fill: float,
-    mask: Tensor | None,
+    mask: Shaped[Tensor, " ..."] | None,
     device: torch.device,
 ) -> MaskedLookup:
     """Tables of one pair of grids or cameras, with gradients by rotation and intrinsics where these have them."""

@@ -13,7 +13,8 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from sphericalvision.cameras.precision import HALF, at_least_float32
+from sphericalvision.cameras.checks import check_precision, checked_angle, checked_numbers, checked_size
+from sphericalvision.cameras.precision import at_least_float32
 from sphericalvision.cameras.verbs import verb
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
 from sphericalvision.geometry.broadcasting import broadcast_shapes
@@ -92,14 +93,14 @@ class Camera(ABC):
     def __init__(
         self, image_size: Sequence[int], max_angle: float | Float[Tensor, "*#batch"], **intrinsics: Any
     ) -> None:
-        self.image_size = _checked_size(image_size)
+        self.image_size = checked_size(image_size)
         given = [value for value in (*intrinsics.values(), max_angle) if isinstance(value, Tensor)]
         floating = [value for value in given if value.is_floating_point()]
         like = floating[0] if floating else torch.empty(())
-        _check_precision(like.dtype)
+        check_precision(like.dtype)
         for name, value in intrinsics.items():
-            setattr(self, name, None if value is None else _checked_numbers(name, value, like))
-        self.max_angle = _checked_angle(max_angle, like)
+            setattr(self, name, None if value is None else checked_numbers(name, value, like))
+        self.max_angle = checked_angle(max_angle, like)
         self._check_sizes()
         self._broadcast()
 
@@ -244,7 +245,7 @@ class Camera(ABC):
             ArgumentError: to half precision, which cannot hold intrinsics.
         """
         moved = self._map(lambda tensor: tensor.to(*args, **kwargs))
-        _check_precision(moved.dtype)
+        check_precision(moved.dtype)
         return moved
 
     def with_intrinsics(self: AnyCamera, values: Mapping[str, Tensor]) -> AnyCamera:
@@ -268,7 +269,7 @@ class Camera(ABC):
     def with_max_angle(self: AnyCamera, max_angle: float | Float[Tensor, "*#batch"]) -> AnyCamera:
         """The same camera with another limit of its field of view, in radians from the optical axis."""
         changed = copy.copy(self)
-        changed.max_angle = _checked_angle(max_angle, self.max_angle).expand(self.batch_shape)
+        changed.max_angle = checked_angle(max_angle, self.max_angle).expand(self.batch_shape)
         return changed
 
     def resized(self: AnyCamera, image_size: Sequence[int]) -> AnyCamera:
@@ -285,7 +286,7 @@ class Camera(ABC):
             >>> PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640)).resized((240, 320)).principal_point
             tensor([159.5000, 119.5000])
         """
-        new = _checked_size(image_size)
+        new = checked_size(image_size)
         s, t = new[1] / self.image_size[1], new[0] / self.image_size[0]
         return self._on_pixels((s, t), (s / 2 - 0.5, t / 2 - 0.5), new)
 
@@ -300,7 +301,7 @@ class Camera(ABC):
             >>> PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640)).cropped(40, 120, 400, 400).principal_point
             tensor([199.5000, 199.5000])
         """
-        new = _checked_size((height, width))
+        new = checked_size((height, width))
         if not (0 <= top <= self.image_size[0] - new[0] and 0 <= left <= self.image_size[1] - new[1]):
             raise ArgumentError(
                 f"cropped: expected a rectangle inside of the image of {self.image_size[0]} x {self.image_size[1]} "
@@ -446,38 +447,3 @@ def check_single(thing: Batched) -> None:
         raise ArgumentError(
             f"{name}: expected a single {name}, got a batch {thing.batch_shape}; take one with {name}.select(i)"
         )
-
-
-def _check_precision(dtype: torch.dtype) -> None:
-    if dtype in HALF:
-        raise ArgumentError(
-            f"dtype: cameras keep their intrinsics in float32 or float64, got {dtype}; points and images may be in "
-            "half precision"
-        )
-
-
-def _checked_numbers(name: str, value: Any, like: Tensor) -> Tensor:
-    """A tensor of finite numbers."""
-    try:
-        tensor = torch.as_tensor(value, dtype=like.dtype, device=like.device)
-    except (TypeError, ValueError, RuntimeError):
-        raise ArgumentError(f"{name}: expected numbers, got {value!r:.80}") from None
-    if not (is_traced() or bool(tensor.isfinite().all())):
-        raise ArgumentError(f"{name}: expected finite numbers, got {tensor.tolist()!s:.200}")
-    return tensor
-
-
-def _checked_angle(max_angle: float | Tensor, like: Tensor) -> Tensor:
-    angle = _checked_numbers("max_angle", max_angle, like)
-    if not angle.numel() or not bool(((angle > 0) & (angle <= torch.pi + 1e-6)).all()):
-        raise ArgumentError(
-            f"max_angle: expected radians from the optical axis in (0, π], got {max_angle}; it is half the field of "
-            "view, e.g. math.radians(110) for a lens of 220°"
-        )
-    return angle
-
-
-def _checked_size(image_size: Sequence[int]) -> tuple[int, int]:
-    if len(image_size) != 2 or any(int(side) != side or side < 1 for side in image_size):
-        raise ArgumentError(f"image_size: expected (height, width) in pixels, got {image_size!r}")
-    return int(image_size[0]), int(image_size[1])

@@ -17,6 +17,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection
+from sphericalvision.cameras.checks import check_poses, check_rotation
+from sphericalvision.cameras.masks import is_usable, resized_mask, stack_masks
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.cameras.verbs import verb
 from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
@@ -58,7 +60,7 @@ class CameraRig:
         named = cameras if isinstance(cameras, Mapping) else {f"cam{i + 1}": c for i, c in enumerate(cameras)}
         self.cameras: dict[str, Camera] = dict(named)
         self.masks: dict[str, Tensor] = dict(masks or {})
-        _check_poses(self.names, world_from_camera)
+        check_poses(self.names, world_from_camera)
         for name, mask in self.masks.items():
             if name not in self.cameras:
                 raise ArgumentError(f"masks: expected names among {', '.join(self.names)}, got {name!r}")
@@ -192,7 +194,7 @@ class CameraRig:
         if rotation is not None:
             if tuple(rotation.shape[-2:]) != (3, 3):
                 raise ShapeError(f"rotation: expected shape (*, 3, 3), got {tuple(rotation.shape)}")
-            _check_rotation("rotation", rotation)
+            check_rotation("rotation", rotation)
             turn = torch.eye(4, dtype=poses.dtype, device=poses.device).repeat(*rotation.shape[:-2], 1, 1)
             turn[..., :3, :3] = rotation.to(poses)
             poses = turn[..., None, :, :] @ poses
@@ -219,7 +221,7 @@ class CameraRig:
                 f"image_size: expected names among {', '.join(self.names)}, got {unknown[0]!r}"
             )
         cameras = {n: c.resized(sizes[n]) if n in sizes else c for n, c in self.cameras.items()}
-        masks = {name: _resized_mask(mask, cameras[name].image_size) for name, mask in self.masks.items()}
+        masks = {name: resized_mask(mask, cameras[name].image_size) for name, mask in self.masks.items()}
         return CameraRig(cameras, self.world_from_camera, masks)
 
     def scaled(self, factor: float) -> CameraRig:
@@ -257,7 +259,7 @@ class CameraRig:
                 )
         cameras = {name: _stack_cameras(name, [rig.cameras[name] for rig in rigs]) for name in first.names}
         poses = torch.stack([rig.world_from_camera for rig in rigs])
-        return CameraRig(cameras, poses, _stack_masks(rigs))
+        return CameraRig(cameras, poses, stack_masks(rigs))
 
     def project(self, points: Float[Tensor, "*rigs P 3"]) -> Projection:
         """Pixels ``(*b, n, P, 2)`` of points ``(P, 3)`` of the world, in metres, and which cameras see them.
@@ -344,9 +346,7 @@ class CameraRig:
             world_from_camera = self.world_from_camera[..., index, :3, :3].to(rays[index])
             found, seen = camera.project(rays[index] @ world_from_camera)
             if name in self.masks:
-                seen = seen & _is_usable(
-                    camera, self.masks[name], torch.where(seen.unsqueeze(-1), found, 0.0)
-                )
+                seen = seen & is_usable(camera, self.masks[name], torch.where(seen.unsqueeze(-1), found, 0.0))
             pixels.append(found)
             valid.append(seen)
         return Projection(torch.stack(pixels, -3), torch.stack(valid, -2))
@@ -427,56 +427,6 @@ def ring_rig(
     return CameraRig([camera] * num_cameras, exact.to(torch.get_default_dtype()))
 
 
-def _is_usable(camera: Camera, mask: Tensor, pixels: Tensor) -> Tensor:
-    """Whether interpolation at pixels (*b, P, 2) takes usable pixels of the mask (*b, h, w) only, (*b, P)."""
-    share = camera.interpolate(mask.to(pixels).unsqueeze(-3), pixels).squeeze(-2)
-    return share > 0.999  # one, but for rounding
-
-
-def _resized_mask(mask: Tensor, image_size: tuple[int, int]) -> Tensor:
-    """Whether all pixels (*b, h, w) under each pixel of another size are True."""
-    for dim, new in ((-2, image_size[0]), (-1, image_size[1])):
-        old = mask.shape[dim]
-        step = torch.arange(new, device=mask.device)
-        first, last = (
-            step * old // new,
-            ((step + 1) * old + new - 1) // new,
-        )  # where the pixel begins and ends
-        bad = torch.nn.functional.pad((~mask).movedim(dim, -1).long().cumsum(-1), (1, 0))
-        mask = (bad[..., last] == bad[..., first]).movedim(-1, dim)
-    return mask
-
-
-def _check_poses(names: list[str], poses: Tensor) -> None:
-    if not names:
-        raise ArgumentError("cameras: expected at least one camera, got none")
-    if poses.ndim < 3 or tuple(poses.shape[-3:]) != (len(names), 4, 4):
-        raise ShapeError(
-            f"world_from_camera: expected shape (*b, {len(names)}, 4, 4) for {len(names)} cameras, "
-            f"got {tuple(poses.shape)}"
-        )
-    detached = poses.detach()
-    finite = detached.isfinite().flatten(-2).all(-1).reshape(-1, len(names)).all(0)
-    for name, fine in zip(names, finite.tolist(), strict=True):
-        if not fine:
-            raise ArgumentError(
-                f"world_from_camera: the pose of {name} has NaN or infinite numbers; correct it"
-            )
-    _check_rotation("world_from_camera", detached[..., :3, :3])
-
-
-def _check_rotation(name: str, rotation: Tensor) -> None:
-    rotation = rotation.detach().double()
-    eye = torch.eye(3, dtype=torch.float64, device=rotation.device)
-    rigid = ((rotation @ rotation.mT - eye).abs().amax() < 1e-3) and bool(
-        (torch.linalg.det(rotation) > 0).all()
-    )
-    if not rigid:
-        raise ArgumentError(
-            f"{name}: expected rotations (3 x 3, orthonormal, determinant +1), but these stretch, mirror or hold NaN"
-        )
-
-
 def _stack_cameras(name: str, cameras: list[Camera]) -> Camera:
     first = cameras[0]
     if all(camera is first or camera.equals(first) for camera in cameras[1:]):
@@ -485,21 +435,3 @@ def _stack_cameras(name: str, cameras: list[Camera]) -> Camera:
         return type(first).stack(cameras)
     except ArgumentError as error:
         raise ArgumentError(f"rigs: camera {name} cannot be stacked: {error}") from error
-
-
-def _stack_masks(rigs: Sequence[CameraRig]) -> dict[str, Tensor]:
-    """Masks by name, shared where all rigs have the same and stacked elsewhere; no mask means all is usable."""
-    stacked = {}
-    for name, camera in rigs[0].cameras.items():
-        masks = [rig.masks.get(name) for rig in rigs]
-        given = [mask for mask in masks if mask is not None]
-        if not given:
-            continue
-        if len(given) == len(masks) and all(
-            mask is given[0] or torch.equal(mask, given[0]) for mask in given
-        ):
-            stacked[name] = given[0]
-        else:
-            usable = torch.ones(camera.image_size, dtype=torch.bool, device=given[0].device)
-            stacked[name] = torch.stack([usable if mask is None else mask for mask in masks])
-    return stacked

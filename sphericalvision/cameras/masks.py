@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Masks of a rig's cameras: which pixels of an image are usable, interpolated, resized, or in a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera
+
+__all__ = ["HasMasks", "is_usable", "resized_mask", "stack_masks"]
+
+
+class HasMasks(Protocol):
+    """A rig, as far as masks are concerned."""
+
+    cameras: dict[str, Camera]
+    masks: dict[str, Tensor]
+
+
+def is_usable(camera: Camera, mask: Tensor, pixels: Tensor) -> Tensor:
+    """Whether interpolation at pixels (*b, P, 2) takes usable pixels of the mask (*b, h, w) only, (*b, P)."""
+    share = camera.interpolate(mask.to(pixels).unsqueeze(-3), pixels).squeeze(-2)
+    return share > 0.999  # one, but for rounding
+
+
+def resized_mask(mask: Tensor, image_size: tuple[int, int]) -> Tensor:
+    """Whether all pixels (*b, h, w) under each pixel of another size are True."""
+    for dim, new in ((-2, image_size[0]), (-1, image_size[1])):
+        old = mask.shape[dim]
+        step = torch.arange(new, device=mask.device)
+        first, last = (
+            step * old // new,
+            ((step + 1) * old + new - 1) // new,
+        )  # where the pixel begins and ends
+        bad = torch.nn.functional.pad((~mask).movedim(dim, -1).long().cumsum(-1), (1, 0))
+        mask = (bad[..., last] == bad[..., first]).movedim(-1, dim)
+    return mask
+
+
+def stack_masks(rigs: Sequence[HasMasks]) -> dict[str, Tensor]:
+    """Masks by name, shared where all rigs have the same and stacked elsewhere; no mask means all is usable."""
+    stacked = {}
+    for name, camera in rigs[0].cameras.items():
+        masks = [rig.masks.get(name) for rig in rigs]
+        given = [mask for mask in masks if mask is not None]
+        if not given:
+            continue
+        if len(given) == len(masks) and all(
+            mask is given[0] or torch.equal(mask, given[0]) for mask in given
+        ):
+            stacked[name] = given[0]
+        else:
+            usable = torch.ones(camera.image_size, dtype=torch.bool, device=given[0].device)
+            stacked[name] = torch.stack([usable if mask is None else mask for mask in masks])
+    return stacked

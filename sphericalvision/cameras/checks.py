@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.precision import HALF
@@ -24,6 +25,7 @@ __all__ = [
 
 
 def check_precision(dtype: torch.dtype) -> None:
+    """Raise ``ArgumentError`` for half precision, which cannot hold intrinsics."""
     if dtype in HALF:
         raise ArgumentError(
             f"dtype: cameras keep their intrinsics in float32 or float64, got {dtype}; points and images may be in "
@@ -31,7 +33,7 @@ def check_precision(dtype: torch.dtype) -> None:
         )
 
 
-def checked_numbers(name: str, value: Any, like: Tensor) -> Tensor:
+def checked_numbers(name: str, value: Any, like: Float[Tensor, " ..."]) -> Float[Tensor, " ..."]:
     """A tensor of finite numbers."""
     try:
         tensor = torch.as_tensor(value, dtype=like.dtype, device=like.device)
@@ -42,7 +44,10 @@ def checked_numbers(name: str, value: Any, like: Tensor) -> Tensor:
     return tensor
 
 
-def checked_angle(max_angle: float | Tensor, like: Tensor) -> Tensor:
+def checked_angle(
+    max_angle: float | Float[Tensor, " ..."], like: Float[Tensor, " ..."]
+) -> Float[Tensor, "*batch"]:
+    """The limit of a field of view as a tensor, in radians from the optical axis."""
     angle = checked_numbers("max_angle", max_angle, like)
     if not angle.numel() or not bool(((angle > 0) & (angle <= torch.pi + 1e-6)).all()):
         raise ArgumentError(
@@ -53,12 +58,14 @@ def checked_angle(max_angle: float | Tensor, like: Tensor) -> Tensor:
 
 
 def checked_size(image_size: Sequence[int]) -> tuple[int, int]:
+    """(height, width) of an image, as whole numbers above 0."""
     if len(image_size) != 2 or any(int(side) != side or side < 1 for side in image_size):
         raise ArgumentError(f"image_size: expected (height, width) in pixels, got {image_size!r}")
     return int(image_size[0]), int(image_size[1])
 
 
-def check_poses(names: list[str], poses: Tensor) -> None:
+def check_poses(names: list[str], poses: Float[Tensor, "*rigs n 4 4"]) -> None:
+    """Raise unless there is a rigid transform ``(*b, n, 4, 4)`` for each camera; errors name the camera."""
     if not names:
         raise ArgumentError("cameras: expected at least one camera, got none")
     if poses.ndim < 3 or tuple(poses.shape[-3:]) != (len(names), 4, 4):
@@ -76,7 +83,8 @@ def check_poses(names: list[str], poses: Tensor) -> None:
     check_rotation("world_from_camera", detached[..., :3, :3])
 
 
-def check_rotation(name: str, rotation: Tensor) -> None:
+def check_rotation(name: str, rotation: Float[Tensor, "*batch 3 3"]) -> None:
+    """Raise ``ArgumentError`` unless all of these ``(*, 3, 3)`` turn and do nothing else."""
     rotation = rotation.detach().double()
     eye = torch.eye(3, dtype=torch.float64, device=rotation.device)
     rigid = ((rotation @ rotation.mT - eye).abs().amax() < 1e-3) and bool(

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -21,13 +22,17 @@ class HasMasks(Protocol):
     masks: dict[str, Tensor]
 
 
-def is_usable(camera: Camera, mask: Tensor, pixels: Tensor) -> Tensor:
+def is_usable(
+    camera: Camera, mask: Bool[Tensor, "*masks h w"], pixels: Float[Tensor, "*batch P 2"]
+) -> Bool[Tensor, "*batch P"]:
     """Whether interpolation at pixels (*b, P, 2) takes usable pixels of the mask (*b, h, w) only, (*b, P)."""
     share = camera.interpolate(mask.to(pixels).unsqueeze(-3), pixels).squeeze(-2)
     return share > 0.999  # one, but for rounding
 
 
-def resized_mask(mask: Tensor, image_size: tuple[int, int]) -> Tensor:
+def resized_mask(
+    mask: Bool[Tensor, "*batch h w"], image_size: tuple[int, int]
+) -> Bool[Tensor, "*batch h_new w_new"]:
     """Whether all pixels (*b, h, w) under each pixel of another size are True."""
     for dim, new in ((-2, image_size[0]), (-1, image_size[1])):
         old = mask.shape[dim]

@@ -10,6 +10,8 @@ from types import ModuleType
 import pytest
 import torch
 
+from sphericalvision import cameras
+from sphericalvision.cameras import Camera
 from tests.laws import camera_laws, differentiation_laws
 from tests.laws.cameras import CAMERAS, CameraCase
 
@@ -36,6 +38,13 @@ def obey(law: Law, case: CameraCase, dtype: torch.dtype, **more: object) -> None
         **more,
     }
     law(**{name: known[name] for name in inspect.signature(law).parameters})
+
+
+def test_every_camera_of_the_package_has_a_case() -> None:
+    offered = {
+        found for found in vars(cameras).values() if inspect.isclass(found) and issubclass(found, Camera)
+    }
+    assert offered - {Camera} == {type(case.make(1.0)) for case in CAMERAS}
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=["float32", "float64"])

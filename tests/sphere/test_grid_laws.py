@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 
 import pytest
 import torch
 from torch import Tensor
 
+from sphericalvision import sphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Healpix, SphereGrid, resample, resample_mask
 from tests.laws.grid_laws import DOUBLE, GRIDS, some_rotation, spread_directions
@@ -21,6 +23,11 @@ PAIRS = [(a, b) for a in NAMES for b in NAMES]
 
 def make(name: str, scale: int = 1) -> SphereGrid:
     return GRIDS[name].make(scale)
+
+
+def test_every_grid_of_the_package_has_an_entry() -> None:
+    offered = {kind for kind in vars(sphere).values() if inspect.isclass(kind) and hasattr(kind, "nearest")}
+    assert offered - {SphereGrid} | {Icosphere} == {type(make(name)) for name in NAMES}
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -72,6 +72,41 @@ def test_no_private_name_crosses_a_folder() -> None:
     assert not found, "make the name public in its folder, or move what needs it:\n" + "\n".join(found)
 
 
+def private_members(tree: ast.AST) -> set[str]:
+    """Names of private methods, and of private attributes that a file sets."""
+    defined = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+    set_here = {
+        node.attr
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
+    }
+    return set(filter(is_private, defined | set_here))
+
+
+def private_uses(tree: ast.AST) -> Iterator[str]:
+    """Private members that a file asks of objects other than ``self``, ``cls`` and ``super()``."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and is_private(node.attr):
+            owner = ast.unparse(node.value)
+            if owner not in ("self", "cls") and not owner.startswith("super("):
+                yield node.attr
+
+
+def test_no_private_member_is_used_from_another_folder() -> None:
+    trees = {module: ast.parse(path.read_text()) for module, path in modules().items()}
+    by_folder: dict[str, set[str]] = {}
+    for module, tree in trees.items():
+        by_folder.setdefault(folder_of(module), set()).update(private_members(tree))
+    ours = set().union(*by_folder.values())
+    found = [
+        f"{module} uses {name}"
+        for module, tree in trees.items()
+        for name in private_uses(tree)
+        if name in ours - by_folder[folder_of(module)]
+    ]
+    assert not found, "give the folder that has it a public function for it:\n" + "\n".join(found)
+
+
 def circle(graph: dict[str, set[str]]) -> list[str]:
     """Modules that import each other, one after the other and back to the first; none if there are no circles."""
     done: set[str] = set()
@@ -111,3 +146,6 @@ def f():
 """
     assert len(list(private_crossings("sphericalvision.sphere.grids.base", ast.parse(program)))) == 2
     assert not list(private_crossings("sphericalvision.icosphere.areas", ast.parse(program)))
+    uses = "self._a(), cls._b, super()._c(), camera._map(f), self.cameras[0]._project(x), a.__len__()"
+    assert list(private_uses(ast.parse(uses))) == ["_map", "_project"]
+    assert private_members(ast.parse("class A:\n    def _f(self): self._x = self._y")) == {"_f", "_x"}

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.model_alone import lifted
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.geometry.broadcasting import broadcast_shapes
 from sphericalvision.geometry.lookup import ImageLookup
@@ -36,12 +37,12 @@ def source_pixels(
     """
     turns = () if rotation is None else rotation.shape[:-2]
     batch = broadcast_shapes(source.batch_shape, target.batch_shape, turns)
-    directions, seen = _lift(target, batch).unproject(positions.expand(*batch, *positions.shape))
+    directions, seen = lifted(target, batch).unproject(positions.expand(*batch, *positions.shape))
     if rotation is not None:
         # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.
         turn = rotation.to(directions).expand(*batch, 3, 3).reshape(-1, 3, 3)
         directions = (directions.reshape(len(turn), -1, 3) @ turn).reshape(directions.shape)
-    pixels, visible = _lift(source, batch).project(directions)
+    pixels, visible = lifted(source, batch).project(directions)
     return pixels, seen & visible
 
 
@@ -112,9 +113,3 @@ class PyramidLookup(nn.Module):
                 small = halved.view(*small.shape[:-2], *halved.shape[-2:])
             found.append(lookup(small))
         return torch.cat(found, dim=-1).index_select(-1, self.order)
-
-
-def _lift(camera: Camera, batch: tuple[int, ...]) -> Camera:
-    """The camera with leading dimensions of size one, as many as ``batch`` has more than it."""
-    missing = len(batch) - len(camera.batch_shape)
-    return camera._map(lambda tensor: tensor.reshape(*[1] * missing, *tensor.shape)) if missing else camera

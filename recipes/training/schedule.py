@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from torch.optim import Optimizer
-from torch.optim.lr_scheduler import ChainedScheduler, LRScheduler, SequentialLR
+from torch.optim.lr_scheduler import ChainedScheduler, CosineAnnealingLR, LRScheduler, SequentialLR
 
 from sphericalvision.core import ArgumentError
 
-__all__ = ["chained", "progress_only", "sequential"]
+__all__ = ["chained", "cosine_between", "progress_only", "sequential"]
 
 Part = Callable[[Optimizer], LRScheduler]
 """One of torch's schedulers that waits for its optimiser, as ``_partial_: true`` makes it."""
@@ -46,6 +46,23 @@ def sequential(optimizer: Optimizer, milestones: Sequence[int], **parts: Part) -
             f"got {list(milestones)}"
         )
     return SequentialLR(optimizer, [part(optimizer) for part in parts.values()], list(milestones))
+
+
+def cosine_between(optimizer: Optimizer, begin: int, end: int, eta_min: float = 0.0) -> CosineAnnealingLR:
+    """``torch.optim.lr_scheduler.CosineAnnealingLR`` that begins and ends at iterations of the whole training.
+
+    Examples:
+        >>> import torch
+        >>> optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=1.0)
+        >>> cosine_between(optimizer, begin=100, end=1000).T_max
+        900
+    """
+    if end <= begin:
+        raise ArgumentError(
+            f"scheduler.cosine: expected an end after iteration {begin}, where it begins, got {end}; train for more "
+            "iterations (trainer.max_steps) or warm up for fewer (scheduler.milestones)"
+        )
+    return CosineAnnealingLR(optimizer, end - begin, eta_min)
 
 
 def progress_only(state: dict[str, Any]) -> dict[str, Any]:

@@ -129,6 +129,13 @@ def test_the_plain_cosine_ends_at_nothing() -> None:
     assert rates == pytest.approx([0.25 * (1 + math.cos(math.pi * step / 40)) for step in range(41)])
 
 
+def test_a_cosine_after_a_rise_ends_with_the_training() -> None:
+    config = train_config("scheduler=warmup_then_cosine", "trainer.max_steps=300", "optimizer.lr=0.5")
+    rates = learning_rates(config, 301)
+    assert rates[:101] == pytest.approx([0.5 * (0.01 + 0.99 * step / 100) for step in range(101)])
+    assert rates[100:] == pytest.approx([0.25 * (1 + math.cos(math.pi * step / 200)) for step in range(201)])
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(CONF)))
 def test_configs_are_short_and_say_what_they_are(path: Path) -> None:
     lines = path.read_text().splitlines()

@@ -18,6 +18,7 @@ from torch import Tensor
 from sphericalvision.core import FileFormatError, check_choice
 from sphericalvision.deploy import Depth, DepthImage
 from sphericalvision.deploy.checks import hypotheses_warning, poses_warning
+from sphericalvision.deploy.viewer import save_viewer
 from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import write_image
 from sphericalvision.viz.color import colorize
@@ -27,12 +28,13 @@ from sphericalvision.viz.pointcloud import save_point_cloud
 
 __all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
 
-OUTPUTS = ("depth", "confidence", "cloud", "glb", "npz", "video")
+OUTPUTS = ("depth", "confidence", "cloud", "glb", "viewer", "npz", "video")
 FILES = {
     "depth": "depth.png",
     "confidence": "confidence.png",
     "cloud": "points.ply",
     "glb": "points.glb",
+    "viewer": "viewer.html",
     "npz": "depth.npz",
 }
 """Output -> what the name of its file for a frame ends with; the last one chosen tells that a frame is done."""
@@ -107,6 +109,10 @@ def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> l
             points = cloud.points * cloud.points.new_tensor([1, -1, -1] if kind == "glb" else [1, 1, 1])
             path = folder / f"{prefix}{FILES[kind]}"
             written.append(save_point_cloud(path, points, cloud.colors, cloud.normals))
+    if "viewer" in settings.outputs:
+        title = f"depth all around {prefix.rstrip('_')}".strip()
+        path = save_viewer(folder / f"{prefix}viewer.html", views.depth, settings.height, title)
+        written.append(path)
     if "npz" in settings.outputs:
         path = folder / f"{prefix}depth.npz"
         with atomic_write(path) as temporary:

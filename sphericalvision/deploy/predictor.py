@@ -190,7 +190,7 @@ class Predictor:
 
     def inputs(
         self, images: Mapping[str, Any]
-    ) -> tuple[Float[Tensor, "*batch n 3 *size"], Bool[Tensor, " n *size"]]:
+    ) -> tuple[Float[Tensor, "*batch_and_size"], Bool[Tensor, " n *size"]]:
         """Return images as the network takes them, in [-1, 1], and what of them was seen; arguments as of a call."""
         photographs = self._photographs(images)
         ready = self._prepared(photographs)

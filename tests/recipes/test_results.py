@@ -50,6 +50,7 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
         "7_confidence.png",
         "7_points.ply",
         "7_points.glb",
+        "7_viewer.html",
         "7_depth.npz",
         "depth.mp4",
     }

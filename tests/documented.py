@@ -117,7 +117,7 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
     """Words that make a command small: few and small frames, few steps, narrow networks."""
     if recipe == "benchmark":
         return BENCHMARK
-    if recipe in ("convert", "calibrate", "digits_table"):
+    if recipe in ("convert", "calibrate", "digits_table", "export"):
         return []
     if "preset=benchmark" in words:
         return [*METHODS, f"benchmark.cache_dir={cache}"]

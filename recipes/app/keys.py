@@ -55,6 +55,25 @@ class Predict:
     native: bool
 
 
+class Export:
+    """``sphericalvision-export``."""
+
+    calibration: str
+    cameras: list[str | int] | None
+    translation_unit: str | None
+    max_angle_deg: Positive | None
+    method: str
+    checkpoint: str | None
+    num_hypotheses: Annotated[int, AtLeast(2)] | None
+    level: Count | None
+    min_depth: Positive | str
+    inputs: str
+    height: Count | None
+    batch: Count
+    formats: list[str]
+    output: str
+
+
 class Inspect:
     """``sphericalvision-inspect``."""
 
@@ -267,6 +286,7 @@ class BenchmarkOfMethods:
 
 KEYS: dict[str, type] = {
     "predict": Predict,
+    "export": Export,
     "inspect": Inspect,
     "convert": Convert,
     "calibrate": Calibrate,

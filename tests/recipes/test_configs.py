@@ -156,7 +156,18 @@ def test_every_key_is_explained(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["train", "evaluate", "predict", "render", "convert", "calibrate", "inspect", "demo", "digits_table"],
+    [
+        "train",
+        "evaluate",
+        "predict",
+        "export",
+        "render",
+        "convert",
+        "calibrate",
+        "inspect",
+        "demo",
+        "digits_table",
+    ],
 )
 def test_every_command_composes(name: str) -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
@@ -169,6 +180,7 @@ COMMANDS = (
     "train",
     "evaluate",
     "predict",
+    "export",
     "render",
     "convert",
     "calibrate",

@@ -17,6 +17,7 @@ LIGHTNING = ("pytorch_lightning", "lightning_fabric", "tensorboard", "torch._ind
 SCENES = ("skimage", "kornia", "scipy")
 COMMANDS = {
     "predict": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "torch._dynamo"),
+    "export": ("pytorch_lightning", "tensorboard", "sklearn", "trimesh", "onnx"),
     "convert": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "matplotlib"),
     "calibrate": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "matplotlib"),
     "inspect": (*LIGHTNING, *SCENES, "sklearn", "trimesh"),

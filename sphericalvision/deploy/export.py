@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A network with the tables of a rig inside, as a program that runs without this package: torch.export and ONNX."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.fx import GraphModule, Interpreter, Node
+from torch.utils import _pytree
+
+from sphericalvision.core import ArgumentError, check_choice, reference_kernels
+from sphericalvision.deploy.predictor import Predictor
+from sphericalvision.io.files import atomic_write
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.sweep import inverse_depth_from_index
+
+__all__ = [
+    "INPUTS",
+    "RigProgram",
+    "example_images",
+    "export_onnx",
+    "export_program",
+    "onnx_difference",
+    "with_constants_folded",
+]
+
+INPUTS = ("camera", "sphere")
+OPSET = 20
+CONVOLUTIONS = tuple(getattr(torch.ops.aten, f"conv{dims}d").default for dims in (1, 2, 3))
+
+
+class RigProgram(nn.Module):
+    """A network and a rig as a module of tensors alone, which can be exported.
+
+    Args:
+        predictor: whose nearest depth is known.
+        inputs: ``"camera"`` for images ``(B, n, 3, h, w)`` in [0, 1] as the cameras take them, or ``"sphere"`` for
+            ``(B, n, 3, V)`` in [-1, 1] on icospheres, as ``Predictor.inputs`` makes them.
+        height: rows of a panorama that the answer is given on; on the network's own grid when not given.
+
+    Raises:
+        ArgumentError: the images of the cameras differ in size, or the network does not take images on icospheres.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> predictor = Predictor(ring_rig(3, image_size=(16, 16)), method="semi_global", level=3, min_depth=0.5)
+        >>> program = RigProgram(predictor, height=8)
+        >>> inverse_depth, confidence, seen = program(torch.rand(1, 3, 3, 16, 16))
+        >>> inverse_depth.shape
+        torch.Size([1, 8, 16])
+    """
+
+    seen: Tensor
+    rays: Tensor
+
+    def __init__(self, predictor: Predictor, inputs: str = "camera", height: int | None = None) -> None:
+        super().__init__()
+        check_choice("inputs", inputs, INPUTS)
+        self.net, self.inputs = predictor.network, inputs
+        self.shape: tuple[int, int] | None = None
+        lookups, tables, seen = predictor.tables
+        if inputs == "sphere" and self.net.images != "sphere":
+            raise ArgumentError(
+                f"inputs: {type(self.net).__name__} takes images of cameras, not of icospheres"
+            )
+        sizes = sorted({camera.image_size for camera in predictor.rig.cameras.values()})
+        if inputs == "camera" and len(sizes) > 1:
+            raise ArgumentError(
+                f"inputs: expected cameras with images of one size, got {sizes}; export inputs=sphere"
+            )
+        self.image_size, self.num_cameras = sizes[0], len(predictor.rig)
+        self.lookups = lookups
+        self.places = nn.ModuleList(
+            look.places for look in lookups
+        )  # so that their tables are of this module
+        self.register_buffer("seen", seen)
+        leaves, self.structure = _pytree.tree_flatten(tables)
+        self.leaves = [None if isinstance(leaf, Tensor) else leaf for leaf in leaves]
+        for number, leaf in enumerate(leaves):
+            if isinstance(leaf, Tensor):
+                self.register_buffer(f"table{number}", leaf.contiguous())
+        if height is not None:
+            view = Equirectangular(height, 2 * height, device=seen.device)
+            self.shape = view.shape
+            self.register_buffer("rays", view.directions.reshape(-1, 3).clone())
+
+    def forward(
+        self, images: Float[Tensor, "B n 3 *size"]
+    ) -> tuple[Float[Tensor, " B *grid"], Float[Tensor, " B *grid"], Bool[Tensor, " B *grid"]]:
+        """Return inverse depth in 1/m, confidence, and what two cameras saw, ``(B, *grid)`` each."""
+        if self.inputs == "camera":
+            images = self._on_grid(images)
+        leaves = [getattr(self, f"table{k}") if leaf is None else leaf for k, leaf in enumerate(self.leaves)]
+        index, confidence, seen = self.net.predict(
+            images, _pytree.tree_unflatten(leaves, self.structure), self.seen
+        )
+        inverse_depth = inverse_depth_from_index(index.float(), self.net.num_hypotheses, self.net.min_depth)
+        if self.shape is None:
+            return inverse_depth, confidence, seen
+        batch, shape = len(images), (len(images), *self.shape)
+        together = torch.cat((inverse_depth, confidence, seen.to(inverse_depth)))
+        values, reached = self.net.index_at(together, self.rays)
+        inverse_depth, confidence, both = values.split(batch)
+        return (
+            inverse_depth.where(reached, float("nan")).view(shape),
+            confidence.view(shape),
+            ((both > 0.5) & reached).view(shape),
+        )
+
+    def _on_grid(self, images: Tensor) -> Tensor:
+        """Images of cameras as the network takes them."""
+        seen = self.seen.unsqueeze(1)
+        if not self.lookups:
+            return (images * 2 - 1) * seen
+        values = [look(images[:, number], 0) for number, look in enumerate(self.lookups)]
+        return torch.stack(values, 1) * 2 - seen.to(images)
+
+
+def example_images(program: RigProgram, batch: int = 1) -> Float[Tensor, "B n 3 *size"]:
+    """Return random images of the shape and range that a program takes."""
+    if program.inputs == "sphere":
+        shape: tuple[int, ...] = program.seen.shape[1:]
+        return 2 * torch.rand(batch, program.num_cameras, 3, *shape, device=program.seen.device) - 1
+    return torch.rand(batch, program.num_cameras, 3, *program.image_size, device=program.seen.device)
+
+
+@torch.no_grad()
+def export_program(
+    program: RigProgram, path: str | Path | None = None, batch: int = 1
+) -> torch.export.ExportedProgram:
+    """Return a program as ``torch.export`` has it, and write it to a ``.pt2`` file, which torch runs by itself.
+
+    All that follows from level and rig is computed now and is constant in the program. The batch is fixed.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> predictor = Predictor(ring_rig(3, image_size=(16, 16)), method="semi_global", level=3, min_depth=0.5)
+        >>> program = RigProgram(predictor, "sphere")
+        >>> images = example_images(program)
+        >>> torch.allclose(export_program(program).module()(images)[0], program(images)[0])
+        True
+    """
+    program, images = program.eval(), example_images(program, batch)
+    program(images)  # fills the caches of tables, which are constants then
+    with warnings.catch_warnings(), reference_kernels():
+        warnings.simplefilter("ignore")
+        traced: Any = torch.export.export(program, (images,), strict=False).module()
+        exported = torch.export.export(with_constants_folded(traced, images), (images,), strict=False)
+    if path is not None:
+        with atomic_write(path) as temporary:
+            torch.export.save(exported, temporary)
+    return exported
+
+
+def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Path:
+    """Write an exported program as an ONNX file with the input ``images`` and the outputs of ``RigProgram``.
+
+    Raises:
+        ArgumentError: the packages for it are missing; ``pip install sphericalvision[onnx]``.
+    """
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise ArgumentError(f"onnx: needs {error.name}: pip install 'sphericalvision[onnx]'") from None
+    names = ["inverse_depth", "confidence", "seen"]
+    with warnings.catch_warnings(), atomic_write(path) as temporary:
+        warnings.simplefilter("ignore")
+        # The optimiser of the converter does not end on programs of this size; runtimes optimise what they load.
+        converted = torch.onnx.export(
+            exported,
+            dynamo=True,
+            optimize=False,
+            verbose=False,
+            opset_version=OPSET,
+            input_names=["images"],
+            output_names=names,
+        )
+        assert converted is not None
+        converted.save(temporary)
+    return Path(path)
+
+
+def onnx_difference(path: str | Path, program: RigProgram, images: Float[Tensor, "B n 3 *size"]) -> float:
+    """Return by how much the inverse depth of an ONNX file by onnxruntime differs from a program's at most, in 1/m."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    found = torch.from_numpy(session.run(["inverse_depth"], {"images": images.cpu().numpy()})[0])
+    with torch.no_grad():
+        expected = program(images)[0].cpu()
+    return float((found - expected).nan_to_num().abs().max())
+
+
+def with_constants_folded(traced: GraphModule, *inputs: Tensor) -> GraphModule:
+    """Return a traced module in which everything that does not depend on its inputs is a constant.
+
+    Index arithmetic of icospheres makes up most of a network's graph, and none of it depends on images.
+    """
+    known: dict[Node, Any] = {}
+
+    class Remembering(Interpreter):
+        def run_node(self, n: Node) -> Any:
+            value = super().run_node(n)
+            if n.op == "get_attr" or (n.op == "call_function" and all(a in known for a in n.all_input_nodes)):
+                known[n] = value
+            return value
+
+    Remembering(traced).run(*inputs)
+    for number, node in enumerate(list(traced.graph.nodes)):
+        if node.op != "call_function":
+            continue
+        if node.target in CONVOLUTIONS and node.args[2:3] in ((), (None,)):
+            # Converters write a bias of zeros in a way that onnxruntime refuses.
+            weight = known[node.args[1]]  # type: ignore[index]
+            traced.register_buffer(f"bias{number}", weight.new_zeros(len(weight)))
+            with traced.graph.inserting_before(node):
+                bias = traced.graph.get_attr(f"bias{number}")
+            node.args = (*node.args[:2], bias, *node.args[3:])
+        if "assert" in str(node.target):
+            traced.graph.erase_node(node)
+        elif isinstance(known.get(node), Tensor) and any(user not in known for user in node.users):
+            name = f"constant{number}"
+            traced.register_buffer(name, known[node].detach().clone())
+            with traced.graph.inserting_before(node):
+                constant = traced.graph.get_attr(name)
+            known[constant] = known[node]
+            node.replace_all_uses_with(constant)
+    traced.graph.eliminate_dead_code()
+    traced.recompile()
+    return traced

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -18,12 +19,13 @@ from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, ring_rig, sa
 from sphericalvision.data import write_omnistereo
 from sphericalvision.io.images import write_image, write_mask
 from sphericalvision.models import IcoSweepNet, save_weights
+from sphericalvision.recipes.app.errors import check_keys
 from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.running import config_space
 from sphericalvision.recipes.app.words import quote_paths, read_words
 from tests.recipes.board_pictures import write_boards
 
-__all__ = ["PAGES", "ROOT", "Command", "blocks", "commands_of", "furnish", "run_command"]
+__all__ = ["PAGES", "ROOT", "Command", "blocks", "commands_of", "furnish", "mentioned_in", "run_command"]
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -64,6 +66,22 @@ def commands_of(page: Path) -> list[Command]:
     return found
 
 
+def mentioned_in(page: Path) -> list[Command]:
+    """The command lines within sentences of a page, and in the comments of a YAML file."""
+    found = []
+    text = re.sub(r"\\\n#? *", "", page.read_text())
+    pattern = (
+        r"^#.*?(sphericalvision-\w+ [^#]*?)(?: {3,}\(.*)?$"
+        if page.suffix == ".yaml"
+        else r"`(sphericalvision-\w+ [^`]*)`"
+    )
+    for line in re.findall(pattern, text, re.MULTILINE):
+        program, *words = shlex.split(re.sub(r"<[^>]*>", "x", re.sub(r"\s+", " ", line)))
+        if any("=" in word for word in words):
+            found.append(Command(program.removeprefix("sphericalvision-"), [w for w in words if w != "…"]))
+    return found
+
+
 def furnish(folder: Path) -> None:
     """Calibrations, captures, weights and data sets under the names that the documentation gives them."""
     torch.manual_seed(0)
@@ -92,8 +110,8 @@ def furnish(folder: Path) -> None:
 
 
 def write_files_of(page: Path, folder: Path) -> None:
-    """The YAML files that a page shows with their names."""
-    for title, text in blocks(page, "yaml"):
+    """The YAML and Python files that a page shows with their names."""
+    for title, text in (*blocks(page, "yaml"), *blocks(page, "python")):
         if title:
             (folder / title).parent.mkdir(parents=True, exist_ok=True)
             (folder / title).write_text(text + "\n")
@@ -110,6 +128,8 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
         words += smaller(command.recipe, words, cache)
         patch.setattr("sys.argv", [f"sphericalvision-{command.recipe}", *words])
         patch.setenv("WANDB_SILENT", "true")
+        patch.setenv("PYTHONPATH", "")
+        patch.setattr("sys.path", [*sys.path])
         import_module(f"sphericalvision.recipes.{command.recipe}").main()
 
 
@@ -144,7 +164,9 @@ def composed(recipe: str, words: list[str]) -> DictConfig:
     if line.multirun:
         overrides = [word.split(",")[0] for word in overrides]
     with config_space(line.config_dir):
-        return compose(recipe, overrides)
+        config = compose(recipe, overrides)
+        check_keys(recipe, config)
+        return config
 
 
 def data_words(data: DictConfig, cache: Path) -> list[str]:

@@ -7,7 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.documented import PAGES, ROOT, blocks, commands_of, composed, furnish, run_command, write_files_of
+from tests.documented import (
+    PAGES,
+    ROOT,
+    blocks,
+    commands_of,
+    composed,
+    furnish,
+    mentioned_in,
+    run_command,
+    write_files_of,
+)
 
 QUICK = ("docs/guide/which-camera.md", "docs/guide/sweep.md")
 """Pages whose commands take a second or two; the others are tried by `make test-all`."""
@@ -50,6 +60,19 @@ def test_the_commands_of_a_page_are_understood(
     monkeypatch.chdir(tmp_path)
     write_files_of(page, tmp_path)
     for command in commands_of(page):
+        composed(command.recipe, command.words)
+
+
+MENTIONED = [page for page in [*PAGES, *sorted((ROOT / "conf").rglob("*.yaml"))] if mentioned_in(page)]
+
+
+@pytest.mark.parametrize("page", MENTIONED, ids=name)
+def test_the_commands_within_sentences_are_understood(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_files_of(ROOT / "docs/recipes/configuration.md", tmp_path)
+    for command in mentioned_in(page):
         composed(command.recipe, command.words)
 
 

@@ -50,7 +50,23 @@ def run_command(config_name: str, task: Callable[[DictConfig], Any]) -> None:
     sys.argv[1:] = line.arguments
     warnings.formatwarning = _plain_warning
     decorate = hydra.main(version_base="1.3", config_path=CONF, config_name=config_name)
-    decorate(after_torch(plain_errors(task)))()
+    decorate(after_torch(plain_errors(with_own_files(task, line.config_dir))))()
+
+
+def with_own_files(task: Callable[[DictConfig], Any], config_dir: str | None) -> Callable[[DictConfig], Any]:
+    """Import the Python files beside the user's own configs before ``task``."""
+    if config_dir is None:
+        return task
+    folder = Path(config_dir).absolute()
+
+    @functools.wraps(task)
+    def prepared(config: DictConfig) -> Any:
+        from sphericalvision.recipes.app.own_files import import_own_files
+
+        import_own_files(folder)
+        return task(config)
+
+    return prepared
 
 
 def after_torch(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:

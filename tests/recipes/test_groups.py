@@ -6,7 +6,9 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import shlex
 import sqlite3
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,8 +20,9 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.frames import RenderedFrames
+from sphericalvision.recipes.app.own_files import import_own_files
 from sphericalvision.recipes.app.rigs import make_ring
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import TINY_SCENES, Run
 
 Words = tuple[str, ...]
 NETWORK = ("model.level=3", "model.num_hypotheses=4", "model.feature_channels=2", "trainer.accelerator=cpu")
@@ -47,7 +50,9 @@ def test_another_data_set_takes_the_place_of_the_experiments(run: Run, tmp_path:
         assert build(config[group], group) is not None
 
 
-def test_a_sweep_ends_with_a_table(run: Run, tmp_path: Path, tiny_training: Words) -> None:
+def test_a_sweep_ends_with_a_table(
+    run: Run, tmp_path: Path, tiny_training: Words, capsys: pytest.CaptureFixture[str]
+) -> None:
     run(
         "train", *tiny_training, "trainer.max_steps=1", "hparams=learning_rate", "logger=none", "output=sweep"
     )
@@ -55,6 +60,62 @@ def test_a_sweep_ends_with_a_table(run: Run, tmp_path: Path, tiny_training: Word
     assert [row["optimizer.lr"] for row in rows] == ["0.0005", "0.002"]
     assert all(math.isfinite(row["MAE"]) for row in rows)
     assert "| run | optimizer.lr | >1 |" in (tmp_path / "sweep/sweep.md").read_text()
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Resume:")]
+    program, *words = shlex.split(lines[-1].removeprefix("Resume:"))
+    assert program == "sphericalvision-train"
+    run("train", *words)  # as pasted: goes on with that run, and sweeps no more
+    assert len(list((tmp_path / "sweep").glob("*/validation.json"))) == 2
+    assert "step 2" in (tmp_path / "sweep/1/validation.md").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", ["joblib", "submitit"])
+def test_the_runs_of_a_sweep_go_where_the_launcher_says(
+    run: Run, tmp_path: Path, tiny_training: Words, launcher: str
+) -> None:
+    pytest.importorskip(f"hydra_plugins.hydra_{launcher}_launcher")
+    here = ["hydra/launcher=submitit_local"] if launcher == "submitit" else []
+    short = ("trainer.max_steps=1", "logger=none", "callbacks=none", "output=sweep")
+    run("train", *tiny_training, "hparams=learning_rate", f"launcher={launcher}", *here, *short)
+    rows = json.loads((tmp_path / "sweep/sweep.json").read_text())
+    assert [row["optimizer.lr"] for row in rows] == ["0.0005", "0.002"]
+    assert (tmp_path / "sweep/.submitit").is_dir() == (launcher == "submitit")
+
+
+@pytest.mark.slow
+def test_python_files_beside_ones_own_configs_are_known(
+    run: Run, tmp_path: Path, tiny_training: Words, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A network in a folder is trained, and evaluated by the line that is printed, without a package."""
+    monkeypatch.setattr("sys.path", [*sys.path])
+    monkeypatch.setenv("PYTHONPATH", "")
+    folder = tmp_path / "mine"
+    (folder / "model").mkdir(parents=True)
+    (folder / "own_grey.py").write_text(
+        "from sphericalvision.models import IcoSweepNet, register_network\n"
+        "class Grey(IcoSweepNet):\n    pass\n"
+        "register_network('own-grey', Grey)\n"
+    )
+    (folder / "model/grey.yaml").write_text(
+        "defaults: [icosweepnet_quick, _self_]\n_target_: own_grey.Grey\n"
+    )
+    words = ("--config-dir", str(folder), "trainer.max_steps=1", "logger=none", "callbacks=none")
+    run("train", *tiny_training, "model=grey", *words, "output=run")
+    weights = tmp_path / "run/checkpoints/last.safetensors"
+    run("evaluate", *words[:2], *TINY_SCENES, f"checkpoint={weights}", "output=table", "device=cpu")
+    assert "last" in (tmp_path / "table/metrics.md").read_text()
+
+
+def test_faults_in_python_files_of_ones_own_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.path", [*sys.path])
+    monkeypatch.setenv("PYTHONPATH", "")
+    (tmp_path / "shlex.py").write_text("")
+    with pytest.raises(ArgumentError, match="shlex is a module already"):
+        import_own_files(tmp_path)
+    (tmp_path / "shlex.py").rename(tmp_path / "own_with_fault.py")
+    (tmp_path / "own_with_fault.py").write_text("import nothing_of_that_name")
+    with pytest.raises(ArgumentError, match=r"own_with_fault\.py: cannot be imported"):
+        import_own_files(tmp_path)
 
 
 @pytest.mark.slow

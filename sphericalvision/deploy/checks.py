@@ -104,8 +104,8 @@ def pose_agreement(images: Mapping[str, Float[Tensor, "3 _ _"]], rig: CameraRig)
         >>> from sphericalvision.data import make_scene, render_rig
         >>> rig = ring_rig(3, image_size=(64, 64))
         >>> images = render_rig(make_scene("room", seed=1), rig)
-        >>> turned = dict(zip(images, [*list(images.values())[1:], images["cam1"]]))  # each camera's is the next one's
-        >>> pose_agreement(images, rig) > 1.2 * pose_agreement(turned, rig)
+        >>> swapped = images | {"cam1": images["cam2"], "cam2": images["cam1"]}
+        >>> pose_agreement(images, rig) > 1.2 * pose_agreement(swapped, rig)
         True
     """
     vertices = icosphere_vertices(LEVEL, torch.float32, rig.world_from_camera.device)

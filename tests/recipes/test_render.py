@@ -114,7 +114,7 @@ def test_frames_from_elsewhere_are_not_mixed_with(failing: Callable[..., str], t
 
 def test_wrong_values_are_named(failing: Callable[..., str]) -> None:
     assert "num_frames" in failing("render", "num_frames=0")
-    assert "png or tiff" in failing("render", "release=jpg")
+    assert "png, tiff or null" in failing("render", "release=jpg")
     assert "kind" in failing("render", "kind=garden", *TINY)
 
 

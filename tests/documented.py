@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import pytest
 import torch
+import trimesh
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, ring_rig, save_camera, save_rig
@@ -94,6 +95,7 @@ def furnish(folder: Path) -> None:
     save_rig(CameraRig({f"cam{i}": lens for i in range(4)}, poses), capture / "calibration.json", "basalt")
     save_rig(CameraRig({f"cam{i}": lens for i in range(4)}, poses), folder / "camchain.yaml", "kalibr")
     save_camera(lens, folder / "cam.yaml")
+    trimesh.creation.box((6.0, 2.5, 5.0)).export(folder / "room.glb")
     for number in range(5):
         write_image(capture / f"cam{number}/00001.png", torch.rand(3, *SIZE))
         write_mask(capture / f"cam{number}/mask.png", torch.ones(SIZE, dtype=torch.bool))

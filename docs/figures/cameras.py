@@ -11,6 +11,7 @@ from matplotlib.colors import ListedColormap
 
 from figures import CHARTS, FAINT, INK, bare_axes, new_figure, to_html
 from sphericalvision.cameras import (
+    AnglePolynomialCamera,
     AtanCamera,
     BrownConradyCamera,
     DivisionCamera,
@@ -43,6 +44,7 @@ def _models() -> dict[str, Any]:
         "unified, ξ = 1.2": UnifiedCamera([2.2 * FOCAL] * 2, middle, 1.2, None, SIZE),
         "extended unified, α = 0.6, β = 1.1": ExtendedUnifiedCamera(one, middle, 0.6, 1.1, SIZE),
         "double sphere, ξ = −0.2, α = 0.6": DoubleSphereCamera([0.8 * FOCAL] * 2, middle, -0.2, 0.6, SIZE),
+        "angle polynomial, k₂ = 0.05": AnglePolynomialCamera(one, middle, [0.0, 0.05], SIZE),
         "ATAN, ω = 0.9": AtanCamera(one, middle, 0.9, SIZE),
         "division, λ₁ = −0.25": DivisionCamera(one, middle, [-0.25], SIZE),
     }

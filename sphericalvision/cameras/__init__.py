@@ -10,6 +10,11 @@ from sphericalvision.cameras.coverage import coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, points_from_depth, z_from_depth
 from sphericalvision.cameras.field_of_view import field_of_view
 from sphericalvision.cameras.kornia_cameras import CameraModule, from_kornia, to_kornia
+from sphericalvision.cameras.models.angle_polynomial import (
+    AnglePolynomialCamera,
+    project_angle_polynomial,
+    unproject_angle_polynomial,
+)
 from sphericalvision.cameras.models.atan import AtanCamera, project_atan, unproject_atan
 from sphericalvision.cameras.models.brown_conrady import (
     BrownConradyCamera,
@@ -59,6 +64,7 @@ from sphericalvision.cameras.remapping.views import perspective_views
 from sphericalvision.cameras.rig import CameraRig, ring_rig
 
 __all__ = [
+    "AnglePolynomialCamera",
     "AtanCamera",
     "BrownConradyCamera",
     "Camera",
@@ -88,6 +94,7 @@ __all__ = [
     "overlap",
     "perspective_views",
     "points_from_depth",
+    "project_angle_polynomial",
     "project_atan",
     "project_brown_conrady",
     "project_division",
@@ -116,6 +123,7 @@ __all__ = [
     "to_kornia",
     "undistort",
     "undistorted_camera",
+    "unproject_angle_polynomial",
     "unproject_atan",
     "unproject_brown_conrady",
     "unproject_division",

@@ -410,3 +410,46 @@ def aria(**changes: Any) -> dict[str, Any]:
         for (label, name, params), (translation, quaternion) in zip(kinds, poses, strict=True)
     ]
     return {"CameraCalibrations": cameras, "DeviceClassInfo": {"DeviceClass": "Aria"}, **changes}
+
+
+def py_ocamcalib(**changes: Any) -> dict[str, Any]:
+    """py-OCamCalib's file of a lens of 185°, with rounded numbers."""
+    return {
+        "date": "18052022_154907",
+        "camera_name": "fisheye_1",
+        "valid": [True, True],
+        "taylor_coefficient": [337.7, 0.0, -0.00122, 1.38e-06, -3.01e-09],
+        "distortion_center": [159.25, 117.5],
+        "stretch_matrix": [[1.0033, 0.0015], [0.0018, 1.0]],
+        "inverse_poly": [1.0, 338.2, -0.01],
+        "rms_overall": 0.24,
+        **changes,
+    }
+
+
+def blender(**changes: Any) -> dict[str, Any]:
+    """Settings of five cameras of Blender; the first one looks along the scene's y axis, its up being z."""
+    upright = [[1.0, 0.0, 0.0, 0.5], [0.0, 0.0, -1.0, 0.2], [0.0, 1.0, 0.0, 1.6], [0.0, 0.0, 0.0, 1.0]]
+    frame = {"resolution_x": 1280, "resolution_y": 800, "resolution_percentage": 50, "sensor_fit": "AUTO"}
+    sensor = {"sensor_width": 36.0, "sensor_height": 24.0, "matrix_world": upright, "shift_x": 0.0}
+    lens = {"lens": 30.0, "fisheye_lens": 10.5, "fisheye_fov": 2.8}
+    numbers = (-1.1735143712967577e-05, -0.06, 1e-5, 2e-6, -3e-7)
+    lens |= {f"fisheye_polynomial_k{power}": value for power, value in enumerate(numbers)}
+    common = {**frame, **sensor, **lens, **changes}
+    kinds = ("FISHEYE_LENS_POLYNOMIAL", "FISHEYE_EQUISOLID", "FISHEYE_EQUIDISTANT", "EQUIRECTANGULAR")
+    panoramas = {kind.lower(): {"type": "PANO", "panorama_type": kind, **common} for kind in kinds}
+    return {"cameras": {**panoramas, "plain": {"type": "PERSP", **common}}}
+
+
+REALITY_CAPTURE = """<x:xmpmeta xmlns:x="adobe:ns:meta/">
+  <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+    <rdf:Description xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" xcr:Version="3"
+       xcr:DistortionModel="brown3t2" xcr:FocalLength35mm="24.5" xcr:Skew="0" xcr:AspectRatio="1.001"
+       xcr:PrincipalPointU="-0.0046" xcr:PrincipalPointV="0.0082" xcr:CalibrationPrior="exact">
+      <xcr:Rotation>0 -1 0 0 0 -1 1 0 0</xcr:Rotation>
+      <xcr:Position>1.5 -0.25 0.75</xcr:Position>
+      <xcr:DistortionCoeficients>-0.124 0.107 -0.0105 0 0.0011 -0.0007</xcr:DistortionCoeficients>
+    </rdf:Description>
+  </rdf:RDF>
+</x:xmpmeta>
+"""

@@ -28,9 +28,11 @@ from tests.cameras.calibration_samples import (
     KITTI,
     MATRIX,
     QUARTER_TURN,
+    REALITY_CAPTURE,
     aria,
     asl,
     basalt,
+    blender,
     camodocal_kannala_brandt,
     camodocal_pinhole,
     kalibr,
@@ -40,6 +42,7 @@ from tests.cameras.calibration_samples import (
     opencv_stereo,
     opencv_yaml,
     orbslam,
+    py_ocamcalib,
     transforms,
     woodscape,
 )
@@ -74,6 +77,8 @@ CONTENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "settings.yaml": orbslam,
     "settings_pinhole.yaml": lambda: orbslam("PinHole"),
     "transforms.json": transforms,
+    "calibration_fisheye.json": py_ocamcalib,
+    "blender.json": blender,
     "fisheye.yaml": multicol,
     "stereo.yaml": opencv_values,
     "stereo.json": lambda: opencv_values(
@@ -87,6 +92,7 @@ TEXTS: dict[str, str] = {
     },
     "cameras.txt": COLMAP,
     "calib_cam_to_cam.txt": KITTI,
+    "image001.xmp": REALITY_CAPTURE,
     "plain.yml": opencv_yaml(image_width=320, image_height=240, camera_matrix=MATRIX, dist_coeffs=[0.1] * 5),
     "plain.xml": "<?xml version='1.0'?><opencv_storage><image_width>320</image_width><image_height>240"
     "</image_height><camera_matrix type_id='opencv-matrix'><rows>3</rows><cols>3</cols><dt>d</dt>"
@@ -104,6 +110,7 @@ def read_everything(path: Path) -> None:
         "pinhole.yaml",
         "kannala.yaml",
         "fisheye.yaml",
+        "calibration_fisheye.json",
     ):
         unit = "mm" if path.stem == "stereo" else None
         if path.name != "image_02.yaml":

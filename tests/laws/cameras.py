@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 
 from sphericalvision.cameras import (
+    AnglePolynomialCamera,
     AtanCamera,
     BrownConradyCamera,
     Camera,
@@ -139,6 +140,13 @@ CAMERAS = [
         lambda s: KannalaBrandtCamera(
             [24.0 * s, 23.8], CENTER, [0.03, -0.02, 0.004, 1e-3, -4e-4, 3e-5], SIZE, math.radians(100)
         ),
+    ),
+    CameraCase(
+        "angle polynomial",
+        lambda s: AnglePolynomialCamera(
+            [24.0 * s, 23.8], CENTER, [-0.004, 0.03, -0.002, 0.001], SIZE, math.radians(105)
+        ),
+        smooth_on_axis=False,
     ),
     CameraCase("atan", lambda s: AtanCamera([26.0 * s, 25.8], CENTER, 0.93, SIZE, math.radians(105))),
     CameraCase("division", lambda s: DivisionCamera([30.0 * s, 29.7], CENTER, [-0.22], SIZE)),

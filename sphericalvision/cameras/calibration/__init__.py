@@ -5,6 +5,7 @@ from sphericalvision.cameras.calibration import (  # noqa: F401  # each register
     aria,
     asl,
     basalt,
+    blender,
     camodocal,
     colmap,
     kalibr,
@@ -17,6 +18,8 @@ from sphericalvision.cameras.calibration import (  # noqa: F401  # each register
     omnimvs,
     opencv,
     orbslam,
+    py_ocamcalib,
+    realitycapture,
     vins,
     woodscape,
 )

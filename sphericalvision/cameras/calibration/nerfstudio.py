@@ -35,7 +35,7 @@ from sphericalvision.cameras.calibration.parsing import (
     number,
     size_from_width_height,
 )
-from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV, transform_from_rows
 from sphericalvision.cameras.calibration.supported_models import (
     check_holds,
     numbers_of,
@@ -53,7 +53,6 @@ from sphericalvision.io.files import atomic_write
 __all__ = ["contents", "recognizes", "write_nerfstudio"]
 
 _MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "OPENCV", "OPENCV_FISHEYE", "EQUIRECTANGULAR")
-_OPENGL_FROM_OPENCV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 _OWN = ("fl_x", "fl_y", "camera_angle_x", "cx", "k1", "w")
 """Keys by which a frame has a lens of its own."""
 
@@ -90,7 +89,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
             raise FileFormatError(f"{where}, file_path: a second frame named {short_repr(name)}")
         cameras[name] = shared if shared and not own[index] else _camera({**content, **frame}, where, options)
         pose = transform_from_rows(entry(frame, "transform_matrix", where), f"{where}, transform_matrix")
-        poses.append(pose @ _OPENGL_FROM_OPENCV)
+        poses.append(pose @ OPENGL_FROM_OPENCV)
     if not options.rig and shared and not any(own):
         return Contents({"cam1": shared})
     return Contents(cameras, torch.stack(poses))
@@ -167,7 +166,7 @@ def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
     rig = cameras if isinstance(cameras, CameraRig) else CameraRig({"cam1": cameras}, torch.eye(4)[None])
     kinds = {}
     frames = []
-    poses = rig.world_from_camera.detach().cpu().double() @ _OPENGL_FROM_OPENCV
+    poses = rig.world_from_camera.detach().cpu().double() @ OPENGL_FROM_OPENCV
     for (name, camera), pose in zip(rig.cameras.items(), poses, strict=True):
         kinds[name], values = _values(camera)
         frames.append({"file_path": f"images/{name}.png", **values, "transform_matrix": pose.tolist()})

@@ -12,7 +12,16 @@ from torch import Tensor
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError
 
-__all__ = ["axis_angle_from_rotation", "checked_rigid", "quaternion_from_rotation", "transform_from_rows"]
+__all__ = [
+    "OPENGL_FROM_OPENCV",
+    "axis_angle_from_rotation",
+    "checked_rigid",
+    "quaternion_from_rotation",
+    "transform_from_rows",
+]
+
+OPENGL_FROM_OPENCV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+"""From x right, y down, z forward to x right, y up, z backward, and back."""
 
 
 def checked_rigid(transform: Float[Tensor, "4 4"], where: str) -> Float[Tensor, "4 4"]:

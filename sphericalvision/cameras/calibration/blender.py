@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blender's cameras, as json of the names that their settings have in Blender's Python.
+
+Convention:
+    ``cameras`` is name -> settings: ``type`` ``PERSP`` or ``PANO``, of which ``panorama_type`` is
+    ``FISHEYE_EQUIDISTANT``, ``FISHEYE_EQUISOLID``, ``FISHEYE_LENS_POLYNOMIAL`` or ``EQUIRECTANGULAR``. Lengths on the
+    sensor are millimetres, angles radians. ``matrix_world`` takes Blender's camera coordinates (x right, y up, z back)
+    to the scene's, in its units, which by default are metres.
+
+    The image spans [−0.5, w − 0.5]. An equidistant image fills its frame, which stretches it where that is no square.
+    The polynomial has the angle θ = −(k0 + k1 r + k2 r² + k3 r³ + k4 r⁴) at r millimetres from the middle. A lens has
+    no k0: one of less than a tenth of a pixel, such as Blender's own default has, is left out.
+
+References:
+    Blender Manual, "Rendering, Cycles, Object Settings, Cameras"; its source, intern/cycles/blender/camera.cpp and
+    intern/cycles/kernel/camera/projection.h.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.parsing import (
+    entry,
+    errors_of_file,
+    focal_lengths,
+    mapping,
+    number,
+    numbers,
+    size_from_width_height,
+)
+from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV, transform_from_rows
+from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.cameras.models.angle_polynomial import AnglePolynomialCamera
+from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.models.fisheye import FisheyeCamera
+from sphericalvision.cameras.models.pinhole import PinholeCamera
+from sphericalvision.core import FileFormatError, short_repr
+
+__all__ = ["contents", "recognizes"]
+
+_PANORAMAS = ("FISHEYE_EQUIDISTANT", "FISHEYE_EQUISOLID", "FISHEYE_LENS_POLYNOMIAL", "EQUIRECTANGULAR")
+_FITS = ("AUTO", "HORIZONTAL", "VERTICAL")
+_LARGEST_CONSTANT = 0.1
+"""Of a polynomial, in pixels."""
+
+
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file has ``cameras`` whose settings have Blender's ``sensor_fit``."""
+    cameras = content.get("cameras")
+    return isinstance(cameras, dict) and any(
+        isinstance(values, dict) and "sensor_fit" in values for values in cameras.values()
+    )
+
+
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+    """Cameras and poses of a parsed file.
+
+    Raises:
+        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
+    """
+    cameras: dict[str, Camera] = {}
+    poses = []
+    for name, values in content["cameras"].items():
+        where = f"{path}, cameras, {name}"
+        lens = mapping(values, where)
+        camera = _camera(lens, where, options)
+        cameras[str(name)] = bounded(camera, options.max_angle, where)
+        if "matrix_world" in lens:
+            poses.append(_pose(lens["matrix_world"], f"{where}, matrix_world"))
+    return Contents(cameras, torch.stack(poses) if len(poses) == len(cameras) else None)
+
+
+def _pose(rows: Any, where: str) -> Tensor:
+    """World from camera; the scale of a camera object does not change its picture."""
+    if not isinstance(rows, list) or len(rows) != 4:
+        raise FileFormatError(f"{where}: expected four rows of four numbers, got {short_repr(rows)}")
+    matrix = torch.tensor([numbers(row, where, 4) for row in rows], dtype=torch.float64)
+    matrix[:3, :3] /= matrix[:3, :3].norm(dim=0).clamp_min(torch.finfo(matrix.dtype).tiny)
+    return transform_from_rows(matrix.flatten().tolist(), where) @ OPENGL_FROM_OPENCV
+
+
+def _camera(values: Any, where: str, options: Options) -> Camera:
+    kind = entry(values, "type", where)
+    if kind == "PANO":
+        kind = entry(values, "panorama_type", where)
+        if kind not in _PANORAMAS:
+            raise FileFormatError(
+                f"{where}, panorama_type: expected {' or '.join(_PANORAMAS)}, got {short_repr(kind)}"
+            )
+    elif kind != "PERSP":
+        raise FileFormatError(f"{where}, type: expected PERSP or PANO, got {short_repr(kind)}")
+    size = _image_size(values, where)
+    height, width = size
+    center = [(width - 1) / 2, (height - 1) / 2]
+    shift = [number(values, key, where) if key in values else 0.0 for key in ("shift_x", "shift_y")]
+    if kind != "PERSP" and any(shift):
+        raise FileFormatError(f"{where}, shift_x and shift_y: expected 0 of a panoramic camera, got {shift}")
+    with errors_of_file(where):
+        if kind == "EQUIRECTANGULAR":
+            return _panorama(values, size, where)
+        if kind == "FISHEYE_EQUIDISTANT":
+            view = _view(values, where)
+            focal_length = torch.tensor([width / view, height / view], dtype=torch.float64)
+            return FisheyeCamera("equidistant", focal_length, center, size, min(view / 2, math.pi))
+        scale, longer = _pixels_per_millimetre(values, size, where)
+        if kind == "PERSP":
+            pinhole = _checked(number(values, "lens", where) * scale, f"{where}, lens")
+            center = [center[0] - shift[0] * longer, center[1] + shift[1] * longer]
+            return PinholeCamera(pinhole, center, size)
+        view = _view(values, where)
+        if kind == "FISHEYE_EQUISOLID":
+            focal_length = _checked(number(values, "fisheye_lens", where) * scale, f"{where}, fisheye_lens")
+            return FisheyeCamera("equisolid", focal_length, center, size, min(view / 2, math.pi))
+        k0, k1, *more = [-number(values, f"fisheye_polynomial_k{power}", where) for power in range(5)]
+        focal = _checked(scale / k1 if k1 else 0.0, f"{where}, fisheye_polynomial_k1 (negative)")
+        if abs(k0 / k1) * scale > _LARGEST_CONSTANT:
+            raise FileFormatError(
+                f"{where}, fisheye_polynomial_k0: expected 0, as the axis is in the middle, got {-k0:g}, which is "
+                f"{abs(k0 / k1) * scale:.2g} pixels"
+            )
+        distortion = [value / k1**power for power, value in enumerate(more, start=2)]
+        lens = AnglePolynomialCamera(focal, center, distortion, size)
+        return lens.with_max_angle(min(view / 2, float(lens.max_angle)))
+
+
+def _checked(focal_length: float, where: str) -> Tensor:
+    return torch.tensor(focal_lengths([focal_length] * 2, where), dtype=torch.float64)
+
+
+def _image_size(values: Any, where: str) -> tuple[int, int]:
+    """(height, width) of the picture that is written."""
+    share = number(values, "resolution_percentage", where) / 100 if "resolution_percentage" in values else 1.0
+    sides = [int(number(values, key, where) * share) for key in ("resolution_x", "resolution_y")]
+    aspects = [number(values, key, where) for key in ("pixel_aspect_x", "pixel_aspect_y") if key in values]
+    if len(set(aspects)) > 1:
+        raise FileFormatError(
+            f"{where}, pixel_aspect_x and pixel_aspect_y: expected square pixels, got {aspects}"
+        )
+    return size_from_width_height(sides, f"{where}, resolution_x and resolution_y")
+
+
+def _pixels_per_millimetre(values: Any, size: tuple[int, int], where: str) -> tuple[float, int]:
+    """Pixels in a millimetre on the sensor, and in the side of the image that the sensor is fitted to."""
+    fit = entry(values, "sensor_fit", where)
+    if fit not in _FITS:
+        raise FileFormatError(f"{where}, sensor_fit: expected {' or '.join(_FITS)}, got {short_repr(fit)}")
+    height, width = size
+    horizontal = fit == "HORIZONTAL" or (fit == "AUTO" and width > height)
+    key = "sensor_height" if fit == "VERTICAL" else "sensor_width"
+    sensor = number(values, key, where)
+    if not sensor > 0:
+        raise FileFormatError(f"{where}, {key}: expected millimetres above 0, got {sensor:g}")
+    side = width if horizontal else height
+    return side / sensor, side
+
+
+def _view(values: Any, where: str) -> float:
+    view = number(values, "fisheye_fov", where)
+    if not 0 < view <= 10 * math.pi + 1e-6:  # as Blender's slider
+        raise FileFormatError(f"{where}, fisheye_fov: expected radians above 0, got {view:g}")
+    return view
+
+
+def _panorama(values: Any, size: tuple[int, int], where: str) -> Camera:
+    """A whole panorama, or a band of it that is as high below the horizon as above."""
+    keys = ("longitude_min", "longitude_max", "latitude_min", "latitude_max")
+    whole = (-math.pi, math.pi, -math.pi / 2, math.pi / 2)
+    west, east, south, north = (
+        number(values, key, where) if key in values else value for key, value in zip(keys, whole, strict=True)
+    )
+    if abs(west + math.pi) > 1e-5 or abs(east - math.pi) > 1e-5 or abs(south + north) > 1e-5:
+        raise FileFormatError(
+            f"{where}, {', '.join(keys)}: expected all longitudes and as many latitudes below 0 as above, got "
+            f"{west:g}, {east:g}, {south:g}, {north:g}"
+        )
+    return EquirectangularCamera(size, vertical_field_of_view=min(2 * north, math.pi))
+
+
+register_format(
+    FileFormat("blender", "Blender cameras as json", recognizes_keys=recognizes, contents_of_keys=contents)
+)

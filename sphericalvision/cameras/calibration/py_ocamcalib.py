@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""py-OCamCalib's json: one OCam camera, whose axes, signs and powers are not those of OCamCalib's text file.
+
+Convention:
+    ``distortion_center`` is (u, v). ``taylor_coefficient`` f, ascending, has a positive first number: the ray of an
+    undistorted pixel (x, y) is (x, y, f(ρ)), which is forward. ``stretch_matrix`` [[c, d], [e, 1]] takes (x, y) to
+    offsets (u, v), where OCamCalib's affine map takes (row, column). The radius is scaled by c, which brings one into
+    the form of the other. ``inverse_poly``, an approximation, is not read: the camera inverts exactly.
+
+    ``extrinsics_t`` are poses of the chessboards, not of the camera. The file does not tell the size of the images.
+
+References:
+    https://github.com/jakarto3d/py-OCamCalib; D. Scaramuzza et al., "A flexible technique for accurate omnidirectional
+    camera calibration", ICVS 2006.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.parsing import entry, errors_of_file, numbers
+from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.cameras.models.ocam import OCamCamera
+from sphericalvision.core import ArgumentError, FileFormatError, short_repr
+
+__all__ = ["contents", "recognizes"]
+
+
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file has ``taylor_coefficient``."""
+    return "taylor_coefficient" in content
+
+
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+    """The camera of a parsed file, called by its ``camera_name``.
+
+    Raises:
+        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
+        ArgumentError: the size of the images is not given.
+    """
+    where = str(path)
+    taylor = numbers(entry(content, "taylor_coefficient", where), f"{where}, taylor_coefficient")
+    if not taylor[0] > 0:
+        raise FileFormatError(
+            f"{where}, taylor_coefficient: expected the first one above 0, got {taylor[0]:g}"
+        )
+    u, v = numbers(entry(content, "distortion_center", where), f"{where}, distortion_center", 2)
+    c, d, e = _stretch(entry(content, "stretch_matrix", where), f"{where}, stretch_matrix")
+    if options.image_size is None:
+        raise ArgumentError(f"image_size: {where} does not tell it; pass image_size=(height, width)")
+    with errors_of_file(where):
+        direct = [-value * c ** (1 - power) for power, value in enumerate(taylor)]
+        affine = [1 / c, e / c, d / c]
+        polynomial = torch.tensor(direct, dtype=torch.float64)
+        camera = OCamCamera(polynomial, None, [u, v], affine, options.image_size, math.pi)
+    name = content.get("camera_name")
+    return Contents(
+        {name if isinstance(name, str) and name else path.stem: bounded(camera, options.max_angle, where)}
+    )
+
+
+def _stretch(rows: Any, where: str) -> tuple[float, float, float]:
+    """c, d, e of [[c, d], [e, 1]]."""
+    if not isinstance(rows, list) or len(rows) != 2:
+        raise FileFormatError(f"{where}: expected [[c, d], [e, 1]], got {short_repr(rows)}")
+    (c, d), (e, one) = (numbers(row, where, 2) for row in rows)
+    if one != 1 or not c - d * e > 0 or not c > 0:
+        raise FileFormatError(f"{where}: expected [[c, d], [e, 1]] with c and c − d·e above 0, got {rows}")
+    return c, d, e
+
+
+register_format(
+    FileFormat("py_ocamcalib", "py-OCamCalib json", recognizes_keys=recognizes, contents_of_keys=contents)
+)

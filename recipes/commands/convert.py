@@ -9,7 +9,15 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig
 
-from sphericalvision.cameras import Camera, CameraRig, field_of_view, save_camera, save_rig
+from sphericalvision.cameras import (
+    Camera,
+    CameraRig,
+    field_of_view,
+    save_camera,
+    save_rig,
+    straighten,
+    straighten_rig,
+)
 from sphericalvision.cameras.base import Conversion
 from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
 from sphericalvision.core import ArgumentError, check_choice
@@ -30,6 +38,14 @@ def convert(config: DictConfig) -> dict[str, Conversion]:
     )
     cameras = _chosen(found, config)
     together = isinstance(found, CameraRig) and config.camera is None
+    if config.to not in (None, "ocam"):
+        turns = {name: straighten(camera).angle for name, camera in cameras.items()}
+        if isinstance(found, CameraRig) and together:
+            found = straighten_rig(found)
+            cameras = found.cameras
+            _tell_turns(turns, "is a turn of its pose now")
+        else:
+            _tell_turns(turns, "no other model has, and without a pose nothing else can take it up")
     if config.format is not None:
         check_choice("format", config.format, RIG_FORMATS if together else CAMERA_FORMATS)
     converted = {name: _converted(name, camera, config) for name, camera in cameras.items()}
@@ -51,6 +67,14 @@ def convert(config: DictConfig) -> dict[str, Conversion]:
         )
     print(path)
     return converted
+
+
+def _tell_turns(turns: dict[str, float], what: str) -> None:
+    for name, angle in turns.items():
+        if abs(angle) > 1e-5:
+            console.print(
+                f"{name}: its image is turned about the axis by {math.degrees(angle):.3f}°, which {what}."
+            )
 
 
 def _chosen(found: CameraRig | dict[str, Camera], config: DictConfig) -> dict[str, Camera]:

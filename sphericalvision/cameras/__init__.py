@@ -6,6 +6,7 @@ from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.calibrate import calibrate_camera
 from sphericalvision.cameras.calibration import read_camera, read_cameras, read_rig, save_camera, save_rig
 from sphericalvision.cameras.conversion.convert import convert, fit_inverse_polynomial
+from sphericalvision.cameras.conversion.straighten import straighten, straighten_rig
 from sphericalvision.cameras.coverage import coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, points_from_depth, z_from_depth
 from sphericalvision.cameras.field_of_view import field_of_view
@@ -120,6 +121,8 @@ __all__ = [
     "save_camera",
     "save_rig",
     "seen_by",
+    "straighten",
+    "straighten_rig",
     "to_kornia",
     "undistort",
     "undistorted_camera",

@@ -12,6 +12,7 @@ import torch
 from sphericalvision.cameras import (
     BrownConradyCamera,
     Camera,
+    CameraRig,
     DoubleSphereCamera,
     EquirectangularCamera,
     ExtendedUnifiedCamera,
@@ -23,6 +24,8 @@ from sphericalvision.cameras import (
     UnifiedCamera,
     convert,
     fit_inverse_polynomial,
+    straighten,
+    straighten_rig,
 )
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.core import ArgumentError
@@ -211,6 +214,46 @@ def test_a_turned_ocam_image_is_off_by_its_turn() -> None:
         ).norm()
     )
     assert turned.convert(to=KannalaBrandtCamera).max_error == pytest.approx(0.02 * radius, rel=0.05)
+
+
+TURNED = [0.998, 0.021, -0.0185]  # c d e: a turn of 1.13° and some shear
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_a_straightened_lens_is_the_same_lens_in_a_turned_frame(inverse: bool) -> None:
+    lens = OCamCamera(real_ocam().polynomial, None, [798.3, 771.6], TURNED, (1532, 1600), math.radians(110))
+    if inverse:
+        lens = fit_inverse_polynomial(lens).camera
+    straight, old_from_new, angle = straighten(lens)
+    assert abs(math.degrees(angle) - 1.13) < 0.01
+    torch.testing.assert_close(old_from_new @ old_from_new.T, torch.eye(3, dtype=torch.float64))
+    points = unseen_directions(lens, math.radians(109), 500)
+    expected = lens.project(points)
+    found = straight.project(points @ old_from_new)
+    torch.testing.assert_close(found.pixels, expected.pixels, rtol=0, atol=1e-9)
+    assert torch.equal(found.valid, expected.valid)
+    again = straighten(straight)
+    assert abs(again.angle) < 1e-15
+    assert again.camera.equals(straight)
+
+
+def test_a_rig_takes_the_turns_of_its_images_into_its_poses() -> None:
+    """Converted, it sees points of the world where it saw them before; without, it is off by the turn."""
+    lens = OCamCamera(real_ocam().polynomial, None, [798.3, 771.6], TURNED, (1532, 1600), math.radians(110))
+    poses = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
+    poses[1, :3, :3] = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    poses[:, 0, 3] = torch.tensor([0.1, -0.1], dtype=torch.float64)
+    rig = CameraRig([lens, lens], poses)
+    straight = straighten_rig(rig)
+    torch.testing.assert_close(straight.positions, rig.positions)
+    cameras = {name: camera.convert(to="kannala_brandt").camera for name, camera in straight.cameras.items()}
+    converted = CameraRig(cameras, straight.world_from_camera)
+    points = unseen_directions(lens, math.radians(70), 200) * 3
+    before, after = rig.project(points), converted.project(points)
+    seen = before.valid & after.valid
+    assert seen.sum() > 100
+    assert (before.pixels - after.pixels)[seen].abs().max() < 2
+    assert lens.convert(to="kannala_brandt").max_error > 12
 
 
 def test_a_polynomial_that_misses_the_centre_is_converted() -> None:

@@ -51,7 +51,8 @@ def convert(
     stays one-to-one. ``covered_angle`` says how far that is.
 
     The new camera stands in the same frame. Only ``OCamCamera`` can turn its image about the axis (d ≈ −e, often by a
-    degree or two in calibrations): no other model can follow, and the errors say by how many pixels.
+    degree or two in calibrations): no other model can follow, and the errors say by how many pixels. Convert
+    ``straighten(camera).camera``, which stands in a turned frame, or the cameras of ``straighten_rig(rig)``.
 
     An OCam camera holds two polynomials: the inverse one is fitted to the projection, and the direct one to that; both
     count in the errors.

@@ -16,6 +16,7 @@ from sphericalvision.sphere.grids.cubemap import Cubemap
 from sphericalvision.sphere.grids.equirectangular import Equirectangular
 from sphericalvision.sphere.grids.healpix import Healpix
 from sphericalvision.sphere.grids.healpix_pixels import nested_from_ring, ring_from_nested
+from sphericalvision.sphere.grids.healpix_pyramid import healpix_pool, healpix_upsample
 from sphericalvision.sphere.grids.tangent import TangentImages
 from sphericalvision.sphere.resampling.resample import Resample, resample, resample_mask
 
@@ -33,6 +34,8 @@ __all__ = [
     "cube_pad",
     "cube_to_layout",
     "equirectangular_pad",
+    "healpix_pool",
+    "healpix_upsample",
     "make_seamless",
     "nested_from_ring",
     "resample",

@@ -129,3 +129,14 @@ def test_senseless_parameters_are_refused() -> None:
         OCamCamera(DIRECT, None, CENTER, [1.0, 1.0, 1.0], SIZE, WIDE)
     with pytest.raises(ValueError, match=r"max_angle.*radians"):
         OCamCamera(DIRECT, None, CENTER, AFFINE, SIZE, 110)
+
+
+def test_without_max_angle_it_ends_where_its_image_or_its_polynomial_does() -> None:
+    polynomial = torch.tensor([-100.0, 0.0, 0.0025], dtype=torch.float64)
+    lens = OCamCamera(polynomial, None, [319.5, 239.5], [1.0, 0.0, 0.0], (480, 640))
+    corner = lens.unproject(torch.tensor([-0.5, -0.5], dtype=torch.float64))
+    assert corner.valid
+    assert lens.project(corner.directions).valid
+    polynomial[2] = -0.04  # tan θ = ρ / (100 + 0.04 ρ²) is largest at ρ = 50
+    folding = OCamCamera(polynomial, None, [319.5, 239.5], [1.0, 0.0, 0.0], (480, 640))
+    assert float(folding.max_angle) == pytest.approx(math.atan(50 / 200), abs=1e-6)

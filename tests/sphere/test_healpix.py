@@ -12,7 +12,14 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import longitude_latitude_from_directions
-from sphericalvision.sphere import Healpix, nested_from_ring, ring_from_nested
+from sphericalvision.sphere import (
+    Healpix,
+    healpix_pool,
+    healpix_upsample,
+    nested_from_ring,
+    ring_from_nested,
+)
+from sphericalvision.sphere.grids.healpix_pixels import direction_of_place, place_from_ring
 from tests.laws.grid_laws import DOUBLE, spread_directions
 
 
@@ -172,3 +179,57 @@ def test_errors_say_what_is_expected() -> None:
         Healpix(2).sample(torch.zeros(1, 50), torch.ones(1, 3))
     with pytest.raises(ArgumentError, match="interpolation: expected one of 'healpy', 'chords'"):
         Healpix(2).locate(torch.ones(1, 3), "rings")
+
+
+@pytest.mark.parametrize(
+    ("nside", "nested"), [(1, False), (2, True), (2, False), (3, False), (8, True), (8, False)]
+)
+def test_neighbors_are_healpys(nside: int, nested: bool) -> None:
+    healpy = pytest.importorskip("healpy")
+    expected = healpy.get_all_neighbours(nside, np.arange(12 * nside**2), nest=nested).T
+    np.testing.assert_array_equal(Healpix(nside, nested).neighbors.numpy(), expected)
+
+
+@pytest.mark.parametrize("nside", [2, 5])
+def test_neighbors_touch(nside: int) -> None:
+    """They share a corner: each pixel's are those that lie around its four corners; and they are each other's."""
+    grid = Healpix(nside, dtype=DOUBLE)
+    face, column, row = (part[:, None] for part in place_from_ring(torch.arange(grid.num_pixels), nside))
+    x, y = torch.tensor([0, 0, 1, 1]), torch.tensor([0, 1, 0, 1])
+    corners = (
+        direction_of_place(face.expand(-1, 4), (column + x) / nside, (row + y) / nside)
+        .flatten(0, 1)
+        .to(DOUBLE)
+    )
+    near = corners @ corners.T > math.cos(1e-3)
+    touching = near.view(grid.num_pixels, 4, grid.num_pixels, 4).any(-1).any(1).fill_diagonal_(False)
+    found = torch.zeros_like(touching)
+    pixel, which = (grid.neighbors >= 0).nonzero(as_tuple=True)
+    found[pixel, grid.neighbors[pixel, which]] = True
+    assert torch.equal(found, touching)
+    assert len(pixel) == 8 * grid.num_pixels - 24
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_a_pyramid_is_healpys_and_keeps_the_integral(nested: bool) -> None:
+    values = torch.rand(2, 12 * 64, dtype=DOUBLE, generator=torch.Generator().manual_seed(3))
+    coarse = healpix_pool(values, nested=nested)
+    torch.testing.assert_close(coarse.mean(-1), values.mean(-1))
+    assert torch.equal(healpix_pool(healpix_upsample(coarse, nested), "max", nested), coarse)
+    there = Healpix(4, nested).nearest(
+        Healpix(8, nested).directions
+    )  # the pixel that holds each of the finer ones
+    assert torch.equal(healpix_upsample(coarse, nested), coarse[:, there])
+    healpy = pytest.importorskip("healpy")
+    order = "NESTED" if nested else "RING"
+    expected = [healpy.ud_grade(row, 4, order_in=order, order_out=order) for row in values.numpy()]
+    np.testing.assert_allclose(coarse.numpy(), expected, rtol=1e-14)
+
+
+def test_what_does_not_nest_is_refused() -> None:
+    with pytest.raises(ArgumentError, match=r"pixels nest for nside 1, 2, 4, 8, \.\.\., got nside 3"):
+        healpix_pool(torch.ones(108))
+    with pytest.raises(ArgumentError, match="expected nside 2 or more to pool, got 1"):
+        healpix_pool(torch.ones(12))
+    with pytest.raises(ShapeError, match=r"values: expected shape \(\*, 12 \* nside\*\*2\), got \(13,\)"):
+        healpix_upsample(torch.ones(13))

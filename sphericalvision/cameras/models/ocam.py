@@ -188,7 +188,8 @@ class OCamCamera(Camera):
         principal_point: (*b, 2) as (u, v); files say (row, column).
         affine: (*b, 3) as (c, d, e).
         image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,).
+        max_angle: half the field of view in radians, a number or (*b,); by default a little beyond the angle at the
+            farthest corner of the image, or where the angle stops growing with the image radius before.
 
     Raises:
         ArgumentError: the first coefficient is not negative, or the affine part is singular.
@@ -222,11 +223,11 @@ class OCamCamera(Camera):
         principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
         affine: Sequence[float] | Float[Tensor, "*#batch 3"],
         image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"],
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,
-            max_angle,
+            math.pi if max_angle is None else max_angle,
             polynomial=polynomial,
             inverse_polynomial=inverse_polynomial,
             principal_point=principal_point,
@@ -240,6 +241,8 @@ class OCamCamera(Camera):
             )
         if bool((c - d * e == 0).any()):
             raise ArgumentError(f"affine: expected c − d·e ≠ 0, got (c, d, e) = {self.affine.tolist()}")
+        if max_angle is None:
+            self.max_angle = _inverse_table(self.polynomial.detach(), self._max_radius(self.polynomial)).limit
 
     def exact(self) -> OCamCamera:
         """This camera with the exact inverse of its direct polynomial in place of the inverse polynomial."""

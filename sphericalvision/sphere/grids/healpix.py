@@ -16,6 +16,7 @@ from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.healpix_pixels import (
     direction_of_place,
+    neighbor_places,
     nested_from_place,
     nested_from_ring,
     place_from_nested,
@@ -114,6 +115,22 @@ class Healpix(nn.Module):
         column, row = ((side * self.nside).floor().long().clamp(0, self.nside - 1) for side in (x, y))
         number = nested_from_place if self.nested else ring_from_place
         return number(face, column, row, self.nside)
+
+    @property
+    def neighbors(self) -> Int[Tensor, "pixels 8"]:
+        """Numbers ``(12 * nside**2, 8)`` of the pixels around each: south-west, west, north-west, ..., south.
+
+        -1 where there is none: 24 pixels (all twelve, twice, for ``nside`` 1) have seven neighbours.
+
+        Examples:
+            >>> Healpix(4).neighbors[0].tolist()  # one of the four around the north pole
+            [4, 11, 3, 2, 1, 6, 5, 13]
+        """
+        ids = torch.arange(self.num_pixels, device=self.directions.device)
+        of = place_from_nested if self.nested else place_from_ring
+        *place, there = neighbor_places(*of(ids, self.nside), self.nside)
+        number = nested_from_place if self.nested else ring_from_place
+        return torch.where(there, number(*place, self.nside), -1)
 
     def locate(
         self, directions: Float[Tensor, "*batch 3"], interpolation: str = "healpy"

@@ -14,13 +14,15 @@ from __future__ import annotations
 import math
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 
 __all__ = [
+    "NEIGHBOR_STEPS",
     "direction_of_place",
+    "neighbor_places",
     "nested_from_place",
     "nested_from_ring",
     "place_from_nested",
@@ -32,6 +34,22 @@ __all__ = [
     "ring_start_count_shift",
     "ring_theta",
 ]
+
+
+NEIGHBOR_STEPS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
+"""Steps in (x, y) from a pixel to those around it: in the south-west, west, north-west, ..., and south."""
+
+
+# What lies beyond the edges of the base faces around the north pole, of the belt, and around the south pole. For steps
+# out of the face of (-1, -1), (0, -1), (1, -1), (-1, 0), ... in (x, y): the zone there (0, 1, 2; -1 where no face is),
+# how many faces further east, and by how many quarters its frame is turned. In the caps it is turned by one across the
+# meridians in which two faces meet, and by two across the pole.
+_NONE = (-1, 0, 0)
+_CROSSINGS = (
+    ((2, 0, 0), (1, 1, 0), _NONE, (1, 0, 0), (0, 0, 0), (0, 1, 1), _NONE, (0, 3, 3), (0, 2, 2)),
+    (_NONE, (2, 0, 0), (1, 1, 0), (2, 3, 0), (1, 0, 0), (0, 0, 0), (1, 3, 0), (0, 3, 0), _NONE),
+    ((2, 2, 2), (2, 1, 3), _NONE, (2, 3, 1), (2, 0, 0), (1, 1, 0), _NONE, (1, 0, 0), (0, 0, 0)),
+)
 
 
 def nested_from_ring(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
@@ -136,6 +154,27 @@ def ring_theta(ring: Int[Tensor, "*batch"], nside: int, dtype: torch.dtype) -> F
     """Angle from the north pole ``(*)`` of rings ``(*)``; 0 and π for the rings 0 and ``4 * nside``."""
     z, radius = _height(ring.double() / nside)
     return torch.atan2(radius, z).to(dtype)
+
+
+def neighbor_places(
+    face: Int[Tensor, " P"], column: Int[Tensor, " P"], row: Int[Tensor, " P"], nside: int
+) -> tuple[Int[Tensor, "P 8"], Int[Tensor, "P 8"], Int[Tensor, "P 8"], Bool[Tensor, "P 8"]]:
+    """Face, column and row of the eight pixels around others in the order of ``NEIGHBOR_STEPS``, and which there are.
+
+    Where three base faces meet, at the east and west corners of a cap's and the north and south corners of a belt's, a
+    pixel has seven neighbours.
+    """
+    steps = torch.tensor(NEIGHBOR_STEPS, device=face.device)
+    x, y = column[:, None] + steps[:, 0], row[:, None] + steps[:, 1]
+    over_x, over_y = ((side >= nside).long() - (side < 0).long() for side in (x, y))
+    x, y = x - over_x * nside, y - over_y * nside
+    zone = torch.div(face, 4, rounding_mode="floor")[:, None]
+    crossings = torch.tensor(_CROSSINGS, device=face.device)[zone, 3 * over_y + over_x + 4]
+    there, around, turn = crossings.unbind(-1)
+    mirrored_x, mirrored_y = nside - 1 - x, nside - 1 - y
+    columns = torch.stack((x, y, mirrored_x, mirrored_y), -1).gather(-1, turn[..., None]).squeeze(-1)
+    rows = torch.stack((y, mirrored_x, mirrored_y, x), -1).gather(-1, turn[..., None]).squeeze(-1)
+    return 4 * there.clamp(min=0) + (face[:, None] + around) % 4, columns, rows, there >= 0
 
 
 def place_of_direction(

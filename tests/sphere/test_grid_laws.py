@@ -11,8 +11,19 @@ import torch
 from torch import Tensor
 
 from sphericalvision import sphere
+from sphericalvision.cameras import FisheyeCamera
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.sphere import Healpix, SphereGrid, resample, resample_mask
+from sphericalvision.sphere import (
+    Equirectangular,
+    Healpix,
+    Resample,
+    SphereGrid,
+    TangentImages,
+    healpix_pool,
+    resample,
+    resample_mask,
+)
 from tests.laws.grid_laws import DOUBLE, GRIDS, some_rotation, spread_directions
 from tests.laws.harmonics import harmonics
 
@@ -213,3 +224,75 @@ def test_a_rotation_for_each_of_a_batch(name: str) -> None:
         together = resample(values, grid, target, rotations, mode)
         alone = [resample(v, grid, target, r, mode) for v, r in zip(values, rotations, strict=True)]
         torch.testing.assert_close(together, torch.stack(alone), rtol=0, atol=1e-12)
+
+
+PARTITIONS = [name for name in WHOLE if name != "tangent"]  # whose patches overlap
+
+
+@pytest.mark.parametrize("source", PARTITIONS)
+@pytest.mark.parametrize("target", PARTITIONS)
+def test_conservative_resampling_keeps_integrals(source: str, target: str) -> None:
+    """Any values, white noise too, up and down in scale; constants stay, and nothing is overshot."""
+    rotation = some_rotation(1)
+    one, other = make(source, 2 if source < target else 1), make(target, 1 if source < target else 2)
+    noise = torch.randn(2, *one.shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(2))
+    found = resample(noise, one, other, rotation, mode="conservative")
+    before = (noise * one.solid_angles).flatten(1).sum(1)
+    after = (found * other.solid_angles).flatten(1).sum(1)
+    torch.testing.assert_close(after, before, rtol=0, atol=1e-11)
+    assert found.amax() <= noise.amax() + 1e-12
+    assert found.amin() >= noise.amin() - 1e-12
+    constant = resample(torch.ones_like(noise), one, other, rotation, mode="conservative")
+    torch.testing.assert_close(constant, torch.ones_like(constant), rtol=0, atol=1e-12)
+
+
+def test_conservative_resampling_is_a_mean_over_what_a_cell_holds() -> None:
+    """Where cells nest: the pyramid of HEALPix, and rows and columns of a panorama two by two."""
+    values = torch.randn(3, 12 * 64, dtype=DOUBLE, generator=torch.Generator().manual_seed(2))
+    grids = [Healpix(nside, dtype=DOUBLE) for nside in (8, 4)]
+    found = resample(values, *grids, mode="conservative")
+    torch.testing.assert_close(found, healpix_pool(values), rtol=0, atol=1e-12)
+    fine, coarse = (Equirectangular(height, 2 * height, dtype=DOUBLE) for height in (12, 6))
+    image = torch.rand(1, 12, 24, dtype=DOUBLE, generator=torch.Generator().manual_seed(2))
+    weighted = (image * fine.solid_angles).unflatten(-1, (12, 2)).sum(-1).unflatten(-2, (6, 2)).sum(-2)
+    found = resample(image, fine, coarse, mode="conservative")
+    torch.testing.assert_close(found, weighted / coarse.solid_angles, rtol=0, atol=1e-12)
+
+
+def test_conservative_resampling_takes_masks_and_gradients() -> None:
+    ico, panorama = Icosphere(2, dtype=DOUBLE), Equirectangular(9, 18, dtype=DOUBLE)
+    values = torch.rand(2, *ico.shape, dtype=DOUBLE, requires_grad=True)
+    found = Resample(ico, panorama, mode="conservative")(values)
+    (gradient,) = torch.autograd.grad((found * panorama.solid_angles).sum(), values)
+    torch.testing.assert_close(gradient, ico.solid_angles.expand(2, -1), rtol=1e-10, atol=0)
+    mask = ico.vertices[:, 1] < 0  # only the upper half may be used
+    masked = resample(
+        torch.where(mask, 1.0, 7.0)[None].double(), ico, panorama, mode="conservative", mask=mask
+    )
+    assert (masked[0, :4] - 1).abs().max() < 1e-12
+    assert not resample_mask(ico, panorama, mode="conservative", mask=mask)[-3:].any()
+
+
+def test_conservative_resampling_of_what_is_no_partition_is_refused() -> None:
+    ico, fisheye = Icosphere(2), FisheyeCamera.from_field_of_view((32, 32), math.pi)
+    for source, target in ((ico, fisheye), (fisheye, ico)):
+        with pytest.raises(
+            ArgumentError, match=r"mode 'conservative' is between grids, .* got a FisheyeCamera"
+        ):
+            resample(
+                torch.zeros(1, *(ico.shape if source is ico else (32, 32))),
+                source,
+                target,
+                mode="conservative",
+            )
+    band = Equirectangular(8, 32, max_latitude=0.5)
+    with pytest.raises(
+        ArgumentError, match=r"expected grids of the same part of the sphere, got 12\.57 and 6\.02"
+    ):
+        resample(torch.zeros(1, 162), ico, band, mode="conservative")
+    with pytest.raises(
+        ArgumentError, match=r"rotation: mode 'conservative' takes one, \(3, 3\), got \(2, 3, 3\)"
+    ):
+        resample(torch.zeros(2, 1, 162), ico, Icosphere(1), torch.eye(3).expand(2, 3, 3), mode="conservative")
+    with pytest.raises(ArgumentError, match="needs cells that do not overlap, those of TangentImages do"):
+        resample(torch.zeros(1, 162), ico, TangentImages(0, 5), mode="conservative")

@@ -41,13 +41,16 @@ def resample(
         mode: ``"bilinear"`` interpolates between the nearest values (linear in each triangle of an icosphere), and
             aliases where the target is coarser. ``"area"`` is bilinear where it is not, and the mean over each cell of
             the target where it is. ``"nearest"`` makes up no values: for labels, of any dtype. It takes the
-            value in whose cell a direction lies, see ``SphereGrid.nearest``.
+            value in whose cell a direction lies, see ``SphereGrid.nearest``. ``"conservative"``, between grids of the
+            same part of the sphere, keeps the integral to rounding: every value goes to the cells that its own cell
+            overlaps, by area. Results are means that stay between the smallest and the largest value, and blocks where
+            the target is finer.
         fill: value where the source or the target sees nothing, see ``resample_mask``.
         mask: ``(*b, *source_shape)``, values that may be used (bool, or nonzero). Results are means over usable values.
 
     Returns:
-        ``(*b, c, *target_shape)`` of the values' dtype; differentiable in values and, but for ``"nearest"``, in the
-        rotation and a camera's intrinsics.
+        ``(*b, c, *target_shape)`` of the values' dtype; differentiable in values and, but for ``"nearest"`` and
+        ``"conservative"``, in the rotation and a camera's intrinsics.
 
     Raises:
         ShapeError: if values or mask do not lie on the source, or the rotation is no 3 x 3 matrix.
@@ -102,7 +105,7 @@ class Resample(nn.Module):
         source: where values are given.
         target: where they are wanted.
         rotation: ``(3, 3)`` or ``(*b, 3, 3)``, target_from_source.
-        mode: ``"bilinear"``, ``"nearest"`` or ``"area"``.
+        mode: ``"bilinear"``, ``"nearest"``, ``"area"`` or ``"conservative"``.
         fill: value where nothing is seen.
         mask: ``(*b, *source_shape)``, usable values of every call.
         dtype: of the tables; by default that of the grids' directions and the cameras' intrinsics.

@@ -15,12 +15,13 @@ from sphericalvision.core import ShapeError, check_choice
 from sphericalvision.geometry.lookup import Lookup
 from sphericalvision.geometry.masked_lookup import MaskedLookup
 from sphericalvision.sphere.grids.base import SphereGrid
+from sphericalvision.sphere.resampling.conservative import overlaps
 from sphericalvision.sphere.resampling.lookups import make_lookup, nearest_index
 from sphericalvision.sphere.resampling.supersampling import cell_samples, cell_widths, grid_shape
 
 __all__ = ["RESAMPLE_MODES", "resample_tables"]
 
-RESAMPLE_MODES = ("bilinear", "nearest", "area")
+RESAMPLE_MODES = ("bilinear", "nearest", "area", "conservative")
 """What ``resample`` knows."""
 
 _SLACK = 0.25  # samples may lie this much further apart than the source's values, so that turning adds none
@@ -51,6 +52,9 @@ def resample_tables(
         return MaskedLookup(everything, source_shape, target_shape, mode, fill, None, usable)
     if rotation is not None:
         rotation = rotation.to(device=device, dtype=dtype)
+    if mode == "conservative":
+        kept = overlaps(source, target, rotation, device)
+        return MaskedLookup(kept, source_shape, target_shape, mode, fill, None, usable)
     directions, shares, whole = _sample_directions(source, target, rotation, mode, dtype, device)
     valid = None if whole else (shares > 0).any(-1)
     if mode == "nearest":

@@ -25,6 +25,7 @@ from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.running import config_space
 from sphericalvision.recipes.app.words import quote_paths, read_words
 from tests.recipes.board_pictures import write_boards
+from tests.recipes.knocked_capture import write_knocked_capture
 
 __all__ = ["PAGES", "ROOT", "Command", "blocks", "commands_of", "furnish", "mentioned_in", "run_command"]
 
@@ -125,6 +126,9 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
     words = [re.sub(r"(?<==)/data/", f"{folder}/data/", word) for word in words]
     if command.recipe == "calibrate":
         write_boards(folder / "board")
+    if command.recipe == "align":  # random images have nothing in common
+        write_knocked_capture(folder / "knocked")
+        words += ["calibration=knocked/rig.yaml", "images=knocked/{camera}/{frame:05d}.png"]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         words += smaller(command.recipe, words, cache)
@@ -139,7 +143,7 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
     """Words that make a command small: few and small frames, few steps, narrow networks."""
     if recipe == "benchmark":
         return BENCHMARK
-    if recipe in ("convert", "calibrate", "digits_table", "export"):
+    if recipe in ("align", "convert", "calibrate", "digits_table", "export"):
         return []
     if "preset=benchmark" in words:
         return [*METHODS, f"benchmark.cache_dir={cache}"]

@@ -119,6 +119,25 @@ class Calibrate:
     format: Text | None
 
 
+class Align:
+    """``sphericalvision-align``."""
+
+    calibration: Text
+    images: Text
+    frames: list[int | str] | None
+    start: Number
+    stop: Count | None
+    every: Count
+    num_frames: Count
+    cameras: Names | None
+    masks: Text | None
+    translation_unit: Unit | None
+    max_angle_deg: HalfAngle | None
+    expected_deg: HalfAngle
+    output: Text
+    format: Text | None
+
+
 class Render:
     """``sphericalvision-render``."""
 
@@ -290,6 +309,7 @@ KEYS: dict[str, type] = {
     "inspect": Inspect,
     "convert": Convert,
     "calibrate": Calibrate,
+    "align": Align,
     "render": Render,
     "demo": Demo,
     "evaluate": Evaluate,

@@ -2,6 +2,7 @@
 """Camera models that work on directions, beyond 180° where the lens does, rigs of them, and calibration files."""
 
 from sphericalvision.cameras import sphere_images as _sphere_images  # noqa: F401  # CameraRig.sample_sphere
+from sphericalvision.cameras.align import RayMatches, align_rig
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.calibrate import calibrate_camera
 from sphericalvision.cameras.calibration import read_camera, read_cameras, read_rig, save_camera, save_rig
@@ -11,6 +12,7 @@ from sphericalvision.cameras.coverage import coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, points_from_depth, z_from_depth
 from sphericalvision.cameras.field_of_view import field_of_view
 from sphericalvision.cameras.kornia_cameras import CameraModule, from_kornia, to_kornia
+from sphericalvision.cameras.matching import RayMatcher
 from sphericalvision.cameras.models.angle_polynomial import (
     AnglePolynomialCamera,
     project_angle_polynomial,
@@ -81,10 +83,13 @@ __all__ = [
     "PinholeCamera",
     "Projection",
     "RadialPolynomialCamera",
+    "RayMatcher",
+    "RayMatches",
     "Remap",
     "ThinPrismFisheyeCamera",
     "UnifiedCamera",
     "Unprojection",
+    "align_rig",
     "calibrate_camera",
     "convert",
     "coverage",

@@ -20,6 +20,7 @@ COMMANDS = {
     "export": ("pytorch_lightning", "tensorboard", "sklearn", "trimesh", "onnx"),
     "convert": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "matplotlib"),
     "calibrate": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "matplotlib"),
+    "align": (*LIGHTNING, "skimage", "sklearn", "trimesh", "torch._dynamo"),
     "inspect": (*LIGHTNING, *SCENES, "sklearn", "trimesh"),
     "render": (*LIGHTNING, "sklearn", "trimesh", "matplotlib"),
     "demo": (*LIGHTNING, "sklearn"),

@@ -100,6 +100,12 @@ def furnish(folder: Path) -> None:
     for number in range(5):
         write_image(capture / f"cam{number}/00001.png", torch.rand(3, *SIZE))
         write_mask(capture / f"cam{number}/mask.png", torch.ones(SIZE, dtype=torch.bool))
+    walk = folder / "walk"
+    for number in range(5):
+        write_image(walk / f"panoramas/{number}.png", torch.rand(3, 24, 48))
+        write_image(walk / f"fisheye/{number}.png", torch.rand(3, *SIZE))
+    write_mask(walk / "carrier.png", torch.ones(SIZE, dtype=torch.bool))
+    (walk / "poses.txt").write_text("".join(f"{number} 0 {0.2 * number} 0 0 0 0 1\n" for number in range(5)))
     net = IcoSweepNet(3, 4, feature_channels=2, aggregation="variance", norm="instance")
     for name in ("network", "weights/icosweepnet-0"):
         save_weights(net, folder / f"{name}.safetensors")

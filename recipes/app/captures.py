@@ -54,7 +54,8 @@ def find_capture(
         MissingFileError: no files, or a frame asked for is missing; the message names what was looked for.
     """
     fields = _fields(pattern)
-    if "camera" not in fields or not fields <= {"camera", "frame"}:
+    named = "camera" in fields or len(names) == 1
+    if not named or not fields <= {"camera", "frame"}:
         raise ArgumentError(
             f"{key}: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
             f"'capture/cam{{camera}}/{{frame:05d}}.png', got {pattern!r}"

@@ -37,6 +37,10 @@ class Predict:
     masks: Text | None
     translation_unit: Unit | None
     max_angle_deg: HalfAngle | None
+    poses: Text | None
+    window: Annotated[int, AtLeast(2)]
+    spacing: Positive | None
+    up: Literal["-y", "y", "z", "camera"]
     method: Literal["network", "semi_global"]
     checkpoint: Text | None
     level: Count | None

@@ -19,11 +19,12 @@ from sphericalvision.recipes.app.captures import find_masks
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.app.rigs import rig_from_file
 from sphericalvision.recipes.prediction.frames import Frame, Selection, Source
+from sphericalvision.recipes.prediction.moving import open_moving
 from sphericalvision.recipes.prediction.outputs import Outputs, Settings, done_file
 from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
 from sphericalvision.recipes.prediction.threads import Behind, ahead
 
-__all__ = ["load_rig", "predict", "predictor_for"]
+__all__ = ["load_rig", "nearest_in", "open_capture", "predict", "predictor_for"]
 
 
 def load_rig(config: DictConfig) -> CameraRig:
@@ -63,6 +64,52 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
     )
 
 
+def open_capture(config: DictConfig) -> Source:
+    """The frames that a configuration names, with the rig of each in the size of its images."""
+    if config.poses is not None:
+        refused = [key for key in ("cameras", "translation_unit") if config[key] is not None]
+        if refused:
+            raise ArgumentError(
+                f"{refused[0]}: with poses there is one camera, in metres; leave {refused[0]} out"
+            )
+        moving = open_moving(
+            config.calibration,
+            config.images,
+            config.poses,
+            window=config.window,
+            spacing=config.spacing,
+            up=config.up,
+            mask=config.masks,
+            frames=config.frames,
+            max_angle_deg=config.max_angle_deg,
+        )
+        if moving.unposed:
+            print(
+                f"Warning: {moving.unposed} image(s) have no pose within 20 ms, or of their name; left out."
+            )
+        return moving
+    rig = load_rig(config)
+    masks = () if config.masks is None else find_masks(config.masks, rig.names).values()
+    source = open_source(config.images, rig, config.frames, masks)
+    sizes = source.sizes()
+    source.rig = rig_for_images(rig, sizes)
+    if source.rig is not rig:
+        print(_other_size(rig, sizes))
+    return source
+
+
+def nearest_in(samples: list[Frame], predictor: Predictor) -> float:
+    """The nearest depth in metres of a few frames, of one rig or each of its own."""
+    shared = [frame.images for frame in samples if frame.images is not None and frame.rig is None]
+    if shared:
+        return predictor.find_min_depth(shared)
+    return min(
+        predictor.with_rig(frame.rig).find_min_depth([frame.images])
+        for frame in samples
+        if frame.images is not None and frame.rig is not None
+    )
+
+
 def predict(config: DictConfig, folder: Path) -> list[Path]:
     """Write what ``config.outputs`` names of each frame to ``folder``; returns the files.
 
@@ -70,24 +117,20 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         FileFormatError: images of some frames cannot be read; the others are done before that is told.
     """
     check_choice("on_error", config.on_error, ("skip", "stop"))
-    rig = load_rig(config)
-    masks = () if config.masks is None else find_masks(config.masks, rig.names).values()
-    source = open_source(config.images, rig, config.frames, masks)
-    sizes = source.sizes()
-    fitting = rig_for_images(rig, sizes)
-    if fitting is not rig:
-        print(_other_size(rig, sizes))
-        source.rig = rig = fitting
-    predictor = predictor_for(rig, config)
+    source = open_capture(config)
+    predictor = predictor_for(source.rig, config)
     if config.min_depth == "scene" and (samples := source.samples()):
-        config.min_depth = round(predictor.find_min_depth(samples), 3)
+        config.min_depth = round(nearest_in(samples, predictor), 3)
+        if predictor.min_depth is None:  # windows have rigs of their own, and share the depth
+            predictor = predictor_for(source.rig, config)
     print_config(config, folder)
     selection = Selection(config.start, config.stop, config.every)
     names = source.names(selection)
     near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
     many = "live" if names is None else f"{len(names)} frame(s)"
+    cameras = "cameras" if config.poses is None else "images in a window"
     console.print(
-        f"{many}, {len(rig)} cameras, rig radius {float(rig.radius):.3f} m, nearest hypothesis {near}"
+        f"{many}, {len(source.rig)} {cameras}, rig radius {float(source.rig.radius):.3f} m, nearest hypothesis {near}"
     )
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     rate = (source.rate or 10.0) / config.every
@@ -163,7 +206,7 @@ def run(
                     console.print(f"left out: {frame.error}", style="yellow", highlight=False, soft_wrap=True)
                 else:
                     start = time.perf_counter()
-                    depth = predictor(frame.images)
+                    depth = (predictor if frame.rig is None else predictor.with_rig(frame.rig))(frame.images)
                     busy += time.perf_counter() - start
                     behind.put(Done(frame, depth))
                     number += 1

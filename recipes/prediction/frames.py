@@ -16,11 +16,19 @@ __all__ = ["Files", "Frame", "Selection", "Source"]
 
 
 class Frame(NamedTuple):
-    """One frame: its name, and its images by camera name, or why they cannot be read."""
+    """One frame: its name, and its images by camera name, or why they cannot be read.
+
+    Attributes:
+        name: of the frame.
+        images: by camera name; None if they cannot be read.
+        error: why not.
+        rig: of these images, where every frame has one of its own.
+    """
 
     name: str
     images: Mapping[str, Any] | None
     error: Exception | None = None
+    rig: CameraRig | None = None
 
 
 class Selection(NamedTuple):
@@ -77,7 +85,7 @@ class Source(Protocol):
         """Names of the frames chosen; None where nobody knows how many there are."""
         ...
 
-    def samples(self) -> list[dict[str, Any]]:
+    def samples(self) -> list[Frame]:
         """Up to three frames of the whole sequence."""
         ...
 
@@ -117,11 +125,11 @@ class Files:
         everything = list(self.files)
         return [everything[position] for position in selection.positions(len(everything))]
 
-    def samples(self) -> list[dict[str, Any]]:
+    def samples(self) -> list[Frame]:
         """The first, the middle and the last frame."""
-        frames = list(self.files.values())
+        frames = list(self.files.items())
         chosen = sorted({0, len(frames) // 2, len(frames) - 1})
-        return [read_frame(frames[position], self.rig) for position in chosen]
+        return [Frame(name, read_frame(files, self.rig)) for name, files in map(frames.__getitem__, chosen)]
 
     def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:
         """The frames chosen that are wanted; one that cannot be read has an error in place of images."""

@@ -25,6 +25,8 @@ STEMS = (
     "cam{camera}",
 )
 """How folders of captures are laid out, most explicit first."""
+ALONE = ("{frame}",)
+"""How folders of one camera are laid out first of all."""
 
 
 def open_source(
@@ -81,7 +83,7 @@ def _of_folder(
             if len(alone) == 1:
                 return open_source(str(alone[0]), rig, frames)
         elif suffix.lower() in IMAGE_SUFFIXES:
-            for stem in STEMS:
+            for stem in (*ALONE[: len(rig) == 1], *STEMS):
                 try:
                     return Files(find_capture(f"{folder}/{stem}{suffix}", rig.names, frames, left_out), rig)
                 except (MissingFileError, ArgumentError):

@@ -61,7 +61,7 @@ class Videos:
             return None
         return [_name(number) for number in selection.positions(self.num_frames)]
 
-    def samples(self) -> list[dict[str, Picture]]:
+    def samples(self) -> list[Frame]:
         """The first, the middle and the last frame; none of live cameras."""
         if self.live:
             return []
@@ -74,7 +74,7 @@ class Videos:
                     video.set(cv2.CAP_PROP_POS_FRAMES, number)
                 images = {name: video.read()[1] for name, video in videos.items()}
                 if all(image is not None for image in images.values()):
-                    found.append(self._by_camera(images))
+                    found.append(Frame(_name(number), self._by_camera(images)))
         return found
 
     def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:

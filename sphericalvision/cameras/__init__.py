@@ -5,7 +5,14 @@ from sphericalvision.cameras import sphere_images as _sphere_images  # noqa: F40
 from sphericalvision.cameras.align import RayMatches, align_rig
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.calibrate import calibrate_camera
-from sphericalvision.cameras.calibration import read_camera, read_cameras, read_rig, save_camera, save_rig
+from sphericalvision.cameras.calibration import (
+    read_camera,
+    read_cameras,
+    read_rig,
+    read_trajectory,
+    save_camera,
+    save_rig,
+)
 from sphericalvision.cameras.conversion.convert import convert, fit_inverse_polynomial
 from sphericalvision.cameras.conversion.straighten import straighten, straighten_rig
 from sphericalvision.cameras.coverage import coverage, overlap, seen_by
@@ -65,6 +72,7 @@ from sphericalvision.cameras.remapping.remap import Remap, remap, remap_mask
 from sphericalvision.cameras.remapping.undistort import undistort, undistorted_camera
 from sphericalvision.cameras.remapping.views import perspective_views
 from sphericalvision.cameras.rig import CameraRig, ring_rig
+from sphericalvision.cameras.trajectory import Trajectory
 
 __all__ = [
     "AnglePolynomialCamera",
@@ -87,6 +95,7 @@ __all__ = [
     "RayMatches",
     "Remap",
     "ThinPrismFisheyeCamera",
+    "Trajectory",
     "UnifiedCamera",
     "Unprojection",
     "align_rig",
@@ -117,6 +126,7 @@ __all__ = [
     "read_camera",
     "read_cameras",
     "read_rig",
+    "read_trajectory",
     "refine",
     "refine_rig",
     "register_camera",

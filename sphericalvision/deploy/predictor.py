@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -97,17 +98,13 @@ class Predictor:
         net = weights if isinstance(weights, DepthNetwork) else read_network(weights)
         if method == "network" and level is not None:
             net = net.with_changes(level=level)
-        if len(rig) != net.num_cameras and not net.any_cameras:
-            raise ArgumentError(
-                f"rig: it has {len(rig)} cameras ({', '.join(rig.names)}), the checkpoint is for {net.num_cameras}; "
-                f"choose {net.num_cameras} of them (rig.subset([...]), cameras=[...] of the command), or "
-                f"train a network with model.num_cameras={len(rig)}"
-            )
+        check_number(net, rig)
         self._device = net.device if device is None else torch.device(device)
         self._rig = rig.to(self._device)
         self._antialias, self._channels = antialias, channels
         self._lock = threading.Lock()
         self._ready: _Ready | None = None
+        self._scaled: DepthNetwork | None = None
         self._net, self._native = net, native
         self._method, self._level, self._num_hypotheses = method, level, num_hypotheses
         self._min_depth: float | None = None
@@ -154,6 +151,32 @@ class Predictor:
         ready = self._prepared(None)
         return ready.lookups, ready.tables, ready.seen
 
+    def with_rig(self, rig: CameraRig) -> Predictor:
+        """The same for another rig, such as the next window of a camera that moves; the network is shared.
+
+        Hypotheses stay as they are, unless the nearest is still to be found; tables are made anew.
+
+        Args:
+            rig: of any number of cameras, if the network takes that.
+
+        Raises:
+            ArgumentError: the network is for another number of cameras.
+
+        Examples:
+            >>> from sphericalvision.cameras import ring_rig
+            >>> predictor = Predictor(ring_rig(4), method="semi_global", level=4, min_depth=0.5)
+            >>> predictor.with_rig(ring_rig(3))
+            Predictor(RefinedSweepNet, from 0.5 m, CameraRig(cam1, cam2, cam3: 3 x FisheyeCamera, radius 0.200 m))
+        """
+        check_single(rig)
+        check_number(self._net, rig)
+        if self._min_depth is not None:
+            with self._lock:
+                self._network()
+        other = copy.copy(self)
+        other._rig, other._ready = rig.to(self._device), None
+        return other
+
     def find_min_depth(self, frames: Iterable[Mapping[str, Any]]) -> float:
         """Find the nearest depth in metres worth trying in a few frames, and use it from now on.
 
@@ -162,7 +185,8 @@ class Predictor:
         """
         photographs = [self._photographs(images) for images in frames]
         with self._lock:
-            self._min_depth, self._ready = nearest_in_frames(photographs, self._rig, self._antialias), None
+            self._min_depth = nearest_in_frames(photographs, self._rig, self._antialias)
+            self._ready = self._scaled = None
             return self._min_depth
 
     @torch.inference_mode()
@@ -226,7 +250,10 @@ class Predictor:
                 self._ready = self._made()
             return self._ready
 
-    def _made(self) -> _Ready:
+    def _network(self) -> DepthNetwork:
+        """The network with the hypotheses that were asked for, where it is to compute; made once."""
+        if self._scaled is not None:
+            return self._scaled
         number = self._num_hypotheses
         net = self._net.with_changes(min_depth=self._min_depth).configure(native=self._native)
         if self._method == "semi_global":  # one level coarser than the images
@@ -234,7 +261,11 @@ class Predictor:
             net = SemiGlobalSweep(level, number or net.num_hypotheses, net.min_depth, depth_coarsening=1)
         elif number is not None:
             net = net.with_changes(num_hypotheses=number)
-        net = net.eval().to(self._device)
+        self._scaled = net.eval().to(self._device)
+        return self._scaled
+
+    def _made(self) -> _Ready:
+        net = self._network()
         if net.images == "sphere":
             vertices = icosphere_vertices(net.level, torch.float32, self._device)
             lookups = sphere_lookups(self._rig, vertices.to(self._rig.world_from_camera), self._antialias)
@@ -243,6 +274,16 @@ class Predictor:
         if len(sizes) > 1:
             raise ShapeError(f"images: {type(net).__name__} wants images of one size, got {sizes}")
         return _Ready(net, net.tables(self._rig), [], torch.stack(list(pixels_seen(self._rig).values())))
+
+
+def check_number(net: DepthNetwork, rig: CameraRig) -> None:
+    """Raise ``ArgumentError`` if a network is for another number of cameras than a rig has."""
+    if len(rig) != net.num_cameras and not net.any_cameras:
+        raise ArgumentError(
+            f"rig: it has {len(rig)} cameras ({', '.join(rig.names)}), the checkpoint is for {net.num_cameras}; "
+            f"choose {net.num_cameras} of them (rig.subset([...]), cameras=[...] of the command), or "
+            f"train a network with model.num_cameras={len(rig)}"
+        )
 
 
 def frames_of(photographs: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:

@@ -45,7 +45,7 @@ def point_colors(
         colors = camera.interpolate(images[name].to(points), pixels)
         ray = points - rig.positions[index]
         forward = (ray @ rig.axes[index] / ray.norm(dim=-1) + 1) / 2
-        weight = seen * forward.clamp(min=1e-3) ** 8
+        weight = seen * forward.clamp(min=0.05) ** 8  # what is behind a panorama's axis counts, too
         total = total + weight * torch.where(seen, colors, 0.0)
         weights = weights + weight
     return total / weights.clamp(min=1e-12), weights > 0  # type: ignore[return-value]

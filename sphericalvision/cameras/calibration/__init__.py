@@ -32,6 +32,7 @@ from sphericalvision.cameras.calibration.ocam_text import read_ocam_folder, read
 from sphericalvision.cameras.calibration.omnimvs import write_omnimvs
 from sphericalvision.cameras.calibration.opencv_writer import write_opencv
 from sphericalvision.cameras.calibration.save import camera_formats, rig_formats, save_camera, save_rig
+from sphericalvision.cameras.calibration.trajectories import read_trajectory
 
 __all__ = [
     "CAMERA_FORMATS",
@@ -42,6 +43,7 @@ __all__ = [
     "read_ocam_folder",
     "read_ocam_text",
     "read_rig",
+    "read_trajectory",
     "save_camera",
     "save_rig",
     "write_basalt",

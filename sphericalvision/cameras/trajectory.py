@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of one camera that moves: windows of them are rigs, whose baselines are the way that the camera went."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.checks import check_poses
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError, check_choice
+
+__all__ = ["UPS", "Trajectory"]
+
+UPS = ("-y", "y", "z", "camera")
+"""What may point up in a file of poses."""
+TOLERANCE = 0.02
+"""Seconds between an image and its pose, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of one camera, one after the other.
+
+    Attributes:
+        names: of the poses: their time stamps, their rows counted from 0, or the names of images.
+        world_from_camera: ``(n, 4, 4)`` rigid transforms, metres, float64.
+
+    Raises:
+        ShapeError: there are not as many poses as names.
+        ArgumentError: a pose is not finite or not rigid.
+
+    Examples:
+        >>> poses = torch.eye(4).repeat(9, 1, 1)
+        >>> poses[:, 2, 3] = torch.arange(9) / 10  # 10 cm forward from image to image
+        >>> trajectory = Trajectory([f"{k / 10:.1f}" for k in range(9)], poses)
+        >>> trajectory.windows(3, spacing=0.2)
+        [[0, 2, 4], [2, 4, 6], [4, 6, 8]]
+        >>> from sphericalvision.cameras import EquirectangularCamera
+        >>> trajectory.rig(EquirectangularCamera((40, 80)), [2, 4, 6])
+        CameraRig(0.2, 0.4, 0.6: 3 x EquirectangularCamera, radius 0.133 m)
+    """
+
+    names: Sequence[str]
+    world_from_camera: Float[Tensor, "n 4 4"]
+
+    def __post_init__(self) -> None:
+        check_poses(list(self.names), self.world_from_camera)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def positions(self) -> Float[Tensor, "n 3"]:
+        """Where the camera was ``(n, 3)``, metres."""
+        return self.world_from_camera[:, :3, 3]
+
+    def windows(self, size: int = 3, spacing: float = 0.0) -> list[list[int]]:
+        """Return the numbers of the poses of each window: so many, each ``spacing`` away from the one before.
+
+        Poses that are nearer than ``spacing`` to the last one taken are passed over, so that a camera that stands still
+        makes no windows. Neighbouring windows share all but one pose.
+
+        Args:
+            size: poses in a window, two or more.
+            spacing: metres, 0 for all poses.
+
+        Raises:
+            ArgumentError: there is no window.
+        """
+        if size < 2 or spacing < 0:
+            raise ArgumentError(
+                f"size, spacing: expected 2 or more and metres of 0 or more, got {size} and {spacing}"
+            )
+        positions, taken = self.positions, [0]
+        for number in range(1, len(self)):
+            if float((positions[number] - positions[taken[-1]]).norm()) >= spacing * (1 - 1e-6):
+                taken.append(number)
+        if len(taken) < size:
+            raise ArgumentError(
+                f"spacing: expected {size} poses {spacing:g} m apart or more, but only {len(taken)} of {len(self)} are "
+                "that far from each other; try a smaller spacing or window"
+            )
+        return [taken[first : first + size] for first in range(len(taken) - size + 1)]
+
+    def rig(
+        self, camera: Camera, numbers: Sequence[int], mask: Bool[Tensor, "h w"] | None = None
+    ) -> CameraRig:
+        """Return images at some of the poses as a rig, whose cameras are called as the poses are.
+
+        Args:
+            camera: the one that moved.
+            numbers: which poses, as ``windows`` gives them.
+            mask: ``(h, w)``, True where its images are usable: not on what carries it.
+        """
+        names = [self.names[number] for number in numbers]
+        poses = self.world_from_camera[list(numbers)].to(torch.get_default_dtype())
+        return CameraRig(
+            dict.fromkeys(names, camera), poses, None if mask is None else dict.fromkeys(names, mask)
+        )
+
+    def turned(self, up: str) -> Trajectory:
+        """Return the poses in a world whose y points down, as everywhere in this package.
+
+        Args:
+            up: what points up now: the axis ``"-y"`` (nothing changes), ``"y"`` or ``"z"``; or ``"camera"``, what is up
+                in the images on average.
+
+        Examples:
+            >>> pose = torch.eye(4)[None]
+            >>> pose[0, :3, 3] = torch.tensor([1.0, 2.0, 3.0])
+            >>> Trajectory(["0"], pose).turned("z").positions  # 3 m high, now -y
+            tensor([[ 1., -3.,  2.]])
+        """
+        check_choice("up", up, UPS)
+        poses = self.world_from_camera
+        axes = {"-y": [0.0, -1.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
+        upwards = -poses[:, :3, 1].mean(0) if up == "camera" else poses.new_tensor(axes[up])
+        turn = torch.eye(4).to(poses)
+        turn[:3, :3] = _shortest_turn(torch.nn.functional.normalize(upwards, dim=0))
+        return Trajectory(self.names, turn @ poses)
+
+    def of_images(self, images: Sequence[str], times: Sequence[float] | None = None) -> Trajectory:
+        """Return the poses of images, called as the images are; images without a pose are left out.
+
+        An image's pose is the one of its name, or the one at its time, at most 20 ms away. Where neither tells and
+        there are as many images as poses, they belong together in their order.
+
+        Args:
+            images: names of the images in their order, without suffix: ``"000012"``, ``"1305031102.175304"``
+                (seconds), or ``"1403636579763555584"`` (nanoseconds).
+            times: of the images in seconds, where their names do not tell.
+
+        Raises:
+            ArgumentError: nothing tells which pose is whose.
+
+        Examples:
+            >>> three = Trajectory(["0.00", "0.05", "0.10"], torch.eye(4).repeat(3, 1, 1))
+            >>> list(three.of_images(["a", "b", "c"]).names), list(three.of_images(["0.099", "0.2"]).names)
+            (['a', 'b', 'c'], ['0.099'])
+        """
+        places = {name: number for number, name in enumerate(self.names)}
+        by_name = {image: places[image] for image in images if image in places}
+        by_time = self._at_times(images, times)
+        found = max(by_name, by_time, key=len)
+        if len(found) < 0.5 * len(images) and len(images) == len(self):
+            found = {image: number for number, image in enumerate(images)}
+        if not found:
+            raise ArgumentError(
+                f"images: which pose is whose? There are {len(images)} images ({_first(images)}) and {len(self)} poses "
+                f"({_first(self.names)}). Expected equally many, images called as the poses, or times less than "
+                f"{TOLERANCE * 1000:.0f} ms apart"
+            )
+        return Trajectory(list(found), self.world_from_camera[list(found.values())])
+
+    def _at_times(self, images: Sequence[str], times: Sequence[float] | None) -> dict[str, int]:
+        """Image -> the pose nearest in time, where both have times."""
+        stamps = [_seconds(name) for name in self.names]
+        wanted = [_seconds(name) for name in images] if times is None else list(times)
+        counted = times is None and _are_counted(images)
+        if any(stamp is None for stamp in stamps) or counted != _are_counted(self.names):
+            return {}
+        known, order = torch.tensor(stamps, dtype=torch.float64).sort()
+        found = {}
+        for image, time in zip(images, wanted, strict=True):
+            if time is None:
+                continue
+            after = int(torch.searchsorted(known, time))
+            near = [place for place in (after - 1, after) if 0 <= place < len(known)]
+            nearest = min(near, key=lambda place: abs(float(known[place]) - time))
+            if abs(float(known[nearest]) - time) <= TOLERANCE:
+                found[image] = int(order[nearest])
+        return found
+
+
+def _seconds(name: str) -> float | None:
+    """The time that a name tells, or the number of a row; integers of 14 digits and more are nanoseconds."""
+    if not re.fullmatch(r"\d+(\.\d*)?(e[+-]?\d+)?", name, re.I):
+        return None
+    return int(name) * 1e-9 if re.fullmatch(r"\d{14,}", name) else float(name)
+
+
+def _are_counted(names: Sequence[str]) -> bool:
+    """Whether names are numbers of images or rows, which are no times."""
+    return all(re.fullmatch(r"\d{1,13}", name) for name in names)
+
+
+def _first(names: Sequence[str]) -> str:
+    return ", ".join(names[:2]) + (", ..." if len(names) > 2 else "")
+
+
+def _shortest_turn(upwards: Tensor) -> Tensor:
+    """The rotation ``(3, 3)`` by the smallest angle that takes a unit vector to (0, -1, 0)."""
+    cosine = -upwards[1]
+    if cosine < -1 + 1e-9:  # half a turn, about x
+        return torch.diag(upwards.new_tensor([1.0, -1.0, -1.0]))
+    x, _, z = upwards
+    zero = torch.zeros_like(x)
+    # Of the cross product of both vectors, (z, 0, -x).
+    cross = torch.stack((zero, x, zero, -x, zero, -z, zero, z, zero)).view(3, 3)
+    return torch.eye(3).to(upwards) + cross + cross @ cross / (1 + cosine)

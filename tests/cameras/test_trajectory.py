@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of a camera that moves: every format tells the same, windows are rigs, images find their poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig, FisheyeCamera, Trajectory, read_trajectory, save_rig
+from sphericalvision.cameras.calibration.poses import quaternion_from_rotation
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.geometry import transform_from_axis_angle
+
+NUMBER = 12
+CAMERA = FisheyeCamera.from_field_of_view((32, 40), 3.0)
+
+
+def way() -> torch.Tensor:
+    """Poses along a bend, 10 cm apart, each turned a little further."""
+    generator = torch.Generator().manual_seed(2)
+    turns = torch.rand(NUMBER, 3, generator=generator, dtype=torch.float64) - 0.5
+    steps = torch.arange(NUMBER, dtype=torch.float64)
+    places = torch.stack((0.01 * steps**2, 0 * steps, 0.1 * steps), -1)
+    return transform_from_axis_angle(turns, places)
+
+
+def tum(poses: torch.Tensor) -> str:
+    lines = ["# timestamp tx ty tz qx qy qz qw"]
+    for number, pose in enumerate(poses):
+        w, *xyz = quaternion_from_rotation(pose[:3, :3])
+        values = [*pose[:3, 3].tolist(), *xyz, w]
+        lines.append(f"{1305031102 + number / 10:.6f} " + " ".join(f"{value:.12f}" for value in values))
+    return "\n".join(lines)
+
+
+def kitti(poses: torch.Tensor, rows: int, numbered: bool) -> str:
+    return "\n".join(
+        (f"{7 * number} " if numbered else "")
+        + " ".join(f"{value:.12f}" for value in pose[:rows].flatten().tolist())
+        for number, pose in enumerate(poses)
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        (tum(way()), ["1305031102.000000", "1305031102.100000"]),
+        (kitti(way(), 3, False), ["0", "1"]),
+        (kitti(way(), 4, False), ["0", "1"]),
+        (kitti(way(), 3, True), ["0", "7"]),
+        (kitti(way(), 4, True), ["0", "7"]),
+    ],
+    ids=["tum", "kitti", "kitti, 4 rows", "kitti-360", "kitti-360, 4 rows"],
+)
+def test_texts_tell_poses_and_names(text: str, names: list[str], tmp_path: Path) -> None:
+    (tmp_path / "poses.txt").write_text(text + "\n")
+    read = read_trajectory(tmp_path / "poses.txt")
+    assert list(read.names[:2]) == names
+    torch.testing.assert_close(read.world_from_camera, way(), atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("file", ["", "images.txt", "cameras.bin"])
+def test_images_of_colmap_come_in_the_order_of_their_names(file: str, tmp_path: Path) -> None:
+    names = [f"frame{number}" for number in (11, *range(1, 11), 0)]  # 10 comes after 9
+    save_rig(CameraRig(dict.fromkeys(names, CAMERA), way()), tmp_path / "sparse" / file, "colmap")
+    read = read_trajectory(tmp_path / "sparse")
+    assert list(read.names) == [f"frame{number}" for number in range(NUMBER)]
+    torch.testing.assert_close(read.world_from_camera[11], way()[0], atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no pose in it"),
+        ("1 2 3", r"line 1: 3 words; expected TUM"),
+        ("0.1 0 0 0 0 0 0 1\n0.2 0 0 0 0 0 0 0.5", "line 2: expected a quaternion of length 1"),
+        ("0.1 0 0 0 0 0 0 1\n0.2 0 0 0 0 0 0", "line 2: expected 8 numbers, got 7"),
+        ("0.1 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1", r"two poses are called 0\.1"),
+        ("1 0 0 0 0 2 0 0 0 0 1 0", "line 1: expected a rotation"),
+    ],
+)
+def test_broken_files_are_told_by_their_line(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "poses.txt").write_text(text)
+    with pytest.raises(FileFormatError, match=message):
+        read_trajectory(tmp_path / "poses.txt")
+
+
+def test_what_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match="poses of a moving camera"):
+        read_trajectory(tmp_path / "none.txt")
+    with pytest.raises(MissingFileError, match=r"images\.txt or images\.bin"):
+        read_trajectory(tmp_path)
+
+
+def test_windows_pass_over_what_is_too_near() -> None:
+    poses = torch.eye(4).repeat(6, 1, 1)
+    poses[:, 0, 3] = torch.tensor([0.0, 0.1, 0.1, 0.1, 0.25, 0.4])  # it stands still for a while
+    trajectory = Trajectory(list("abcdef"), poses)
+    assert trajectory.windows(2) == [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]]
+    assert trajectory.windows(3, spacing=0.1) == [[0, 1, 4], [1, 4, 5]]
+    with pytest.raises(ArgumentError, match=r"3 poses 0\.3 m apart or more, but only 2 of 6"):
+        trajectory.windows(3, spacing=0.3)
+
+
+def test_a_window_is_a_rig_with_the_poses_of_its_images() -> None:
+    trajectory = Trajectory([str(k) for k in range(NUMBER)], way())
+    mask = torch.ones(32, 40, dtype=torch.bool)
+    rig = trajectory.rig(CAMERA, [3, 5, 7], mask)
+    assert rig.names == ["3", "5", "7"]
+    assert list(rig.masks) == rig.names
+    torch.testing.assert_close(rig.world_from_camera, way()[[3, 5, 7]].float())
+
+
+@pytest.mark.parametrize(("up", "axis"), [("-y", [0, -1, 0]), ("y", [0, 1, 0]), ("z", [0, 0, 1])])
+def test_up_is_minus_y_once_turned(up: str, axis: list[float]) -> None:
+    before = Trajectory([str(k) for k in range(NUMBER)], way())
+    after = before.turned(up)
+    turn = after.world_from_camera @ before.world_from_camera.inverse()
+    torch.testing.assert_close(turn, turn[:1].expand_as(turn), atol=1e-9, rtol=0)  # one for all
+    upwards = turn[0, :3, :3] @ torch.tensor(axis, dtype=torch.float64)
+    torch.testing.assert_close(upwards, torch.tensor([0.0, -1, 0], dtype=torch.float64), atol=1e-9, rtol=0)
+
+
+def test_up_can_be_what_the_camera_held_up() -> None:
+    tilted = transform_from_axis_angle(torch.tensor([0.7, 0.0, 0.4]), torch.zeros(3)) @ way().float()
+    after = Trajectory([str(k) for k in range(NUMBER)], tilted).turned("camera")
+    mean = after.world_from_camera[:, :3, 1].mean(0)
+    assert mean[[0, 2]].norm() < 1e-5 * mean[1]  # down is +y
+
+
+@pytest.mark.parametrize(
+    ("names", "images", "times", "found"),
+    [
+        (["a1", "a2", "a3"], ["a3", "b", "a1"], None, {"a3": 2, "a1": 0}),  # names
+        (["10.00", "10.05", "10.10"], ["10.049", "10.08", "10.5"], None, {"10.049": 1, "10.08": 2}),
+        (["10.00", "10.05"], ["10051000000", "10000000000000"], None, {}),  # neither seconds nor nanoseconds
+        (["1403636579.76", "1403636579.81"], ["1403636579813555584"], None, {"1403636579813555584": 1}),
+        (["0", "1", "2", "3"], ["000001", "000003"], None, {"000001": 1, "000003": 3}),  # rows
+        (["5.0", "6.0"], ["000005", "000006"], None, {"000005": 0, "000006": 1}),  # numbers are no times
+        (["0.0", "0.1", "0.2", "0.3"], ["x", "y"], [0.1, 0.3], {"x": 1, "y": 3}),  # of a video
+    ],
+)
+def test_images_find_their_poses(
+    names: list[str], images: list[str], times: list[float] | None, found: dict[str, int]
+) -> None:
+    poses = torch.eye(4).repeat(len(names), 1, 1)
+    poses[:, 0, 3] = torch.arange(len(names))
+    trajectory = Trajectory(names, poses)
+    if not found:
+        found = dict(zip(images, range(len(images)), strict=True))  # as many as poses: in order
+    matched = trajectory.of_images(images, times)
+    assert dict(zip(matched.names, matched.positions[:, 0].int().tolist(), strict=True)) == found
+
+
+def test_images_without_poses_are_refused() -> None:
+    trajectory = Trajectory(["0.0", "0.1", "0.2"], torch.eye(4).repeat(3, 1, 1))
+    with pytest.raises(ArgumentError, match=r"2 images \(000, 001\) and 3 poses \(0.0, 0.1, ...\)"):
+        trajectory.of_images(["000", "001"])

@@ -4,6 +4,12 @@
 from sphericalvision.crown.block import CrownBlock3d, CrownConvNorm2d, CrownConvNorm3d, crown_block3d
 from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, crown_conv2d, crown_conv3d
 from sphericalvision.crown.hexconv import HexConv2d, HexConv3d, hex_conv2d, hex_conv3d, north_fraction
+from sphericalvision.crown.hexgroup import (
+    HexGroupConv2d,
+    HexLiftConv2d,
+    hex_group_conv2d,
+    hex_lift_conv2d,
+)
 from sphericalvision.crown.layout import Crown, crown_relu, exchange, from_crown, to_crown
 from sphericalvision.crown.modules import CrownExchange, CrownPointwise, FromCrown, ToCrown
 from sphericalvision.crown.norm import (
@@ -41,6 +47,8 @@ __all__ = [
     "FromCrown",
     "HexConv2d",
     "HexConv3d",
+    "HexGroupConv2d",
+    "HexLiftConv2d",
     "ToCrown",
     "crown_avg_pool2d",
     "crown_block3d",
@@ -53,6 +61,8 @@ __all__ = [
     "from_crown",
     "hex_conv2d",
     "hex_conv3d",
+    "hex_group_conv2d",
+    "hex_lift_conv2d",
     "north_fraction",
     "set_kernel_options",
     "to_crown",

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -72,6 +74,35 @@ def test_blender_pinhole_panorama_and_poses(tmp_path: Path) -> None:
     assert plain.focal_length.tolist() == pytest.approx([30 / 36 * 640] * 2)
     assert rig.positions[0].tolist() == [0.5, 0.2, 1.6]
     torch.testing.assert_close(rig.axes[0], torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
+
+
+def test_the_script_of_the_documentation_writes_what_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With objects in place of Blender's; its panoramic settings are the camera's, or those of Cycles as they were."""
+    page = (Path(__file__).resolve().parents[2] / "docs/formats/blender.md").read_text()
+    script = page.split('```python title="export_cameras.py"')[1].split("```")[0]
+    values = blender()["cameras"]["fisheye_equisolid"]
+    frame = {key: values[key] for key in values if key.startswith("resolution")}
+    render = SimpleNamespace(**frame, pixel_aspect_x=1.0, pixel_aspect_y=1.0)
+    pano = {key: value for key, value in values.items() if "fisheye" in key or "pano" in key}
+    plain = {key: value for key, value in values.items() if key not in (*pano, *frame, "matrix_world")}
+    lenses = (SimpleNamespace(**plain, **pano), SimpleNamespace(**plain, cycles=SimpleNamespace(**pano)))
+    objects = [
+        SimpleNamespace(type="CAMERA", name=name, data=data, matrix_world=values["matrix_world"])
+        for name, data in zip(("new", "old"), lenses, strict=True)
+    ]
+    bpy = SimpleNamespace(
+        context=SimpleNamespace(scene=SimpleNamespace(render=render)),
+        data=SimpleNamespace(objects=[*objects, SimpleNamespace(type="LIGHT")]),
+        path=SimpleNamespace(abspath=lambda name: str(tmp_path / name.removeprefix("//"))),
+    )
+    monkeypatch.setitem(sys.modules, "bpy", bpy)
+    exec(compile(script, "export_cameras.py", "exec"), {})
+    cameras = read_cameras(tmp_path / "blender.json")
+    expected = read_camera(dump(tmp_path / "a.json", blender()), "fisheye_equisolid")
+    assert list(cameras) == ["new", "old"]
+    assert all(camera.equals(expected) for camera in cameras.values())
 
 
 def test_blender_sensor_fits_the_side_that_it_is_told(tmp_path: Path) -> None:

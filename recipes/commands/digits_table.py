@@ -23,7 +23,13 @@ __all__ = ["DigitsRun", "digits_table", "gather", "table"]
 
 LETTERS = {"upright": "N", "rotated": "R"}
 COLUMNS = ("N/N", "N/R", "R/R", "R/N")
-NAMES = {"crown": "CrownConv2d", "hex": "HexConv2d", "sphere": "SphereConv2d", "planar": "nn.Conv2d"}
+NAMES = {
+    "crown": "CrownConv2d",
+    "hex": "HexConv2d",
+    "hexgroup": "HexGroupConv2d",
+    "sphere": "SphereConv2d",
+    "planar": "nn.Conv2d",
+}
 
 
 class DigitsRun(NamedTuple):

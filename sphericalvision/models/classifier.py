@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small classifier of what lies on a sphere, with four kinds of convolutions and otherwise the same."""
+"""A small classifier of what lies on a sphere, with five kinds of convolutions and otherwise the same."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from sphericalvision.crown import (
     CrownPointwise,
     FromCrown,
     HexConv2d,
+    HexGroupConv2d,
+    HexLiftConv2d,
     ToCrown,
 )
 from sphericalvision.icosphere import Icosphere, IcospherePool, num_icosphere_vertices
@@ -26,17 +28,18 @@ from sphericalvision.sphere import Equirectangular, SphereConv2d
 
 __all__ = ["CLASSIFIER_NETWORKS", "SphereClassifier", "classifier_grid"]
 
-CLASSIFIER_NETWORKS = ("crown", "hex", "sphere", "planar")
+CLASSIFIER_NETWORKS = ("crown", "hex", "hexgroup", "sphere", "planar")
 
-WIDTHS = {"crown": 16, "hex": 16, "sphere": 14, "planar": 14}
-"""Channels of the first layer; kernels of seven and of nine taps then have equally many parameters within 2 %."""
+WIDTHS = {"crown": 16, "hex": 16, "hexgroup": 4, "sphere": 14, "planar": 14}
+"""Channels of the first layer; kernels of seven and of nine taps then have equally many parameters within 2 %. In six
+orientations four channels are 24, and the parameters three eighths of the others'."""
 
 
 def classifier_grid(network: str, level: int) -> Icosphere | Equirectangular:
     """Return the grid that a network of ``SphereClassifier`` works on.
 
-    ``"crown"`` and ``"hex"`` take the icosphere of the level; ``"sphere"`` and ``"planar"`` an equirectangular image
-    with about as many pixels, whose height divides by four.
+    ``"crown"``, ``"hex"`` and ``"hexgroup"`` take the icosphere of the level; ``"sphere"`` and ``"planar"`` an
+    equirectangular image with about as many pixels, whose height divides by four.
 
     Raises:
         ArgumentError: if the network is unknown or the level below 3.
@@ -48,7 +51,7 @@ def classifier_grid(network: str, level: int) -> Icosphere | Equirectangular:
     check_choice("network", network, CLASSIFIER_NETWORKS)
     if level < 3:
         raise ArgumentError(f"level: expected 3 or more, as the network halves twice, got {level}")
-    if network in ("crown", "hex"):
+    if network in ("crown", "hex", "hexgroup"):
         return Icosphere(level)
     height = 4 * round(math.sqrt(num_icosphere_vertices(level) / 2) / 4)
     return Equirectangular(height, 2 * height)
@@ -59,20 +62,22 @@ class SphereClassifier(nn.Module):
 
     Args:
         network: ``"crown"`` (``CrownConv2d``, both directions), ``"hex"`` (``HexConv2d``, true neighbours, aligned with
-            north), ``"sphere"`` (``SphereConv2d`` on an equirectangular image), or ``"planar"`` (``nn.Conv2d`` with
+            north), ``"hexgroup"`` (the same in six orientations, ``HexGroupConv2d``, of which the mean takes the
+            largest), ``"sphere"`` (``SphereConv2d`` on an equirectangular image), or ``"planar"`` (``nn.Conv2d`` with
             zero padding on the same image, and a mean over pixels: it knows of no sphere).
         level: of the icosphere, 3 or more; the equirectangular image has about as many pixels.
         num_classes: number of logits.
         in_channels: of the values given.
-        width: channels of the first layer, doubled at each of the two coarser levels; chosen such that all four
-            networks have about 47,000 parameters when not given.
+        width: channels of the first layer, doubled at each of the two coarser levels; chosen such that all
+            networks have about 47,000 parameters when not given, but for ``"hexgroup"``, which has 18,000.
 
     Raises:
         ArgumentError: if the network is unknown or the level below 3.
 
     References:
-        Cohen et al. (2018), "Spherical CNNs", for the task; Coors et al. (2018), "SphereNet", and Zhang et al.
-        (2019), "Orientation-aware semantic segmentation on icosahedron spheres", for the convolutions.
+        Cohen et al. (2018), "Spherical CNNs", for the task; Coors et al. (2018), "SphereNet", Hoogeboom et al.
+        (2018), "HexaConv", and Zhang et al. (2019), "Orientation-aware semantic segmentation on icosahedron spheres",
+        for the convolutions.
 
     Examples:
         >>> net = SphereClassifier("hex", level=3)
@@ -120,7 +125,8 @@ class SphereClassifier(nn.Module):
         if tuple(values.shape[1:]) != (self.in_channels, *self.grid.shape):
             size = ", ".join(map(str, (self.in_channels, *self.grid.shape)))
             raise ShapeError(f"values: expected shape (B, {size}), got {tuple(values.shape)}")
-        features = self.features(values).flatten(2)
+        features = self.features(values)
+        features = features.amax(2) if self.network == "hexgroup" else features.flatten(2)
         return self.head(features @ self.share)
 
     def _block(self, in_channels: int, out_channels: int, level: int) -> nn.Sequential:
@@ -132,6 +138,11 @@ class SphereClassifier(nn.Module):
         if self.network == "hex":
             hexagonal = HexConv2d(in_channels, out_channels, orientation="north", level=level)
             return nn.Sequential(hexagonal, nn.BatchNorm1d(out_channels), nn.ReLU())
+        if self.network == "hexgroup":
+            kind = HexLiftConv2d if level == self.level else HexGroupConv2d
+            return nn.Sequential(
+                kind(in_channels, out_channels, level), nn.BatchNorm2d(out_channels), nn.ReLU()
+            )
         image: nn.Module
         if self.network == "sphere":
             image = SphereConv2d(in_channels, out_channels, bias=False)
@@ -143,7 +154,7 @@ class SphereClassifier(nn.Module):
         """Return the step to half the resolution."""
         if self.network == "crown":
             return CrownAvgPool2d()
-        return IcospherePool(level) if self.network == "hex" else nn.AvgPool2d(2)
+        return IcospherePool(level) if isinstance(self.grid, Icosphere) else nn.AvgPool2d(2)
 
     def _shares(self) -> Tensor:
         """Return each place's share in the mean after the convolutions, ``(n,)``."""

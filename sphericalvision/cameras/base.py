@@ -86,6 +86,8 @@ class Camera(ABC):
     dimension of its own. Intrinsics that are not named hold any number."""
     optional_names: ClassVar[tuple[str, ...]] = ()
     """Those of ``intrinsic_names`` that may be ``None``."""
+    default_names: ClassVar[tuple[str, ...]] = ()
+    """Those of ``optional_names`` that files leave out where they are ``None``."""
 
     image_size: tuple[int, int]
     max_angle: Tensor
@@ -377,11 +379,14 @@ class Camera(ABC):
             principal_point=principal_point * stretch + principal_point.new_tensor(offset),
             image_size=image_size,
         )
+        if (skew := vars(self).get("skew")) is not None:
+            vars(changed)["skew"] = skew * scale[0]
         return changed
 
-    def _aligned(self, values: Tensor) -> list[Tensor]:
-        """Intrinsics shaped to broadcast with ``values`` (*b, *, k), in its dtype and on its device."""
-        return [self._align(getattr(self, name), values) for name in self.intrinsic_names]
+    def _aligned(self, values: Tensor) -> list[Any]:
+        """Intrinsics shaped to broadcast with ``values`` (*b, *, k), in its dtype and on its device, or ``None``."""
+        tensors = [getattr(self, name) for name in self.intrinsic_names]
+        return [None if tensor is None else self._align(tensor, values) for tensor in tensors]
 
     def _align(self, tensor: Tensor, values: Tensor) -> Tensor:
         batch = self.batch_shape

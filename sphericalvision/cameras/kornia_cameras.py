@@ -76,6 +76,10 @@ def _model(camera: PinholeCamera | BrownConradyCamera | KannalaBrandtCamera) -> 
     if isinstance(camera, PinholeCamera):
         return "PINHOLE", camera.focal_length[..., :0]
     name = "BROWN_CONRADY" if isinstance(camera, BrownConradyCamera) else "KANNALA_BRANDT_K3"
+    if getattr(camera, "skew", None) is not None:
+        raise ArgumentError(
+            f"camera: Kornia's {name} has no skew, this one has; set it to None, or convert to OCam"
+        )
     most, given = _COEFFICIENTS[name], camera.distortion
     if bool((given.detach()[..., most:] != 0).any()):
         raise ArgumentError(f"camera: Kornia's {name} has {most} coefficients, got {given.tolist()}")

@@ -23,6 +23,7 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
+from sphericalvision.core import ArgumentError
 from tests.cameras.calibration_samples import (
     FISHEYE,
     MATRIX,
@@ -88,6 +89,37 @@ def test_omnidir(tmp_path: Path) -> None:
     assert type(camera) is UnifiedCamera
     rays = directions(80.0)
     assert_projects(camera, opencv_omnidir(rays, OMNIDIR, 1.2, distortion), rays)
+
+
+@pytest.mark.parametrize("kind", ["fisheye", "omnidir"])
+def test_skew_is_opencvs_and_goes_through_all_that_cameras_do(tmp_path: Path, kind: str) -> None:
+    """A matrix as its calibrations return it; no other format takes such a camera without a word."""
+    distortion, skew, rays = [-0.01, 0.02, 1e-3, -2e-3], 2.5, directions(70.0)
+    values: dict[str, Any] = {"xi": 1.2} if kind == "omnidir" else {"fisheye_model": 1}
+    matrix = [[400.0, skew, 320.5], [0.0, 401.0, 240.25], [0.0, 0.0, 1.0]]
+    path = write(
+        tmp_path / "c.yml", image_width=640, image_height=480, camera_matrix=matrix, D=distortion, **values
+    )
+    camera = read_camera(path, dtype=torch.float64)
+    if kind == "omnidir":
+        expected = opencv_omnidir(rays, matrix, 1.2, distortion)
+    else:
+        points = cv2.fisheye.projectPoints(
+            rays[:, None], np.zeros(3), np.zeros(3), np.array(matrix), np.array(distortion), alpha=skew / 400
+        )
+        expected = points[0].reshape(-1, 2)
+    assert_projects(camera, expected, rays)
+    save_camera(camera, tmp_path / "again.yml", "opencv")
+    assert_projects(read_camera(tmp_path / "again.yml", dtype=torch.float64), expected, rays)
+    half = camera.resized((240, 320))
+    assert_projects(half, (expected + 0.5) / 2 - 0.5, rays)
+    assert camera.convert(to=type(camera)).max_error == 0
+    held, lost = (camera.convert(to=model, max_angle=0.6).max_error for model in ("ocam", "double_sphere"))
+    assert held < 0.2 < lost
+    with pytest.raises(
+        ArgumentError, match=r"the format 'kalibr' has no skew; write it as 'native' or 'opencv'"
+    ):
+        save_camera(camera, tmp_path / "kalibr.yaml", "kalibr")
 
 
 @pytest.mark.parametrize(
@@ -225,7 +257,10 @@ def test_what_opencv_cannot_hold_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"camera_matrix": [[300.0, 0.5, 159.0], [0, 300, 119], [0, 0, 1]]}, "camera_matrix: a skew of 0.5"),
+        (
+            {"camera_matrix": [[300.0, 0.5, 159.0], [0, 300, 119], [0, 0, 1]]},
+            "camera_matrix: a skew of 0.5 is for fisheye",
+        ),
         ({"camera_matrix": [[300.0, 0, 159.0], [0, 300, 119]]}, "camera_matrix: expected 9 numbers, got 6"),
         ({"camera_matrix": [[300.0, 0, 159], [0, 300, 119], [0, 0, 2]]}, "camera_matrix: expected 0 0 1"),
         ({"distortion_coefficients": [0.1, 0.2]}, "distortion_coefficients"),

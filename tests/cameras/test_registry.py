@@ -124,7 +124,7 @@ def test_an_unregistered_camera_is_refused_before_anything_is_written(tmp_path: 
         "format: sphericalvision-camera\nversion: 1\nmodel: parabolic mirror\n"
     )
     with pytest.raises(
-        FileFormatError, match=r"model: expected one of atan, brown_conrady, .*got 'parabolic mirror'"
+        FileFormatError, match=r"model: expected one of angle_polynomial, atan, .*got 'parabolic mirror'"
     ):
         read_camera(tmp_path / "camera.yaml")
     with pytest.raises(

@@ -71,7 +71,7 @@ def test_against_opencv_in_front(
     expected, _ = cv2.omnidir.projectPoints(points.numpy()[:, None], zero, zero, MATRIX, xi, given)
     camera = lens(xi, distortion)
     np.testing.assert_allclose(camera.project(points).pixels, expected[:, 0], rtol=0, atol=1e-9)
-    directions, valid = unproject_unified(*(torch.from_numpy(expected[:, 0]), *camera._aligned(points)))
+    directions, valid = unproject_unified(*(torch.from_numpy(expected[:, 0]), *camera._aligned(points)[:4]))
     assert valid.all()
     undistorted = cv2.omnidir.undistortPoints(expected, MATRIX, given, np.array([xi]), np.eye(3))[:, 0]
     np.testing.assert_allclose(directions[:, :2] / directions[:, 2:], undistorted, rtol=0, atol=1e-5)
@@ -132,7 +132,7 @@ def test_ends_exactly_where_the_radius_stops_growing(xi: float) -> None:
     growing = (radius.diff(prepend=radius.new_zeros(1)) > 0) & (angle.cos() + xi > 0)
     points = circle(angle) * 3.0
     camera = lens(xi)
-    valid = project_unified(points, *camera._aligned(points)).valid
+    valid = project_unified(points, *camera._aligned(points)[:4]).valid
     assert (valid != growing.long().cumprod(0).bool()).sum() <= 1
     assert camera.max_angle.item() == pytest.approx(angle[growing].max().item(), abs=2e-4)
 
@@ -153,13 +153,13 @@ def test_pixels_beyond_the_model_are_reported() -> None:
     camera = lens(2.0)
     radius = torch.tensor([0.999, 1.001, 30.0], dtype=torch.float64) / math.sqrt(3)
     pixels = double(CENTER)[0] + radius.unsqueeze(-1) * double([FOCAL[0], 0.0])[0]
-    directions, valid = unproject_unified(pixels, *camera._aligned(pixels))
+    directions, valid = unproject_unified(pixels, *camera._aligned(pixels)[:4])
     assert valid.tolist() == [True, False, False]
     torch.testing.assert_close(directions.norm(dim=-1), torch.ones(3, dtype=torch.float64))
     folding = lens(1.0, [-1 / 3, 0.0, 0.0, 0.0])  # folds at 2 tan(θ/2)/2 = 1: 90°
     assert folding.max_angle.item() == pytest.approx(math.pi / 2, abs=1e-3)
     points = circle(torch.tensor([1.56, 1.58], dtype=torch.float64))
-    assert project_unified(points, *folding._aligned(points)).valid.tolist() == [True, False]
+    assert project_unified(points, *folding._aligned(points)[:4]).valid.tolist() == [True, False]
 
 
 def test_second_derivatives_are_right() -> None:

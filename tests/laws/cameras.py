@@ -148,6 +148,18 @@ CAMERAS = [
         ),
         smooth_on_axis=False,
     ),
+    CameraCase(
+        "kannala brandt, skew",
+        lambda s: KannalaBrandtCamera(
+            [24.0 * s, 23.8], CENTER, [-0.007, 0.045, -0.0435, 0.0084], SIZE, math.radians(100), 0.6 * s
+        ),
+    ),
+    CameraCase(
+        "mei, skew",
+        lambda s: UnifiedCamera(
+            [75.0 * s, 74.0], CENTER, 2.2, [0.017, 0.9, 4e-4, 4e-4, 0.01], SIZE, skew=-0.4 * s
+        ),
+    ),
     CameraCase("atan", lambda s: AtanCamera([26.0 * s, 25.8], CENTER, 0.93, SIZE, math.radians(105))),
     CameraCase("division", lambda s: DivisionCamera([30.0 * s, 29.7], CENTER, [-0.22], SIZE)),
     CameraCase(

@@ -65,6 +65,7 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
     result: dict[str, Any] = {"model": camera.model, "image_size": list(camera.image_size)}
     result |= {name: getattr(camera, name) for name in camera.option_names}
     tensors = {name: getattr(camera, name) for name in camera.intrinsic_names}
+    tensors = {name: x for name, x in tensors.items() if x is not None or name not in camera.default_names}
     result |= {name: None if tensor is None else tensor.tolist() for name, tensor in tensors.items()}
     if _takes_max_angle(type(camera)):
         result["max_angle"] = camera.max_angle.item()
@@ -92,6 +93,8 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
     }
     arguments |= {key: entry(values, key, where) for key in model.option_names}
     for key in model.intrinsic_names:
+        if key in model.default_names and key not in values:
+            continue
         value = entry(values, key, where)
         if value is not None or key not in model.optional_names:
             parsed = numbers(value, f"{where}, {key}")

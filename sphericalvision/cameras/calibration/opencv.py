@@ -142,13 +142,10 @@ def _camera(content: Mapping[str, Any], index: str, where: str, options: Options
             f"{where}: the camera matrix is missing (camera_matrix{index}, K{index} or M{index}); found "
             f"{', '.join(map(str, content))}"
         )
+    skew: float | None
     fx, skew, cx, _, fy, cy, *last = matrix(content[key], f"{where}, {key}", 9)
     if last != [0.0, 0.0, 1.0]:
         raise FileFormatError(f"{where}, {key}: expected 0 0 1 in the last row, got {last}")
-    if abs(skew) > 1e-9 * abs(fx):
-        raise FileFormatError(
-            f"{where}, {key}: a skew of {skew:g} is not supported; calibrate with CALIB_FIX_SKEW"
-        )
     focal_length = torch.tensor(focal_lengths([fx, fy], f"{where}, {key}"), dtype=torch.float64)
     size = _image_size(content, index, where, options)
     distortion_key = find(content, DISTORTION, index)
@@ -156,13 +153,20 @@ def _camera(content: Mapping[str, Any], index: str, where: str, options: Options
     if distortion_key is not None:
         coefficients = matrix(content[distortion_key], f"{where}, {distortion_key}")
     xi = find(content, ("xi",), index)
+    fisheye = distortion_key is not None and _is_fisheye(content, index, distortion_key, len(coefficients))
+    if abs(skew) <= 1e-9 * abs(fx):
+        skew = None
+    elif xi is None and not fisheye:
+        raise FileFormatError(
+            f"{where}, {key}: a skew of {skew:g} is for fisheye and omnidirectional cameras; OpenCV's others have none"
+        )
     with errors_of_file(where if distortion_key is None else f"{where}, {distortion_key}"):
         if xi is not None:
             distortion = _with_k3(coefficients, f"{where}, {distortion_key}")
             value = matrix(content[xi], f"{where}, {xi}", 1)[0]
-            return UnifiedCamera(focal_length, [cx, cy], value, distortion, size)
-        if distortion_key is not None and _is_fisheye(content, index, distortion_key, len(coefficients)):
-            return KannalaBrandtCamera(focal_length, [cx, cy], coefficients, size, math.pi)
+            return UnifiedCamera(focal_length, [cx, cy], value, distortion, size, skew=skew)
+        if fisheye:
+            return KannalaBrandtCamera(focal_length, [cx, cy], coefficients, size, math.pi, skew)
         if not coefficients:
             return PinholeCamera(focal_length, [cx, cy], size)
         return BrownConradyCamera(focal_length, [cx, cy], coefficients, size)

@@ -72,6 +72,8 @@ def _values(camera: Camera, suffix: str) -> dict[str, Any]:
     assert isinstance(camera, PinholeCamera | BrownConradyCamera | KannalaBrandtCamera | UnifiedCamera)
     (fx, fy), (cx, cy) = numbers_of(camera.focal_length), numbers_of(camera.principal_point)
     height, width = camera.image_size
+    own_skew = getattr(camera, "skew", None)
+    skew = 0.0 if own_skew is None else numbers_of(own_skew)[0]
     coefficients: list[float] = []
     if isinstance(camera, UnifiedCamera):
         coefficients = [0.0] * 4 if camera.distortion is None else numbers_of(camera.distortion)
@@ -82,7 +84,7 @@ def _values(camera: Camera, suffix: str) -> dict[str, Any]:
         coefficients = numbers_of(camera.distortion)
     values: dict[str, Any] = {f"image_width{suffix}": width, f"image_height{suffix}": height}
     values[f"fisheye_model{suffix}"] = int(isinstance(camera, KannalaBrandtCamera))
-    values[f"camera_matrix{suffix}"] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    values[f"camera_matrix{suffix}"] = np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]])
     values[f"distortion_coefficients{suffix}"] = np.array(coefficients).reshape(-1, 1)
     if isinstance(camera, UnifiedCamera):
         values[f"xi{suffix}"] = numbers_of(camera.xi)[0]

@@ -15,6 +15,9 @@ from sphericalvision.core import ArgumentError
 __all__ = ["check_holds", "numbers_of", "without_trailing_zeros"]
 
 
+_WITH_SKEW = ("native", "opencv")
+
+
 def check_holds(format: str, camera: Camera) -> None:
     """Raise ``ArgumentError`` unless ``format`` has the camera's model and the camera is no batch."""
     check_single(camera)
@@ -28,6 +31,11 @@ def check_holds(format: str, camera: Camera) -> None:
         raise ArgumentError(
             f"camera: the format {format!r} has no {camera.model} model, it has {', '.join(models)}. Write it as "
             f"{' or '.join(map(repr, others))}, or convert the camera first: camera.convert(to=...)"
+        )
+    if format not in _WITH_SKEW and getattr(camera, "skew", None) is not None:
+        raise ArgumentError(
+            f"camera: the format {format!r} has no skew; write it as {' or '.join(map(repr, _WITH_SKEW))}, or convert "
+            'the camera to OCam, whose affine map holds one: camera.convert(to="ocam")'
         )
 
 

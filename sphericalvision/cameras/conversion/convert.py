@@ -105,6 +105,9 @@ def convert(
     if to is OCamCamera and isinstance(camera, OCamCamera):
         ocam = _complete(camera, num_coefficients).with_max_angle(limit)
         return Conversion(ocam, *_errors(exact, ocam, held_out, limit), limit)
+    if type(camera) is to and getattr(camera, "skew", None) is not None and num_coefficients is None:
+        same = camera.with_max_angle(limit)  # no fit has a skew
+        return Conversion(same, *_errors(exact, same, held_out, limit), limit)
     fits = [fit_model(exact, model, held_out, _reach(model, exact, limit, max_angle)) for model in candidates]
     model, vector, covered, _ = min(fits, key=lambda fit: (-round(fit.covered_angle, 3), fit.rms))
     result = model.build(vector, camera.image_size, covered, camera)

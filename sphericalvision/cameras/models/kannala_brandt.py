@@ -19,6 +19,8 @@ from sphericalvision.cameras.models.image_plane import (
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
+    with_skew,
+    without_skew,
 )
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
@@ -172,6 +174,7 @@ class KannalaBrandtCamera(Camera):
         distortion: (*b, k) as (k1, ..., kk), k up to 9; with four of them OpenCV's fisheye and Kalibr's equidistant.
         image_size: (height, width).
         max_angle: half the field of view in radians, a number or (*b,); by default where the radius stops growing.
+        skew: (*b,), pixels by which u grows for each focal length of v, the second number of OpenCV's matrix; or None.
 
     Examples:
         >>> camera = KannalaBrandtCamera([190.0, 190.0], [255.0, 257.0], [0.003, 0.0, -0.002, 0.0], (512, 512), 1.7)
@@ -180,12 +183,19 @@ class KannalaBrandtCamera(Camera):
     """
 
     model = "kannala_brandt"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "distortion": tuple(range(1, 10))}
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion", "skew")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {
+        **IMAGE_PLANE,
+        "distortion": tuple(range(1, 10)),
+        "skew": (),
+    }
+    optional_names: ClassVar[tuple[str, ...]] = ("skew",)
+    default_names: ClassVar[tuple[str, ...]] = ("skew",)
 
     focal_length: Float[Tensor, "*batch 2"]
     principal_point: Float[Tensor, "*batch 2"]
     distortion: Float[Tensor, "*batch k"]
+    skew: Float[Tensor, "*batch"] | None
 
     def __init__(
         self,
@@ -194,6 +204,7 @@ class KannalaBrandtCamera(Camera):
         distortion: Sequence[float] | Float[Tensor, "*#batch k"],
         image_size: Sequence[int],
         max_angle: float | Float[Tensor, "*#batch"] | None = None,
+        skew: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,
@@ -201,15 +212,20 @@ class KannalaBrandtCamera(Camera):
             focal_length=focal_length,
             principal_point=principal_point,
             distortion=distortion,
+            skew=skew,
         )
         if max_angle is None:
             self.max_angle = _widest_angle(_with_leading_one(self.distortion))
 
     def _project(self, points: Tensor) -> Projection:
-        return project_kannala_brandt(points, *self._aligned(points))
+        focal_length, center, *shape, skew = self._aligned(points)
+        projection = project_kannala_brandt(points, focal_length, center, *shape)
+        return with_skew(projection, focal_length, center, skew)
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
-        return unproject_kannala_brandt(pixels, *self._aligned(pixels))
+        focal_length, center, *shape, skew = self._aligned(pixels)
+        pixels = without_skew(pixels, focal_length, center, skew)
+        return unproject_kannala_brandt(pixels, focal_length, center, *shape)
 
 
 def _radial_start(model: FittedModel, samples: Samples) -> list[Tensor]:

@@ -19,6 +19,8 @@ from sphericalvision.cameras.models.image_plane import (
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
+    with_skew,
+    without_skew,
 )
 from sphericalvision.cameras.models.plane_distortion import distort_inside, fold_radius, undistort
 from sphericalvision.cameras.precision import computed_in_float32
@@ -124,6 +126,7 @@ class UnifiedCamera(Camera):
         distortion: (*b, 5) as (k1, k2, p1, p2, k3), (*b, 4) without k3, or None.
         image_size: (height, width).
         max_angle: half the field of view in radians, a number or (*b,); by default where the model ends.
+        skew: (*b,), pixels by which u grows for each focal length of v, the second number of OpenCV's matrix; or None.
 
     Raises:
         ArgumentError: ``xi`` not above −1.
@@ -135,14 +138,22 @@ class UnifiedCamera(Camera):
     """
 
     model = "unified"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "xi", "distortion")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "xi": ()}
-    optional_names: ClassVar[tuple[str, ...]] = ("distortion",)
+    intrinsic_names: ClassVar[tuple[str, ...]] = (
+        "focal_length",
+        "principal_point",
+        "xi",
+        "distortion",
+        "skew",
+    )
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "xi": (), "skew": ()}
+    optional_names: ClassVar[tuple[str, ...]] = ("distortion", "skew")
+    default_names: ClassVar[tuple[str, ...]] = ("skew",)
 
     focal_length: Float[Tensor, "*batch 2"]
     principal_point: Float[Tensor, "*batch 2"]
     xi: Float[Tensor, "*batch"]
     distortion: Float[Tensor, "*batch k"] | None
+    skew: Float[Tensor, "*batch"] | None
 
     def __init__(
         self,
@@ -152,6 +163,7 @@ class UnifiedCamera(Camera):
         distortion: Sequence[float] | Float[Tensor, "*#batch k"] | None,
         image_size: Sequence[int],
         max_angle: float | Float[Tensor, "*#batch"] | None = None,
+        skew: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,
@@ -160,6 +172,7 @@ class UnifiedCamera(Camera):
             principal_point=principal_point,
             xi=xi,
             distortion=distortion,
+            skew=skew,
         )
         if self.distortion is not None and self.distortion.shape[-1:] not in ((4,), (5,)):
             raise ArgumentError(
@@ -181,15 +194,15 @@ class UnifiedCamera(Camera):
         direction, reached = _lift(radius, torch.zeros_like(radius), self.xi)
         return torch.where(reached, torch.atan2(direction[..., 0], direction[..., 2]), end)
 
-    def _aligned(self, values: Tensor) -> list[Tensor]:
-        names = [name for name in self.intrinsic_names if getattr(self, name) is not None]
-        return [self._align(getattr(self, name), values) for name in names]
-
     def _project(self, points: Tensor) -> Projection:
-        return project_unified(points, *self._aligned(points))
+        focal_length, center, *shape, skew = self._aligned(points)
+        projection = project_unified(points, focal_length, center, *shape)
+        return with_skew(projection, focal_length, center, skew)
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
-        return unproject_unified(pixels, *self._aligned(pixels))
+        focal_length, center, *shape, skew = self._aligned(pixels)
+        pixels = without_skew(pixels, focal_length, center, skew)
+        return unproject_unified(pixels, focal_length, center, *shape)
 
 
 @fitted(UnifiedCamera, num_coefficients=(4, 0, 5))

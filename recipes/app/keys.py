@@ -73,7 +73,8 @@ class Export:
     min_depth: Positive | str
     inputs: str
     height: Count | None
-    batch: Count
+    tables: str
+    batch: Count | None
     formats: list[str]
     output: str
 

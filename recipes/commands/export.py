@@ -8,18 +8,24 @@ from pathlib import Path
 
 import torch
 from omegaconf import DictConfig
+from safetensors.torch import save_file
+from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.data import make_scene, render_rig
 from sphericalvision.deploy import Predictor
 from sphericalvision.deploy.export import (
     INPUTS,
     OPSET,
+    TABLES,
     RigProgram,
-    example_images,
     export_onnx,
     export_program,
     onnx_difference,
+    onnx_size,
+    rig_tables,
 )
+from sphericalvision.io.files import atomic_write
 from sphericalvision.recipes.app.cli import console, print_config
 from sphericalvision.recipes.app.rigs import rig_from_file
 
@@ -35,6 +41,7 @@ def export(config: DictConfig, folder: Path) -> list[Path]:
         ArgumentError: an unknown format or input, or what ``RigProgram`` refuses.
     """
     check_choice("inputs", config.inputs, INPUTS)
+    check_choice("tables", config.tables, TABLES)
     for name in config.formats:
         check_choice("formats", name, FORMATS)
     if isinstance(config.min_depth, str) and config.min_depth != "auto":
@@ -52,28 +59,69 @@ def export(config: DictConfig, folder: Path) -> list[Path]:
         num_hypotheses=config.num_hypotheses,
     )
     print_config(config, folder)
-    program = RigProgram(predictor, config.inputs, config.height).eval()
-    images = example_images(program, config.batch)
-    start = time.process_time()
-    with torch.inference_mode():
-        answer = program(images)
-    shapes = ", ".join(f"{name} {tuple(v.shape)}" for name, v in zip(NAMES, answer, strict=True))
-    console.print(f"images {tuple(images.shape)} -> {shapes}", highlight=False, soft_wrap=True)
+    program = RigProgram(predictor, config.inputs, config.height, config.tables).eval()
+    images = rendered_images(predictor, program).expand(
+        config.batch or 1, *[-1] * (4 if config.inputs == "camera" else 3)
+    )
+    say(f"images {tuple(images.shape)} -> {answer_shapes(program, images)}")
     written = []
+    if config.tables == "inputs":
+        written.append(save_tables(program, folder / "tables.safetensors"))
+        say(
+            f"tables: {len(rig_tables(program))} inputs besides the images, those of this rig in {written[-1].name}"
+        )
+    if not config.formats:
+        return shown(written)
+    start = time.process_time()
     path = folder / "depth.pt2"
     exported = export_program(program, path if "pt2" in config.formats else None, config.batch)
+    operations = sum(node.op == "call_function" for node in exported.graph.nodes)
+    say(f"torch.export: {operations} operations, {time.process_time() - start:.0f} s of processor time")
     if "pt2" in config.formats:
         written.append(path)
-    console.print(f"torch.export: {time.process_time() - start:.0f} s of processor time", highlight=False)
+        say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
     if "onnx" in config.formats:
+        start = time.process_time()
         written.append(export_onnx(exported, folder / "depth.onnx"))
+        operations, size = onnx_size(written[-1])
+        seconds = time.process_time() - start
         difference = onnx_difference(written[-1], program, images)
-        console.print(
-            f"ONNX, opset {OPSET}: {time.process_time() - start:.0f} s of processor time; onnxruntime differs by "
-            f"{difference:.1e} 1/m in inverse depth at most",
-            highlight=False,
-            soft_wrap=True,
+        say(
+            f"{written[-1].name}: opset {OPSET}, {operations} operations, {size / 1e6:.1f} MB, "
+            f"{seconds:.0f} s of processor time; onnxruntime differs by {difference:.1e} 1/m in inverse depth at most"
         )
+    return shown(written)
+
+
+def rendered_images(predictor: Predictor, program: RigProgram) -> Tensor:
+    """Images of a room, ``(1, n, 3, *size)``: at noise, where nothing fits, rounding decides."""
+    rendered = render_rig(make_scene("room", seed=1), predictor.rig, samples_per_pixel=1)
+    if program.inputs == "sphere":
+        return predictor.inputs(rendered)[0][None]
+    return torch.stack(list(rendered.values()))[None]
+
+
+def answer_shapes(program: RigProgram, images: Tensor) -> str:
+    """Names and shapes of the outputs."""
+    with torch.inference_mode():
+        answer = program(images)
+    return ", ".join(f"{name} {tuple(value.shape)}" for name, value in zip(NAMES, answer, strict=True))
+
+
+def save_tables(program: RigProgram, path: Path) -> Path:
+    """Write the inputs that are not images."""
+    with atomic_write(path) as temporary:
+        save_file({name: table.contiguous() for name, table in rig_tables(program).items()}, temporary)
+    return path
+
+
+def say(text: str) -> None:
+    """Print a line as it is."""
+    console.print(text, highlight=False, soft_wrap=True)
+
+
+def shown(written: list[Path]) -> list[Path]:
+    """Print the paths of files, which are the result."""
     for file in written:
         print(file)
     return written

@@ -38,8 +38,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, uses_compact_kernels
 from sphericalvision.crown import fast
+from sphericalvision.crown.compact import compact_hex_conv
 from sphericalvision.crown.hexpad import fill_charts, hex_pad
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.taps import COL_TAPS, planar_kernel
@@ -140,6 +141,8 @@ def hex_conv2d(
         torch.Size([1, 8, 42])
     """
     _check_conv(values, weight, 2, stride, north)
+    if uses_compact_kernels() and north is None:
+        return compact_hex_conv(values, weight, bias, stride, CHART_RINGS)
     charts, rings = hex_pad(values)
     start = stride - 1  # a coarser chart begins at the second row of the finer one
     inside = charts[..., start:, :].flatten(0, 1)

@@ -16,8 +16,9 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ShapeError, uses_compact_kernels
 from sphericalvision.crown import fast
+from sphericalvision.crown.compact import compact_fold
 from sphericalvision.crown.places import (
     check_values,
     level_of_rectangles,
@@ -117,6 +118,8 @@ def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
         True
     """
     check_crown(crown)
+    if uses_compact_kernels():
+        return compact_fold(*crown)
     mean = fast.fold(*crown)
     if mean is not None:
         return mean

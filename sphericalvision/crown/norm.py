@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ShapeError, check_choice
+from sphericalvision.core import ShapeError, check_choice, uses_compact_kernels
+from sphericalvision.crown.compact import compact_norm
 from sphericalvision.crown.layout import Crown, check_crown, crown_map
 
 __all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
@@ -27,6 +28,10 @@ class _CrownBatchNorm(_BatchNorm):
         if crown.col.shape[2] != self.num_features:
             raise ShapeError(
                 f"crown: expected {self.num_features} channels (dimension 2), got {crown.col.shape[2]}"
+            )
+        if uses_compact_kernels() and not self.training:
+            return crown_map(
+                lambda r: super(_CrownBatchNorm, self).forward(r.flatten(0, 1)).view(r.shape), crown
             )
         # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
         col, row = (rectangles.flatten(0, 1).flatten(-2) for rectangles in crown)
@@ -83,6 +88,8 @@ class _CrownInstanceNorm(_CrownBatchNorm):
 
     def forward(self, crown: Crown) -> Crown:  # type: ignore[override]
         check_crown(crown, self.spatial_dims)
+        if uses_compact_kernels():
+            return Crown(*compact_norm(*crown, self.weight, self.bias, self.eps))
         samples = zip(crown.col.split(1), crown.row.split(1), strict=True)
         normalized = [super(_CrownInstanceNorm, self).forward(Crown(*sample)) for sample in samples]
         return crown_map(lambda *rectangles: torch.cat(rectangles), *normalized)

@@ -4,16 +4,19 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
+from torch.func import functional_call
 from torch.fx import GraphModule, Interpreter, Node
 from torch.utils import _pytree
 
-from sphericalvision.core import ArgumentError, check_choice, reference_kernels
+from sphericalvision.cameras.sphere_images import SphereLookup
+from sphericalvision.core import ArgumentError, check_choice, compact_kernels
 from sphericalvision.deploy.predictor import Predictor
 from sphericalvision.io.files import atomic_write
 from sphericalvision.sphere import Equirectangular
@@ -21,15 +24,19 @@ from sphericalvision.sweep import inverse_depth_from_index
 
 __all__ = [
     "INPUTS",
+    "TABLES",
     "RigProgram",
     "example_images",
     "export_onnx",
     "export_program",
     "onnx_difference",
+    "onnx_size",
+    "rig_tables",
     "with_constants_folded",
 ]
 
 INPUTS = ("camera", "sphere")
+TABLES = ("inside", "inputs")
 OPSET = 20
 CONVOLUTIONS = tuple(getattr(torch.ops.aten, f"conv{dims}d").default for dims in (1, 2, 3))
 
@@ -42,6 +49,8 @@ class RigProgram(nn.Module):
         inputs: ``"camera"`` for images ``(B, n, 3, h, w)`` in [0, 1] as the cameras take them, or ``"sphere"`` for
             ``(B, n, 3, V)`` in [-1, 1] on icospheres, as ``Predictor.inputs`` makes them.
         height: rows of a panorama that the answer is given on; on the network's own grid when not given.
+        tables: ``"inside"``, the rig is a part of the program; or ``"inputs"``, it is called with images and
+            ``rig_tables``, those of this rig or of another one with as many cameras.
 
     Raises:
         ArgumentError: the images of the cameras differ in size, or the network does not take images on icospheres.
@@ -58,12 +67,15 @@ class RigProgram(nn.Module):
     seen: Tensor
     rays: Tensor
 
-    def __init__(self, predictor: Predictor, inputs: str = "camera", height: int | None = None) -> None:
+    def __init__(
+        self, predictor: Predictor, inputs: str = "camera", height: int | None = None, tables: str = "inside"
+    ) -> None:
         super().__init__()
         check_choice("inputs", inputs, INPUTS)
-        self.net, self.inputs = predictor.network, inputs
+        check_choice("tables", tables, TABLES)
+        self.net, self.inputs, self.tables = predictor.network, inputs, tables
         self.shape: tuple[int, int] | None = None
-        lookups, tables, seen = predictor.tables
+        lookups, of_network, seen = predictor.tables
         if inputs == "sphere" and self.net.images != "sphere":
             raise ArgumentError(
                 f"inputs: {type(self.net).__name__} takes images of cameras, not of icospheres"
@@ -74,12 +86,11 @@ class RigProgram(nn.Module):
                 f"inputs: expected cameras with images of one size, got {sizes}; export inputs=sphere"
             )
         self.image_size, self.num_cameras = sizes[0], len(predictor.rig)
-        self.lookups = lookups
-        self.places = nn.ModuleList(
-            look.places for look in lookups
-        )  # so that their tables are of this module
+        self.lookups = lookups if inputs == "camera" else []
+        # So that their tables are of this module.
+        self.places = nn.ModuleList(look.places for look in self.lookups)
         self.register_buffer("seen", seen)
-        leaves, self.structure = _pytree.tree_flatten(tables)
+        leaves, self.structure = _pytree.tree_flatten(of_network)
         self.leaves = [None if isinstance(leaf, Tensor) else leaf for leaf in leaves]
         for number, leaf in enumerate(leaves):
             if isinstance(leaf, Tensor):
@@ -90,9 +101,16 @@ class RigProgram(nn.Module):
             self.register_buffer("rays", view.directions.reshape(-1, 3).clone())
 
     def forward(
-        self, images: Float[Tensor, "B n 3 *size"]
+        self, images: Float[Tensor, "B n 3 *size"], tables: dict[str, Tensor] | None = None
     ) -> tuple[Float[Tensor, " B *grid"], Float[Tensor, " B *grid"], Bool[Tensor, " B *grid"]]:
-        """Return inverse depth in 1/m, confidence, and what two cameras saw, ``(B, *grid)`` each."""
+        """Return inverse depth in 1/m, confidence, and what two cameras saw, ``(B, *grid)`` each.
+
+        Args:
+            images: as ``inputs`` has them.
+            tables: of ``rig_tables``, in the place of those inside.
+        """
+        if tables is not None:
+            return functional_call(self, tables, (images,))  # type: ignore[no-any-return]
         if self.inputs == "camera":
             images = self._on_grid(images)
         leaves = [getattr(self, f"table{k}") if leaf is None else leaf for k, leaf in enumerate(self.leaves)]
@@ -102,10 +120,10 @@ class RigProgram(nn.Module):
         inverse_depth = inverse_depth_from_index(index.float(), self.net.num_hypotheses, self.net.min_depth)
         if self.shape is None:
             return inverse_depth, confidence, seen
-        batch, shape = len(images), (len(images), *self.shape)
-        together = torch.cat((inverse_depth, confidence, seen.to(inverse_depth)))
+        shape = (images.shape[0], *self.shape)
+        together = torch.stack((inverse_depth, confidence, seen.to(inverse_depth))).flatten(0, 1)
         values, reached = self.net.index_at(together, self.rays)
-        inverse_depth, confidence, both = values.split(batch)
+        inverse_depth, confidence, both = values.unflatten(0, (3, -1)).unbind()
         return (
             inverse_depth.where(reached, float("nan")).view(shape),
             confidence.view(shape),
@@ -121,6 +139,47 @@ class RigProgram(nn.Module):
         return torch.stack(values, 1) * 2 - seen.to(images)
 
 
+def rig_tables(program: RigProgram, like: RigProgram | None = None) -> dict[str, Shaped[Tensor, " ..."]]:
+    """Return by name all that a program knows of its rig: the inputs, besides images, of one with ``tables="inputs"``.
+
+    Args:
+        program: of a rig.
+        like: the program that is to be called with these tables; they are checked to fit.
+
+    Raises:
+        ArgumentError: that program was made for other sizes: number of cameras, level, or size of the images.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> def program(radius, tables="inside"):
+        ...     rig = ring_rig(3, radius=radius, image_size=(16, 16))
+        ...     return RigProgram(Predictor(rig, method="semi_global", level=3, min_depth=0.5), "sphere", None, tables)
+        >>> one, other = program(0.2, "inputs"), program(0.1)
+        >>> images = example_images(one)
+        >>> torch.equal(one(images, rig_tables(other, like=one))[0], other(images)[0])
+        True
+    """
+    tables = {
+        name: table
+        for name, table in program.named_buffers()
+        if name != "rays" and not name.startswith("net.")
+    }
+    if like is not None:
+        given, expected = (_layout(rig_tables(one), one.lookups) for one in (program, like))
+        if given != expected:
+            name = next(name for name in {**expected, **given} if given.get(name) != expected.get(name))
+            raise ArgumentError(
+                f"program: its table {name} is {given.get(name)}, expected {expected.get(name)}; programs share tables "
+                "of as many cameras, images of one size, about the same angle a pixel, and one level"
+            )
+    return tables
+
+
+def _layout(tables: Mapping[str, Tensor], lookups: Sequence[SphereLookup]) -> dict[str, str]:
+    layout = {name: f"{table.dtype} {tuple(table.shape)}" for name, table in tables.items()}
+    return layout | {f"shrinking of camera {k}": str(look.shrink) for k, look in enumerate(lookups)}
+
+
 def example_images(program: RigProgram, batch: int = 1) -> Float[Tensor, "B n 3 *size"]:
     """Return random images of the shape and range that a program takes."""
     if program.inputs == "sphere":
@@ -131,26 +190,36 @@ def example_images(program: RigProgram, batch: int = 1) -> Float[Tensor, "B n 3 
 
 @torch.no_grad()
 def export_program(
-    program: RigProgram, path: str | Path | None = None, batch: int = 1
+    program: RigProgram, path: str | Path | None = None, batch: int | None = 1
 ) -> torch.export.ExportedProgram:
     """Return a program as ``torch.export`` has it, and write it to a ``.pt2`` file, which torch runs by itself.
 
-    All that follows from level and rig is computed now and is constant in the program. The batch is fixed.
+    All that follows from level and rig is computed now and is constant in the program.
+
+    Args:
+        program: what to export.
+        path: of the file; none is written when not given.
+        batch: B of the images, or None for a program that takes any number of them.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
         >>> predictor = Predictor(ring_rig(3, image_size=(16, 16)), method="semi_global", level=3, min_depth=0.5)
         >>> program = RigProgram(predictor, "sphere")
         >>> images = example_images(program)
-        >>> torch.allclose(export_program(program).module()(images)[0], program(images)[0])
+        >>> torch.allclose(export_program(program).module()(images)[0], program(images)[0], atol=1e-5)
         True
     """
-    program, images = program.eval(), example_images(program, batch)
-    program(images)  # fills the caches of tables, which are constants then
-    with warnings.catch_warnings(), reference_kernels():
+    inputs: tuple[Any, ...] = (example_images(program.eval(), batch or 2),)
+    shapes: tuple[Any, ...] = ({} if batch else {0: torch.export.Dim("batch", min=1)},)
+    if program.tables == "inputs":
+        tables = rig_tables(program)
+        inputs, shapes = (*inputs, tables), (*shapes, dict.fromkeys(tables))
+    with warnings.catch_warnings(), compact_kernels():
         warnings.simplefilter("ignore")
-        traced: Any = torch.export.export(program, (images,), strict=False).module()
-        exported = torch.export.export(with_constants_folded(traced, images), (images,), strict=False)
+        program(*inputs)  # makes the tables of icospheres, which are constants then
+        traced: Any = torch.export.export(program, inputs, dynamic_shapes=shapes, strict=False).module()
+        folded = with_constants_folded(traced, *inputs)
+        exported = torch.export.export(folded, inputs, dynamic_shapes=shapes, strict=False)
     if path is not None:
         with atomic_write(path) as temporary:
             torch.export.save(exported, temporary)
@@ -158,7 +227,9 @@ def export_program(
 
 
 def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Path:
-    """Write an exported program as an ONNX file with the input ``images`` and the outputs of ``RigProgram``.
+    """Write an exported program as an ONNX file with the outputs of ``RigProgram``.
+
+    Its inputs are ``images`` and, where the program has them, the tables by their names.
 
     Raises:
         ArgumentError: the packages for it are missing; ``pip install sphericalvision[onnx]``.
@@ -169,6 +240,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
     except ImportError as error:
         raise ArgumentError(f"onnx: needs {error.name}: pip install 'sphericalvision[onnx]'") from None
     names = ["inverse_depth", "confidence", "seen"]
+    inputs, _ = exported.example_inputs
     with warnings.catch_warnings(), atomic_write(path) as temporary:
         warnings.simplefilter("ignore")
         # The optimiser of the converter does not end on programs of this size; runtimes optimise what they load.
@@ -178,7 +250,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
             optimize=False,
             verbose=False,
             opset_version=OPSET,
-            input_names=["images"],
+            input_names=["images", *(name for tables in inputs[1:] for name in tables)],
             output_names=names,
         )
         assert converted is not None
@@ -193,13 +265,31 @@ def onnx_difference(path: str | Path, program: RigProgram, images: Float[Tensor,
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    found = torch.from_numpy(session.run(["inverse_depth"], {"images": images.cpu().numpy()})[0])
+    inputs = {"images": images, **(rig_tables(program) if program.tables == "inputs" else {})}
+    arrays = {node.name: inputs[node.name].cpu().numpy() for node in session.get_inputs()}
+    found = torch.from_numpy(session.run(["inverse_depth"], arrays)[0])
     with torch.no_grad():
         expected = program(images)[0].cpu()
     return float((found - expected).nan_to_num().abs().max())
 
 
-def with_constants_folded(traced: GraphModule, *inputs: Tensor) -> GraphModule:
+def onnx_size(path: str | Path) -> tuple[int, int]:
+    """Return how many operations an ONNX file has, those inside of loops counted once, and its size in bytes."""
+    import onnx
+
+    def count(graph: Any) -> int:
+        inside = [
+            attribute.g for node in graph.node for attribute in node.attribute if attribute.HasField("g")
+        ]
+        return sum(node.op_type != "Constant" for node in graph.node) + sum(map(count, inside))
+
+    model = onnx.load(path, load_external_data=False)
+    return count(model.graph) + sum(len(function.node) for function in model.functions), Path(
+        path
+    ).stat().st_size
+
+
+def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
     """Return a traced module in which everything that does not depend on its inputs is a constant.
 
     Index arithmetic of icospheres makes up most of a network's graph, and none of it depends on images.

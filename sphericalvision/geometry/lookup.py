@@ -10,6 +10,8 @@ of them is read. Both are modules whose tables move with ``.to`` and are not sav
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, Shaped
@@ -84,7 +86,7 @@ def weighted_sums(
         found = values.index_select(-1, ids.flatten()).unflatten(-1, tuple(ids.shape))
         return (found * weights).sum(-1)
     # All channels of a value side by side, so that they are read at once.
-    rows = values.reshape(values.shape[:-1].numel(), values.shape[-1]).t().contiguous()
+    rows = values.reshape(math.prod(values.shape[:-1]), values.shape[-1]).t().contiguous()
     wants_grad = torch.is_grad_enabled() and (values.requires_grad or weights.requires_grad)
     found = (_term_by_term if wants_grad else weighted_rows)(rows, ids, weights)
     return found.t().reshape(*values.shape[:-1], len(ids)).contiguous()
@@ -236,7 +238,7 @@ class ImageLookup(nn.Module):
 
     def _parts(self, images: Tensor) -> int:
         """How many parts to cut results into: on a CPU ``grid_sample`` gives each image of a batch to one thread."""
-        if torch.compiler.is_compiling() or len(images) > 1 or images.device.type != "cpu":
+        if torch.compiler.is_compiling() or images.shape[0] > 1 or images.device.type != "cpu":
             return 1
         if torch.get_num_threads() == 1 or uses_reference_kernels():
             return 1

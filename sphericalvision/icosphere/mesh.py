@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from sphericalvision.core import made_once
 from sphericalvision.icosphere.topology import check_level
 
 __all__ = ["icosahedron_rectangles", "icosphere_vertices"]
@@ -42,6 +43,7 @@ def icosahedron_rectangles(
     )
 
 
+@made_once
 def icosphere_vertices(
     level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
 ) -> Float[Tensor, "V 3"]:

@@ -185,9 +185,12 @@ class DepthNetwork(RemembersArguments):
                 f"got {tuple(images.shape)}"
             )
         one = (images.shape[1], *size)
-        if seen is not None and tuple(seen.shape) not in (one, (len(images), *one)):
+        fits = seen is None or (
+            seen.ndim - len(one) in (0, 1) and tuple(seen.shape) == (images.shape[0], *one)[-seen.ndim :]
+        )
+        if seen is not None and not fits:
             raise ShapeError(
-                f"seen: expected shape {one}, or {(len(images), *one)} as the images have, got {tuple(seen.shape)}"
+                f"seen: expected shape {one}, or {(images.shape[0], *one)} as the images have, got {tuple(seen.shape)}"
             )
 
     def depth(self, index: Num[Tensor, "*grid"]) -> Float[Tensor, "*grid"]:

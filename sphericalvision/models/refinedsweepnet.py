@@ -207,7 +207,7 @@ class RefinedSweepNet(DepthNetwork):
             prior = icosphere_upsample(prior)
         prior = prior.log_softmax(1)
         start = self.fusion.start(clues, prior)
-        size = (offsets.norm(dim=-1).mean(-1) / self.min_depth).expand(len(images))
+        size = (offsets.norm(dim=-1).mean(-1) / self.min_depth).expand(images.shape[0])
         appearance = self._appearance(start[:, None], images, seen, offsets)
         return self.fusion(clues, prior, start, appearance, self.up, size)  # type: ignore[no-any-return]
 
@@ -227,7 +227,7 @@ class RefinedSweepNet(DepthNetwork):
         """What cameras see at indices ``(B, K, V)``."""
         index = index.detach().clamp(0, self.inner_hypotheses - 1)
         inverse_depth = inverse_depth_from_index(index, self.inner_hypotheses, self.min_depth)
-        return appearance_at_depth(images, seen, offsets.expand(len(images), -1, -1), inverse_depth)
+        return appearance_at_depth(images, seen, offsets.expand(images.shape[0], -1, -1), inverse_depth)
 
     def fixed_inputs(
         self,

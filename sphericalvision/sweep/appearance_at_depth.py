@@ -10,6 +10,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sphericalvision.core import uses_compact_kernels
+from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import TriangleLocator, icosphere_vertices, level_from_num_vertices
 from sphericalvision.sweep.visibility import check_seen
 
@@ -58,6 +60,8 @@ def appearance_at_depth(
     locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
     shown = check_seen(seen, images).to(images)[:, :, None]
     rows = torch.cat((images * shown, shown), 2).transpose(2, 3).contiguous()  # colours beside each other
+    if uses_compact_kernels():
+        return _all_at_once(rows, locator, vertices, offsets, inverse_depths)
     found = []
     for sample, offset, inverse_depth in zip(rows, offsets, inverse_depths, strict=True):
         values = [
@@ -89,3 +93,23 @@ def _looked_up(
         bags = locator.faces.index_select(0, triangles)
         values.append(F.embedding_bag(bags, rows, per_sample_weights=shares.T.to(rows), mode="sum"))
     return torch.cat(values).view(*inverse_depth.shape, -1)
+
+
+def _all_at_once(
+    rows: Tensor, locator: TriangleLocator, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
+) -> AppearanceAtDepth:
+    """The same of images ``(B, n, V_image, C)`` without a loop."""
+    batch, cameras, number, channels = rows.shape
+    offset = offsets.permute(2, 0, 1)[..., None, None]
+    rays = vertices[:, None, None, None] + offset * inverse_depths[:, None]  # (3, B, n, K, V)
+    triangles, shares = locator.find(rays.flatten(1))
+    first_row = torch.arange(batch * cameras, device=rows.device) * number
+    bags = locator.faces.index_select(0, triangles).view(batch * cameras, -1, 3) + first_row[:, None, None]
+    values = weighted_rows(rows.reshape(-1, channels), bags.view(-1, 3), shares.T)
+    values = values.view(*rays.shape[1:], channels)
+    weights = (values[..., -1:] > 0.5).to(values)
+    colors = values[..., :-1] / values[..., -1:].clamp(min=0.5)
+    count = weights.sum(1)
+    mean = (weights * colors).sum(1) / count.clamp(min=1)
+    far = (weights * (colors - mean[:, None]).abs()).sum(1) / count.clamp(min=1)
+    return AppearanceAtDepth(mean.mT, far.mean(-1), count.squeeze(-1))

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, uses_compact_kernels
 from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
@@ -82,7 +82,7 @@ def correlation_evidence(
         raise ShapeError(
             f"images: expected shape (B, n, C, V) of two or more cameras, got {tuple(images.shape)}"
         )
-    batch = len(images)
+    batch = images.shape[0]
     table_level = level_from_num_vertices(tables.ids.shape[-3])
     level = table_level if level is None else check_level(level)
     if level > table_level:
@@ -91,12 +91,14 @@ def correlation_evidence(
     if not shared and len(tables.ids) != batch:
         raise ShapeError(f"tables: expected those of {batch} rigs or of one for all, got {len(tables.ids)}")
     known = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
-    return torch.stack(
+    if uses_compact_kernels():
+        return _evidence(images, known, tables, level, noise)
+    return torch.cat(
         [
             _evidence(
-                images[sample],
-                known[sample],
-                tables if shared else SweepTables(*(table[sample] for table in tables)),
+                images[sample : sample + 1],
+                known[sample : sample + 1],
+                tables if shared else SweepTables(*(table[sample : sample + 1] for table in tables)),
                 level,
                 noise,
             )
@@ -108,7 +110,10 @@ def correlation_evidence(
 
 
 def _evidence(images: Tensor, known: Tensor, tables: SweepTables, level: int, noise: float) -> Tensor:
-    """Evidence ``(3, N, V)`` of images ``(n, C, V_image)``, known where ``(n, V_image)`` is 1."""
+    """Evidence ``(B, 3, N, V)`` of images ``(B, n, C, V_image)``, known where ``(B, n, V_image)`` is 1.
+
+    Samples lie side by side as hypotheses do.
+    """
     colors, seen = _sweep(images, known, tables)
     correlations = window_correlations(colors, seen, level, noise)
     seen = seen[ids_of_coarser_level(level_from_num_vertices(len(seen)), level, seen.device)]
@@ -117,11 +122,12 @@ def _evidence(images: Tensor, known: Tensor, tables: SweepTables, level: int, no
     mean = torch.stack([c * weight for c, weight in zip(correlations, both, strict=True)]).sum(0)
     ranked = [c.clamp(0, 1).where(b > 0, -1.0) for c, b in zip(correlations, both, strict=True)]
     best = mean_of_better_half(ranked, count)
-    return torch.stack((mean / count.clamp(min=1), best, seen.sum(1))).transpose(1, 2)
+    evidence = torch.stack((mean / count.clamp(min=1), best, seen.sum(1)))
+    return evidence.unflatten(-1, (-1, tables.ids.shape[-4])).permute(2, 0, 3, 1)
 
 
 def _sweep(images: Tensor, known: Tensor, tables: SweepTables) -> tuple[Tensor, Tensor]:
-    """What cameras see: colours ``(V, n, C, N)``, 0 where they see nothing, and where they do ``(V, n, N)``, 0 or 1.
+    """What cameras see: colours ``(V, n, C, B N)``, 0 where they see nothing, where they do ``(V, n, B N)``, 0 or 1.
 
     Colours are less their mean over the image, on which no correlation depends, and which would cost digits. What is
     known is swept with them: its share tells how much of what is interpolated there is to be seen, and the colours are
@@ -130,10 +136,10 @@ def _sweep(images: Tensor, known: Tensor, tables: SweepTables) -> tuple[Tensor, 
     References:
         Knutsson and Westin (1993), "Normalized and differential convolution".
     """
-    known = known[:, None]
+    known = known[:, :, None]
     mean = (images * known).sum(-1, keepdim=True) / known.sum(-1, keepdim=True).clamp(min=1)
-    values = sphere_sweep(torch.cat(((images - mean) * known, known), 1)[None], tables).values[0]
-    planes = values.permute(3, 0, 1, 2).contiguous()
+    values = sphere_sweep(torch.cat(((images - mean) * known, known), 2), tables).values
+    planes = values.permute(4, 1, 2, 0, 3).flatten(3).contiguous()
     share = planes[:, :, -1]
     seen = (share > LEAST_SHARE).to(images.dtype)
     return planes[:, :, :-1] * (seen / share.clamp(min=LEAST_SHARE))[:, :, None], seen

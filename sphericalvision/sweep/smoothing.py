@@ -11,8 +11,9 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.core import ArgumentError, ShapeError, made_once, uses_compact_kernels
+from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
+from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.lines import icosphere_lines
 
 __all__ = ["semi_global_smoothing", "smoothing_paths"]
@@ -73,6 +74,12 @@ def semi_global_smoothing(
         expected = f"({cost.shape[0]}, C, {cost.shape[2]})"
         raise ShapeError(f"guide: expected shape {expected}, got {tuple(guide.shape)}")
     planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
+    if uses_compact_kernels():
+        along = [
+            _scanned(planes, guide, paths, first, small_penalty, large_penalty, contrast)
+            for paths, first in smoothing_paths(level, lead, cost.device)
+        ]
+        return mean_by_id(torch.cat(along, 2), _arrivals(level, lead, cost.device)).transpose(0, 1)
     total, count = torch.zeros_like(planes), planes.new_zeros(planes.shape[-1])
     for paths, first in smoothing_paths(level, lead, cost.device):
         ids, shape = paths.flatten(), (*planes.shape[:2], *paths.shape)
@@ -86,6 +93,38 @@ def semi_global_smoothing(
         total = total.index_add(2, ids, arrived)
         count.index_add_(0, ids, count.new_ones(len(ids)))
     return (total / count).transpose(0, 1)
+
+
+def _scanned(
+    planes: Tensor,
+    guide: Tensor | None,
+    paths: Tensor,
+    first: int,
+    small_penalty: float,
+    large_penalty: float,
+    contrast: float,
+) -> Tensor:
+    """Costs ``(N, B, P')`` along paths from step ``first`` on, by a loop that is one operation to who records it."""
+    from torch._higher_order_ops.scan import scan_op  # takes a second, and only who exports pays it
+
+    steps = planes.index_select(2, paths.flatten()).unflatten(2, tuple(paths.shape)).movedim(2, 0)
+    penalties = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
+    jumps = torch.stack([torch.as_tensor(jump, dtype=steps.dtype, device=steps.device) for jump in penalties])
+
+    def extend(reached: Tensor, cost: Tensor, jump: Tensor) -> tuple[Tensor, Tensor]:
+        reached = _extended(reached, cost, small_penalty, jump)
+        return reached, reached.clone()
+
+    _, reached = scan_op(extend, [steps[0].clone()], [steps[1:], jumps], ())
+    reached = torch.cat((steps[:1], reached))[first:]
+    return reached.movedim(0, 2).flatten(2)
+
+
+@made_once
+def _arrivals(level: int, lead: float, device: torch.device) -> MeansById:
+    """Which of the costs along all paths are those of a vertex."""
+    ids = [paths[first:].flatten() for paths, first in smoothing_paths(level, lead, device)]
+    return means_by_id(torch.cat(ids), num_icosphere_vertices(level))
 
 
 def _extended(reached: Tensor, cost: Tensor, small_penalty: float, jump: Tensor | float) -> Tensor:

@@ -56,7 +56,9 @@ def sphere_sweep(
     """
     values = _look_up(features, tables)
     points_seen = tables.seen if seen is None else _points_seen(_batched(seen, features), tables)
-    return SweepVolume(values, points_seen.expand(len(features), *points_seen.shape[-3:]).permute(0, 3, 1, 2))
+    return SweepVolume(
+        values, points_seen.expand(features.shape[0], *points_seen.shape[-3:]).permute(0, 3, 1, 2)
+    )
 
 
 def _batched(seen: Tensor, features: Tensor) -> Tensor:
@@ -64,7 +66,7 @@ def _batched(seen: Tensor, features: Tensor) -> Tensor:
     expected = features.shape[0], features.shape[1], features.shape[3]
     if seen.ndim == 2:
         seen = seen[None]
-    if seen.ndim != 3 or seen.shape[1:] != expected[1:] or len(seen) not in (1, expected[0]):
+    if seen.ndim != 3 or seen.shape[1:] != expected[1:] or seen.shape[0] not in (expected[0], 1):
         raise ShapeError(
             f"seen: expected shape {expected} or {expected[1:]}, as the features have, got {tuple(seen.shape)}"
         )
@@ -90,7 +92,7 @@ def _look_up(features: Tensor, tables: SweepTables) -> Tensor:
             f"features: got {num_cameras} cameras, but the rig has {tables.num_cameras}; "
             "pass images in the order of rig.names"
         )
-    if ids.ndim == 5 and len(ids) != batch:
+    if ids.ndim == 5 and ids.shape[0] != batch:
         raise ShapeError(
             f"rig: expected one rig for each of {batch} samples or a shared one, got {len(ids)} rigs"
         )

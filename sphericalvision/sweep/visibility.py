@@ -42,6 +42,6 @@ def check_seen(
     """
     batch, num_cameras, num_vertices = (images.shape[dim] for dim in (0, 1, -1))
     shape = (batch, num_cameras, num_vertices)
-    if tuple(seen.shape) not in (shape, shape[1:]):
+    if seen.ndim not in (2, 3) or tuple(seen.shape) != shape[-seen.ndim :]:
         raise ShapeError(f"seen: expected shape {shape} or {shape[1:]}, got {tuple(seen.shape)}")
     return seen.expand(shape)

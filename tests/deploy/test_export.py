@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import torch
 
 from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, FisheyeCamera, ring_rig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, compact_kernels
 from sphericalvision.data import make_scene, render_rig
 from sphericalvision.deploy.export import (
     RigProgram,
@@ -18,9 +19,10 @@ from sphericalvision.deploy.export import (
     export_onnx,
     export_program,
     onnx_difference,
+    rig_tables,
     with_constants_folded,
 )
-from sphericalvision.models import IcoSweepNet
+from sphericalvision.models import IcoSweepNet, RefinedSweepNet
 
 RIG = ring_rig(3, image_size=(24, 30))
 
@@ -52,6 +54,69 @@ def test_a_program_is_its_predictor() -> None:
         wide = RigProgram(one, height=8)(stacked)
         torch.testing.assert_close(wide[0][0].reciprocal(), panorama.depth, rtol=1e-4, atol=1e-4)
         assert torch.equal(wide[2][0], panorama.seen)
+
+
+@cache
+def refined(radius: float = 0.2, **options: object) -> RigProgram:
+    """A small network as the default one is, with weights that change its answer."""
+    torch.manual_seed(0)
+    net = RefinedSweepNet(2, 8, inner_hypotheses=8, widths=(4, 6))
+    with torch.no_grad():
+        for weight in net.parameters():
+            if not weight.any():
+                weight.normal_(std=0.1)
+    rig = ring_rig(3, radius=radius, image_size=(24, 30))
+    return RigProgram(Predictor(rig, net.eval(), min_depth=0.5), **options).eval()  # type: ignore[arg-type]
+
+
+def test_the_compact_way_is_the_same_for_a_whole_network() -> None:
+    program = refined(height=8)
+    images = example_images(program, batch=2)
+    with torch.inference_mode():
+        expected = program(images)
+        with compact_kernels():
+            found = program(images)
+    for ours, theirs in zip(found, expected, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4)
+
+
+def test_tables_of_another_rig() -> None:
+    one, other = refined(tables="inputs"), refined(radius=0.1)
+    images = example_images(one)
+    with torch.inference_mode():
+        torch.testing.assert_close(one(images, rig_tables(other, like=one)), other(images))
+        assert not torch.allclose(one(images, rig_tables(one))[0], other(images)[0])
+    with pytest.raises(ArgumentError, match="as many cameras"):
+        rig_tables(RigProgram(predictor()), like=one)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tables", ["inside", "inputs"])
+def test_the_default_network_as_a_program(tables: str, tmp_path: Path) -> None:
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    program, batch = refined(height=8, tables=tables), 1 if tables == "inside" else None
+    exported = export_program(program, tmp_path / "depth.pt2", batch)
+    assert sum(node.op == "call_function" for node in exported.graph.nodes) < 3000
+    loaded = torch.export.load(tmp_path / "depth.pt2").module()
+    path = export_onnx(exported, tmp_path / "depth.onnx")
+    for size in (1,) if batch else (1, 3):
+        images = example_images(program, size)
+        inputs = (images,) if batch else (images, rig_tables(program))
+        for ours, theirs in zip(program(*inputs), loaded(*inputs), strict=True):
+            torch.testing.assert_close(theirs, ours, rtol=1e-4, atol=1e-4)
+        assert onnx_difference(path, program, images) < 1e-4
+
+
+@pytest.mark.slow
+def test_the_default_network_at_its_level(tmp_path: Path) -> None:
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    rig = ring_rig(4, image_size=(200, 200))
+    program = RigProgram(Predictor(rig, min_depth=0.55), height=160)
+    images = torch.stack(list(render_rig(make_scene("room", seed=1), rig).values()))[None]
+    path = export_onnx(export_program(program), tmp_path / "depth.onnx")
+    assert onnx_difference(path, program, images) < 1e-4
 
 
 @pytest.mark.slow

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, reference_kernels
-from sphericalvision.icosphere import Icosphere, TriangleLocator, icosphere_faces, locate
+from sphericalvision.core import ArgumentError, compact_kernels, reference_kernels
+from sphericalvision.icosphere import Icosphere, TriangleLocator, icosphere_faces, icosphere_vertices, locate
 from sphericalvision.icosphere.fast.triangle_table import triangle_table
 
 
@@ -161,3 +161,19 @@ def test_levels_out_of_bounds_are_refused() -> None:
     for level in (-1, 11, 30, 1.0):
         with pytest.raises(ArgumentError, match="level: expected an integer from 0"):
             TriangleLocator(level)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("level", [0, 1, 4, 6])
+def test_few_steps_are_enough(level: int) -> None:
+    rays = torch.randn(3, 30_000, generator=torch.Generator().manual_seed(level))
+    vertices = icosphere_vertices(min(level, 4)).T  # on corners any of the triangles is right
+    for columns, exact in ((rays, True), (vertices * 3, False)):
+        triangles, weights = TriangleLocator(level).find(columns.contiguous())
+        with compact_kernels():
+            found, shares = TriangleLocator(level).find(columns.contiguous())
+        slack = 8 * 2**level * torch.finfo(torch.float32).eps
+        assert shares.min() > -2 * slack
+        if exact:
+            same = triangles == found
+            assert same.float().mean() > 0.999
+            torch.testing.assert_close(shares[:, same], weights[:, same], rtol=0, atol=1e-4)

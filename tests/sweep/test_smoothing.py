@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, compact_kernels
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors
 from sphericalvision.sweep import semi_global_smoothing
 from sphericalvision.sweep.smoothing import smoothing_paths
@@ -150,3 +150,12 @@ def test_errors_name_the_argument() -> None:
         semi_global_smoothing(cost, 0.1, 0.5, contrast=0.0)
     with pytest.raises(ArgumentError, match="lead"):
         semi_global_smoothing(cost, 0.1, 0.5, lead=5.0)
+
+
+@pytest.mark.parametrize("guided", [True, False])
+def test_the_compact_way_is_the_same(guided: bool, generator: torch.Generator) -> None:
+    cost = torch.rand(2, 5, 162, generator=generator)
+    guide = torch.rand(2, 3, 162, generator=generator) if guided else None
+    expected = semi_global_smoothing(cost, 0.3, 3.6, guide, 0.4)
+    with compact_kernels():
+        torch.testing.assert_close(semi_global_smoothing(cost, 0.3, 3.6, guide, 0.4), expected)

@@ -17,17 +17,20 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from sphericalvision.core import made_once
 from sphericalvision.icosphere.descent import descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import icosphere_faces
 
-__all__ = ["TriangleTable", "coefficients", "find_triangles", "triangle_table"]
+__all__ = ["TriangleTable", "coefficients", "find_in_few_steps", "find_triangles", "triangle_table"]
 
 #: Cells along an edge of the octahedron: six for each triangle, within reason.
 CELLS, MOST_CELLS = 8, 512
 #: Steps across edges before the way down is taken after all.
 STEPS = 16
+#: Steps of those who cannot ask whether they are there: around a corner from the middle of a cell.
+FEW_STEPS = 3
 #: Level up to which cells are looked up by the way down.
 FIRST = 1
 
@@ -95,6 +98,38 @@ def find_triangles(
     triangles[where] = descend(unit, table.level).numbers(table.level).int()
     shares[:, where] = coefficients(rays[:, where], triangles[where], table)
     return triangles, shares
+
+
+def find_in_few_steps(
+    rays: Float[Tensor, "3 m"], table: TriangleTable
+) -> tuple[Int[Tensor, " m"], Float[Tensor, "3 m"]]:
+    """Return what ``find_triangles`` does, and weights that add up to one, by as many operations for any rays.
+
+    A cell is smaller than a triangle, so that none is farther than around a corner from the one in its middle.
+    """
+    x, y, z = rays
+    half = table.resolution / 2
+    scale = half / rays.abs().sum(0)
+    row, column = ((across * scale + half).int().clamp(0, table.resolution - 1) for across in (x + z, x - z))
+    triangles = table.cells.index_select(
+        0, ((y < 0).int() * table.resolution + row) * table.resolution + column
+    )
+    matrices = _matrix_rows(table.level, rays.dtype, rays.device)
+    slack = 8 * 2**table.level * torch.finfo(rays.dtype).eps
+    columns = rays.T[:, :, None]
+    for step in range(FEW_STEPS + 1):
+        shares = (matrices.index_select(0, triangles).view(-1, 3, 3) * columns).sum(1)
+        if step < FEW_STEPS:
+            least, corner = shares.min(1)
+            beyond = table.neighbors.index_select(0, triangles * 3 + corner.int())
+            triangles = beyond.where(least < -slack * shares.sum(1), triangles)
+    return triangles, (shares / shares.sum(1, keepdim=True)).T
+
+
+@made_once
+def _matrix_rows(level: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Matrices of ``triangle_table``, one beside the other in memory: ``(T, 9)``."""
+    return triangle_table(level, dtype, device).matrices.view(9, -1).T.contiguous()
 
 
 def coefficients(

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Crowns and hexagonal convolutions by few large operations: what ``core.compact_kernels`` asks for."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from sphericalvision.core import made_once
+from sphericalvision.crown.hexpad import hex_pad
+from sphericalvision.crown.places import level_of_rectangles, place_ids
+from sphericalvision.crown.taps import COL_TAPS, neighbor_taps
+from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
+from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
+from sphericalvision.icosphere.topology import coarse_vertex_ids
+
+__all__ = ["compact_fold", "compact_hex_conv", "compact_norm"]
+
+Rings = tuple[tuple[int, ...], ...]
+
+
+def compact_fold(
+    col: Float[Tensor, "B 5 C *N long short"], row: Float[Tensor, "B 5 C *N short long"]
+) -> Float[Tensor, "B C *N V"]:
+    """Return the mean of each vertex over all its places, as ``from_crown`` does."""
+    places = torch.cat((col.flatten(-2), row.flatten(-2)), 1).movedim(1, -2).flatten(-2)
+    return mean_by_id(places, _fold_tables(level_of_rectangles(col), col.device))
+
+
+@made_once
+def _fold_tables(level: int, device: torch.device) -> MeansById:
+    return means_by_id(place_ids(level, device).flatten(), num_icosphere_vertices(level))
+
+
+def compact_norm(
+    col: Float[Tensor, "B 5 C *N long short"],
+    row: Float[Tensor, "B 5 C *N short long"],
+    weight: Float[Tensor, " C"],
+    bias: Float[Tensor, " C"],
+    eps: float,
+) -> tuple[Float[Tensor, "B 5 C *N long short"], Float[Tensor, "B 5 C *N short long"]]:
+    """Normalise the rectangles of each sample by its own statistics, as ``CrownInstanceNorm2d`` and 3d do."""
+    over = (1, *range(3, col.ndim))
+    shape = (-1, *(1,) * (col.ndim - 3))
+    # Both kinds of rectangle have as many places.
+    mean = (col.mean(over, keepdim=True) + row.mean(over, keepdim=True)) / 2
+    col, row = col - mean, row - mean
+    variance = (col.square().mean(over, keepdim=True) + row.square().mean(over, keepdim=True)) / 2
+    scale = (variance + eps).rsqrt() * weight.view(shape)
+    return col * scale + bias.view(shape), row * scale + bias.view(shape)
+
+
+def compact_hex_conv(
+    values: Float[Tensor, "B C_in V"],
+    weight: Float[Tensor, "C_out C_in 7"],
+    bias: Float[Tensor, " C_out"] | None,
+    stride: int,
+    rings: Rings,
+) -> Float[Tensor, "B C_out V_out"]:
+    """Convolve along the charts, as ``hex_conv2d`` does: look the seven taps of every vertex up, then multiply.
+
+    Args:
+        values: ``(B, in, V)``.
+        weight: ``(out, in, 7)``.
+        bias: ``(out,)``.
+        stride: 1 or 2.
+        rings: taps of the five neighbours and of the gap at the north pole, A, B and the south pole.
+    """
+    around, taps = _tap_tables(level_from_num_vertices(values.shape[-1]), stride, rings, values.device)
+    rows = values.mT
+    gaps = rows.index_select(1, around.flatten()).unflatten(1, tuple(around.shape)).mean(2)
+    found = torch.cat((rows, gaps), 1).index_select(1, taps.flatten())
+    found = found.reshape(values.shape[0], taps.shape[0], 7 * values.shape[1])
+    return F.linear(found, weight.mT.flatten(1), bias).mT
+
+
+@made_once
+def _tap_tables(
+    level: int, stride: int, rings: Rings, device: torch.device
+) -> tuple[Int[Tensor, "12 5"], Int[Tensor, "V_out 7"]]:
+    """Neighbours of the twelve special vertices; and what each tap of a vertex reads, V + s for the mean of these."""
+    number, n = num_icosphere_vertices(level), 2**level
+    charts, special = hex_pad(torch.arange(number, dtype=torch.float64, device=device)[None, None])
+    charts, special = charts[0, :, 0].long(), special[0, 0].long()
+    places = neighbor_taps(COL_TAPS)
+    own = torch.stack(
+        [charts[:, place // 3 : place // 3 + 2 * n, place % 3 : place % 3 + n] for place in places], -1
+    )
+    order = torch.tensor([sum(COL_TAPS, ())[place] for place in places], device=device)
+    taps = special.new_empty(number, 7)
+    taps[1:-1, order] = own.view(-1, 7)
+    pole_north, a, b, pole_south = rings
+    for vertex, ring in enumerate((pole_north, *(a, b) * 5, pole_south)):
+        *neighbors, center = special[vertex]
+        taps[center, torch.tensor(ring, device=device)] = torch.stack(
+            (*neighbors, center * 0 + number + vertex)
+        )
+        taps[center, 6] = center
+    return special[:, :5], taps if stride == 1 else taps[coarse_vertex_ids(level, device)]

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compact way gives the numbers of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.core import compact_kernels, uses_compact_kernels, uses_reference_kernels
+from sphericalvision.crown import Crown, CrownBatchNorm3d, CrownBlock3d, from_crown, hex_conv2d
+from sphericalvision.crown.norm import crown_norm
+from sphericalvision.icosphere import icosphere_vertices
+
+
+def compare(function: Callable[[], Tensor]) -> None:
+    expected = function()
+    with compact_kernels():
+        found = function()
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_blocks_open_and_close() -> None:
+    with compact_kernels():
+        assert uses_compact_kernels()
+        assert uses_reference_kernels()
+        with compact_kernels():
+            inner = icosphere_vertices(1)
+            assert icosphere_vertices(1) is inner
+        assert icosphere_vertices(1) is not inner
+    assert not uses_compact_kernels()
+    assert not uses_reference_kernels()
+
+
+@pytest.mark.parametrize("level", [0, 1, 3])
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("bias", [True, False])
+def test_hexagonal_convolutions(level: int, stride: int, bias: bool) -> None:
+    if stride > 1 and level == 0:
+        return
+    torch.manual_seed(0)
+    values, weight = torch.randn(2, 3, 10 * 4**level + 2), torch.randn(5, 3, 7)
+    compare(lambda: hex_conv2d(values, weight, torch.arange(5.0) if bias else None, stride))
+
+
+def random_crown(level: int, *middle: int) -> Crown:
+    n = 2**level
+    return Crown(torch.randn(2, 5, *middle, 2 * n + 1, n + 1), torch.randn(2, 5, *middle, n + 1, 2 * n + 1))
+
+
+@pytest.mark.parametrize("middle", [(3,), (3, 4)])
+def test_folding(middle: tuple[int, ...]) -> None:
+    torch.manual_seed(0)
+    for level in (0, 1, 3):
+        crown = random_crown(level, *middle)
+        compare(lambda crown=crown: from_crown(crown))  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("kind", ["batch", "instance"])
+def test_norms(kind: str) -> None:
+    torch.manual_seed(0)
+    for dims, middle in ((2, (3,)), (3, (3, 4))):
+        norm = crown_norm(kind, dims, 3).eval()
+        with torch.no_grad():
+            for tensor in norm.state_dict().values():
+                if tensor.is_floating_point():
+                    tensor.uniform_(0.5, 1.5)
+        crown = random_crown(2, *middle)
+        for part in range(2):
+            compare(lambda: norm(crown)[part].detach())  # noqa: B023
+
+
+def test_norm_in_training_has_statistics_of_the_batch() -> None:
+    crown = random_crown(1, 3, 4)
+    compare(lambda: CrownBatchNorm3d(3)(crown).col.detach())
+
+
+@pytest.mark.parametrize("norm", ["batch", "instance"])
+def test_blocks(norm: str) -> None:
+    torch.manual_seed(0)
+    block, volume = CrownBlock3d(3, 4, 3, norm, residual=True).eval(), torch.randn(2, 3, 5, 162)
+    with torch.inference_mode():
+        compare(lambda: block(volume))

@@ -50,6 +50,7 @@ class Predict:
     antialias: bool
     outputs: list[str] | None
     height: Count
+    near: Positive | None
     min_confidence: Share
     voxel: Positive | None
     output: Text

@@ -6,6 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from omegaconf import DictConfig
 from torch import Tensor
@@ -32,6 +34,7 @@ from sphericalvision.recipes.evaluation.tables import (
 from sphericalvision.recipes.prediction.outputs import Settings, Views, save_views
 from sphericalvision.sweep import index_from_inverse_depth
 from sphericalvision.viz import depth_panorama, error_panorama, sheet
+from sphericalvision.viz.figure import strip
 
 __all__ = ["demo"]
 
@@ -61,7 +64,7 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
         sample = ToSphere(net.level, antialias=True)(frame)
         views = Views(Predictor(rig, net, min_depth=net.min_depth)(frame["images"]), config.height)
         save_views(folder, "", views, Settings(["depth", "cloud", "npz"], config.height))
-        _save_comparison(folder, frame, views.panorama.depth, net)
+        _save_comparison(folder, frame, views, net)
     depths = SceneDepths(rig, config.baseline_scenes, net.level, config.train_seed, config.kind, scale)
     rows = _table(net, sample, DataLoader(depths, batch_size=8))
     print_rows(f"errors of this scene, percent of N = {net.num_hypotheses} (smaller is better)", rows)
@@ -70,22 +73,32 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
     return rows
 
 
-def _save_comparison(folder: Path, frame: dict[str, Any], depth: Tensor, net: DepthNetwork) -> None:
+def _save_comparison(folder: Path, frame: dict[str, Any], views: Views, net: DepthNetwork) -> None:
     """Ground truth and error as pictures, and everything side by side."""
-    number, min_depth = net.num_hypotheses, net.min_depth
+    number = net.num_hypotheses
     truth = frame["inverse_depth"]
-    estimate = index_from_inverse_depth(depth.reciprocal(), number, min_depth)
-    error = (estimate - index_from_inverse_depth(truth, number, min_depth)).abs() * (100 / number)
+    estimate = index_from_inverse_depth(views.panorama.depth.reciprocal(), number, net.min_depth)
+    error = (estimate - index_from_inverse_depth(truth, number, net.min_depth)).abs() * (100 / number)
+    true = depth_panorama(truth.reciprocal(), views.near)
+    wrong = error_panorama(error, max_error=10.0, label=f"error (% of N = {number})")
+    write_image(folder / "ground_truth.png", true)
+    write_image(folder / "error.png", wrong)
+    colors = _pixels(views.colors[0])
+    larger = true.shape[1] // colors.shape[1]  # pictures with a scale are enlarged if they are small
     pictures = {
-        "ground truth": depth_panorama(truth.reciprocal(), min_depth),
-        "error": error_panorama(error, max_error=10.0, label=f"error (% of N = {number})"),
+        "the images as one panorama": colors.repeat(larger, 0).repeat(larger, 1),
+        "estimated depth": views.depth_picture,
+        "error": wrong,
+        "true depth": true,
     }
-    write_image(folder / "ground_truth.png", pictures["ground truth"])
-    write_image(folder / "error.png", pictures["error"])
-    estimated = {"estimated depth": depth_panorama(depth, min_depth)}
-    views = {name: (view * 255).byte().permute(1, 2, 0).numpy() for name, view in frame["images"].items()}
-    overview = {"input": sheet(views, columns=2), **estimated, **pictures}
-    write_image(folder / "overview.png", sheet(overview, columns=2))
+    below = sheet(pictures, columns=2)
+    images = strip([_pixels(image) for image in frame["images"].values()], below.shape[1] - 24)
+    write_image(folder / "overview.png", np.concatenate((sheet({"input": images})[:-12], below)))
+
+
+def _pixels(image: Tensor) -> npt.NDArray[np.uint8]:
+    """uint8 ``(h, w, 3)`` of ``(3, h, w)`` in [0, 1]."""
+    return (image.clamp(0, 1) * 255).round().byte().movedim(0, -1).cpu().numpy()  # type: ignore[no-any-return]
 
 
 def _table(net: DepthNetwork, sample: dict[str, Any], depths: DataLoader[dict[str, Any]]) -> list[Row]:

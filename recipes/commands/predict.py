@@ -134,7 +134,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     )
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     rate = (source.rate or 10.0) / config.every
-    outputs = Outputs(folder, Settings(list(kinds), config.height, config.min_confidence, config.voxel, rate))
+    settings = Settings(list(kinds), config.height, config.min_confidence, config.voxel, rate, config.near)
+    outputs = Outputs(folder, settings)
     left = _left_to_do(names, folder, config, outputs.settings)
     wrong = run(source, selection, predictor, outputs, left, config.on_error == "stop")
     for path in outputs.written:

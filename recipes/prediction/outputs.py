@@ -18,12 +18,13 @@ from torch import Tensor
 from sphericalvision.core import FileFormatError, check_choice
 from sphericalvision.deploy import Depth, DepthImage
 from sphericalvision.deploy.checks import hypotheses_warning, poses_warning
+from sphericalvision.deploy.pictures import depth_picture, near_end_of
 from sphericalvision.deploy.viewer import save_viewer
 from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import write_image
 from sphericalvision.viz.color import colorize
 from sphericalvision.viz.figure import add_scale_bar
-from sphericalvision.viz.panorama import depth_panorama, rgb_panorama
+from sphericalvision.viz.panorama import rgb_panorama
 from sphericalvision.viz.pointcloud import save_point_cloud
 
 __all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
@@ -49,6 +50,7 @@ class Settings(NamedTuple):
         min_confidence: below which there are no points.
         voxel: side of the cubes of which each keeps one point, metres.
         rate: frames a second of the video.
+        near: metres, the red end of depth pictures; found in the first frame when not given.
     """
 
     outputs: Sequence[str]
@@ -56,13 +58,21 @@ class Settings(NamedTuple):
     min_confidence: float = 0.0
     voxel: float | None = None
     rate: float = 10.0
+    near: float | None = None
 
 
 class Views:
-    """Panoramas of one frame, each computed when something first wants it."""
+    """Panoramas of one frame, each computed when something first wants it.
 
-    def __init__(self, depth: Depth, height: int) -> None:
+    Args:
+        depth: of the frame.
+        height: rows of the panoramas.
+        near: metres, the red end of depth pictures; found in this frame when not given.
+    """
+
+    def __init__(self, depth: Depth, height: int, near: float | None = None) -> None:
         self.depth, self.height = depth, height
+        self.near = near_end_of(depth) if near is None else near
 
     @cached_property
     def panorama(self) -> DepthImage:
@@ -77,8 +87,8 @@ class Views:
 
     @cached_property
     def depth_picture(self) -> npt.NDArray[Any]:
-        """Depth in colours with a scale, grey where fewer than two cameras look."""
-        return depth_panorama(self.panorama.measured, self.depth.min_depth)
+        """Depth in colours with a scale, greyer where it is less sure, grey where fewer than two cameras look."""
+        return depth_picture(self.panorama, self.near)
 
     @property
     def share_seen(self) -> float:
@@ -111,7 +121,7 @@ def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> l
             written.append(save_point_cloud(path, points, cloud.colors, cloud.normals))
     if "viewer" in settings.outputs:
         title = f"depth all around {prefix.rstrip('_')}".strip()
-        path = save_viewer(folder / f"{prefix}viewer.html", views.depth, settings.height, title)
+        path = save_viewer(folder / f"{prefix}viewer.html", views.depth, settings.height, title, views.near)
         written.append(path)
     if "npz" in settings.outputs:
         path = folder / f"{prefix}depth.npz"
@@ -161,13 +171,16 @@ class Outputs:
         self.folder, self.settings = folder, settings
         self.written: list[Path] = []
         self.shares: list[float] = []
+        self.near = settings.near
         self.warnings: list[str] = []
         self._video: _Video | None = None
 
     def write(self, frame: str, depth: Depth) -> None:
         """Write what there is to write of a frame."""
         with torch.inference_mode():
-            views = Views(depth, self.settings.height)
+            if self.near is None:
+                self.near = near_end_of(depth)  # one for all frames
+            views = Views(depth, self.settings.height, self.near)
             if not self.shares:
                 self._warn(depth)
             self.shares.append(views.share_seen)

@@ -17,9 +17,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.deploy.depth import Depth
+from sphericalvision.deploy.pictures import near_end_of
 from sphericalvision.io.files import write_bytes
-from sphericalvision.viz.color import colorize, depth_to_color
-from sphericalvision.viz.panorama import rgb_panorama
+from sphericalvision.viz.color import colorize, depth_to_color, fade
+from sphericalvision.viz.panorama import confidence_strength, rgb_panorama
 
 __all__ = ["save_viewer"]
 
@@ -28,7 +29,13 @@ MOST_POINTS = 100_000
 
 
 @torch.inference_mode()
-def save_viewer(path: str | Path, depth: Depth, height: int = 512, title: str = "depth all around") -> Path:
+def save_viewer(
+    path: str | Path,
+    depth: Depth,
+    height: int = 512,
+    title: str = "depth all around",
+    near: float | None = None,
+) -> Path:
     """Write a self-contained HTML page of one frame and return its path; it opens from disk, without a network.
 
     Args:
@@ -36,6 +43,7 @@ def save_viewer(path: str | Path, depth: Depth, height: int = 512, title: str = 
         depth: of one frame.
         height: rows of the panoramas in it.
         title: of the page.
+        near: metres, the red end of the colours of depth; about the nearest of the frame when not given.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -47,13 +55,14 @@ def save_viewer(path: str | Path, depth: Depth, height: int = 512, title: str = 
         'room.html'
     """
     panorama = depth.panorama(height)
-    measured = panorama.measured.cpu()
+    near = near_end_of(depth) if near is None else near
     images = {name: image.cpu() for name, image in depth.images.items()}
     colors, _ = rgb_panorama(depth.rig.to("cpu"), images, height, panorama.depth.cpu())
     sure = panorama.confidence.where(panorama.seen, math.nan).cpu()
+    strength = confidence_strength(panorama.confidence, panorama.seen).cpu()
     pictures = {
         "image": (colors.clamp(0, 1) * 255).byte().movedim(0, -1).numpy(),
-        "depth": depth_to_color(measured, depth.min_depth),
+        "depth": fade(depth_to_color(panorama.depth, near), strength),
         "confidence": colorize(sure.numpy(), "viridis"),
     }
     cloud = depth.points()
@@ -69,7 +78,7 @@ def save_viewer(path: str | Path, depth: Depth, height: int = 512, title: str = 
         "colors": _base64(levels),
         "radius": float(points.norm(dim=-1).median()) if len(points) else 1.0,
     }
-    facts = f"red {depth.min_depth:.2f} m, dark blue far away, grey: fewer than two cameras look"
+    facts = f"red {near:.3g} m, dark blue far away; greyer where less sure, grey where fewer than two cameras look"
     page = (HERE / "viewer.html").read_text(encoding="utf-8")
     for mark, text in (
         ("__TITLE__", html.escape(title)),

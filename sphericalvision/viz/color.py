@@ -21,6 +21,8 @@ __all__ = [
     "depth_ticks",
     "depth_to_color",
     "error_to_color",
+    "fade",
+    "near_end",
 ]
 
 Picture = npt.NDArray[np.uint8]
@@ -102,6 +104,46 @@ def depth_ticks(
         ):
             chosen.append(depth)
     return [(positions[depth], "∞" if math.isinf(depth) else f"{depth:.3g}") for depth in sorted(chosen)]
+
+
+def fade(colors: Picture, strength: Values) -> Picture:
+    """Mix colours ``(*, 3)`` with the grey of what is unknown: all colour at strength ``(*)`` 1, all grey at 0.
+
+    Examples:
+        >>> fade(np.array([[208, 8, 128]], np.uint8), torch.tensor([0.5])).tolist()
+        [[168, 68, 128]]
+    """
+    share = np.clip(np.nan_to_num(_to_numpy(strength)), 0, 1)[..., None]
+    mixed = UNKNOWN_GREY + share * (colors.astype(np.float64) - UNKNOWN_GREY)
+    return mixed.round().astype(np.uint8)
+
+
+def near_end(depth: Values, min_depth: float, share: float = 0.01) -> float:
+    """Return a round depth in metres for the red end of a scale, so that the colours are made use of.
+
+    Few rigs have anything at the nearest depth that is tried. With red there, all the rest would be dark blue.
+
+    Args:
+        depth: ``(*)`` metres, evenly spread; NaN is unknown.
+        min_depth: metres; the result is not below.
+        share: of what is known, which may be nearer.
+
+    Examples:
+        >>> near_end(torch.linspace(1.3, 9.0, 1000), min_depth=0.1)
+        1.2
+    """
+    values = _to_numpy(depth)
+    values = values[values > 0]
+    if not len(values):
+        return min_depth
+    nearest = float(np.quantile(np.minimum(values, 1e6), share))
+    rounded = [
+        digit * 10.0**power for power in range(-4, 6) for digit in _ROUND if digit * 10.0**power <= nearest
+    ]
+    return max([min_depth, *(float(f"{depth:.2g}") for depth in rounded[-1:])])
+
+
+_ROUND = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
 
 
 def _check_depth_range(min_depth: float, max_depth: float) -> None:

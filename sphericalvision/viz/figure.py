@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import cv2
 import matplotlib
@@ -13,8 +14,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.viz.color import fade
 
-__all__ = ["add_scale_bar", "figure_pixels", "sheet"]
+__all__ = ["add_scale_bar", "figure_pixels", "sheet", "strip"]
 
 Picture = npt.NDArray[np.uint8]
 
@@ -24,7 +26,12 @@ _LEAST_WIDTH = 640  # titles and ticks fit; narrower pictures are enlarged by a 
 
 
 def add_scale_bar(
-    picture: Picture, color_map: str, ticks: Sequence[tuple[float, str]], label: str, title: str | None = None
+    picture: Picture,
+    color_map: str,
+    ticks: Sequence[tuple[float, str]],
+    label: str,
+    title: str | None = None,
+    faded: bool = False,
 ) -> Picture:
     """Put a colour bar below a picture and a title above it; the picture's pixels stay as they are.
 
@@ -34,26 +41,36 @@ def add_scale_bar(
         ticks: position in [0, 1] along the colour map, and text.
         label: quantity and unit.
         title: text above the picture.
+        faded: whether the colours of the bar fade to grey downwards, as those of ``fade`` do.
 
     Raises:
         ShapeError: the picture is not uint8 ``(h, w, 3)``.
     """
     picture = _enlarge(picture)
     width = picture.shape[1]
+    rows = [picture, _bar(width, color_map, tuple(ticks), label, faded)]
+    if title:
+        rows.insert(0, _text_row(title, width))
+    return np.ascontiguousarray(np.concatenate(rows))
+
+
+@lru_cache(maxsize=16)  # frames of a video share theirs, which takes longer to draw than a panorama
+def _bar(
+    width: int, color_map: str, ticks: tuple[tuple[float, str], ...], label: str, faded: bool
+) -> Picture:
     figure = Figure(figsize=((width + 0.5) / _DPI, 0.64), dpi=_DPI, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.03, 0.72, 0.94, 0.22))
-    gradient = matplotlib.colormaps[color_map](np.linspace(0, 1, 512))[None, :, :3]
+    gradient = matplotlib.colormaps[color_map](np.linspace(0, 1, 512), bytes=True)[None, :, :3]
+    if faded:
+        strength = np.repeat(np.linspace(1, 0, 14)[:, None], 512, axis=1)
+        gradient = fade(gradient.repeat(14, axis=0), strength)
     axes.imshow(gradient, extent=(0, 1, 0, 1), aspect="auto", interpolation="nearest")
     axes.set_yticks([])
     axes.set_xticks([position for position, _ in ticks], [text for _, text in ticks], fontsize=9)
     axes.set_xlabel(label, fontsize=9, labelpad=1)
     canvas.draw()
-    bar = np.asarray(canvas.buffer_rgba())[..., :3]
-    rows = [picture, bar[:, :width]]
-    if title:
-        rows.insert(0, _text_row(title, width))
-    return np.ascontiguousarray(np.concatenate(rows))
+    return np.asarray(canvas.buffer_rgba())[:, :width, :3].copy()
 
 
 def sheet(pictures: Mapping[str, Picture] | Sequence[Picture], columns: int = 1, gap: int = 12) -> Picture:
@@ -100,6 +117,43 @@ def sheet(pictures: Mapping[str, Picture] | Sequence[Picture], columns: int = 1,
             left += width + gap
         top += height + gap
     return page
+
+
+def strip(pictures: Sequence[Picture], width: int, gap: int = 12, most: int = 6) -> Picture:
+    """Lay out pictures in full rows of a width, rescaled so that no place is left over.
+
+    Args:
+        pictures: uint8 ``(h, w, 3)``; those of a row become equally high.
+        width: of the strip in pixels.
+        gap: pixels between them.
+        most: pictures in a row.
+
+    Raises:
+        ArgumentError: no pictures.
+
+    Examples:
+        >>> strip([np.zeros((30, 40, 3), np.uint8)] * 5, width=648).shape
+        (90, 648, 3)
+    """
+    if not pictures:
+        raise ArgumentError("strip: expected pictures, got none")
+    number = -(-len(pictures) // most)
+    rows = []
+    for chosen in np.array_split(np.arange(len(pictures)), number):
+        row = [pictures[place] for place in chosen]
+        room = width - gap * (len(row) - 1)
+        height = max(1, round(room / sum(picture.shape[1] / picture.shape[0] for picture in row)))
+        ends = np.cumsum([picture.shape[1] / picture.shape[0] for picture in row])
+        edges = [0, *(round(room * end / ends[-1]) for end in ends)]
+        cells = []
+        for picture, left, right in zip(row, edges, edges[1:], strict=False):
+            _check_picture(picture)
+            smaller = height * (right - left) < picture.shape[0] * picture.shape[1]
+            way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+            cells += [cv2.resize(picture, (right - left, height), interpolation=way)]
+            cells += [np.full((height, gap, 3), 255, np.uint8)]
+        rows += [np.concatenate(cells[:-1], 1), np.full((gap, width, 3), 255, np.uint8)]
+    return np.concatenate(rows[:-1]).astype(np.uint8)
 
 
 def figure_pixels(figure: Figure) -> Picture:

@@ -18,11 +18,12 @@ from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.io.images import write_image
 from sphericalvision.sphere import Equirectangular
-from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color
+from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color, fade
 from sphericalvision.viz.figure import add_scale_bar, sheet
 from sphericalvision.viz.point_colors import point_colors
 
 __all__ = [
+    "confidence_strength",
     "depth_panorama",
     "depth_to_color",
     "error_panorama",
@@ -38,7 +39,11 @@ Picture = npt.NDArray[Any]
 
 
 def depth_panorama(
-    depth: Float[Tensor, "H W"], min_depth: float, max_depth: float = math.inf, title: str | None = None
+    depth: Float[Tensor, "H W"],
+    min_depth: float,
+    max_depth: float = math.inf,
+    title: str | None = None,
+    strength: Float[Tensor, "H W"] | None = None,
 ) -> Picture:
     """Colour a depth panorama and put a scale in metres below it.
 
@@ -48,6 +53,8 @@ def depth_panorama(
         min_depth: metres, the near (red) end of the scale.
         max_depth: metres, the far (blue) end; the scale is even in inverse depth, so infinity is a good end.
         title: text above the picture.
+        strength: ``(H, W)`` 0 to 1: how much of its colour a depth keeps; the less, the greyer. ``confidence_strength``
+            makes it of a confidence.
 
     Returns:
         uint8 ``(H + margins, W, 3)``, RGB.
@@ -55,7 +62,30 @@ def depth_panorama(
     _check_panorama("depth", depth)
     ticks = depth_ticks(min_depth, max_depth)
     colors = depth_to_color(depth, min_depth, max_depth)
-    return add_scale_bar(colors, DEPTH_MAP, ticks, "depth (m)", title)
+    if strength is None:
+        return add_scale_bar(colors, DEPTH_MAP, ticks, "depth (m)", title)
+    label = "depth (m); the greyer, the less sure"
+    return add_scale_bar(fade(colors, strength), DEPTH_MAP, ticks, label, title, faded=True)
+
+
+def confidence_strength(
+    confidence: Float[Tensor, "*shape"], seen: Bool[Tensor, "*shape"]
+) -> Float[Tensor, "*shape"]:
+    """Return how much colour depth of a confidence keeps: none where fewer than two cameras look, all from 0.9 on.
+
+    Examples:
+        >>> sure, seen = torch.tensor([0.0, 0.65, 0.95, 0.95]), torch.tensor([True, True, True, False])
+        >>> confidence_strength(sure, seen)
+        tensor([0.1500, 0.5750, 1.0000, 0.0000])
+    """
+    share = ((confidence - _UNSURE) / (_SURE - _UNSURE)).clamp(0, 1)
+    return torch.where(seen, _LEAST + (1 - _LEAST) * share, 0.0)
+
+
+_LEAST = 0.15
+"""Of its colour, what a depth keeps that nothing speaks for."""
+_UNSURE, _SURE = 0.4, 0.9
+"""Confidence at which it keeps the least, and all: nearly everything that networks see well has more than 0.9."""
 
 
 def save_depth_panorama(

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -37,4 +38,8 @@ def test_the_demonstration_writes_everything(
     assert {"index", "depth", "inverse_depth", "directions"} <= set(np.load(folder / "depth.npz"))
     table = json.loads((folder / "metrics.json").read_text())
     assert list(table) == ["IcoSweepNet", "photo-consistency sweep", "constant depth map", "constant depth"]
+    overview = cv2.imread(str(folder / "overview.png")).astype(int)
+    height, width = (size // 8 for size in overview.shape[:2])
+    blocks = overview[: 8 * height, : 8 * width].reshape(8, height, 8, width, 3)
+    assert ((blocks == 255).mean((1, 3, 4)) < 0.8).all()  # no quarter is empty
     assert capsys.readouterr().out.strip().splitlines()[-1] == str(folder)

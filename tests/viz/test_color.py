@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.viz.color import UNKNOWN_GREY, depth_ticks, depth_to_color, error_to_color
+from sphericalvision.viz.color import UNKNOWN_GREY, depth_ticks, depth_to_color, error_to_color, near_end
 
 
 def test_depth_colours_are_even_in_inverse_depth() -> None:
@@ -61,3 +61,15 @@ def test_impossible_ranges_are_refused(near: float, far: float) -> None:
 def test_impossible_error_scale_is_refused() -> None:
     with pytest.raises(ArgumentError, match="max_error: expected a positive number"):
         error_to_color(torch.ones(2), 0.0)
+
+
+def test_the_red_end_is_round_near_what_is_nearest_and_not_nearer_than_what_is_tried() -> None:
+    depth = torch.linspace(0.9, 30.0, 5000)
+    depth[:10] = 0.2  # a few wrong ones do not count
+    assert near_end(depth, 0.1) == pytest.approx(1.0)  # 1.2 m is the first percentile
+    for scale in (0.01, 0.37, 5.0, 1000.0):
+        near = near_end(scale * depth, 1e-4)
+        nearest = float((scale * depth).quantile(0.01))
+        assert 0.75 * nearest <= near <= nearest
+    assert near_end(depth, 3.0) == 3.0
+    assert near_end(torch.full((5,), math.nan), 0.4) == 0.4

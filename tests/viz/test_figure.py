@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.viz.figure import add_scale_bar, sheet
+from sphericalvision.viz.figure import add_scale_bar, sheet, strip
 
 TICKS = [(0.0, "∞"), (1.0, "0.5")]
 
@@ -57,3 +57,14 @@ def test_bad_pictures_are_refused() -> None:
         sheet([np.zeros((2, 2, 3))])
     with pytest.raises(ArgumentError, match="at least one column"):
         sheet([])
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 4, 5, 6, 7, 12, 13])
+def test_a_strip_has_no_place_left_over(number: int) -> None:
+    page = strip([np.full((30 + k, 40, 3), 10 * k, np.uint8) for k in range(number)], width=800, gap=10)
+    assert page.shape[1] == 800
+    rows = -(-number // 6)
+    assert (page == 255).all(-1).all(-1).sum() == 10 * (rows - 1)  # between rows alone
+    for row in np.array_split(np.arange(number), rows):
+        line = page[int((row[0] > 0) * (page.shape[0] / 2 + 20))]
+        assert (line == 255).all(-1).sum() == 10 * (len(row) - 1)  # between pictures alone

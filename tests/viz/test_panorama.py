@@ -18,7 +18,13 @@ from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz import depth_to_color, error_to_color, rgb_panorama
-from sphericalvision.viz.panorama import icosphere_to_panorama, save_depth_panorama, save_error_panorama
+from sphericalvision.viz.panorama import (
+    confidence_strength,
+    depth_panorama,
+    icosphere_to_panorama,
+    save_depth_panorama,
+    save_error_panorama,
+)
 
 HALF = torch.tensor([2.0, 1.2, 4.0])
 
@@ -106,3 +112,26 @@ def test_wrong_shapes_are_refused(rig: CameraRig, tmp_path: Path) -> None:
         rgb_panorama(rig, {}, 16)
     with pytest.raises(ShapeError, match=r"depth: expected \(16, 32\) or a number, got \(8, 16\)"):
         rgb_panorama(rig, paint(rig), 16, torch.ones(8, 16))
+
+
+def test_depth_fades_to_grey_where_little_is_known() -> None:
+    depth = torch.linspace(0.6, 4.0, 640).expand(12, 640)
+    strength = torch.tensor([1.0, 0.5, 0.0]).repeat_interleave(4)[:, None].expand(12, 640)
+    plain, faded = depth_panorama(depth, 0.5), depth_panorama(depth, 0.5, strength=strength)
+    np.testing.assert_array_equal(faded[:4], plain[:4])
+    np.testing.assert_allclose(faded[4:8].astype(float), (plain[4:8].astype(float) + 128) / 2, atol=1)
+    assert (faded[8:12] == 128).all()
+    assert faded.shape == plain.shape
+    legend = faded[12:40, 200:440].astype(float)  # fades downwards, too
+    spread = np.abs(legend - legend.mean(-1, keepdims=True)).mean((1, 2))
+    assert spread[6] > 3 * spread[15] > 0
+
+
+def test_what_is_unsure_is_grey_and_what_two_cameras_do_not_see_is_greyer() -> None:
+    confidence = torch.linspace(0, 1, 11)
+    seen = torch.ones(11, dtype=torch.bool)
+    strength = confidence_strength(confidence, seen)
+    assert (strength.diff() >= 0).all()
+    assert 0 < strength[0] < 0.2
+    assert strength[-1] == 1
+    assert (confidence_strength(confidence, ~seen) == 0).all()

@@ -19,7 +19,7 @@ from sphericalvision.core import FileFormatError, check_choice
 from sphericalvision.deploy import Depth, DepthImage
 from sphericalvision.deploy.checks import hypotheses_warning, poses_warning
 from sphericalvision.deploy.pictures import depth_picture, near_end_of
-from sphericalvision.deploy.viewer import save_viewer
+from sphericalvision.deploy.viewer import Timeline, save_viewer
 from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import write_image
 from sphericalvision.viz.color import colorize
@@ -29,7 +29,7 @@ from sphericalvision.viz.pointcloud import save_point_cloud
 
 __all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
 
-OUTPUTS = ("depth", "confidence", "cloud", "glb", "viewer", "npz", "video")
+OUTPUTS = ("depth", "confidence", "cloud", "glb", "viewer", "npz", "video", "timeline")
 FILES = {
     "depth": "depth.png",
     "confidence": "confidence.png",
@@ -174,6 +174,7 @@ class Outputs:
         self.near = settings.near
         self.warnings: list[str] = []
         self._video: _Video | None = None
+        self._timeline: Timeline | None = None
 
     def write(self, frame: str, depth: Depth) -> None:
         """Write what there is to write of a frame."""
@@ -189,6 +190,11 @@ class Outputs:
                     self._video = _Video(self.folder, self.settings.rate)
                     self.written.append(self._video.path)
                 self._video.write(views)
+            if "timeline" in self.settings.outputs:
+                if self._timeline is None:
+                    title = f"depth all around: {self.folder.name}"
+                    self._timeline = Timeline(self.settings.height, title, self.near)
+                self._timeline.add(frame, depth)
             self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
 
     def _warn(self, depth: Depth) -> None:
@@ -198,9 +204,11 @@ class Outputs:
                 self.warnings.append(warning)
 
     def close(self) -> None:
-        """Finish the video."""
+        """Finish the video and the page of all frames."""
         if self._video is not None:
             self._video.close()
+        if self._timeline is not None:
+            self.written.append(self._timeline.save(self.folder / "timeline.html"))
 
 
 class _Video:

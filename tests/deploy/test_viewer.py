@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,22 @@ import pytest
 
 from sphericalvision import Predictor
 from sphericalvision.cameras import ring_rig
-from sphericalvision.data import make_scene, render_rig
-from sphericalvision.deploy.viewer import save_viewer
+from sphericalvision.data import make_scene, ray_depth, render_rig
+from sphericalvision.deploy import viewer
+from sphericalvision.deploy.viewer import Timeline, save_viewer
 
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two rooms with their errors on a time line."""
     rig = ring_rig(4, image_size=(96, 96))
-    depth = Predictor(rig, method="semi_global", level=5, min_depth=0.5)(
-        render_rig(make_scene("room", seed=1), rig)
-    )
-    return save_viewer(tmp_path_factory.mktemp("viewer") / "viewer.html", depth, 96, "a <room>")
+    predictor = Predictor(rig, method="semi_global", level=5, min_depth=0.5)
+    timeline = Timeline(96, "a <room>")
+    for seed in (1, 2):
+        scene = make_scene("room", seed=seed)
+        depth = predictor(render_rig(scene, rig))
+        timeline.add(f"room {seed}", depth, truth=ray_depth(scene, rig.center, depth.directions))
+    return timeline.save(tmp_path_factory.mktemp("viewer") / "viewer.html")
 
 
 def test_the_page_is_whole_in_itself(page: Path) -> None:
@@ -34,7 +40,23 @@ def test_the_page_is_whole_in_itself(page: Path) -> None:
     assert "a &lt;room&gt;" in body
     assert "__" not in body
     assert not re.search(r"""(src|href)=["']?https?:""", text)
-    assert text.count("data:image/jpeg;base64,") == 3
+    assert text.count("data:image/jpeg;base64,") == 8
+
+
+def test_a_time_line_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer, "MOST_FRAMES", 4)
+    rig = ring_rig(2, image_size=(16, 16))
+    depth = Predictor(rig, method="semi_global", level=3, min_depth=0.5)(
+        {name: np.full((16, 16), 9, np.uint8) for name in rig.names}
+    )
+    timeline = Timeline(16)
+    for number in range(11):
+        timeline.add(str(number), depth)
+    text = timeline.save(tmp_path / "page.html").read_text()
+    assert re.findall(r'"name": "(\d+)"', text) == ["0", "4", "8"]
+    assert "error" not in text[: text.index("<script")]
+    one = save_viewer(tmp_path / "one.html", depth, 16).read_text()
+    assert one.count("data:image/jpeg;base64,") == 3
 
 
 @pytest.fixture(scope="module")
@@ -86,13 +108,32 @@ def test_both_views_show_something_and_turn_when_dragged(opened: tuple[Any, list
     assert complaints == []
 
 
-def test_the_slide_goes_from_image_to_depth_to_confidence(opened: tuple[Any, list[str]]) -> None:
+def test_the_slide_goes_from_image_to_depth_to_confidence_to_error(opened: tuple[Any, list[str]]) -> None:
     tab, complaints = opened
     seen = {}
-    for value in ("0", "1", "2"):
+    for value in ("0", "1", "2", "3"):
         tab.locator("#slide").fill(value)
         tab.wait_for_timeout(300)
         seen[tab.locator("#shown").inner_text()] = picture(tab, "#panorama")
-    assert list(seen) == ["image", "depth", "confidence"]
-    assert all(np.abs(seen[a] - seen[b]).mean() > 5 for a, b in (("image", "depth"), ("depth", "confidence")))
+    assert list(seen) == ["image", "depth", "confidence", "error"]
+    assert all(np.abs(seen[a] - seen[b]).mean() > 5 for a, b in pairwise(seen))
+    assert complaints == []
+
+
+def test_the_time_line_goes_from_frame_to_frame_and_plays(opened: tuple[Any, list[str]]) -> None:
+    tab, complaints = opened
+    tab.locator("#slide").fill("0")
+    shown = {}
+    for value in ("1", "0"):
+        tab.locator("#time").fill(value)
+        tab.wait_for_selector(f"body[data-frame='{value}']", timeout=20_000)
+        tab.wait_for_timeout(300)
+        shown[tab.locator("#frame").inner_text()] = picture(tab, "#panorama"), picture(tab, "#cloud")
+    assert list(shown) == ["room 2", "room 1"]
+    for before, after in zip(*shown.values(), strict=True):
+        assert np.abs(before - after).mean() > 1
+    tab.locator("#play").click()
+    tab.wait_for_selector("body[data-frame='1']", timeout=20_000)
+    tab.wait_for_selector("body[data-frame='0']", timeout=20_000)
+    tab.locator("#play").click()
     assert complaints == []

@@ -187,7 +187,8 @@ def data_words(data: DictConfig, cache: Path) -> list[str]:
     target = str(OmegaConf.to_container(data)["_target_"])
     if "num_train" in data:
         if "rig" in data:
-            words += ["rig.image_size=[32,64]" if "equirect" in str(data.rig) else "rig.image_size=[32,32]"]
+            size = "[32,64]" if "equirect" in str(data.rig) else "[32,32]"
+            words += [] if "path" in data.rig else [f"rig.image_size={size}"]
         else:
             words += ["data.image_size=[32,32]"]
         words += ["data.num_train=3", "data.num_val=1", "data.num_test=2", "data.samples_per_pixel=1"]
@@ -195,7 +196,7 @@ def data_words(data: DictConfig, cache: Path) -> list[str]:
     elif target.endswith("DigitsDataModule"):
         words += ["data.num_val=8", "data.num_test=8", "data.batch_size=4"]
     else:
-        words += ["data.missing=skip", "data.batch_size=1"]
+        words += ["data.batch_size=1", *(["data.missing=skip"] if "missing" in data else [])]
     return words
 
 

@@ -185,7 +185,10 @@ def data_words(data: DictConfig, cache: Path) -> list[str]:
     """Few samples of any data module."""
     words = ["data.num_workers=0"]
     target = str(OmegaConf.to_container(data)["_target_"])
-    if "num_train" in data:
+    if target.endswith("LabelledRoomsDataModule"):
+        sizes = ["data.num_train=3", "data.num_val=1", "data.num_test=1", "data.batch_size=1"]
+        words += [*sizes, f"data.cache_dir={cache}"]
+    elif "num_train" in data:
         if "rig" in data:
             size = "[32,64]" if "equirect" in str(data.rig) else "[32,32]"
             words += [] if "path" in data.rig else [f"rig.image_size={size}"]
@@ -225,7 +228,7 @@ def listed(words: list[str]) -> str:
 def network_words(model: DictConfig) -> list[str]:
     """A narrow network of the same kind."""
     target = str(model._target_).rpartition(".")[2]
-    if target == "SphereClassifier":
+    if target in ("SphereClassifier", "SphereSegmenter"):
         return ["model.level=3", "model.width=2"]
     if target == "around":  # RefinedSweepNet.around, with the prior that ships
         return ["model.level=3", "model.widths=[4,4]"]

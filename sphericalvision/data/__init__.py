@@ -11,8 +11,10 @@ from sphericalvision.data.collate import collate_samples
 from sphericalvision.data.omnistereo.dataset import OmniStereoDataset
 from sphericalvision.data.omnistereo.writer import write_omnistereo
 from sphericalvision.data.rendering.mesh_scene import MeshScene, read_mesh_scene
+from sphericalvision.data.rendering.render import ray_labels
 from sphericalvision.data.rendering.to_mesh import mesh_from_scene
 from sphericalvision.data.scene_dataset import FisheyeSceneDataset, SceneDataset
+from sphericalvision.data.scenes.labels import SURFACE_LABELS
 from sphericalvision.data.scenes.recipes import (
     Scene,
     make_scene,
@@ -24,6 +26,7 @@ from sphericalvision.data.scenes.recipes import (
 from sphericalvision.io.images import read_image, write_image
 
 __all__ = [
+    "SURFACE_LABELS",
     "Compose",
     "FisheyeSceneDataset",
     "MeshScene",
@@ -43,6 +46,7 @@ __all__ = [
     "mesh_from_scene",
     "random_rotations",
     "ray_depth",
+    "ray_labels",
     "read_image",
     "read_mesh_scene",
     "render_camera",

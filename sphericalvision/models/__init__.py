@@ -6,6 +6,7 @@ from sphericalvision.models.classifier import SphereClassifier
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.omnimvs import OmniMVS
 from sphericalvision.models.refinedsweepnet import RefinedSweepNet
+from sphericalvision.models.segmenter import SphereSegmenter
 from sphericalvision.models.training_free import SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.weights import (
     available_weights,
@@ -24,6 +25,7 @@ __all__ = [
     "RefinedSweepNet",
     "SemiGlobalSweep",
     "SphereClassifier",
+    "SphereSegmenter",
     "WinnerTakesAll",
     "available_weights",
     "load_reference_checkpoint",

@@ -23,7 +23,7 @@ from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 
 CONF = Path(sphericalvision.conf.__file__).parent
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
-DEPTH_EXPERIMENTS = [name for name in EXPERIMENTS if name != "spherical_digits"]
+DEPTH_EXPERIMENTS = [name for name in EXPERIMENTS if name not in ("spherical_digits", "segmentation")]
 FILES = sorted(CONF.rglob("*.yaml"))
 DELTAS = ("experiment", "debug", "hparams", "launcher")
 """Groups of changes to keys that are explained elsewhere."""
@@ -68,6 +68,15 @@ def test_the_digits_make_their_network_and_their_first_sample() -> None:
     net = build(config.model)
     sample = build(config.data).dataset("train")[0]
     assert net(sample["values"][None]).shape == (1, 10)
+
+
+def test_rooms_to_segment_make_their_network_and_their_first_sample() -> None:
+    config = train_config("experiment=segmentation", "data.cache_dir=null", "model.level=3")
+    net = build(config.model)
+    sample = build(config.data).dataset("train")[0]
+    logits = net(sample["values"][None])
+    assert logits.shape == (1, 13, *sample["label"].shape)
+    assert build(config.loss)(logits, sample["label"][None]).isfinite()
 
 
 def test_the_papers_training_has_the_papers_numbers() -> None:

@@ -39,6 +39,7 @@ class Part:
     rotation: Sequence[Sequence[float]] | None = None
     casts_shadow: bool = True
     uv_origin: tuple[float, float] = (0.0, 0.0)
+    label: int = 0
 
 
 class Columns(NamedTuple):
@@ -76,6 +77,7 @@ class Primitives:
         uv_origin: ``(P, 2)`` metres, where the surface coordinates start; lets the parts of a split wall
             share a texture.
         casts_shadow: ``(P,)`` bool.
+        label: ``(P,)`` what the surface is, an index into ``SURFACE_LABELS``.
     """
 
     shape: Tensor
@@ -85,6 +87,7 @@ class Primitives:
     material: Tensor
     uv_origin: Tensor
     casts_shadow: Tensor
+    label: Tensor
 
     def __len__(self) -> int:
         return int(self.shape.shape[0])
@@ -200,4 +203,5 @@ def pack(parts: Sequence[Part]) -> Primitives:
         material=torch.tensor([part.material for part in parts]),
         uv_origin=torch.tensor([part.uv_origin for part in parts], dtype=torch.float32),
         casts_shadow=torch.tensor([part.casts_shadow for part in parts]),
+        label=torch.tensor([part.label for part in parts]),
     )

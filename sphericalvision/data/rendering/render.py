@@ -12,7 +12,7 @@ import math
 from typing import TYPE_CHECKING
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
@@ -25,7 +25,7 @@ from sphericalvision.data.rendering.shading import SurfaceTable, radiance
 if TYPE_CHECKING:
     from sphericalvision.cameras import Camera, CameraRig
 
-__all__ = ["ray_depth", "render_camera", "render_directions", "render_rig"]
+__all__ = ["ray_depth", "ray_labels", "render_camera", "render_directions", "render_rig"]
 
 
 @torch.no_grad()
@@ -52,6 +52,37 @@ def ray_depth(
     if isinstance(scene, MeshScene):
         return scene.trace(origin, directions.reshape(-1, 3))[0].view(directions.shape[:-1])
     return trace(scene.primitives, origin.to(directions), directions).distance
+
+
+@torch.no_grad()
+def ray_labels(
+    scene: Scene, origin: Float[Tensor, " 3"], directions: Float[Tensor, "*rays 3"]
+) -> Int[Tensor, "*rays"]:
+    """What rays from a point hit, as numbers of ``SURFACE_LABELS``: labels for semantic segmentation.
+
+    Args:
+        scene: primitives; ``make_scene("room")`` names all its surfaces.
+        origin: ``(3,)`` metres.
+        directions: ``(*, 3)`` unit directions of any grid.
+
+    Returns:
+        ``(*)``, -1 where the ray leaves the scene.
+
+    Raises:
+        ArgumentError: a mesh, whose surfaces have no names.
+
+    Examples:
+        >>> from sphericalvision.data import SURFACE_LABELS, make_scene
+        >>> up_and_down = torch.tensor([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+        >>> labels = ray_labels(make_scene("room", seed=0), torch.zeros(3), up_and_down)
+        >>> [SURFACE_LABELS[label] for label in labels]
+        ['ceiling', 'floor']
+    """
+    if isinstance(scene, MeshScene):
+        raise ArgumentError("scene: surfaces of meshes have no names; labels are of generated scenes")
+    directions = directions.to(scene.device, torch.float32)
+    hit = trace(scene.primitives, origin.to(directions), directions).primitive
+    return torch.where(hit < 0, -1, scene.primitives.label[hit.clamp(min=0)])
 
 
 @torch.no_grad()

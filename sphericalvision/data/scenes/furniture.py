@@ -12,9 +12,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from sphericalvision.data.rendering.primitives import Part
+from sphericalvision.data.scenes.labels import labelled
 from sphericalvision.data.scenes.palette import Palette
 
-__all__ = ["AGAINST_WALLS", "FREE_STANDING", "Maker", "footprint_radius", "place"]
+__all__ = ["AGAINST_WALLS", "FREE_STANDING", "Maker", "footprint_radius", "made", "place"]
 
 Maker = Callable[[Palette], list[Part]]
 
@@ -252,3 +253,22 @@ FREE_STANDING: tuple[Maker, ...] = (
     sofa,
 )
 AGAINST_WALLS: tuple[Maker, ...] = (shelf, shelf, cabinet, cabinet, sofa, bed, table, plant, floor_lamp, rack)
+
+#: What furniture is to somebody who labels pictures; makers that are not here make something "other".
+NAMES: dict[Maker, str] = {
+    table: "table",
+    stool: "seat",
+    chair: "seat",
+    sofa: "seat",
+    shelf: "storage",
+    cabinet: "storage",
+    bed: "bed",
+    floor_lamp: "lamp",
+    plant: "plant",
+    column: "wall",
+}
+
+
+def made(maker: Maker, palette: Palette) -> list[Part]:
+    """A piece of furniture, labelled."""
+    return labelled(maker(palette), NAMES.get(maker, "other"))

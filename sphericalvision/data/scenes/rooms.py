@@ -10,7 +10,14 @@ import torch
 
 from sphericalvision.data.rendering.primitives import Part, pack
 from sphericalvision.data.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
-from sphericalvision.data.scenes.furniture import AGAINST_WALLS, FREE_STANDING, footprint_radius, place
+from sphericalvision.data.scenes.furniture import (
+    AGAINST_WALLS,
+    FREE_STANDING,
+    footprint_radius,
+    made,
+    place,
+)
+from sphericalvision.data.scenes.labels import labelled
 from sphericalvision.data.scenes.palette import Palette
 
 __all__ = [
@@ -163,17 +170,19 @@ def build_shell(room: Room, openings: dict[int, Opening], skip: int | None = Non
     flat = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
     # Only with an opening can a lamp stand on the other side of these.
     casts = bool(openings)
-    for y, material in ((room.floor, ground), (room.ceiling, roof)):
-        room.parts.append(
-            Part("rectangle", (middle[0], y, middle[1]), half, material, rotation=flat, casts_shadow=casts)
+    for y, material, name in ((room.floor, ground, "floor"), (room.ceiling, roof, "ceiling")):
+        plane = Part(
+            "rectangle", (middle[0], y, middle[1]), half, material, rotation=flat, casts_shadow=casts
         )
+        room.parts += labelled([plane], name)
     wall = palette.paint() if palette.chance(0.4) else palette.any_surface(2.5)
     for side, (yaw, x, z, start, end) in enumerate(room.sides()):
         if side == skip:
             continue
         material = wall if palette.chance(0.6) else palette.any_surface(2.5)
         if side not in openings:
-            room.parts += wall_piece(material, yaw, x, z, (start, end, room.ceiling, room.floor), casts)
+            whole = (start, end, room.ceiling, room.floor)
+            room.parts += labelled(wall_piece(material, yaw, x, z, whole, casts), "wall")
             continue
         first, last, upper, lower = openings[side]
         pieces = (
@@ -183,10 +192,10 @@ def build_shell(room: Room, openings: dict[int, Opening], skip: int | None = Non
             (first, last, lower, room.floor),
         )
         for piece in pieces:
-            room.parts += wall_piece(material, yaw, x, z, piece, casts=True)
+            room.parts += labelled(wall_piece(material, yaw, x, z, piece, casts=True), "wall")
 
 
-def _add_frame(room: Room, side: int, opening: Opening, material: int) -> None:
+def _add_frame(room: Room, side: int, opening: Opening, material: int, name: str) -> None:
     """A frame around an opening."""
     yaw, x, z, _, _ = room.sides()[side]
     first, last, upper, lower = opening
@@ -195,7 +204,7 @@ def _add_frame(room: Room, side: int, opening: Opening, material: int) -> None:
     bars.append(
         Part("box", ((first + last) / 2, upper, 0.0), ((last - first) / 2 + 0.04, 0.04, 0.06), material)
     )
-    room.add(place(bars, x, 0.0, z, yaw))
+    room.add(labelled(place(bars, x, 0.0, z, yaw), name))
 
 
 def add_door(room: Room, side: int, opening: Opening) -> None:
@@ -204,11 +213,11 @@ def add_door(room: Room, side: int, opening: Opening) -> None:
     yaw, x, z, _, _ = room.sides()[side]
     first, last, upper, lower = opening
     material = palette.wood() if palette.chance(0.5) else palette.paint()
-    _add_frame(room, side, opening, material)
+    _add_frame(room, side, opening, material, "door")
     half = ((last - first) / 2 - 0.02, (lower - upper) / 2 - 0.02, 0.02)
     leaf = [Part("box", (half[0], 0.0, 0.0), half, palette.any_surface(1.5))]
     swung = place(leaf, first + 0.04, (upper + lower) / 2, 0.0, -palette.uniform(0.7, 2.0))
-    room.add(place(swung, x, 0.0, z, yaw))
+    room.add(labelled(place(swung, x, 0.0, z, yaw), "door"))
     # The second room in the wall's frame: it starts at z = 0 there, and shares its wall with the first.
     left, right, depth = palette.uniform(0.5, 2.0), palette.uniform(0.5, 2.0), palette.uniform(1.8, 4.5)
     ceiling = min(upper - 0.1, room.floor - palette.uniform(2.3, 2.8))
@@ -232,18 +241,18 @@ def add_window(room: Room, side: int, opening: Opening) -> None:
     yaw, x, z, _, _ = room.sides()[side]
     first, last, upper, lower = opening
     material = palette.paint()
-    _add_frame(room, side, opening, material)
+    _add_frame(room, side, opening, material, "window")
     along, down = (first + last) / 2, (upper + lower) / 2
     bars = [
         Part("box", (along, down, 0.0), (0.02, (lower - upper) / 2, 0.02), material),
         Part("box", (along, down, 0.0), ((last - first) / 2, 0.02, 0.02), material),
     ]
-    room.add(place(bars, x, 0.0, z, yaw))
+    room.add(labelled(place(bars, x, 0.0, z, yaw), "window"))
     if palette.chance(0.6):
         away = palette.uniform(3.0, 15.0)
         view = palette.photograph(palette.uniform(0.8, 1.6) * away, emission=palette.uniform(0.3, 0.7))
         wide = (along - 6 * away, along + 6 * away, down - 6 * away, down + 6 * away)
-        room.parts += wall_piece(view, yaw, x, z, wide, casts=False, lift=-away)
+        room.parts += labelled(wall_piece(view, yaw, x, z, wide, casts=False, lift=-away), "window")
 
 
 def hang_lamps(room: Room, count: int) -> None:
@@ -266,7 +275,7 @@ def hang_lamps(room: Room, count: int) -> None:
             ),
         ]
         # A lamp right above the rig stays, without its bulb.
-        room.add(fitting)
+        room.add(labelled(fitting, "lamp"))
         color = (power * tint[0], power * tint[1], power * tint[2])
         room.lamps.append(Lamp((x, y, z), color, reach=palette.uniform(1.0, 2.0)))
 
@@ -277,7 +286,7 @@ def furnish(room: Room, count: int) -> None:
     (x0, z0), (x1, z1) = room.low, room.high
     for _ in range(count):
         if palette.chance(0.5):
-            parts = palette.choose(AGAINST_WALLS)(palette)
+            parts = made(palette.choose(AGAINST_WALLS), palette)
             yaw, x, z, start, end = palette.choose(room.sides())
             depth = max(part.half[2] - part.center[2] for part in parts) + 0.03
             width = max(abs(part.center[0]) + part.half[0] for part in parts)
@@ -288,7 +297,7 @@ def furnish(room: Room, count: int) -> None:
             spot = place([Part("box", (along, 0.0, -depth), (1.0, 1.0, 1.0))], x, 0.0, z, yaw)[0].center
             room.stand(parts, spot[0], spot[2], yaw + math.pi)
         else:
-            parts = palette.choose(FREE_STANDING)(palette)
+            parts = made(palette.choose(FREE_STANDING), palette)
             edge = min(footprint_radius(parts), 0.45 * min(x1 - x0, z1 - z0))
             spot_x, spot_z = palette.uniform(x0 + edge, x1 - edge), palette.uniform(z0 + edge, z1 - edge)
             room.stand(parts, spot_x, spot_z, palette.uniform(0, 2 * math.pi))
@@ -310,14 +319,15 @@ def decorate(room: Room, rug: bool = True) -> None:
                 Part("box", (along, down, 0.0), (wide + 0.03, high + 0.03, 0.015), frame, casts_shadow=False),
                 Part("rectangle", (along, down, -0.018), (wide, high, 1.0), picture, casts_shadow=False),
             ]
-            spot = place(board, x, 0.0, z, yaw)
+            spot = labelled(place(board, x, 0.0, z, yaw), "picture")
             if not any(_over(spot[0], other) for other in room.parts if other.shape == "box"):
                 room.add(spot)
     if rug and palette.chance(0.5):
         (x0, z0), (x1, z1) = room.low, room.high
         half = (palette.uniform(0.2, 0.4) * (x1 - x0), 0.004, palette.uniform(0.2, 0.4) * (z1 - z0))
         middle = ((x0 + x1) / 2, room.floor - 0.004, (z0 + z1) / 2)
-        room.add([Part("box", middle, half, palette.any_surface(1.5), casts_shadow=False)])
+        rug_on_floor = Part("box", middle, half, palette.any_surface(1.5), casts_shadow=False)
+        room.add(labelled([rug_on_floor], "floor"))
 
 
 def _over(part: Part, other: Part) -> bool:

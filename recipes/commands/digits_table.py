@@ -16,7 +16,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
-from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, SphereClassifier
+from sphericalvision.models.classifier import SphereClassifier
+from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS
 from sphericalvision.recipes.app.cli import print_table
 
 __all__ = ["DigitsRun", "digits_table", "gather", "table"]
@@ -58,7 +59,7 @@ def gather(folder: Path) -> list[DigitsRun]:
     if not runs:
         raise ArgumentError(
             f"runs: no folder in {folder.resolve()} has a test.json; make them with sphericalvision-train --multirun "
-            f"experiment=spherical_digits model.network={','.join(CLASSIFIER_NETWORKS)} "
+            f"experiment=spherical_digits model.network={','.join(SPHERE_NETWORKS)} "
             "data.orientation=upright,rotated"
         )
     return runs
@@ -73,7 +74,7 @@ def table(runs: list[DigitsRun]) -> dict[str, dict[str, float]]:
         {'hex': {'parameters': 10, 'N/N': 90.0, 'N/R': 50.0}}
     """
     rows: dict[str, dict[str, float]] = {}
-    for network in CLASSIFIER_NETWORKS:
+    for network in SPHERE_NETWORKS:
         mine = [run for run in runs if run.network == network]
         if not mine:
             continue

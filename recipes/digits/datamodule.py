@@ -8,7 +8,7 @@ import math
 from torch.utils.data import DataLoader, Dataset
 
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.models.classifier import classifier_grid
+from sphericalvision.models.sphere_blocks import network_grid
 from sphericalvision.recipes.app.kinds import Count, FullAngle
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.digits.dataset import ORIENTATIONS, SphericalDigits
@@ -23,7 +23,7 @@ class DigitsDataModule(SampleDataModule):
     """scikit-learn's digits on the grid of a network; train, validation and test digits are different ones.
 
     Args:
-        network: whose grid the digits are drawn on, see ``classifier_grid``.
+        network: whose grid the digits are drawn on, see ``network_grid``.
         level: of the icosphere, or of the equirectangular image with about as many pixels.
         orientation: of the digits in training: ``"upright"``, or ``"rotated"`` anew each time.
         field_of_view_deg: angle in degrees that a digit covers.
@@ -53,7 +53,7 @@ class DigitsDataModule(SampleDataModule):
                 f"data.num_val, data.num_test: expected 1 or more each and fewer than {NUM_DIGITS} together, "
                 f"got {num_val} and {num_test}"
             )
-        self.grid = classifier_grid(network, level)
+        self.grid = network_grid(network, level)
         self.orientation, self.field_of_view = orientation, math.radians(field_of_view_deg)
         num_train = NUM_DIGITS - num_val - num_test
         self.indices = {

@@ -6,7 +6,7 @@ from __future__ import annotations
 from torch.utils.data import DataLoader, Dataset
 
 from sphericalvision.core import check_choice
-from sphericalvision.models.classifier import classifier_grid
+from sphericalvision.models.sphere_blocks import network_grid
 from sphericalvision.recipes.app.kinds import Count, Text
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.segmentation.rooms import ORIENTATIONS, LabelledRooms
@@ -20,7 +20,7 @@ class LabelledRoomsDataModule(SampleDataModule):
     """Rooms on the grid of a network; training, validation and test rooms are different ones.
 
     Args:
-        network: whose grid the rooms are seen on, see ``classifier_grid``.
+        network: whose grid the rooms are seen on, see ``network_grid``.
         level: of the icosphere, or of the equirectangular image with about as many pixels.
         orientation: in training, one of ``ORIENTATIONS``.
         num_train: training rooms.
@@ -47,7 +47,7 @@ class LabelledRoomsDataModule(SampleDataModule):
     ) -> None:
         super().__init__(batch_size, num_workers, seed)
         check_choice("data.orientation", orientation, tuple(ORIENTATIONS))
-        self.grid = classifier_grid(network, level)
+        self.grid = network_grid(network, level)
         self.orientation, self.cache_dir = orientation, cache_dir
         self.numbers = {"train": num_train, "val": num_val, "test": num_test}
 

@@ -3,58 +3,19 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice
-from sphericalvision.crown import (
-    CrownAvgPool2d,
-    CrownBatchNorm2d,
-    CrownConv2d,
-    CrownExchange,
-    CrownPointwise,
-    FromCrown,
-    HexConv2d,
-    HexGroupConv2d,
-    HexLiftConv2d,
-    ToCrown,
-)
-from sphericalvision.icosphere import Icosphere, IcospherePool, num_icosphere_vertices
-from sphericalvision.sphere import Equirectangular, SphereConv2d
+from sphericalvision.core import ShapeError
+from sphericalvision.crown import FromCrown, ToCrown
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models.sphere_blocks import WIDTHS, convolution_block, network_grid, pooling
+from sphericalvision.sphere import Equirectangular
 
-__all__ = ["CLASSIFIER_NETWORKS", "SphereClassifier", "classifier_grid"]
-
-CLASSIFIER_NETWORKS = ("crown", "hex", "hexgroup", "sphere", "planar")
-
-WIDTHS = {"crown": 16, "hex": 16, "hexgroup": 4, "sphere": 14, "planar": 14}
-"""Channels of the first layer; kernels of seven and of nine taps then have equally many parameters within 2 %. In six
-orientations four channels are 24, and the parameters three eighths of the others'."""
-
-
-def classifier_grid(network: str, level: int) -> Icosphere | Equirectangular:
-    """Return the grid that a network of ``SphereClassifier`` works on.
-
-    ``"crown"``, ``"hex"`` and ``"hexgroup"`` take the icosphere of the level; ``"sphere"`` and ``"planar"`` an
-    equirectangular image with about as many pixels, whose height divides by four.
-
-    Raises:
-        ArgumentError: if the network is unknown or the level below 3.
-
-    Examples:
-        >>> classifier_grid("planar", level=4), classifier_grid("hex", level=4)
-        (Equirectangular(height=36, width=72), Icosphere(level=4, vertices=2562, faces=5120))
-    """
-    check_choice("network", network, CLASSIFIER_NETWORKS)
-    if level < 3:
-        raise ArgumentError(f"level: expected 3 or more, as the network halves twice, got {level}")
-    if network in ("crown", "hex", "hexgroup"):
-        return Icosphere(level)
-    height = 4 * round(math.sqrt(num_icosphere_vertices(level) / 2) / 4)
-    return Equirectangular(height, 2 * height)
+__all__ = ["SphereClassifier"]
 
 
 class SphereClassifier(nn.Module):
@@ -98,15 +59,18 @@ class SphereClassifier(nn.Module):
         width: int | None = None,
     ) -> None:
         super().__init__()
-        self.grid = classifier_grid(network, level)
+        self.grid = network_grid(network, level)
         self.network, self.level = network, level
         self.num_classes, self.in_channels = num_classes, in_channels
         self.width = WIDTHS[network] if width is None else width
         w = self.width
         layers = [
-            *(self._block(in_channels, w, level), self._pool(level)),
-            *(self._block(w, 2 * w, level - 1), self._pool(level - 1)),
-            *(self._block(2 * w, 4 * w, level - 2), self._block(4 * w, 4 * w, level - 2)),
+            convolution_block(network, in_channels, w, level, first=True),
+            pooling(network, level),
+            convolution_block(network, w, 2 * w, level - 1),
+            pooling(network, level - 1),
+            convolution_block(network, 2 * w, 4 * w, level - 2),
+            convolution_block(network, 4 * w, 4 * w, level - 2),
         ]
         if network == "crown":
             layers = [ToCrown(), *layers, FromCrown()]
@@ -128,33 +92,6 @@ class SphereClassifier(nn.Module):
         features = self.features(values)
         features = features.amax(2) if self.network == "hexgroup" else features.flatten(2)
         return self.head(features @ self.share)
-
-    def _block(self, in_channels: int, out_channels: int, level: int) -> nn.Sequential:
-        """Return a convolution, a normalisation and a ReLU."""
-        if self.network == "crown":
-            crown = CrownConv2d(in_channels, out_channels)
-            relu = CrownPointwise(nn.ReLU())
-            return nn.Sequential(crown, CrownBatchNorm2d(out_channels), relu, CrownExchange())
-        if self.network == "hex":
-            hexagonal = HexConv2d(in_channels, out_channels, orientation="north", level=level)
-            return nn.Sequential(hexagonal, nn.BatchNorm1d(out_channels), nn.ReLU())
-        if self.network == "hexgroup":
-            kind = HexLiftConv2d if level == self.level else HexGroupConv2d
-            return nn.Sequential(
-                kind(in_channels, out_channels, level), nn.BatchNorm2d(out_channels), nn.ReLU()
-            )
-        image: nn.Module
-        if self.network == "sphere":
-            image = SphereConv2d(in_channels, out_channels, bias=False)
-        else:
-            image = nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False)
-        return nn.Sequential(image, nn.BatchNorm2d(out_channels), nn.ReLU())
-
-    def _pool(self, level: int) -> nn.Module:
-        """Return the step to half the resolution."""
-        if self.network == "crown":
-            return CrownAvgPool2d()
-        return IcospherePool(level) if isinstance(self.grid, Icosphere) else nn.AvgPool2d(2)
 
     def _shares(self) -> Tensor:
         """Return each place's share in the mean after the convolutions, ``(n,)``."""

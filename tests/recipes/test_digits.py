@@ -15,7 +15,7 @@ from sphericalvision.data import random_rotations
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere, yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SphereClassifier
-from sphericalvision.models.classifier import CLASSIFIER_NETWORKS, classifier_grid
+from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS, network_grid
 from sphericalvision.recipes.commands.digits_table import DigitsRun, table
 from sphericalvision.recipes.digits.datamodule import NUM_DIGITS, DigitsDataModule
 from sphericalvision.recipes.digits.dataset import SphericalDigits, draw_on_sphere, load_digits
@@ -87,7 +87,7 @@ def test_splits_share_no_digit() -> None:
     assert len(data.indices["train"]) == 1097
 
 
-@pytest.mark.parametrize("network", CLASSIFIER_NETWORKS)
+@pytest.mark.parametrize("network", SPHERE_NETWORKS)
 def test_networks_are_alike_but_for_their_convolutions(network: str) -> None:
     net = SphereClassifier(network, level=4)
     parameters = sum(parameter.numel() for parameter in net.parameters())
@@ -119,7 +119,7 @@ def test_a_turn_by_columns_is_nothing_without_a_seam(network: str, invariant: bo
     assert (difference < 1e-5) == invariant
 
 
-@pytest.mark.parametrize("network", CLASSIFIER_NETWORKS)
+@pytest.mark.parametrize("network", SPHERE_NETWORKS)
 def test_training_and_table(run: Run, tmp_path: Path, network: str) -> None:
     """The same command as for depth; two runs of one network become a row of the table."""
     for orientation in ("upright", "rotated"):
@@ -198,4 +198,4 @@ def test_mistakes_are_told(failing: Callable[..., str], tmp_path: Path) -> None:
     assert "expected one of 'upright', 'rotated'" in failing("train", *TINY, "data.orientation=tilted")
     assert "level: expected 3 or more" in failing("train", *TINY, "model.level=2")
     assert "--multirun" in failing("digits_table", f"runs={tmp_path}")
-    assert classifier_grid("sphere", 3).shape == (16, 32)
+    assert network_grid("sphere", 3).shape == (16, 32)

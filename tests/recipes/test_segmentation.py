@@ -14,7 +14,7 @@ from sphericalvision.data import make_scene, ray_labels
 from sphericalvision.data.augmentation.sphere_rotation import yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SphereSegmenter
-from sphericalvision.models.classifier import CLASSIFIER_NETWORKS
+from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS
 from sphericalvision.recipes.segmentation.datamodule import LabelledRoomsDataModule
 from sphericalvision.recipes.segmentation.module import MeanIoU
 from sphericalvision.recipes.segmentation.rooms import ORIENTATIONS, LabelledRooms, orientation_rotation
@@ -34,11 +34,11 @@ TINY = (
 )
 
 
-@pytest.mark.parametrize("network", CLASSIFIER_NETWORKS)
+@pytest.mark.parametrize("network", SPHERE_NETWORKS)
 def test_networks_are_alike_but_for_their_convolutions(network: str) -> None:
     net = SphereSegmenter(network, level=3, num_classes=6)
     parameters = sum(parameter.numel() for parameter in net.parameters())
-    assert parameters == pytest.approx(73_800, rel=0.02)
+    assert parameters == pytest.approx(27_900 if network == "hexgroup" else 73_800, rel=0.02)
     values = torch.rand(2, 3, *net.grid.shape)
     logits = net(values)
     assert logits.shape == (2, 6, *net.grid.shape)
@@ -49,7 +49,7 @@ def test_networks_are_alike_but_for_their_convolutions(network: str) -> None:
     torch.testing.assert_close(again.eval()(values), net.eval()(values))
 
 
-@pytest.mark.parametrize("network", ["hex", "crown"])
+@pytest.mark.parametrize("network", ["hex", "crown", "hexgroup"])
 def test_labels_turn_with_the_room(network: str) -> None:
     """A turn by a fifth about the vertical turns the logits; at the poles north is no direction."""
     net = SphereSegmenter(network, level=4).eval()
@@ -102,7 +102,7 @@ def test_scores_by_hand() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("network", CLASSIFIER_NETWORKS)
+@pytest.mark.parametrize("network", SPHERE_NETWORKS)
 def test_training(run: Run, tmp_path: Path, network: str) -> None:
     run("train", *TINY, f"model.network={network}", f"data.cache_dir={tmp_path}/rooms", "output=run")
     (tested,) = json.loads((tmp_path / "run/test.json").read_text()).values()

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the small networks for tasks on the sphere are made of: five kinds of convolutions, otherwise alike."""
+
+from __future__ import annotations
+
+import math
+
+from torch import nn
+
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.crown import (
+    CrownAvgPool2d,
+    CrownBatchNorm2d,
+    CrownConv2d,
+    CrownExchange,
+    CrownPointwise,
+    HexConv2d,
+    HexGroupConv2d,
+    HexLiftConv2d,
+)
+from sphericalvision.icosphere import Icosphere, IcospherePool, num_icosphere_vertices
+from sphericalvision.sphere import Equirectangular, SphereConv2d
+
+__all__ = ["SPHERE_NETWORKS", "WIDTHS", "convolution_block", "network_grid", "pooling"]
+
+SPHERE_NETWORKS = ("crown", "hex", "hexgroup", "sphere", "planar")
+
+WIDTHS = {"crown": 16, "hex": 16, "hexgroup": 4, "sphere": 14, "planar": 14}
+"""Channels of the first layer; kernels of seven and of nine taps then have equally many parameters within 2 %. In six
+orientations four channels are 24, and the parameters three eighths of the others'."""
+
+_ON_ICOSPHERES = ("crown", "hex", "hexgroup")
+
+
+def network_grid(network: str, level: int) -> Icosphere | Equirectangular:
+    """Return the grid that a network of ``SphereClassifier`` or ``SphereSegmenter`` works on.
+
+    ``"crown"``, ``"hex"`` and ``"hexgroup"`` take the icosphere of the level; ``"sphere"`` and ``"planar"`` an
+    equirectangular image with about as many pixels, whose height divides by four.
+
+    Raises:
+        ArgumentError: if the network is unknown or the level below 3.
+
+    Examples:
+        >>> network_grid("planar", level=4), network_grid("hex", level=4)
+        (Equirectangular(height=36, width=72), Icosphere(level=4, vertices=2562, faces=5120))
+    """
+    check_choice("network", network, SPHERE_NETWORKS)
+    if level < 3:
+        raise ArgumentError(f"level: expected 3 or more, as the network halves twice, got {level}")
+    if network in _ON_ICOSPHERES:
+        return Icosphere(level)
+    height = 4 * round(math.sqrt(num_icosphere_vertices(level) / 2) / 4)
+    return Equirectangular(height, 2 * height)
+
+
+def convolution_block(
+    network: str, in_channels: int, out_channels: int, level: int, *, first: bool = False
+) -> nn.Sequential:
+    """Return a convolution, a normalisation and a ReLU.
+
+    Args:
+        network: one of ``SPHERE_NETWORKS``.
+        in_channels: of the values given.
+        out_channels: of the result.
+        level: of the icosphere; images need none.
+        first: whether values are the network's input, which has no orientations yet.
+    """
+    if network == "crown":
+        crown = CrownConv2d(in_channels, out_channels)
+        relu = CrownPointwise(nn.ReLU())
+        return nn.Sequential(crown, CrownBatchNorm2d(out_channels), relu, CrownExchange())
+    if network == "hex":
+        hexagonal = HexConv2d(in_channels, out_channels, orientation="north", level=level)
+        return nn.Sequential(hexagonal, nn.BatchNorm1d(out_channels), nn.ReLU())
+    layer: nn.Module
+    if network == "hexgroup":
+        layer = (HexLiftConv2d if first else HexGroupConv2d)(in_channels, out_channels, level)
+    elif network == "sphere":
+        layer = SphereConv2d(in_channels, out_channels, bias=False)
+    else:
+        layer = nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False)
+    return nn.Sequential(layer, nn.BatchNorm2d(out_channels), nn.ReLU())
+
+
+def pooling(network: str, level: int) -> nn.Module:
+    """Return the step to half the resolution."""
+    if network == "crown":
+        return CrownAvgPool2d()
+    return IcospherePool(level) if network in _ON_ICOSPHERES else nn.AvgPool2d(2)

@@ -45,7 +45,7 @@ class MeanIoU(Metric):
         self.register_buffer("weights", weights.flatten().double(), persistent=False)
         self.add_state("table", torch.zeros(num_classes, num_classes).double(), dist_reduce_fx="sum")
 
-    def update(self, found: Int[Tensor, batch * grid], label: Int[Tensor, batch * grid]) -> None:
+    def update(self, found: Int[Tensor, "*places"], label: Int[Tensor, "*places"]) -> None:
         """Count places; those labelled -1 are left out."""
         known = label.flatten() >= 0
         places = (label.flatten() * self.num_classes + found.flatten())[known]

@@ -134,12 +134,22 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     )
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     rate = (source.rate or 10.0) / config.every
-    settings = Settings(list(kinds), config.height, config.min_confidence, config.voxel, rate, config.near)
+    settings = Settings(
+        list(kinds),
+        config.height,
+        config.min_confidence,
+        config.voxel,
+        rate,
+        config.near,
+        config.skip_existing,
+    )
     outputs = Outputs(folder, settings)
     left = _left_to_do(names, folder, config, outputs.settings)
     wrong = run(source, selection, predictor, outputs, left, config.on_error == "stop")
-    for path in outputs.written:
+    for path in outputs.written[:MOST_PATHS]:
         print(path)
+    if len(outputs.written) > MOST_PATHS:
+        print(f"... {len(outputs.written)} files in {folder}")
     for warning in outputs.warnings:
         print(f"Warning: {warning}")
     if outputs.shares and min(outputs.shares) < ENOUGH:
@@ -153,6 +163,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     return outputs.written
 
 
+MOST_PATHS = 30
+"""Of files that are named at the end."""
 ENOUGH = 0.9
 """Share of the sphere that two cameras see, below which it is said."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from sphericalvision.core import FileFormatError, check_choice
 from sphericalvision.deploy import Depth, DepthImage
 from sphericalvision.deploy.checks import hypotheses_warning, poses_warning
 from sphericalvision.deploy.pictures import depth_picture, near_end_of
+from sphericalvision.deploy.rerun_log import RerunLog
 from sphericalvision.deploy.viewer import Timeline, save_viewer
 from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import write_image
@@ -29,7 +31,7 @@ from sphericalvision.viz.pointcloud import save_point_cloud
 
 __all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
 
-OUTPUTS = ("depth", "confidence", "cloud", "glb", "viewer", "npz", "video", "timeline")
+OUTPUTS = ("depth", "confidence", "cloud", "glb", "viewer", "npz", "video", "timeline", "rerun")
 FILES = {
     "depth": "depth.png",
     "confidence": "confidence.png",
@@ -51,6 +53,7 @@ class Settings(NamedTuple):
         voxel: side of the cubes of which each keeps one point, metres.
         rate: frames a second of the video.
         near: metres, the red end of depth pictures; found in the first frame when not given.
+        go_on: whether the video begins with the frames of the one that is there.
     """
 
     outputs: Sequence[str]
@@ -59,6 +62,7 @@ class Settings(NamedTuple):
     voxel: float | None = None
     rate: float = 10.0
     near: float | None = None
+    go_on: bool = False
 
 
 class Views:
@@ -175,6 +179,8 @@ class Outputs:
         self.warnings: list[str] = []
         self._video: _Video | None = None
         self._timeline: Timeline | None = None
+        self._recording: RerunLog | None = None
+        self._number = 0
 
     def write(self, frame: str, depth: Depth) -> None:
         """Write what there is to write of a frame."""
@@ -187,7 +193,7 @@ class Outputs:
             self.shares.append(views.share_seen)
             if "video" in self.settings.outputs:
                 if self._video is None:
-                    self._video = _Video(self.folder, self.settings.rate)
+                    self._video = _Video(self.folder, self.settings.rate, self.settings.go_on)
                     self.written.append(self._video.path)
                 self._video.write(views)
             if "timeline" in self.settings.outputs:
@@ -195,6 +201,11 @@ class Outputs:
                     title = f"depth all around: {self.folder.name}"
                     self._timeline = Timeline(self.settings.height, title, self.near)
                 self._timeline.add(frame, depth)
+            if "rerun" in self.settings.outputs:
+                if self._recording is None:
+                    self._recording = RerunLog(self.folder / "depth.rrd", self.settings.height)
+                self._recording.add(self._number, depth)
+            self._number += 1
             self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
 
     def _warn(self, depth: Depth) -> None:
@@ -204,21 +215,30 @@ class Outputs:
                 self.warnings.append(warning)
 
     def close(self) -> None:
-        """Finish the video and the page of all frames."""
+        """Finish what is made of all frames."""
         if self._video is not None:
             self._video.close()
         if self._timeline is not None:
             self.written.append(self._timeline.save(self.folder / "timeline.html"))
+        if self._recording is not None:
+            self._recording.close()
+            self.written.append(self._recording.path)
 
 
 class _Video:
-    """A video of colours above depth; the first name of ``depth.mp4``, ``depth_2.mp4``, ... that is free."""
+    """A video of colours above depth, which is there once it is whole.
 
-    def __init__(self, folder: Path, rate: float) -> None:
+    It is called ``depth.mp4``, or by the first of ``depth_2.mp4``, ... that is free. With ``go_on`` it begins with the
+    frames of the ``depth.mp4`` that is there, whose place it takes.
+    """
+
+    def __init__(self, folder: Path, rate: float, go_on: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         names = ("depth.mp4" if number == 1 else f"depth_{number}.mp4" for number in range(1, 10**6))
-        self.path = next(folder / name for name in names if not (folder / name).exists())
+        self.path = next(folder / name for name in names if go_on or not (folder / name).exists())
         self.rate = rate
+        self._whole = ExitStack()
+        self._temporary = self._whole.enter_context(atomic_write(self.path))
         self._writer: cv2.VideoWriter | None = None
 
     def write(self, views: Views) -> None:
@@ -232,18 +252,27 @@ class _Video:
         picture = np.concatenate((colors, depth))
         picture = np.pad(picture, [(0, size % 2) for size in picture.shape[:2]] + [(0, 0)], mode="edge")
         if self._writer is None:
-            size = (picture.shape[1], picture.shape[0])
-            codec = cv2.VideoWriter.fourcc(*"mp4v")
-            self._writer = cv2.VideoWriter(str(self.path), codec, self.rate, size)
-            if not self._writer.isOpened():
-                raise FileFormatError(
-                    f"{self.path}: this OpenCV writes no MPEG-4 videos; leave video out of outputs"
-                )
+            self._writer = self._opened((picture.shape[1], picture.shape[0]))
         self._writer.write(cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2BGR))
 
     def close(self) -> None:
+        """Finish the file and give it its name."""
         if self._writer is not None:
             self._writer.release()
+            self._whole.close()
+
+    def _opened(self, size: tuple[int, int]) -> cv2.VideoWriter:
+        """A writer, with the frames of the video that is there, if they are as large."""
+        writer = cv2.VideoWriter(str(self._temporary), cv2.VideoWriter.fourcc(*"mp4v"), self.rate, size)
+        if not writer.isOpened():
+            raise FileFormatError(
+                f"{self.path}: this OpenCV writes no MPEG-4 videos; leave video out of outputs"
+            )
+        before = cv2.VideoCapture(str(self.path))  # nothing, where there is no such file
+        while (frame := before.read()[1]) is not None and frame.shape[1::-1] == size:
+            writer.write(frame)
+        before.release()
+        return writer
 
 
 def prefix_of(frame: str) -> str:

@@ -167,7 +167,11 @@ def test_a_video_becomes_a_video(
     run("predict", *words, f"images={capture}/row.avi", "output=out", *more)
     assert (tmp_path / "out/000000_depth.npz").stat().st_mtime_ns == first
     assert (tmp_path / "out/000002_depth.npz").is_file()
+    video = cv2.VideoCapture(str(tmp_path / "out/depth.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 4  # it goes on where it ended
+    run("predict", *words, f"images={capture}/row.avi", "output=out", "stop=1")
     assert (tmp_path / "out/depth_2.mp4").is_file()  # what is there is not written over
+    assert not list((tmp_path / "out").glob(".*"))
 
 
 def test_the_fast_preset_is_one_level_coarser(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:

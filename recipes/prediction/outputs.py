@@ -265,13 +265,15 @@ class _Video:
         """A writer, with the frames of the video that is there, if they are as large."""
         writer = cv2.VideoWriter(str(self._temporary), cv2.VideoWriter.fourcc(*"mp4v"), self.rate, size)
         if not writer.isOpened():
+            self._temporary.unlink(missing_ok=True)
             raise FileFormatError(
                 f"{self.path}: this OpenCV writes no MPEG-4 videos; leave video out of outputs"
             )
-        before = cv2.VideoCapture(str(self.path))  # nothing, where there is no such file
-        while (frame := before.read()[1]) is not None and frame.shape[1::-1] == size:
-            writer.write(frame)
-        before.release()
+        if self.path.is_file():
+            before = cv2.VideoCapture(str(self.path))
+            while (frame := before.read()[1]) is not None and frame.shape[1::-1] == size:
+                writer.write(frame)
+            before.release()
         return writer
 
 

@@ -99,9 +99,8 @@ def _scaled(name: str, image: Any) -> Tensor:
                 f"images[{name!r}]: expected uint8, uint16 or float in [0, 1], got {array.dtype}"
             )
         greatest = np.iinfo(array.dtype).max if integer else 1
-        array = torch.from_numpy(
-            np.ascontiguousarray(array, np.uint8 if array.dtype == np.uint8 else np.float32)
-        )
+        kind = np.uint8 if array.dtype == np.uint8 else np.float32
+        array = torch.from_numpy(np.require(array, kind, ["C", "W"]))  # torch takes none that is read-only
     elif integer:
         if array.dtype not in (torch.uint8, torch.uint16):
             raise ArgumentError(

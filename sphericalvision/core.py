@@ -18,6 +18,7 @@ import torch
 
 __all__ = [
     "ArgumentError",
+    "ArgumentTypeError",
     "FileFormatError",
     "MissingCompilerError",
     "MissingFileError",
@@ -34,6 +35,10 @@ class SphericalVisionError(Exception):
 
 class ArgumentError(SphericalVisionError, ValueError):
     """An argument has a value that makes no sense; the message names it and the accepted values."""
+
+
+class ArgumentTypeError(ArgumentError, TypeError):
+    """An argument is of another type than the docstring asks for; the message says which, and what makes one."""
 
 
 class ShapeError(SphericalVisionError, ValueError):
@@ -74,14 +79,90 @@ _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 100, 100
 _SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = _SHORT.maxfrozenset = 8
 
 
+def check_type(name: str, value: Any, kind: type | tuple[type, ...], remedy: str = "") -> None:
+    """Raise ``ArgumentTypeError`` unless ``value`` is of a type, or one of several; ``remedy`` says what makes one.
+
+    Examples:
+        >>> check_type("level", 5, int)
+    """
+    if not isinstance(value, kind):
+        kinds = kind if isinstance(kind, tuple) else (kind,)
+        names = " or ".join(f"{'an' if k.__name__[0] in 'AEIOU' else 'a'} {k.__name__}" for k in kinds)
+        got = short_repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
+        raise ArgumentTypeError(f"{name}: expected {names}, got {got}{remedy and '; '}{remedy}")
+
+
+def check_tensor(name: str, value: Any, shape: str) -> None:
+    """Raise ``ArgumentTypeError`` unless ``value`` is a tensor; ``shape`` says which one, and is shown alone.
+
+    Examples:
+        >>> check_tensor("images", torch.zeros(2, 3, 4, 4), "(B, 3, h, w)")
+    """
+    if isinstance(value, torch.Tensor):
+        return
+    kind, size = type(value), getattr(value, "shape", None)
+    got = (
+        kind.__name__
+        if size is None
+        else f"{kind.__module__.partition('.')[0]}.{kind.__name__} {tuple(size)}"
+    )
+    makes = {
+        "ndarray": "; torch.from_numpy makes one, with channels before height and width",
+        "list": "; torch.tensor makes one",
+        "tuple": "; torch.tensor makes one",
+        "Crown": "; from_crown makes one",
+    }.get(kind.__name__, "")
+    raise ArgumentTypeError(f"{name}: expected a torch.Tensor of shape {shape}, got {got}{makes}")
+
+
+def check_floating(name: str, tensor: torch.Tensor) -> None:
+    """Raise ``ArgumentError`` unless a tensor holds floating point numbers.
+
+    Examples:
+        >>> check_floating("points", torch.zeros(4, 3))
+    """
+    if not tensor.is_floating_point():
+        raise ArgumentError(
+            f"{name}: expected floating point values, got {tensor.dtype}; convert them with .float()"
+        )
+
+
+def check_dtype(name: str, values: torch.Tensor, weight: torch.Tensor) -> None:
+    """Raise ``ArgumentError`` unless values are of the type of the weights that they meet, or autocast sees to it.
+
+    Examples:
+        >>> check_dtype("values", torch.zeros(1, 3, 42), torch.nn.Conv1d(3, 8, 1).weight)
+    """
+    if values.dtype == weight.dtype:
+        return
+    casts = values.device.type != "meta" and torch.is_autocast_enabled(values.device.type)
+    if casts and values.is_floating_point() and values.dtype != torch.float64:
+        return
+    kind = str(weight.dtype).removeprefix("torch.")
+    raise ArgumentError(
+        f"{name}: expected {weight.dtype} as the weights have, got {values.dtype}; convert them with "
+        f".to(torch.{kind}), or the module with .to({values.dtype})"
+    )
+
+
+def check_channels(**channels: int) -> None:
+    """Raise ``ArgumentError`` unless all of these are whole numbers of 1 or more.
+
+    Examples:
+        >>> check_channels(in_channels=3, out_channels=8)
+    """
+    for name, number in channels.items():
+        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+            raise ArgumentError(f"{name}: expected a whole number of 1 or more, got {short_repr(number)}")
+
+
 def check_last_dim(name: str, tensor: torch.Tensor, size: int) -> None:
     """Raise ``ShapeError`` unless ``tensor`` is a tensor of shape ``(*, size)``.
 
     Examples:
         >>> check_last_dim("points", torch.zeros(4, 3), 3)
     """
-    if not isinstance(tensor, torch.Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor of shape (*, {size}), got {type(tensor).__name__}")
+    check_tensor(name, tensor, f"(*, {size})")
     if tensor.ndim == 0 or tensor.shape[-1] != size:
         raise ShapeError(f"{name}: expected shape (*, {size}), got {tuple(tensor.shape)}")
 

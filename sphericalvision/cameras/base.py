@@ -16,9 +16,9 @@ from torch import Tensor
 from sphericalvision.cameras.checks import check_precision, checked_angle, checked_numbers, checked_size
 from sphericalvision.cameras.precision import at_least_float32
 from sphericalvision.cameras.verbs import verb
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError, check_last_dim, check_tensor
 from sphericalvision.geometry.broadcasting import broadcast_shapes
-from sphericalvision.geometry.directions import components, is_at_least, is_greater, is_traced
+from sphericalvision.geometry.directions import components, holds, is_at_least, is_greater
 from sphericalvision.geometry.interpolation import bilinear_sample
 
 __all__ = ["Camera", "Conversion", "Projection", "Unprojection", "check_single"]
@@ -101,6 +101,8 @@ class Camera(ABC):
         like = floating[0] if floating else torch.empty(())
         check_precision(like.dtype)
         for name, value in intrinsics.items():
+            if value is None and name not in self.optional_names:
+                raise ArgumentError(f"{name}: expected numbers, got None; a {type(self).__name__} needs them")
             setattr(self, name, None if value is None else checked_numbers(name, value, like))
         self.max_angle = checked_angle(max_angle, like)
         self._check_sizes()
@@ -113,8 +115,8 @@ class Camera(ABC):
             if tensor is not None and sizes and (tensor.ndim == 0 or tensor.shape[-1] not in sizes):
                 shapes = " or ".join(f"(*, {size})" for size in sizes)
                 raise ShapeError(f"{name}: expected shape {shapes}, got {tuple(tensor.shape)}")
-        focal_length = getattr(self, "focal_length", None)
-        if isinstance(focal_length, Tensor) and not (is_traced() or bool((focal_length > 0).all())):
+        focal_length: Any = getattr(self, "focal_length", None)
+        if isinstance(focal_length, Tensor) and not holds(focal_length > 0):
             raise ArgumentError(f"focal_length: expected pixels above 0, got {focal_length.tolist()}")
 
     def _broadcast(self) -> None:
@@ -192,6 +194,7 @@ class Camera(ABC):
 
     def contains(self, pixels: Float[Tensor, "*pixels 2"]) -> Bool[Tensor, " ..."]:
         """Whether ``pixels`` (*, 2) lie on the image, half a pixel around the outermost centres included, (*)."""
+        check_last_dim("pixels", pixels, 2)
         height, width = self.image_size
         u, v = pixels.detach().unbind(-1)
         from_middle_u, from_middle_v = (u - (width - 1) / 2).abs(), (v - (height - 1) / 2).abs()
@@ -208,11 +211,7 @@ class Camera(ABC):
             ShapeError: the image is not of the camera's size.
             ArgumentError: the image is no tensor.
         """
-        if not isinstance(image, Tensor):
-            raise ArgumentError(
-                f"image: expected a tensor (*b, c, h, w), got {type(image).__name__}; "
-                "torch.from_numpy(image).movedim(-1, -3) makes one of an array (h, w, c)"
-            )
+        check_tensor("image", image, "(*b, c, h, w)")
         if image.ndim < 3 or tuple(image.shape[-2:]) != self.image_size:
             height, width = self.image_size
             raise ShapeError(
@@ -304,6 +303,10 @@ class Camera(ABC):
             tensor([199.5000, 199.5000])
         """
         new = checked_size((height, width))
+        if not (isinstance(top, int) and isinstance(left, int)):
+            raise ArgumentTypeError(
+                f"cropped: expected whole pixels for top and left, got {top!r} and {left!r}"
+            )
         if not (0 <= top <= self.image_size[0] - new[0] and 0 <= left <= self.image_size[1] - new[1]):
             raise ArgumentError(
                 f"cropped: expected a rectangle inside of the image of {self.image_size[0]} x {self.image_size[1]} "
@@ -325,6 +328,8 @@ class Camera(ABC):
 
     def select(self: AnyCamera, index: int) -> AnyCamera:
         """One camera of a batch."""
+        if not self.batch_shape or not -self.batch_shape[0] <= index < self.batch_shape[0]:
+            raise ArgumentError(f"index: expected one of a batch of shape {self.batch_shape}, got {index!r}")
         return self._map(lambda tensor: tensor[index])
 
     @classmethod
@@ -334,6 +339,8 @@ class Camera(ABC):
         Raises:
             ArgumentError: the cameras differ in more than the values of their intrinsics.
         """
+        if not cameras:
+            raise ArgumentError("cameras: expected at least one camera, got none")
         first = cameras[0]
         for other in cameras[1:]:
             if other._signature() != first._signature():
@@ -446,7 +453,9 @@ class Batched(Protocol):
 
 
 def check_single(thing: Batched) -> None:
-    """Raise ``ArgumentError`` for a batch of cameras or rigs."""
+    """Raise ``ArgumentError`` for a batch of cameras or rigs, or what is neither."""
+    if not hasattr(thing, "batch_shape"):
+        raise ArgumentTypeError(f"expected a camera or a rig, got {type(thing).__name__}")
     if thing.batch_shape:
         name = "camera" if isinstance(thing, Camera) else "rig"
         raise ArgumentError(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,8 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.precision import HALF
-from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.geometry.directions import is_traced
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor, short_repr
+from sphericalvision.geometry.directions import has_numbers, holds
 
 __all__ = [
     "check_poses",
@@ -39,7 +40,9 @@ def checked_numbers(name: str, value: Any, like: Float[Tensor, " ..."]) -> Float
         tensor = torch.as_tensor(value, dtype=like.dtype, device=like.device)
     except (TypeError, ValueError, RuntimeError):
         raise ArgumentError(f"{name}: expected numbers, got {value!r:.80}") from None
-    if not (is_traced() or bool(tensor.isfinite().all())):
+    if tensor.ndim and not tensor.shape[-1]:
+        raise ShapeError(f"{name}: expected numbers, got none: shape {tuple(tensor.shape)}")
+    if not holds(tensor.isfinite()):
         raise ArgumentError(f"{name}: expected finite numbers, got {tensor.tolist()!s:.200}")
     return tensor
 
@@ -49,7 +52,7 @@ def checked_angle(
 ) -> Float[Tensor, "*batch"]:
     """The limit of a field of view as a tensor, in radians from the optical axis."""
     angle = checked_numbers("max_angle", max_angle, like)
-    if not angle.numel() or not bool(((angle > 0) & (angle <= torch.pi + 1e-6)).all()):
+    if not (angle.numel() and holds((angle > 0) & (angle <= torch.pi + 1e-6))):
         raise ArgumentError(
             f"max_angle: expected radians from the optical axis in (0, π], got {max_angle}; it is half the field of "
             "view, e.g. math.radians(110) for a lens of 220°"
@@ -59,21 +62,31 @@ def checked_angle(
 
 def checked_size(image_size: Sequence[int]) -> tuple[int, int]:
     """(height, width) of an image, as whole numbers above 0."""
-    if len(image_size) != 2 or any(int(side) != side or side < 1 for side in image_size):
-        raise ArgumentError(f"image_size: expected (height, width) in pixels, got {image_size!r}")
-    return int(image_size[0]), int(image_size[1])
+    try:
+        height, width = (operator.index(side) if not isinstance(side, float) else side for side in image_size)
+        if not (1 <= height == int(height) and 1 <= width == int(width)):
+            raise ValueError
+    except (TypeError, ValueError, OverflowError):
+        raise ArgumentError(
+            f"image_size: expected (height, width) in whole pixels above 0, got {short_repr(image_size)}"
+        ) from None
+    return int(height), int(width)
 
 
 def check_poses(names: list[str], poses: Float[Tensor, "*rigs n 4 4"]) -> None:
     """Raise unless there is a rigid transform ``(*b, n, 4, 4)`` for each camera; errors name the camera."""
     if not names:
         raise ArgumentError("cameras: expected at least one camera, got none")
+    check_tensor("world_from_camera", poses, f"(*b, {len(names)}, 4, 4)")
+    check_floating("world_from_camera", poses)
     if poses.ndim < 3 or tuple(poses.shape[-3:]) != (len(names), 4, 4):
         raise ShapeError(
             f"world_from_camera: expected shape (*b, {len(names)}, 4, 4) for {len(names)} cameras, "
             f"got {tuple(poses.shape)}"
         )
     detached = poses.detach()
+    if not has_numbers(detached):
+        return
     finite = detached.isfinite().flatten(-2).all(-1).reshape(-1, len(names)).all(0)
     for name, fine in zip(names, finite.tolist(), strict=True):
         if not fine:
@@ -81,10 +94,21 @@ def check_poses(names: list[str], poses: Float[Tensor, "*rigs n 4 4"]) -> None:
                 f"world_from_camera: the pose of {name} has NaN or infinite numbers; correct it"
             )
     check_rotation("world_from_camera", detached[..., :3, :3])
+    if bool(((detached[..., 3, :] - detached.new_tensor([0, 0, 0, 1])).abs() > 1e-3).any()):
+        raise ArgumentError(
+            f"world_from_camera: expected (0, 0, 0, 1) as last rows, got {detached[..., 3, :].reshape(-1, 4).tolist()}"
+            "; a matrix acts on columns, translations are in the last one"
+        )
 
 
 def check_rotation(name: str, rotation: Float[Tensor, "*batch 3 3"]) -> None:
-    """Raise ``ArgumentError`` unless all of these ``(*, 3, 3)`` turn and do nothing else."""
+    """Raise ``ShapeError`` unless these are ``(*, 3, 3)``, ``ArgumentError`` unless they turn and do nothing else."""
+    check_tensor(name, rotation, "(3, 3) or (*b, 3, 3)")
+    if rotation.ndim < 2 or tuple(rotation.shape[-2:]) != (3, 3):
+        raise ShapeError(f"{name}: expected shape (3, 3) or (*b, 3, 3), got {tuple(rotation.shape)}")
+    check_floating(name, rotation)
+    if not has_numbers(rotation):
+        return
     rotation = rotation.detach().double()
     eye = torch.eye(3, dtype=torch.float64, device=rotation.device)
     rigid = ((rotation @ rotation.mT - eye).abs().amax() < 1e-3) and bool(

@@ -11,7 +11,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_last_dim, check_type
+from sphericalvision.geometry.directions import holds
 
 __all__ = ["Overlap", "coverage", "overlap", "seen_by"]
 
@@ -50,8 +51,10 @@ def coverage(
         >>> coverage(rig, torch.tensor([forward, between]), depths=[1.0, float("inf")]).tolist()
         [[3, 2], [3, 2]]
     """
+    check_type("rig", rig, CameraRig)
+    check_last_dim("directions", directions, 3)
     far = torch.as_tensor(depths, dtype=directions.dtype, device=directions.device).reshape(-1)
-    if not bool((far > 0).all()):
+    if not holds(far > 0):
         raise ArgumentError(f"depths: expected metres above 0, got {far.tolist()}")
     return rig.points_seen(directions, far.reciprocal()).sum(-3)
 
@@ -85,7 +88,7 @@ def seen_by(
             f"inverse_depth: expected (*b, {len(directions)}), one for each direction, got "
             f"{tuple(inverse_depth.shape)}"
         )
-    if not bool((inverse_depth >= 0).all()):
+    if not holds(inverse_depth >= 0):
         raise ArgumentError(
             f"inverse_depth: expected 1/m, 0 or more, got {inverse_depth.min().item():g}; leave unknown points at 0"
         )

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
+from sphericalvision.core import check_type
 
 __all__ = ["FieldOfView", "field_of_view", "focal_length_on_axis", "visible_angle"]
 
@@ -77,6 +78,7 @@ def field_of_view(camera: Camera) -> FieldOfView:
         >>> [round(math.degrees(angle)) for angle in field_of_view(fisheye)]
         [190, 190, 190]
     """
+    check_type("camera", camera, Camera)
     azimuth = torch.arange(360, dtype=torch.float64, device=camera.device) * (math.pi / 180)
     angle = visible_angle(camera, azimuth)
     across = angle[:180] + angle[180:]

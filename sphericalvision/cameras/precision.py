@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import check_floating, check_tensor
 
 __all__ = ["HALF", "at_least_float32", "computed_in_float32"]
 
@@ -36,21 +36,21 @@ def at_least_float32(name: str, values: Shaped[Tensor, "*batch"]) -> Float[Tenso
         >>> at_least_float32("points", torch.zeros(3, dtype=torch.bfloat16)).dtype
         torch.float32
     """
-    if not values.is_floating_point():
-        raise ArgumentError(
-            f"{name}: expected floating point values, got {values.dtype}; convert them with .float()"
-        )
+    check_floating(name, values)
     return values.float() if values.dtype in HALF else values
 
 
 def computed_in_float32(function: AnyFunction) -> AnyFunction:
     """Decorate a function of tensors, the first of which has a name in errors, so that it gets no half precision."""
-    name = function.__code__.co_varnames[0]  # type: ignore[attr-defined]
+    names = function.__code__.co_varnames  # type: ignore[attr-defined]
 
     @functools.wraps(function)
     def with_float32(*arguments: Any, **options: Any) -> Any:
         if arguments and isinstance(arguments[0], Tensor):
-            at_least_float32(name, arguments[0])
+            at_least_float32(names[0], arguments[0])
+            for name, value in zip(names, arguments, strict=False):
+                if isinstance(value, list | tuple):  # intrinsics, which would be indexed as tensors are
+                    check_tensor(name, value, "(*,) or (*, n)")
         return function(
             *(_raised(value) for value in arguments),
             **{key: _raised(value) for key, value in options.items()},

@@ -21,12 +21,21 @@ from sphericalvision.cameras.checks import check_poses, check_rotation
 from sphericalvision.cameras.masks import is_usable, resized_mask, stack_masks
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.cameras.verbs import verb
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.core import (
+    ArgumentError,
+    ArgumentTypeError,
+    ShapeError,
+    check_last_dim,
+    check_tensor,
+    check_type,
+    short_repr,
+)
 from sphericalvision.geometry import (
     directions_from_longitude_latitude,
     invert_transform,
     transform_from_axis_angle,
 )
+from sphericalvision.geometry.directions import holds
 
 __all__ = ["CameraRig", "ring_rig"]
 
@@ -57,16 +66,28 @@ class CameraRig:
         world_from_camera: Float[Tensor, "*rigs n 4 4"],
         masks: Mapping[str, Bool[Tensor, " ..."]] | None = None,
     ) -> None:
+        if isinstance(cameras, Camera):
+            raise ArgumentTypeError(
+                "cameras: expected a list or a dict of cameras, got a single one; write [camera]"
+            )
         named = cameras if isinstance(cameras, Mapping) else {f"cam{i + 1}": c for i, c in enumerate(cameras)}
         self.cameras: dict[str, Camera] = dict(named)
         self.masks: dict[str, Tensor] = dict(masks or {})
+        for name, camera in self.cameras.items():
+            check_type(f"cameras[{name!r}]", camera, Camera, "read_camera reads one")
         check_poses(self.names, world_from_camera)
         for name, mask in self.masks.items():
+            check_tensor(f"masks[{name!r}]", mask, "(*b, h, w)")
             if name not in self.cameras:
                 raise ArgumentError(f"masks: expected names among {', '.join(self.names)}, got {name!r}")
             if tuple(mask.shape[-2:]) != self.cameras[name].image_size:
                 raise ShapeError(
                     f"masks[{name!r}]: expected shape {self.cameras[name].image_size}, got {tuple(mask.shape)}"
+                )
+            if mask.dtype != torch.bool:
+                raise ArgumentError(
+                    f"masks[{name!r}]: expected bool, True where the image is usable, got {mask.dtype}; "
+                    "mask > 0 makes one"
                 )
         self.world_from_camera = world_from_camera
 
@@ -192,8 +213,6 @@ class CameraRig:
         down = transform_from_axis_angle(torch.stack((-angle, zero, zero), -1), poses.new_zeros(3))
         poses = poses @ down
         if rotation is not None:
-            if tuple(rotation.shape[-2:]) != (3, 3):
-                raise ShapeError(f"rotation: expected shape (*, 3, 3), got {tuple(rotation.shape)}")
             check_rotation("rotation", rotation)
             turn = torch.eye(4, dtype=poses.dtype, device=poses.device).repeat(*rotation.shape[:-2], 1, 1)
             turn[..., :3, :3] = rotation.to(poses)
@@ -333,7 +352,7 @@ class CameraRig:
             >>> seen[..., 0].tolist()  # the cameras that look forward, right, back and left; far away and at 1 m
             [[True, True], [True, True], [False, False], [True, True]]
         """
-        if not bool((inverse_depths >= 0).all()):
+        if not holds(inverse_depths >= 0):
             raise ArgumentError(
                 f"inverse_depths: expected 1/m, 0 (infinity) or more, got {inverse_depths.min().item():g}"
             )
@@ -414,10 +433,12 @@ def ring_rig(
         >>> ring_rig(4).world_from_camera[1, :3, 3]  # the second camera stands to the right, on +x
         tensor([0.2000, 0.0000, 0.0000])
     """
-    if num_cameras < 2 or radius <= 0:
+    if isinstance(num_cameras, bool) or not isinstance(num_cameras, int) or num_cameras < 2:
         raise ArgumentError(
-            f"ring_rig: expected 2 or more cameras and radius > 0, got {num_cameras} and {radius}"
+            f"num_cameras: expected a whole number of 2 or more, got {short_repr(num_cameras)}"
         )
+    if not isinstance(radius, int | float) or not 0 < radius < math.inf:
+        raise ArgumentError(f"radius: expected metres above 0, got {short_repr(radius)}")
     camera = FisheyeCamera.from_field_of_view(image_size, field_of_view, projection)
     longitude = torch.arange(num_cameras, dtype=torch.float64) * (2 * math.pi / num_cameras)
     zero = torch.zeros_like(longitude)

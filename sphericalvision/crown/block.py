@@ -6,10 +6,10 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ShapeError, check_dtype
 from sphericalvision.crown import fast
 from sphericalvision.crown.conv import CrownConv2d, CrownConv3d
-from sphericalvision.crown.layout import Crown, crown_relu, from_crown, to_crown
+from sphericalvision.crown.layout import Crown, check_crown, crown_relu, from_crown, to_crown
 from sphericalvision.crown.norm import crown_norm
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.recompute import RecomputedModule
@@ -25,6 +25,8 @@ class _CrownConvNorm(nn.Module):
     relu: bool
 
     def forward(self, crown: Crown) -> Crown:
+        check_crown(crown)
+        check_dtype("crown", crown.col, self.conv.weight)
         rectangles = fast.conv_norm(*crown, self.conv, self.norm, self.relu)
         if rectangles is not None:
             return Crown(*rectangles)
@@ -108,6 +110,7 @@ def crown_block3d(
     """
     check_values(volume, 3)
     channels = first.conv.weight.shape[1]
+    check_dtype("volume", volume, first.conv.weight)
     if volume.shape[1] != channels:
         raise ShapeError(f"volume: expected {channels} channels (dimension 1), got {volume.shape[1]}")
     result = fast.block3d(volume, first, second, residual)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_channels, check_dtype, check_tensor
 from sphericalvision.crown import fast
 from sphericalvision.crown.layout import Crown, check_crown
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve
@@ -18,15 +18,19 @@ __all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d"]
 
 
 def _check_weight(weight: Tensor, taps: int, channels: int) -> None:
+    check_tensor("weight", weight, f"(out, in, {taps})")
     if weight.ndim != 3 or weight.shape[-1] != taps:
         raise ShapeError(f"weight: expected shape (out, in, {taps}), got {tuple(weight.shape)}")
     if weight.shape[1] != channels:
         raise ShapeError(f"crown: expected {weight.shape[1]} channels (dimension 2), got {channels}")
 
 
-def _check_conv(crown: Crown, weight: Tensor, spatial_dims: int, stride: int) -> None:
+def _check_conv(crown: Crown, weight: Tensor, bias: Tensor | None, spatial_dims: int, stride: int) -> None:
     check_crown(crown, spatial_dims)
     _check_weight(weight, 7 if spatial_dims == 2 else 21, crown.col.shape[2])
+    check_dtype("crown", crown.col, weight)
+    if bias is not None and tuple(bias.shape) != (len(weight),):
+        raise ShapeError(f"bias: expected shape ({len(weight)},) as the weight has, got {tuple(bias.shape)}")
     if stride not in (1, 2) or (stride == 2 and crown.level == 0):
         raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
 
@@ -62,7 +66,7 @@ def crown_conv2d(
         >>> crown_conv2d(to_crown(torch.ones(1, 4, 42)), torch.ones(8, 4, 7), stride=2).col.shape
         torch.Size([1, 5, 8, 3, 2])
     """
-    _check_conv(crown, weight, 2, stride)
+    _check_conv(crown, weight, bias, 2, stride)
     return _convolve(crown, weight, bias, stride, native)
 
 
@@ -91,7 +95,7 @@ def crown_conv3d(
         >>> crown_conv3d(to_crown(torch.ones(1, 4, 16, 42)), torch.ones(8, 4, 21)).row.shape
         torch.Size([1, 5, 8, 16, 3, 5])
     """
-    _check_conv(crown, weight, 3, stride)
+    _check_conv(crown, weight, bias, 3, stride)
     return _convolve(crown, weight, bias, stride, native)
 
 
@@ -111,6 +115,7 @@ class _CrownConv(nn.Module):
 
     def __init__(self, in_channels: int, out_channels: int, stride: int = 1, bias: bool = False) -> None:
         super().__init__()
+        check_channels(in_channels=in_channels, out_channels=out_channels)
         if stride not in (1, 2):
             raise ArgumentError(f"stride: expected 1 or 2, got {stride}")
         self.stride = stride

@@ -38,7 +38,15 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, uses_compact_kernels
+from sphericalvision.core import (
+    ArgumentError,
+    ShapeError,
+    check_channels,
+    check_choice,
+    check_dtype,
+    check_tensor,
+    uses_compact_kernels,
+)
 from sphericalvision.crown import fast
 from sphericalvision.crown.compact import compact_hex_conv
 from sphericalvision.crown.hexpad import fill_charts, hex_pad
@@ -245,6 +253,8 @@ def _ring_kernel(weight: Tensor, north: Tensor | None) -> Tensor:
 def _check_conv(values: Tensor, weight: Tensor, spatial_dims: int, stride: int, north: Tensor | None) -> None:
     level = check_values(values, spatial_dims)
     taps = 7 if spatial_dims == 2 else 21
+    check_tensor("weight", weight, f"(out, in, {taps})")
+    check_dtype("values", values, weight)
     if weight.ndim != 3 or weight.shape[-1] != taps:
         raise ShapeError(f"weight: expected shape (out, in, {taps}), got {tuple(weight.shape)}")
     if weight.shape[1] != values.shape[1]:
@@ -275,6 +285,7 @@ class _HexConv(nn.Module):
     ) -> None:
         super().__init__()
         check_choice("orientation", orientation, ORIENTATIONS)
+        check_channels(in_channels=in_channels, out_channels=out_channels)
         if stride not in (1, 2):
             raise ArgumentError(f"stride: expected 1 or 2, got {stride}")
         if orientation == "north" and level is None:

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, uses_compact_kernels
+from sphericalvision.core import ArgumentTypeError, ShapeError, uses_compact_kernels
 from sphericalvision.crown import fast
 from sphericalvision.crown.compact import compact_fold
 from sphericalvision.crown.places import (
@@ -56,6 +56,12 @@ class Crown(NamedTuple):
         return level_of_rectangles(self.col)
 
     def __add__(self, other: Crown) -> Crown:  # type: ignore[override]
+        check_crown(other)
+        if other.col.shape != self.col.shape:
+            raise ShapeError(
+                f"crown: expected the shapes of the other summand, col {tuple(self.col.shape)}, "
+                f"got {tuple(other.col.shape)}"
+            )
         return Crown(self.col + other.col, self.row + other.row)
 
 
@@ -63,7 +69,7 @@ def check_crown(crown: Crown, spatial_dims: int | None = None) -> None:
     """Raise ``ShapeError`` unless ``crown`` has ten rectangles that match, of ``spatial_dims`` 2 or 3 if given."""
     if not (isinstance(crown, tuple) and len(crown) == 2):
         got = f"a tensor of shape {tuple(crown.shape)}" if isinstance(crown, Tensor) else type(crown).__name__
-        raise ShapeError(
+        raise ArgumentTypeError(
             f"crown: expected a Crown of rectangles, col and row, got {got}; make it with to_crown"
         )
     col, row = crown
@@ -145,6 +151,8 @@ def crown_map(function: Callable[..., Tensor], *crowns: Crown) -> Crown:
         >>> crown_map(torch.add, crown, crown).col.unique()
         tensor([2.])
     """
+    for crown in crowns:
+        check_crown(crown)
     return Crown(function(*(crown.col for crown in crowns)), function(*(crown.row for crown in crowns)))
 
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 from jaxtyping import Float, Num
 from torch import Tensor, nn
 
-from sphericalvision.crown.layout import Crown, crown_map, exchange, from_crown, to_crown
+from sphericalvision.core import check_dtype
+from sphericalvision.crown.layout import Crown, check_crown, crown_map, exchange, from_crown, to_crown
 
 __all__ = ["CrownExchange", "CrownPointwise", "FromCrown", "ToCrown"]
 
@@ -73,4 +74,8 @@ class CrownPointwise(nn.Module):
         self.module = module
 
     def forward(self, crown: Crown) -> Crown:
+        check_crown(crown)
+        weight = next(self.module.parameters(), None)
+        if weight is not None:
+            check_dtype("crown", crown.col, weight)
         return crown_map(lambda x: self.module(x.flatten(0, 1)).unflatten(0, (-1, 5)), crown)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ShapeError, check_choice, uses_compact_kernels
+from sphericalvision.core import ShapeError, check_choice, check_dtype, uses_compact_kernels
 from sphericalvision.crown.compact import compact_norm
 from sphericalvision.crown.layout import Crown, check_crown, crown_map
 
@@ -29,6 +29,8 @@ class _CrownBatchNorm(_BatchNorm):
             raise ShapeError(
                 f"crown: expected {self.num_features} channels (dimension 2), got {crown.col.shape[2]}"
             )
+        if self.affine:
+            check_dtype("crown", crown.col, self.weight)
         if uses_compact_kernels() and not self.training:
             return crown_map(
                 lambda r: super(_CrownBatchNorm, self).forward(r.flatten(0, 1)).view(r.shape), crown

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Int, Num, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, made_once
+from sphericalvision.core import ShapeError, check_tensor, made_once
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids, vertex_at
 
@@ -24,6 +24,7 @@ __all__ = [
 
 def check_values(values: Shaped[Tensor, "B C *N V"], spatial_dims: int | None = None) -> int:
     """Return the level of values on an icosphere or raise ``ShapeError`` unless they are ``(B, C, [N,] V)``."""
+    check_tensor("values", values, "(B, C, V) or (B, C, N, V)")
     if values.ndim not in (3, 4) or (spatial_dims is not None and values.ndim != spatial_dims + 1):
         expected = {None: "(B, C, V) or (B, C, N, V)", 2: "(B, C, V)", 3: "(B, C, N, V)"}[spatial_dims]
         raise ShapeError(f"values: expected shape {expected}, got {tuple(values.shape)}")

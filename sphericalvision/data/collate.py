@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_type
 
 __all__ = ["collate_samples"]
 
@@ -34,6 +34,8 @@ def collate_samples(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     if not samples:
         raise ArgumentError("samples: expected at least one sample to make a batch of, got none")
+    for sample in samples:
+        check_type("samples", sample, Mapping, "a dict with images, rig and so on")
     keys = list(samples[0])
     for sample in samples:
         if set(sample) != set(keys):

@@ -16,13 +16,15 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
-from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_type
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.deploy.depth import Depth
 from sphericalvision.deploy.photographs import as_photographs
 from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.models.weights.checkpoints import read_network
+from sphericalvision.sweep.hypotheses import check_hypotheses
 from sphericalvision.sweep.nearest_depth import nearest_depth
 
 __all__ = ["METHODS", "Predictor", "nearest_in_frames"]
@@ -92,14 +94,26 @@ class Predictor:
         channels: Literal["rgb", "bgr"] = "rgb",
         trained_radius: float = 0.2,
     ) -> None:
+        check_type("rig", rig, CameraRig, "ring_rig makes one, read_rig reads one")
         check_single(rig)
         check_choice("method", method, METHODS)
         check_choice("channels", channels, ("rgb", "bgr"))
         net = weights if isinstance(weights, DepthNetwork) else read_network(weights)
+        if level is not None:
+            check_level(level)
+        if num_hypotheses is not None:
+            check_hypotheses(num_hypotheses, net.min_depth)
         if method == "network" and level is not None:
             net = net.with_changes(level=level)
         check_number(net, rig)
-        self._device = net.device if device is None else torch.device(device)
+        if len(rig) < 2 and (method == "semi_global" or net.num_cameras > 1):
+            raise ArgumentError(
+                f"rig: expected two or more cameras, got {len(rig)} ({', '.join(rig.names)}): "
+                "depth is what they see differently; add a camera (cameras=[...] of the command)"
+            )
+        if len(rig) > 1:
+            check_places(rig)
+        self._device = net.device if device is None else checked_device(device)
         self._rig = rig.to(self._device)
         self._antialias, self._channels = antialias, channels
         self._lock = threading.Lock()
@@ -348,9 +362,23 @@ def check_places(rig: CameraRig) -> None:
         else ""
     )
     raise ArgumentError(
-        f"min_depth: the rig has all its cameras in one place ({', '.join(rig.names)}), so there is no scale; "
-        f"give metres, min_depth=0.55, or more cameras{hint}"
+        f"rig: it has all its cameras in one place ({', '.join(rig.names)}), which gives neither parallax nor a scale; "
+        f"correct the poses, or for a network of a single camera give metres, min_depth=0.55{hint}"
     )
+
+
+def checked_device(device: torch.device | str) -> torch.device:
+    """Return a device of this machine, or raise ``ArgumentError`` with those that there are.
+
+    Examples:
+        >>> checked_device("cpu")
+        device(type='cpu')
+    """
+    try:
+        return torch.empty(0, device=device).device
+    except (RuntimeError, AssertionError, TypeError):
+        there = "'cpu' or 'cuda'" if torch.cuda.is_available() else "'cpu', the only one of this machine"
+        raise ArgumentError(f"device: expected {there}, got {device!r}") from None
 
 
 def checked_min_depth(min_depth: Any) -> float:

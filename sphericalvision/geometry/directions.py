@@ -12,10 +12,10 @@ import functools
 import math
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import check_last_dim
+from sphericalvision.core import check_floating, check_last_dim, check_tensor
 
 __all__ = [
     "angle_from_axis",
@@ -23,6 +23,8 @@ __all__ = [
     "cosine_and_lifted_sinc",
     "directions_from_longitude_latitude",
     "from_components",
+    "has_numbers",
+    "holds",
     "is_at_least",
     "is_greater",
     "is_traced",
@@ -98,6 +100,26 @@ def is_traced() -> bool:
     return torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active()
 
 
+def has_numbers(tensor: Shaped[Tensor, " ..."]) -> bool:
+    """Whether the numbers of a tensor can be looked at: not on the meta device, nor while ``is_traced``.
+
+    Examples:
+        >>> has_numbers(torch.ones(3)), has_numbers(torch.ones(3, device="meta"))
+        (True, False)
+    """
+    return not (tensor.is_meta or is_traced())
+
+
+def holds(condition: Bool[Tensor, " ..."]) -> bool:
+    """Whether a condition is True everywhere, or cannot be looked at: see ``has_numbers``.
+
+    Examples:
+        >>> holds(torch.tensor([True, False])), holds(torch.zeros(2, dtype=torch.bool, device="meta"))
+        (False, True)
+    """
+    return not has_numbers(condition) or bool(condition.all())
+
+
 def safe_sqrt(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Square root of ``x`` (*), with value and derivative 0 where ``x`` is not positive.
 
@@ -152,6 +174,7 @@ def normalize(vectors: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
         [0.0, 0.0, 1.0]
     """
     check_last_dim("vectors", vectors, 3)
+    check_floating("vectors", vectors)
     x, y, z = components(vectors)
     largest = torch.maximum(torch.maximum(x.detach().abs(), y.detach().abs()), z.detach().abs())
     scale = (largest + (largest == 0)).reciprocal()  # so that squares neither overflow nor vanish
@@ -170,6 +193,7 @@ def angle_from_axis(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"
         [0.0, 1.5707963705062866]
     """
     check_last_dim("points", points, 3)
+    check_floating("points", points)
     x, y, z = components(points)
     return torch.atan2(safe_hypot(x, y), z)
 
@@ -201,6 +225,9 @@ def directions_from_longitude_latitude(
         >>> directions_from_longitude_latitude(torch.tensor(0.0), quarter)[1].item()  # up is -y
         -1.0
     """
+    for name, angle in (("longitude", longitude), ("latitude", latitude)):
+        check_tensor(name, angle, "(*)")
+        check_floating(name, angle)
     longitude, latitude = torch.broadcast_tensors(longitude, latitude)
     flat = torch.cos(latitude)
     return from_components(flat * torch.sin(longitude), -torch.sin(latitude), flat * torch.cos(longitude))
@@ -219,6 +246,7 @@ def longitude_latitude_from_directions(
         (0.0, True)
     """
     check_last_dim("directions", directions, 3)
+    check_floating("directions", directions)
     x, y, z = components(directions)
     tiny = torch.finfo(z.dtype).tiny ** 0.5
     squared = torch.addcmul(x * x, z, z)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_last_dim
+from sphericalvision.core import ShapeError, check_choice, check_floating, check_last_dim, check_tensor
 from sphericalvision.geometry.broadcasting import broadcast_shapes
 
 __all__ = ["bilinear_sample", "wrap_panorama"]
@@ -67,21 +67,28 @@ def bilinear_sample(
         [[5.0]]
     """
     check_choice("padding", padding, ("border", "zeros"))
+    check_tensor("image", image, "(*b, c, h, w)")
     check_last_dim("pixels", pixels, 2)
     if image.ndim < 3 or pixels.ndim < 2:
         raise ShapeError(
             "image and pixels: expected shapes (*b, c, h, w) and (*b, n, 2), "
             f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
         )
-    if not image.is_floating_point():
-        raise ArgumentError(f"image: expected floating point values, got {image.dtype}; convert it first")
+    check_floating("image", image)
+    check_floating("pixels", pixels)
     height, width = image.shape[-2:]
     size = pixels.new_tensor([width, height])
     if wrap_longitude:
         u = torch.remainder(pixels[..., 0] + 0.5, width) - 0.5
         pixels = torch.stack((u, pixels[..., 1]), dim=-1) + 1
         image, size = wrap_panorama(image), size + 2
-    batch = broadcast_shapes(image.shape[:-3], pixels.shape[:-2])
+    try:
+        batch = broadcast_shapes(image.shape[:-3], pixels.shape[:-2])
+    except RuntimeError:
+        raise ShapeError(
+            "image and pixels: expected leading dimensions that broadcast with each other, "
+            f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
+        ) from None
     flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
     if image.dtype in (torch.float16, torch.bfloat16):  # whose places would be half a pixel off
         flat_image = flat_image.float()

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_last_dim
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim, check_tensor
 from sphericalvision.geometry.broadcasting import broadcast_shapes
+from sphericalvision.geometry.directions import holds
 
 __all__ = [
     "axis_angle_from_transform",
@@ -20,6 +21,8 @@ __all__ = [
 
 
 def _check_transform(name: str, transform: Tensor) -> None:
+    check_tensor(name, transform, "(*, 4, 4)")
+    check_floating(name, transform)
     if transform.shape[-2:] != (4, 4):
         raise ShapeError(
             f"{name}: expected rigid transforms of shape (*, 4, 4), got {tuple(transform.shape)}"
@@ -60,6 +63,7 @@ def transform_points(
     """
     _check_transform("a_from_b", a_from_b)
     check_last_dim("points", points, 3)
+    check_floating("points", points)
     return points @ a_from_b[..., :3, :3].mT + a_from_b[..., None, :3, 3]
 
 
@@ -75,6 +79,7 @@ def transform_from_axis_angle(
         1.0
     """
     check_last_dim("axis_angle", axis_angle, 3)
+    check_floating("axis_angle", axis_angle)
     check_last_dim("translation", translation, 3)
     from kornia.geometry.conversions import axis_angle_to_rotation_matrix  # a second to import
 
@@ -108,6 +113,9 @@ def transform_from_quaternion(
         [1.0, 0.0, 0.0, 1.0]
     """
     check_last_dim("quaternion", quaternion, 4)
+    check_floating("quaternion", quaternion)
+    if not holds((quaternion != 0).any(-1)):
+        raise ArgumentError("quaternion: expected (w, x, y, z) of any length but zero, got zeros")
     check_last_dim("translation", translation, 3)
     from kornia.geometry.conversions import quaternion_to_rotation_matrix
 

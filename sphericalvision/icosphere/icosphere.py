@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim, check_tensor
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere.adjacency import icosphere_edges, icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
@@ -147,6 +147,8 @@ class Icosphere(nn.Module):
             ShapeError: if the values are not on this icosphere.
         """
         check_last_dim("directions", directions, 3)
+        check_tensor("values", values, f"(*b, c, {self.num_vertices})")
+        check_floating("values", values)
         if values.ndim == 0 or values.shape[-1] != self.num_vertices:
             raise ShapeError(
                 f"values: expected shape (*b, c, {self.num_vertices}) for an icosphere of level "

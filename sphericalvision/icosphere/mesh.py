@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import made_once
+from sphericalvision.core import ArgumentError, made_once
 from sphericalvision.icosphere.topology import check_level
 
 __all__ = ["icosahedron_rectangles", "icosphere_vertices"]
@@ -56,6 +56,8 @@ def icosphere_vertices(
         torch.Size([162, 3])
     """
     check_level(level)
+    if dtype is not None and not dtype.is_floating_point:
+        raise ArgumentError(f"dtype: expected a floating point type, got {dtype}")
     grid = icosahedron_rectangles(torch.float64, device)
     for _ in range(level):
         charts, rows, columns, _ = grid.shape

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
 from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
@@ -46,6 +46,7 @@ def icosphere_pool(values: Num[Tensor, "*batch V"], mode: str = "mean") -> Num[T
         torch.Size([2, 42])
     """
     check_choice("mode", mode, POOL_MODES)
+    check_tensor("values", values, "(*, V)")
     level = level_from_num_vertices(values.shape[-1])
     if mode == "max":
         return _max(values, _pooled_ids(level, values.device))
@@ -104,6 +105,7 @@ def icosphere_upsample(values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*bat
         >>> icosphere_upsample(torch.ones(2, 42)).shape
         torch.Size([2, 162])
     """
+    check_tensor("values", values, "(*, V)")
     level = level_from_num_vertices(values.shape[-1])
     return _mean_of_parents(values, icosphere_vertex_parents(level + 1, values.device))
 
@@ -135,6 +137,7 @@ class IcosphereUpsample(nn.Module):
 
 
 def _check_level_of(values: Tensor, level: int) -> None:
+    check_tensor("values", values, f"(*, {num_icosphere_vertices(level)})")
     if values.ndim == 0 or values.shape[-1] != num_icosphere_vertices(level):
         raise ShapeError(
             f"values: expected shape (*, {num_icosphere_vertices(level)}) for an icosphere of level {level}, "

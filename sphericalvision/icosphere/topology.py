@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, made_once
+from sphericalvision.core import ArgumentError, ShapeError, check_type, made_once
 
 __all__ = [
     "MAX_LEVEL",
@@ -71,6 +71,7 @@ def level_from_num_vertices(num_vertices: int) -> int:
         >>> level_from_num_vertices(642)
         3
     """
+    check_type("number of vertices", num_vertices, int)
     level = max((max(int(num_vertices), 2) - 2) // 10, 1).bit_length() // 2
     if level > MAX_LEVEL or num_icosphere_vertices(level) != num_vertices:
         raise ShapeError(

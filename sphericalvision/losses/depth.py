@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 
 __all__ = ["depth_index_huber", "solid_angle_cross_entropy", "solid_angle_mean"]
 
@@ -43,6 +43,10 @@ def depth_index_huber(
         >>> depth_index_huber(torch.tensor([[0.0, 3.0]]), torch.tensor([[1.0, 0.0]]))  # (0.5 + 2.5) / 2
         tensor(1.5000)
     """
+    check_tensor("pred_index", pred_index, "(B, V)")
+    check_tensor("target_index", target_index, "(B, V)")
+    if not delta > 0:
+        raise ArgumentError(f"delta: expected an index difference above 0, got {delta!r}")
     if pred_index.shape != target_index.shape:
         raise ShapeError(
             f"target_index: expected the shape of pred_index {tuple(pred_index.shape)}, "
@@ -50,6 +54,7 @@ def depth_index_huber(
         )
     if mask is not None and mask.shape != pred_index.shape:
         raise ShapeError(f"mask: expected shape {tuple(pred_index.shape)}, got {tuple(mask.shape)}")
+    mask = None if mask is None else mask.bool()
     if weights is not None:
         if weights.shape not in (pred_index.shape, pred_index.shape[-1:]):
             raise ShapeError(f"weights: expected shape ({pred_index.shape[-1]},), got {tuple(weights.shape)}")
@@ -94,6 +99,8 @@ def solid_angle_mean(
         >>> solid_angle_mean(height.abs(), grid.solid_angles)  # the mean over pixels is 0.64
         tensor(0.5002)
     """
+    check_tensor("values", values, "(*b, *shape)")
+    check_tensor("solid_angles", solid_angles, "(*shape)")
     dims = solid_angles.ndim
     if values.ndim < dims or values.shape[values.ndim - dims :] != solid_angles.shape:
         size = ", ".join(map(str, solid_angles.shape))
@@ -138,6 +145,10 @@ def solid_angle_cross_entropy(
         >>> solid_angle_cross_entropy(torch.zeros(1, 2, 162), labels, ico.solid_angles)  # log 2
         tensor(0.6931)
     """
+    check_tensor("logits", logits, "(B, classes, *shape)")
+    check_tensor("labels", labels, "(B, *shape)")
+    if labels.dtype not in (torch.int64, torch.uint8):
+        raise ArgumentError(f"labels: expected int64 or uint8, got {labels.dtype}; convert them with .long()")
     if tuple(logits.shape[2:]) != tuple(solid_angles.shape) or labels.shape != (
         *logits.shape[:1],
         *solid_angles.shape,
@@ -147,7 +158,13 @@ def solid_angle_cross_entropy(
             f"logits, labels: expected shapes (B, classes, {size}) and (B, {size}), "
             f"got {tuple(logits.shape)} and {tuple(labels.shape)}"
         )
-    losses = F.cross_entropy(logits, labels, ignore_index=ignore_index, reduction="none")
+    try:
+        losses = F.cross_entropy(logits, labels, ignore_index=ignore_index, reduction="none")
+    except IndexError:  # on a GPU it is an assertion of the device, which ends the program
+        raise ArgumentError(
+            f"labels: expected 0 to {logits.shape[1] - 1} or ignore_index={ignore_index}, "
+            f"got {int(labels.min())} to {int(labels.max())}"
+        ) from None
     shares = solid_angles.to(losses).expand_as(losses).where(labels != ignore_index, 0.0)
     return _ratio((losses * shares).sum(), shares.sum())
 

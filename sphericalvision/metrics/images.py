@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 from torchmetrics import Metric
 
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ShapeError, check_tensor
 
 __all__ = ["MeanOverImages", "shares_of_points", "weighted_mean"]
 
@@ -22,6 +22,8 @@ def shares_of_points(
     weights: Shaped[Tensor, " ..."] | None,
 ) -> Float[Tensor, "B V"]:
     """Return float64 weights ``(B, V)``: zero outside the mask, one in total per image (NaN if empty)."""
+    for name, tensor in (("prediction", pred), ("target", target), ("mask", pred if mask is None else mask)):
+        check_tensor(name, tensor, "(B, V)")
     if pred.ndim != 2:
         raise ShapeError(f"prediction: expected shape (B, V), got {tuple(pred.shape)}")
     named = {"target": target, "mask": pred if mask is None else mask}

@@ -15,7 +15,14 @@ from jaxtyping import Bool, Float, Int, Num
 from torch import Tensor
 from torchmetrics import Metric
 
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.core import (
+    ArgumentError,
+    ShapeError,
+    check_floating,
+    check_last_dim,
+    check_tensor,
+    check_type,
+)
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.sphere import SphereGrid
 
@@ -43,6 +50,8 @@ def angular_error(
     """
     check_last_dim("pred", pred, 3)
     check_last_dim("target", target, 3)
+    check_floating("pred", pred)
+    check_floating("target", target)
     cross = torch.linalg.cross(*torch.broadcast_tensors(pred, target))
     return torch.atan2(cross.norm(dim=-1), (pred * target).sum(-1))
 
@@ -54,12 +63,14 @@ class _OnGrid(Metric):
     solid_angles: Tensor
 
     def __init__(self, grid: SphereGrid, **kwargs: object) -> None:
+        check_type("grid", grid, SphereGrid, "values are weighted by its solid angles")
         super().__init__(**kwargs)
         self.grid_shape = tuple(grid.shape)
         self.register_buffer("solid_angles", grid.solid_angles.double().flatten(), persistent=False)
 
     def _flat(self, name: str, values: Tensor) -> Tensor:
         """Return ``(B, *grid.shape)`` as ``(B, n)``."""
+        check_tensor(name, values, f"(B, {', '.join(map(str, self.grid_shape))})")
         if tuple(values.shape[1:]) != self.grid_shape:
             size = ", ".join(map(str, self.grid_shape))
             raise ShapeError(f"{name}: expected shape (B, {size}) on this grid, got {tuple(values.shape)}")

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Num, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_dtype, check_floating, check_tensor
 from sphericalvision.crown import set_kernel_options
 from sphericalvision.crown.options import kernel_option
 from sphericalvision.icosphere import num_icosphere_vertices
@@ -169,6 +169,11 @@ class DepthNetwork(RemembersArguments):
     ) -> None:
         """Raise ``ShapeError`` unless images and ``seen`` have the shape and the cameras that this network takes."""
         on_sphere = self.images == "sphere"
+        check_tensor("images", images, "(B, n, 3, V)" if on_sphere else "(B, n, 3, H, W)")
+        weight = next((value for value in self.parameters() if value.is_floating_point()), None)
+        check_floating("images", images)
+        if weight is not None:
+            check_dtype("images", images, weight)
         size = (num_icosphere_vertices(self.level),) if on_sphere else images.shape[3:]
         if (
             images.ndim != (4 if on_sphere else 5)
@@ -185,6 +190,12 @@ class DepthNetwork(RemembersArguments):
                 f"got {tuple(images.shape)}"
             )
         one = (images.shape[1], *size)
+        if seen is not None:
+            check_tensor("seen", seen, f"{one}")
+            if seen.dtype != torch.bool:
+                raise ArgumentError(
+                    f"seen: expected bool, True where images show something, got {seen.dtype}"
+                )
         fits = seen is None or (
             seen.ndim - len(one) in (0, 1) and tuple(seen.shape) == (images.shape[0], *one)[-seen.ndim :]
         )

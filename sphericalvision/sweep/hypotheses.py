@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_floating, check_tensor, check_type, short_repr
 
 __all__ = [
     "INVERSE_DEPTH_OFFSET",
@@ -27,13 +27,22 @@ __all__ = [
     "inverse_depth_hypotheses",
 ]
 
+MAX_HYPOTHESES = 4096
+"""The most hypotheses: twenty times those of any published network."""
 INVERSE_DEPTH_OFFSET = torch.finfo(torch.float32).eps  # 1/m, added to all hypotheses
 
 
 def check_hypotheses(num_hypotheses: int, min_depth: float) -> None:
     """Raise ``ArgumentError`` unless there are two or more hypotheses and a positive smallest depth."""
     if isinstance(num_hypotheses, bool) or not isinstance(num_hypotheses, int) or num_hypotheses < 2:
-        raise ArgumentError(f"num_hypotheses: expected an integer of 2 or more, got {num_hypotheses!r}")
+        raise ArgumentError(
+            f"num_hypotheses: expected an integer of 2 or more, got {short_repr(num_hypotheses)}"
+        )
+    if num_hypotheses > MAX_HYPOTHESES:
+        raise ArgumentError(
+            f"num_hypotheses: expected {MAX_HYPOTHESES} at most, got {num_hypotheses}; take fewer"
+        )
+    check_type("min_depth", min_depth, (int, float), "metres to the nearest hypothesis")
     if not (math.isfinite(min_depth) and min_depth > 0):
         raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
 
@@ -72,6 +81,7 @@ def inverse_depth_from_index(
         tensor([1.0000, 2.0000])
     """
     check_hypotheses(num_hypotheses, min_depth)
+    check_tensor("index", index, "(*)")
     return index * (1 / ((num_hypotheses - 1) * min_depth)) + INVERSE_DEPTH_OFFSET
 
 
@@ -100,6 +110,8 @@ def index_from_inverse_depth(
         tensor([ 0.0000,  8.0000, 16.0000])
     """
     check_hypotheses(num_hypotheses, min_depth)
+    check_tensor("inverse_depth", inverse_depth, "(*)")
+    check_floating("inverse_depth", inverse_depth)
     return (inverse_depth - INVERSE_DEPTH_OFFSET).clamp(min=0) * ((num_hypotheses - 1) * min_depth)
 
 
@@ -112,4 +124,6 @@ def index_from_depth(
         >>> index_from_depth(torch.tensor([torch.inf, 1.0, 0.5]), num_hypotheses=17, min_depth=0.5)
         tensor([ 0.0000,  8.0000, 16.0000])
     """
+    check_tensor("depth", depth, "(*)")
+    check_floating("depth", depth)
     return index_from_inverse_depth(depth.reciprocal(), num_hypotheses, min_depth)

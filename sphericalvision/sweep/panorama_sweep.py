@@ -3,19 +3,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError, ShapeError, check_type
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
-
-if TYPE_CHECKING:
-    from sphericalvision.cameras import CameraRig
 
 __all__ = ["PanoramaSweep", "PanoramaTables"]
 
@@ -124,6 +122,7 @@ class PanoramaSweep(nn.Module):
         Raises:
             ArgumentError: if the cameras' images differ in size.
         """
+        check_type("rig", rig, CameraRig, "ring_rig makes one, read_rig reads one")
         sizes = {camera.image_size for camera in rig.cameras.values()}
         if len(sizes) > 1:
             raise ArgumentError(

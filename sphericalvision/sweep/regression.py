@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ShapeError, check_floating, check_tensor
 
 __all__ = ["DepthEstimate", "depth_estimate", "soft_argmax", "soft_argmax_confidence"]
 
@@ -89,6 +89,8 @@ def soft_argmax_confidence(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor,
 
 def _probabilities(logits: Tensor) -> Tensor:
     """The softmax over hypotheses, in single precision at least: bfloat16 has no number between 150 and 151."""
+    check_tensor("logits", logits, "(*b, N, V)")
+    check_floating("logits", logits)
     if logits.ndim < 2:
         raise ShapeError(f"logits: expected shape (*b, N, V), got {tuple(logits.shape)}")
     return logits.to(torch.promote_types(logits.dtype, torch.float32)).softmax(-2)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor
 from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level, coarse_vertex_ids
@@ -64,6 +64,9 @@ def sphere_sweep(
 def _batched(seen: Tensor, features: Tensor) -> Tensor:
     """``seen`` with a batch dimension, of one where all of the batch share it."""
     expected = features.shape[0], features.shape[1], features.shape[3]
+    check_tensor("seen", seen, "(B, n, V) or (n, V)")
+    if seen.dtype != torch.bool:
+        raise ArgumentError(f"seen: expected bool, True where images show something, got {seen.dtype}")
     if seen.ndim == 2:
         seen = seen[None]
     if seen.ndim != 3 or seen.shape[1:] != expected[1:] or seen.shape[0] not in (expected[0], 1):
@@ -167,6 +170,8 @@ class SphereSweep(nn.Module):
             ShapeError: if the features are on another level or of another number of cameras than the rig.
         """
         expected = num_icosphere_vertices(self.feature_level)
+        check_tensor("features", features, f"(B, n, C, {expected})")
+        check_floating("features", features)
         if features.ndim != 4 or features.shape[-1] != expected:
             raise ShapeError(
                 f"features: expected shape (B, n, C, {expected}) on level {self.feature_level}, "
@@ -177,6 +182,7 @@ class SphereSweep(nn.Module):
 
     def _coarsened(self, seen: Tensor) -> Tensor:
         """``seen`` at the vertices that the features' icosphere and the finer one share."""
+        check_tensor("seen", seen, "(B, n, V) or (n, V)")
         for level in range(level_from_num_vertices(seen.shape[-1]), self.feature_level, -1):
             seen = seen[..., coarse_vertex_ids(level, seen.device)]
         return seen

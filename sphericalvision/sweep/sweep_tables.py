@@ -6,17 +6,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import check_type
 from sphericalvision.icosphere import TriangleLocator
-
-if TYPE_CHECKING:
-    from sphericalvision.cameras import CameraRig
 
 __all__ = ["SweepTables", "sweep_tables"]
 
@@ -81,6 +80,7 @@ def sweep_tables(
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
         representation of icosahedron", section III-C.
     """
+    check_type("rig", rig, CameraRig, "ring_rig makes one, read_rig reads one")
     poses = rig.world_from_camera.to(directions.device)
     center, axes, max_angles = (
         torch.as_tensor(values).to(poses) for values in (rig.center, rig.axes, rig.max_angles)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ShapeError, check_tensor
 from sphericalvision.icosphere import icosphere_vertices
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ def check_seen(
         >>> check_seen(torch.ones(2, 42, dtype=torch.bool), torch.zeros(5, 2, 3, 42)).shape
         torch.Size([5, 2, 42])
     """
+    check_tensor("seen", seen, "(B, n, V) or (n, V)")
     batch, num_cameras, num_vertices = (images.shape[dim] for dim in (0, 1, -1))
     shape = (batch, num_cameras, num_vertices)
     if seen.ndim not in (2, 3) or tuple(seen.shape) != shape[-seen.ndim :]:

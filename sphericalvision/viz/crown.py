@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sphericalvision.core import ShapeError
 from sphericalvision.crown import Crown
+from sphericalvision.crown.layout import check_crown
 from sphericalvision.viz.color import DEPTH_MAP, colorize
 from sphericalvision.viz.figure import sheet
 
@@ -43,6 +44,7 @@ def crown_picture(crown: Crown, low: float = 0.0, high: float = 1.0, scale: int 
         >>> crown_picture(to_crown(torch.rand(1, 3, 162)), scale=8).dtype
         dtype('uint8')
     """
+    check_crown(crown)
     for values in (crown.col, crown.row):
         if values.ndim != 5 or values.shape[0] != 1 or values.shape[2] not in (1, 3):
             raise ShapeError(f"crown: expected rectangles (1, 5, 1 or 3, h, w), got {tuple(values.shape)}")

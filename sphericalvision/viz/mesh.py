@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.viz.color import colorize
 
@@ -43,6 +43,7 @@ def icosphere_mesh(
     """
     if max_jump <= 1:
         raise ArgumentError(f"max_jump: expected a ratio above 1, got {max_jump!r}")
+    check_tensor("depth", depth, "(V,)")
     if depth.ndim != 1:
         raise ShapeError(f"depth: expected (V,), got {tuple(depth.shape)}")
     grid = Icosphere(level_from_num_vertices(len(depth)), device=depth.device)
@@ -90,6 +91,7 @@ def sphere_mesh(
         >>> len(mesh.faces), mesh.is_watertight
         (320, True)
     """
+    check_tensor("values", values, "(V,) or (3, V)")
     if values.ndim not in (1, 2) or (values.ndim == 2 and len(values) != 3):
         raise ShapeError(f"values: expected (V,), or colours (3, V), got {tuple(values.shape)}")
     grid = Icosphere(level_from_num_vertices(values.shape[-1]))

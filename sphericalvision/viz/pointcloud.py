@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
 from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.sphere import Equirectangular
 
@@ -66,6 +66,10 @@ def panorama_point_cloud(
     return PointCloud(points, colors.movedim(0, -1)[known])
 
 
+SUFFIXES = (".ply", ".glb", ".obj", ".stl", ".xyz")
+"""Files of points that can be written."""
+
+
 def save_point_cloud(
     path: str | Path,
     points: Float[Tensor, "n 3"],
@@ -85,6 +89,9 @@ def save_point_cloud(
         ArgumentError: no points, or some are not finite; viewers refuse such files.
     """
     path = Path(path)
+    check_tensor("points", points, "(n, 3)")
+    check_tensor("colors", colors, "(n, 3)")
+    check_choice("path", path.suffix, SUFFIXES)
     if points.ndim != 2 or points.shape[-1] != 3 or points.shape != colors.shape:
         raise ShapeError(
             f"points, colors: expected (n, 3) both, got {tuple(points.shape)} and {tuple(colors.shape)}"

@@ -15,6 +15,7 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, CameraRig, coverage, overlap
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.field_of_view import visible_angle
+from sphericalvision.core import check_type
 from sphericalvision.geometry import longitude_latitude_from_directions
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.figure import figure_pixels
@@ -55,6 +56,7 @@ def rig_picture(rig: CameraRig, title: str | None = None) -> Picture:
     """
     from matplotlib.figure import Figure
 
+    check_type("rig", rig, CameraRig)
     check_single(rig)
     rig = rig.to("cpu", torch.float64)
     positions = rig.positions - rig.center

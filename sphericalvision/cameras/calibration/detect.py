@@ -12,7 +12,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Options, join
 from sphericalvision.cameras.calibration.files import load, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, file_formats, known_formats
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_type
 
 __all__ = ["read_camera", "read_cameras", "read_rig"]
 
@@ -42,6 +42,7 @@ def read_rig(
         FileFormatError: the format is unknown, the file is broken, or has no poses; the message names line or key.
         ArgumentError: ``translation_unit`` is missing, or given for a format that is in metres.
     """
+    check_type("path", path, (str, Path))
     path, found = _contents(Path(path), Options(max_angle, dtype, translation_unit, image_size, rig=True))
     return found.rig(path, dtype)
 
@@ -54,6 +55,7 @@ def read_cameras(
     dtype: torch.dtype | None = None,
 ) -> dict[str, Camera]:
     """All cameras of a calibration by name, whether it has poses or not; arguments and errors are ``read_rig``'s."""
+    check_type("path", path, (str, Path))
     options = Options(max_angle, dtype, "m", image_size)  # positions are not looked at, so any unit will do
     return _contents(Path(path), options)[1].cast(dtype)
 

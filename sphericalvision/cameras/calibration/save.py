@@ -9,7 +9,7 @@ from pathlib import Path
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.formats import file_format, file_formats
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import check_choice
+from sphericalvision.core import check_choice, check_type
 
 __all__ = ["camera_formats", "rig_formats", "save_camera", "save_rig"]
 
@@ -59,6 +59,7 @@ def save_camera(camera: Camera, path: str | Path, format: str | None = None) -> 
     """
     format = format or "native"
     check_choice("format", format, camera_formats())
+    check_type("camera", camera, Camera)
     check_single(camera)
     write = file_format(format).write_camera
     assert write is not None
@@ -80,6 +81,7 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
     """
     format = format or "native"
     check_choice("format", format, rig_formats())
+    check_type("rig", rig, CameraRig)
     check_single(rig)
     write = file_format(format).write_rig
     assert write is not None

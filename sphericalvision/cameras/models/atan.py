@@ -23,7 +23,7 @@ from sphericalvision.cameras.models.image_plane import (
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, lifted_radius
+from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, holds, lifted_radius
 
 __all__ = ["AtanCamera", "project_atan", "unproject_atan"]
 
@@ -134,7 +134,7 @@ class AtanCamera(Camera):
             principal_point=principal_point,
             omega=omega,
         )
-        if not bool(((self.omega > 0) & (self.omega < math.pi)).all()):
+        if not holds((self.omega > 0) & (self.omega < math.pi)):
             raise ArgumentError(f"omega: expected radians in (0, π), got {self.omega.tolist()}")
 
     def _project(self, points: Tensor) -> Projection:

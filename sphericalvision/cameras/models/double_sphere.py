@@ -23,7 +23,7 @@ from sphericalvision.cameras.models.image_plane import (
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
+from sphericalvision.geometry.directions import components, holds, is_greater, safe_sqrt
 
 __all__ = ["DoubleSphereCamera", "project_double_sphere", "unproject_double_sphere"]
 
@@ -147,9 +147,9 @@ class DoubleSphereCamera(Camera):
             xi=xi,
             alpha=alpha,
         )
-        if not bool(((self.alpha >= 0) & (self.alpha <= 1)).all()):
+        if not holds((self.alpha >= 0) & (self.alpha <= 1)):
             raise ArgumentError(f"alpha: expected numbers in [0, 1], got {self.alpha.tolist()}")
-        if not bool((self.xi.abs() < 1).all()):
+        if not holds(self.xi.abs() < 1):
             raise ArgumentError(f"xi: expected numbers in (-1, 1), got {self.xi.tolist()}")
         if max_angle is None:
             self.max_angle = torch.acos(-_widest_cosine(self.xi, self.alpha)).detach()

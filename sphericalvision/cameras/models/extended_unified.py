@@ -23,7 +23,7 @@ from sphericalvision.cameras.models.image_plane import (
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
+from sphericalvision.geometry.directions import components, holds, is_greater, safe_sqrt
 
 __all__ = ["ExtendedUnifiedCamera", "project_extended_unified", "unproject_extended_unified"]
 
@@ -147,9 +147,9 @@ class ExtendedUnifiedCamera(Camera):
             alpha=alpha,
             beta=beta,
         )
-        if not bool(((self.alpha >= 0) & (self.alpha <= 1)).all()):
+        if not holds((self.alpha >= 0) & (self.alpha <= 1)):
             raise ArgumentError(f"alpha: expected numbers in [0, 1], got {self.alpha.tolist()}")
-        if not bool((self.beta > 0).all()):
+        if not holds(self.beta > 0):
             raise ArgumentError(f"beta: expected numbers above 0, got {self.beta.tolist()}")
         if max_angle is None:
             self.max_angle = self._widest_angle()

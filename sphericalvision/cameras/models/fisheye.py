@@ -14,17 +14,19 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.checks import checked_size
 from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import ArgumentError, check_choice, check_last_dim
+from sphericalvision.core import ArgumentError, check_choice, check_last_dim, check_type
 from sphericalvision.geometry import normalize
 from sphericalvision.geometry.directions import (
     components,
     cosine_and_lifted_sinc,
     from_components,
+    holds,
     lifted_radius,
     safe_sqrt,
 )
@@ -162,7 +164,7 @@ def _along_both(focal_length: Any, principal_point: Any) -> Any:
         return focal_length
     if shape == batch and shape and shape[-1] == 2:  # read one way or the other
         first, second = torch.as_tensor(focal_length).detach().unbind(-1)
-        if not bool((first == second).all()):
+        if not holds(first == second):
             raise ArgumentError(
                 f"focal_length: shape {shape} with a batch of {batch} cameras is one number for each camera or one for "
                 f"each direction; write {(*shape, 1)} or {(1,) * len(batch) + (2,)}"
@@ -239,12 +241,13 @@ class FisheyeCamera(Camera):
         """
         check_choice("projection", projection, FISHEYE_PROJECTIONS)
         widest = _WIDEST[projection]
+        check_type("field_of_view", field_of_view, (int, float), "radians, as math.radians(220)")
         if not 0 < field_of_view <= 2 * widest + 1e-9:
             raise ArgumentError(
                 f"field_of_view: expected up to {math.degrees(2 * widest):.0f}° ({2 * widest:.4f} rad) for an "
                 f"{projection} lens, got {math.degrees(field_of_view):.1f}° ({field_of_view} rad)"
             )
-        height, width = image_size
+        height, width = checked_size(image_size)
         focal_length = min(height, width) / 2 / _RADIUS[projection](field_of_view / 2)
         principal_point = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=dtype)
         return cls(projection, focal_length, principal_point, image_size, min(field_of_view / 2, widest))

@@ -24,7 +24,7 @@ from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import normalize
-from sphericalvision.geometry.directions import components, from_components, lifted_radius
+from sphericalvision.geometry.directions import components, from_components, holds, lifted_radius
 from sphericalvision.geometry.inverse_table import InverseTable, samples_towards, tabulate_inverse
 from sphericalvision.geometry.rootfinding import (
     increasing_limit,
@@ -234,12 +234,12 @@ class OCamCamera(Camera):
             affine=affine,
         )
         c, d, e = self.affine.detach().unbind(-1)
-        if not bool((self.polynomial.detach()[..., 0] < 0).all()):
+        if not holds(self.polynomial.detach()[..., 0] < 0):
             raise ArgumentError(
                 "polynomial: the first coefficient of an OCam polynomial is negative (minus the focal length), "
                 f"got {self.polynomial[..., 0].tolist()}; coefficients come in ascending order"
             )
-        if bool((c - d * e == 0).any()):
+        if not holds(c - d * e != 0):
             raise ArgumentError(f"affine: expected c − d·e ≠ 0, got (c, d, e) = {self.affine.tolist()}")
         if max_angle is None:
             self.max_angle = _inverse_table(self.polynomial.detach(), self._max_radius(self.polynomial)).limit

@@ -18,7 +18,7 @@ from sphericalvision.cameras.models.image_plane import unit_directions
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, lifted_radius
+from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, holds, lifted_radius
 from sphericalvision.geometry.inverse_table import samples_towards, tabulate_inverse
 from sphericalvision.geometry.rootfinding import (
     increasing_limit,
@@ -173,12 +173,12 @@ class RadialPolynomialCamera(Camera):
             principal_point=principal_point,
             aspect_ratio=aspect_ratio,
         )
-        if self.polynomial.ndim == 0 or not bool((self.polynomial[..., 0] > 0).all()):
+        if self.polynomial.ndim == 0 or not holds(self.polynomial[..., 0] > 0):
             raise ArgumentError(
                 "polynomial: expected coefficients (*, k) of θ, θ², ... in pixels, the first above 0, got "
                 f"{self.polynomial.tolist()}"
             )
-        if not bool((self.aspect_ratio > 0).all()):
+        if not holds(self.aspect_ratio > 0):
             raise ArgumentError(f"aspect_ratio: expected numbers above 0, got {self.aspect_ratio.tolist()}")
         if max_angle is None:
             self.max_angle = _widest_angle(self.polynomial)

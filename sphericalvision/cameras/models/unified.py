@@ -26,7 +26,7 @@ from sphericalvision.cameras.models.plane_distortion import distort_inside, fold
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
+from sphericalvision.geometry.directions import components, holds, is_greater, safe_sqrt
 
 __all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
 
@@ -179,7 +179,7 @@ class UnifiedCamera(Camera):
                 "distortion: expected (*, 5) coefficients k1 k2 p1 p2 k3, (*, 4) without k3, or None, got shape "
                 f"{tuple(self.distortion.shape)}"
             )
-        if not bool((self.xi > -1).all()):
+        if not holds(self.xi > -1):
             raise ArgumentError(f"xi: expected numbers above -1, got {self.xi.tolist()}")
         if max_angle is None:
             self.max_angle = self._widest_angle()

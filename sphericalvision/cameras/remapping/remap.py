@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.remapping.tables import REMAP_MODES, check_image, remap_tables
+from sphericalvision.core import check_type
 
 __all__ = ["REMAP_MODES", "Remap", "remap", "remap_mask"]
 
@@ -61,6 +62,7 @@ def remap(
         >>> remap(torch.ones(3, 64, 64), fisheye, pinhole).shape, remap_mask(fisheye, pinhole).all()
         (torch.Size([3, 60, 80]), tensor(True))
     """
+    check_type("source", source, Camera)
     check_image(image, source.image_size)
     result: Tensor = remap_tables(source, target, rotation, mode, fill, mask, image.device)(image)
     return result

@@ -8,6 +8,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.checks import check_rotation
 from sphericalvision.cameras.remapping.footprint import footprint, sample_groups
 from sphericalvision.cameras.remapping.lookup import (
     PyramidLookup,
@@ -16,7 +17,7 @@ from sphericalvision.cameras.remapping.lookup import (
     nearest_pixel,
     source_pixels,
 )
-from sphericalvision.core import ShapeError, check_choice
+from sphericalvision.core import ShapeError, check_choice, check_tensor, check_type
 from sphericalvision.geometry.lookup import ImageLookup, Lookup
 from sphericalvision.geometry.masked_lookup import MaskedLookup
 
@@ -36,8 +37,13 @@ def remap_tables(
 ) -> MaskedLookup:
     """Where every target pixel is looked up; gradients reach rotation and intrinsics through it."""
     check_choice("mode", mode, REMAP_MODES)
-    if rotation is not None and (rotation.ndim < 2 or tuple(rotation.shape[-2:]) != (3, 3)):
-        raise ShapeError(f"rotation: expected shape (*b, 3, 3), got {tuple(rotation.shape)}")
+    check_type("source", source, Camera)
+    check_type("target", target, Camera)
+    check_type("fill", fill, (int, float))
+    if rotation is not None:
+        check_rotation("rotation", rotation)
+    if mask is not None:
+        check_tensor("mask", mask, "(*b, h, w)")
     # In double precision, so that values, masks and modules agree about what lies on a border.
     dtype = torch.float32 if torch.device(device).type == "mps" else torch.float64
     size, edges = source.image_size, image_edges(source)
@@ -79,6 +85,7 @@ def check_image(image: Shaped[Tensor, "*batch C h w"], image_size: tuple[int, in
         >>> check_image(torch.zeros(3, 4, 8), (4, 8))
     """
     height, width = image_size
+    check_tensor("image", image, "(*b, c, h, w)")
     if image.ndim < 3 or tuple(image.shape[-2:]) != image_size:
         raise ShapeError(
             f"image: the source camera's images are {height} x {width} (height x width), got shape "

@@ -11,11 +11,13 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.checks import checked_size
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.geometry.broadcasting import broadcast_shapes
+from sphericalvision.geometry.directions import holds
 
 __all__ = ["undistort", "undistorted_camera"]
 
@@ -84,7 +86,8 @@ def undistorted_camera(
         >>> undistorted_camera(fisheye, math.radians(90), image_size=(48, 64)).focal_length
         tensor([32., 32.])
     """
-    height, width = camera.image_size if image_size is None else image_size
+    check_type("camera", camera, Camera)
+    height, width = camera.image_size if image_size is None else checked_size(image_size)
     if field_of_view is not None and focal_length is not None:
         raise ArgumentError(
             "field_of_view and focal_length: give one of them, the other follows from the width"
@@ -98,7 +101,7 @@ def undistorted_camera(
         focal_length = width / 2 / math.tan(field_of_view / 2)
     focal = _scale_on_axis(camera) if focal_length is None else torch.as_tensor(focal_length)
     focal = focal.to(camera.device, camera.dtype)
-    if not bool((focal > 0).all()):
+    if not holds(focal > 0):
         raise ArgumentError(
             f"focal_length: expected positive pixels, got {focal_length}"
             + ("; the camera's image has no scale on its axis to take over" if focal_length is None else "")

@@ -167,6 +167,8 @@ def random_rotations(
         >>> torch.allclose(turns @ turns.mT, torch.eye(3), atol=1e-6)
         True
     """
+    if isinstance(count, bool) or not isinstance(count, int) or count < 0:
+        raise ArgumentError(f"count: expected a whole number of 0 or more, got {count!r}")
     if not 0 < max_angle <= math.pi:
         raise ArgumentError(f"max_angle: expected more than 0, up to π radians, got {max_angle!r}")
     axis = F.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=-1)

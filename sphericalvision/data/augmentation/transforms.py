@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
@@ -32,6 +32,12 @@ class Compose:
     """
 
     def __init__(self, *transforms: Callable[[Any], Any]) -> None:
+        for transform in transforms:
+            if not callable(transform):
+                raise ArgumentTypeError(
+                    f"transforms: expected functions of a sample, one after the other, got {type(transform).__name__}; "
+                    "Compose(first, second) takes no list"
+                )
         self.transforms = transforms
 
     def __call__(self, sample: Any) -> Any:

@@ -9,21 +9,19 @@ Colours are computed in linear light and become a picture by the scene's exposur
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.cameras import Camera, CameraRig
+from sphericalvision.cameras.base import check_single
+from sphericalvision.core import ArgumentError, check_last_dim, check_tensor, check_type
 from sphericalvision.data.rendering.mesh_scene import MeshScene
 from sphericalvision.data.rendering.ray_packets import RAYS, RayPackets, coherent_order, packed
 from sphericalvision.data.rendering.raycast import chunk_size, trace
 from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.rendering.shading import SurfaceTable, radiance
-
-if TYPE_CHECKING:
-    from sphericalvision.cameras import Camera, CameraRig
 
 __all__ = ["ray_depth", "ray_labels", "render_camera", "render_directions", "render_rig"]
 
@@ -105,6 +103,7 @@ def render_directions(
     Returns:
         ``(3, *)`` in [0, 1].
     """
+    check_type("scene", scene, (Scene, MeshScene), "make_scene makes one")
     check_last_dim("directions", directions, 3)
     directions = directions.to(scene.device, torch.float32)
     if spread is None:
@@ -145,6 +144,9 @@ def render_camera(
     Raises:
         ArgumentError: ``samples_per_pixel`` below 1.
     """
+    check_type("scene", scene, (Scene, MeshScene), "make_scene makes one")
+    check_type("camera", camera, Camera)
+    check_tensor("world_from_camera", world_from_camera, "(4, 4)")
     if samples_per_pixel < 1:
         raise ArgumentError(f"samples_per_pixel: expected at least 1, got {samples_per_pixel}")
     pose = world_from_camera.to(scene.device, torch.float32)
@@ -175,6 +177,8 @@ def render_rig(
     scene: Scene | MeshScene, rig: CameraRig, samples_per_pixel: int = 1
 ) -> dict[str, Float[Tensor, "3 _ _"]]:
     """The pictures that all cameras of a rig take: name -> ``(3, h, w)`` in [0, 1]; see `render_camera`."""
+    check_type("rig", rig, CameraRig, "ring_rig makes one, read_rig reads one")
+    check_single(rig)
     poses = zip(rig.cameras.items(), rig.world_from_camera, strict=True)
     return {name: render_camera(scene, camera, pose, samples_per_pixel) for (name, camera), pose in poses}
 

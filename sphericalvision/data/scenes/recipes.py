@@ -26,7 +26,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.core import ArgumentError, check_choice, check_type
 from sphericalvision.data.rendering.render import ray_depth, render_camera, render_directions, render_rig
 from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.bare_rooms import random_bare_room
@@ -116,6 +116,7 @@ def make_scene(
         raise ArgumentError(
             f"clear_radius: expected metres in (0, 1), got {clear_radius}; use scale for larger rigs"
         )
+    check_type("seed", seed, int)
     generator = torch.Generator().manual_seed(seed)
     scene = RECIPES[kind](generator, clear_radius)
     yaw = 2 * math.pi * torch.rand((), generator=generator).item()

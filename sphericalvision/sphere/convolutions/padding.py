@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Shaped
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 from sphericalvision.sphere.grids.cubemap import world_from_cube_face
 
 __all__ = ["CubePad2d", "EquirectangularPad2d", "cube_pad", "equirectangular_pad"]
@@ -41,6 +41,7 @@ def equirectangular_pad(
                 [2., 3., 4., 1., 2., 3.]])
     """
     left, right, top, bottom = _four(padding)
+    check_tensor("images", images, "(*, H, W)")
     if images.ndim < 2:
         raise ShapeError(f"images: expected shape (*, H, W), got {tuple(images.shape)}")
     height, width = images.shape[-2:]
@@ -109,6 +110,7 @@ def cube_pad(faces: Shaped[Tensor, "*batch S S"], padding: Padding) -> Shaped[Te
                 [3.0000, 0.0000, 0.0000, 1.0000],
                 [4.0000, 5.0000, 5.0000, 3.0000]])
     """
+    check_tensor("faces", faces, "(B, C, 6, S, S)")
     if faces.ndim == 4 and faces.shape[0] % 6 == 0:
         stacked = faces.unflatten(0, (-1, 6)).transpose(1, 2)
         return cube_pad(stacked, padding).transpose(1, 2).flatten(0, 1)

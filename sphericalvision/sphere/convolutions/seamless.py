@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.sphere.convolutions.padding import EquirectangularPad2d
 from sphericalvision.sphere.convolutions.sphere_conv import SphereConv2d
 
@@ -72,6 +72,7 @@ def make_seamless(
         >>> list(network.state_dict())
         ['0.weight', '0.bias']
     """
+    check_type("module", module, nn.Module)
     for name, layer in module.named_modules():
         interpolates = isinstance(layer, nn.Upsample) and layer.mode != "nearest"
         if isinstance(layer, UNSUPPORTED) or interpolates:

@@ -8,7 +8,14 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, uses_reference_kernels
+from sphericalvision.core import (
+    ArgumentError,
+    ShapeError,
+    check_channels,
+    check_dtype,
+    check_tensor,
+    uses_reference_kernels,
+)
 from sphericalvision.geometry import bilinear_sample
 from sphericalvision.geometry.image_edges import taps_across_edges
 from sphericalvision.geometry.lookup import weighted_sums
@@ -50,6 +57,9 @@ def sphere_conv2d(
         >>> sphere_conv2d(torch.ones(1, 3, 16, 32), torch.ones(8, 3, 3, 3), stride=2).shape
         torch.Size([1, 8, 8, 16])
     """
+    check_tensor("images", images, "(B, in, H, W)")
+    check_tensor("weight", weight, "(out, in, h, w)")
+    check_dtype("images", images, weight)
     if images.ndim != 4 or weight.ndim != 4 or images.shape[1] != weight.shape[1] * groups:
         raise ShapeError(
             f"images and weight: expected shapes (B, in, H, W) and (out, in / {groups}, h, w), "
@@ -111,6 +121,7 @@ class SphereConv2d(nn.Conv2d):
         groups: int = 1,
         bias: bool = True,
     ) -> None:
+        check_channels(in_channels=in_channels, out_channels=out_channels)
         if any(size % 2 == 0 for size in _pair(kernel_size)):
             raise ArgumentError(f"kernel_size: expected odd sizes, which have a centre, got {kernel_size}")
         super().__init__(

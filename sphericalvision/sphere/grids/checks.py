@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from jaxtyping import Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 
 __all__ = ["MAX_CELLS", "check_cells", "check_positive", "check_values"]
 
@@ -49,6 +49,7 @@ def check_values(values: Shaped[Tensor, " ..."], shape: Sequence[int]) -> None:
         >>> import torch
         >>> check_values(torch.zeros(3, 4, 8), (4, 8))
     """
+    check_tensor("values", values, f"(*b, c, {', '.join(map(str, shape))})")
     if values.ndim <= len(shape) or tuple(values.shape[-len(shape) :]) != tuple(shape):
         size = ", ".join(map(str, shape))
         raise ShapeError(f"values: expected shape (*b, c, {size}), got {tuple(values.shape)}")

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim
 from sphericalvision.geometry import (
     bilinear_sample,
     directions_from_longitude_latitude,
@@ -218,6 +218,7 @@ class Equirectangular(nn.Module):
 
         Differentiable in the directions ``(*, 3)``.
         """
+        check_floating("directions", directions)
         x, y, z = directions.unbind(-1)
         # At a pole the longitude turns without end, though the picture hardly does: there its derivative is left out.
         at_pole = torch.hypot(x, z).detach() < (2e-3 * self.max_latitude / self.height) * y.detach().abs()

@@ -11,7 +11,8 @@ from jaxtyping import Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
-from sphericalvision.core import ShapeError, check_choice
+from sphericalvision.cameras.checks import check_rotation
+from sphericalvision.core import check_choice, check_tensor, check_type
 from sphericalvision.geometry.lookup import Lookup
 from sphericalvision.geometry.masked_lookup import MaskedLookup
 from sphericalvision.sphere.grids.base import SphereGrid
@@ -39,8 +40,11 @@ def resample_tables(
     """Tables of one pair of grids or cameras, with gradients by rotation and intrinsics where these have them."""
     check_choice("mode", mode, RESAMPLE_MODES)
     source_shape, target_shape = grid_shape(source, "source"), grid_shape(target, "target")
-    if rotation is not None and (rotation.ndim < 2 or tuple(rotation.shape[-2:]) != (3, 3)):
-        raise ShapeError(f"rotation: expected shape (3, 3) or (*b, 3, 3), got {tuple(rotation.shape)}")
+    check_type("fill", fill, (int, float))
+    if rotation is not None:
+        check_rotation("rotation", rotation)
+    if mask is not None:
+        check_tensor("mask", mask, f"(*b, {', '.join(map(str, source_shape))})")
     if device.type == "meta":
         return _shapes_only(source_shape, target_shape, rotation, mode, fill)
     # In double precision, so that values, masks and modules agree about what lies on a border.

@@ -49,7 +49,9 @@ def computed_in_float32(function: AnyFunction) -> AnyFunction:
         if arguments and isinstance(arguments[0], Tensor):
             at_least_float32(names[0], arguments[0])
             for name, value in zip(names, arguments, strict=False):
-                if isinstance(value, list | tuple):  # intrinsics, which would be indexed as tensors are
+                if (
+                    isinstance(value, list | tuple) and name != "image_size"
+                ):  # would be indexed as tensors are
                     check_tensor(name, value, "(*,) or (*, n)")
         return function(
             *(_raised(value) for value in arguments),

@@ -192,7 +192,7 @@ class ImageLookup(nn.Module):
         # An image of one row or column has no outside for grid_sample.
         tables = {"grid": grid, "shares": shares, "seen": seen if 1 in image_size else None}
         tables |= dict.fromkeys(("across", "across_ids", "across_weights"))
-        if (cubic or edges != "border") and not self.wraps:
+        if (cubic or edges != "border") and not (self.wraps or pixels.is_meta):
             # grid_sample knows no such edges: the few places whose kernel leaves the image are read entry by entry.
             reach = 1 if cubic else 0
             first = pixels.detach().floor() - reach

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.geometry.directions import holds
 from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import num_icosphere_vertices
@@ -84,7 +85,7 @@ def icosphere_rings(
     count = num_icosphere_vertices(level)
     if centers is None:
         centers = torch.arange(count)
-    if centers.ndim != 1 or not bool(((centers >= 0) & (centers < count)).all()):
+    if centers.ndim != 1 or not holds((centers >= 0) & (centers < count)):
         raise ArgumentError(
             f"centers: expected vertex ids (M,) from 0 to {count - 1} for level {level}, got shape "
             f"{tuple(centers.shape)} with values from {centers.min().item()} to {centers.max().item()}"

@@ -119,6 +119,8 @@ def _tables_of_one_rig(
     ids = torch.empty(*shape, 3, dtype=torch.long, device=points.device)
     mask = torch.empty(shape, dtype=torch.bool, device=points.device)
     weights, all_found = points.new_zeros(*shape, 3), []
+    if points.is_meta:  # where nobody knows what is in view
+        return SweepTables(ids, weights, mask)
     corners = F.pad(locator.faces, (0, 0, 1, 0))  # the first row is for what is not in view
     for hypotheses, vertices in _blocks(*shape, locator.chunk_size):
         with torch.no_grad():

@@ -141,8 +141,9 @@ class Remap(nn.Module):
     ) -> None:
         super().__init__()
         self.image_size = source.image_size
-        rotation = None if rotation is None else rotation.cpu()
-        tables = remap_tables(source, target, rotation, mode, fill, mask, "cpu")
+        made_on = "meta" if source.device.type == "meta" else "cpu"
+        rotation = None if rotation is None else rotation.to(made_on)
+        tables = remap_tables(source, target, rotation, mode, fill, mask, made_on)
         self.tables = tables.to(
             source.device if device is None else device, dtype or torch.get_default_dtype()
         )

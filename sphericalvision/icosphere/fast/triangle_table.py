@@ -77,6 +77,8 @@ def find_triangles(
     if guess is None:
         guess = table.cells.index_select(0, cell_numbers(rays, table.resolution))
     triangles, shares = guess, coefficients(rays, guess, table)
+    if rays.is_meta:  # shapes alone: nobody knows which rays lie elsewhere
+        return triangles, shares
     away = _outside(shares, table.level)
     where, astray, now, parts = away, rays, triangles, shares
     for _ in range(STEPS):

@@ -77,7 +77,7 @@ class TangentImages(nn.Module):
         self.margin = margin
         self.num_patches = 20 * 4 ** check_level(base_level)
         check_cells(self.num_patches * size**2, base_level=base_level, size=size)
-        reach = _corners_in_plane(base_level, device)[0].abs().max().item()
+        reach = _corners_in_plane(base_level, torch.device("cpu"))[0].abs().max().item()
         self.pixel_size = 2 * reach / (size - 1 - 2 * margin)
         directions = self.cell_samples(1, torch.float64, device)[0].view(*self.shape, 3)
         self.register_buffer(

@@ -1,0 +1,361 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every public name on the meta device, where tensors have shapes and no numbers.
+
+It shows what a machine without a GPU cannot: a tensor made on the wrong device, or a look at a number (``.item()``,
+``bool(...)``, ``nonzero``), which on a GPU waits for all that was asked for before. What does not run there is listed
+with its reason, so a new name is in one of the two tables.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from sphericalvision import cameras, crown, data, geometry, icosphere, losses, metrics, models, sphere, sweep
+from sphericalvision.cameras import Camera, CameraRig
+from tests.laws.cameras import MODELS
+from tests.test_public_api import INVENTORY
+
+LEVEL = 2
+V = 162
+SIZE = (96, 112)
+
+
+def m(*size: int, dtype: torch.dtype = torch.float32) -> Tensor:
+    return torch.empty(*size, dtype=dtype, device="meta")
+
+
+def ids(*size: int) -> Tensor:
+    return m(*size, dtype=torch.long)
+
+
+def mask(*size: int) -> Tensor:
+    return m(*size, dtype=torch.bool)
+
+
+@functools.cache
+def camera(name: str = "equidistant") -> Camera:
+    return MODELS[name](1.0).to("meta")
+
+
+@functools.cache
+def rig() -> CameraRig:
+    return cameras.ring_rig(4, image_size=(24, 24)).to("meta")
+
+
+@functools.cache
+def tables() -> Any:
+    return sweep.SphereSweep(LEVEL, 8, 0.5).tables(cameras.ring_rig(4, image_size=(24, 24))).to("meta")
+
+
+def ico() -> icosphere.Icosphere:
+    return icosphere.Icosphere(LEVEL, device="meta")
+
+
+def panorama() -> sphere.Equirectangular:
+    return sphere.Equirectangular(8, 16, device="meta")
+
+
+def values() -> Tensor:
+    return m(1, 3, V)
+
+
+def volume() -> Tensor:
+    return m(1, 3, 4, V)
+
+
+def flat() -> crown.Crown:
+    return crown.to_crown(values())
+
+
+def thick() -> crown.Crown:
+    return crown.to_crown(volume())
+
+
+def on_meta(module: nn.Module, *inputs: Any) -> Any:
+    return module.to("meta")(*inputs)
+
+
+def of_model(name: str, case: str) -> dict[str, Callable[[], Any]]:
+    """Calls of a camera model: its class, and the pair of functions behind it."""
+
+    def intrinsics() -> list[Tensor | None]:
+        return [getattr(camera(case), intrinsic) for intrinsic in camera(case).intrinsic_names]
+
+    options = ("equidistant",) if name == "Fisheye" else ()
+    words = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in name)
+    words = words.replace("_o_cam", "_ocam")
+    return {
+        f"{name}Camera": lambda: (
+            camera(case).project(m(5, 3)),
+            camera(case).unproject(m(5, 2)),
+            camera(case).sample(m(3, *camera(case).image_size), m(5, 3)),
+        ),
+        f"project{words}": lambda: getattr(cameras, f"project{words}")(m(5, 3), *intrinsics(), *options),
+        f"unproject{words}": lambda: getattr(cameras, f"unproject{words}")(
+            m(5, 2), *[value for name, value in zip(camera(case).intrinsic_names, intrinsics(), strict=True)
+                       if name != "inverse_polynomial"], *options
+        ),
+    }  # fmt: skip
+
+
+MODELS_OF = {
+    "Atan": "atan",
+    "BrownConrady": "brown conrady",
+    "Division": "division",
+    "DoubleSphere": "double sphere",
+    "ExtendedUnified": "extended unified",
+    "Fisheye": "equidistant",
+    "KannalaBrandt": "kannala brandt",
+    "OCam": "ocam",
+    "Pinhole": "pinhole",
+    "RadialPolynomial": "radial polynomial",
+    "ThinPrismFisheye": "thin prism fisheye",
+    "Unified": "mei",
+}
+
+
+def updated(metric: Any, *inputs: Tensor) -> Any:
+    metric = metric.to("meta")
+    metric.update(*inputs)
+    return metric.compute()
+
+
+CALLS: dict[str, Callable[[], Any]] = {
+    # cameras
+    **{name: call for model, case in MODELS_OF.items() for name, call in of_model(model, case).items()},
+    "EquirectangularCamera": lambda: (
+        camera("equirectangular").project(m(5, 3)),
+        camera("equirectangular").unproject(m(5, 2)),
+    ),
+    "project_equirectangular": lambda: cameras.project_equirectangular(m(5, 3), (48, 96)),
+    "unproject_equirectangular": lambda: cameras.unproject_equirectangular(m(5, 2), (48, 96)),
+    "Camera": lambda: camera().pixel_grid(),
+    "CameraModule": lambda: on_meta(cameras.CameraModule(MODELS["equidistant"](1.0)), m(5, 3)),
+    "CameraRig": lambda: (
+        rig().project(m(5, 3)),
+        rig().points_seen(m(5, 3), m(2)),
+        rig().rotated(tilt=0.1, rotation=m(3, 3)).world_from_camera,
+        rig().radius,
+        rig().max_angles,
+    ),
+    "Projection": lambda: camera().project(m(5, 3)),
+    "Unprojection": lambda: camera().unproject(m(5, 2)),
+    "coverage": lambda: cameras.coverage(rig(), m(5, 3), m(2)),
+    "seen_by": lambda: cameras.seen_by(rig(), m(5, 3), m(5)),
+    "depth_from_z": lambda: cameras.depth_from_z(m(*SIZE), camera()),
+    "z_from_depth": lambda: cameras.z_from_depth(m(*SIZE), camera()),
+    "points_from_depth": lambda: cameras.points_from_depth(m(*SIZE), camera()),
+    "remap": lambda: cameras.remap(m(3, *SIZE), camera(), camera("pinhole"), m(3, 3)),
+    "remap_mask": lambda: cameras.remap_mask(camera(), camera("pinhole")),
+    "Remap": lambda: cameras.Remap(camera(), camera("pinhole"))(m(3, *SIZE)),
+    "undistort": lambda: cameras.undistort(m(3, *SIZE), camera(), 1.5),
+    "undistorted_camera": lambda: cameras.undistorted_camera(camera(), 1.5).focal_length,
+    "perspective_views": lambda: cameras.perspective_views(m(3, 16, 32), m(2, 3), image_size=(8, 8)),
+    # crown
+    "Crown": flat,
+    "to_crown": flat,
+    "from_crown": lambda: crown.from_crown(flat()),
+    "ToCrown": lambda: on_meta(crown.ToCrown(), values()),
+    "FromCrown": lambda: on_meta(crown.FromCrown(), flat()),
+    "exchange": lambda: crown.exchange(flat()),
+    "CrownExchange": lambda: on_meta(crown.CrownExchange(), flat()),
+    "crown_relu": lambda: crown.crown_relu(flat()),
+    "CrownPointwise": lambda: on_meta(crown.CrownPointwise(nn.Conv2d(3, 4, 1)), flat()),
+    "CrownConv2d": lambda: on_meta(crown.CrownConv2d(3, 4), flat()),
+    "CrownConv3d": lambda: on_meta(crown.CrownConv3d(3, 4), thick()),
+    "crown_conv2d": lambda: crown.crown_conv2d(flat(), m(4, 3, 7)),
+    "crown_conv3d": lambda: crown.crown_conv3d(thick(), m(4, 3, 21)),
+    "CrownConvNorm2d": lambda: on_meta(crown.CrownConvNorm2d(3, 4, relu=True), flat()),
+    "CrownConvNorm3d": lambda: on_meta(crown.CrownConvNorm3d(3, 4, relu=True), thick()),
+    "CrownBlock3d": lambda: on_meta(crown.CrownBlock3d(3, 4, 3), volume()),
+    "crown_block3d": lambda: crown.crown_block3d(
+        volume(), crown.CrownConvNorm3d(3, 4, relu=True).to("meta"), crown.CrownConv3d(4, 3).to("meta")
+    ),
+    "CrownBatchNorm2d": lambda: on_meta(crown.CrownBatchNorm2d(3), flat()),
+    "CrownBatchNorm3d": lambda: on_meta(crown.CrownBatchNorm3d(3), thick()),
+    "CrownInstanceNorm2d": lambda: on_meta(crown.CrownInstanceNorm2d(3), flat()),
+    "CrownInstanceNorm3d": lambda: on_meta(crown.CrownInstanceNorm3d(3), thick()),
+    "CrownAvgPool2d": lambda: on_meta(crown.CrownAvgPool2d(), flat()),
+    "CrownMaxPool2d": lambda: on_meta(crown.CrownMaxPool2d(), flat()),
+    "crown_avg_pool2d": lambda: crown.crown_avg_pool2d(flat()),
+    "crown_max_pool2d": lambda: crown.crown_max_pool2d(flat()),
+    "CrownUpsample": lambda: on_meta(crown.CrownUpsample(), flat()),
+    "crown_upsample": lambda: crown.crown_upsample(flat()),
+    "HexConv2d": lambda: on_meta(crown.HexConv2d(3, 4, orientation="north", level=LEVEL), values()),
+    "HexConv3d": lambda: on_meta(crown.HexConv3d(3, 4), volume()),
+    "hex_conv2d": lambda: crown.hex_conv2d(values(), m(4, 3, 7)),
+    "hex_conv3d": lambda: crown.hex_conv3d(volume(), m(4, 3, 21)),
+    "north_fraction": lambda: crown.north_fraction(LEVEL, device="meta"),
+    # geometry
+    "angle_from_axis": lambda: geometry.angle_from_axis(m(5, 3)),
+    "bilinear_sample": lambda: geometry.bilinear_sample(m(3, 4, 8), m(5, 2), wrap_longitude=True),
+    "directions_from_longitude_latitude": lambda: geometry.directions_from_longitude_latitude(m(5), m(5)),
+    "longitude_latitude_from_directions": lambda: geometry.longitude_latitude_from_directions(m(5, 3)),
+    "invert_transform": lambda: geometry.invert_transform(m(4, 4)),
+    "normalize": lambda: geometry.normalize(m(5, 3)),
+    "transform_from_axis_angle": lambda: geometry.transform_from_axis_angle(m(5, 3), m(5, 3)),
+    "transform_from_quaternion": lambda: geometry.transform_from_quaternion(m(5, 4), m(5, 3)),
+    "transform_points": lambda: geometry.transform_points(m(4, 4), m(5, 3)),
+    # icosphere
+    "Icosphere": lambda: (
+        ico().locate(m(5, 3)),
+        ico().nearest(m(5, 3)),
+        ico().sample(values(), m(5, 3)),
+        ico().solid_angles,
+        ico().neighbors,
+    ),
+    "IcospherePool": lambda: on_meta(icosphere.IcospherePool(LEVEL), values()),
+    "IcosphereUpsample": lambda: on_meta(icosphere.IcosphereUpsample(LEVEL), values()),
+    "from_subdivision_order": lambda: icosphere.from_subdivision_order(values()),
+    "to_subdivision_order": lambda: icosphere.to_subdivision_order(values()),
+    "icosphere_edges": lambda: icosphere.icosphere_edges(LEVEL, "meta"),
+    "icosphere_faces": lambda: icosphere.icosphere_faces(LEVEL, "meta"),
+    "icosphere_neighbors": lambda: icosphere.icosphere_neighbors(LEVEL, "meta"),
+    "icosphere_normals": lambda: icosphere.icosphere_normals(m(V, 3)),
+    "icosphere_pool": lambda: icosphere.icosphere_pool(values()),
+    "icosphere_solid_angles": lambda: icosphere.icosphere_solid_angles(LEVEL, device="meta"),
+    "icosphere_upsample": lambda: icosphere.icosphere_upsample(values()),
+    "icosphere_vertices": lambda: icosphere.icosphere_vertices(LEVEL, device="meta"),
+    "icosphere_voronoi_solid_angles": lambda: icosphere.icosphere_voronoi_solid_angles(LEVEL, device="meta"),
+    "icosphere_rings": lambda: icosphere.icosphere_rings(LEVEL, 1, ids(3)),
+    "icosphere_within": lambda: icosphere.icosphere_within(m(5, 3), 0.3, LEVEL),
+    "locate": lambda: icosphere.locate(m(5, 3), LEVEL),
+    # losses and metrics
+    "depth_index_huber": lambda: losses.depth_index_huber(m(1, V), m(1, V), mask(1, V)),
+    "solid_angle_cross_entropy": lambda: losses.solid_angle_cross_entropy(m(1, 2, V), ids(1, V), m(V)),
+    "solid_angle_mean": lambda: losses.solid_angle_mean(values(), m(V), mask(1, 3, V)),
+    "angular_error": lambda: metrics.angular_error(m(5, 3), m(5, 3)),
+    "depth_error": lambda: metrics.depth_error(m(1, V), m(1, V), mask(1, V)),
+    "depth_index_error": lambda: metrics.depth_index_error(m(1, V), m(1, V), 8, mask(1, V)),
+    "omnimvs_error": lambda: metrics.omnimvs_error(m(1, 8, 16), m(1, 8, 16)),
+    "evaluation_mask": lambda: metrics.evaluation_mask(rig(), m(V, 3), m(1, V)),
+    "seam_mask": lambda: metrics.seam_mask(m(V, 3)),
+    "LatitudeProfile": lambda: updated(metrics.LatitudeProfile(icosphere.Icosphere(LEVEL)), m(1, V)),
+    # models
+    "DepthNetwork": lambda: models.IcoSweepNet(4, 8, feature_channels=2).to("meta").depth(m(1, V)),
+    "IcoSweepNet": lambda: on_meta(models.IcoSweepNet(4, 8, feature_channels=2), m(1, 4, 3, 2562), rig()),
+    "OmniMVS": lambda: on_meta(
+        models.OmniMVS(16, feature_channels=4, output_size=(16, 64)), m(1, 4, 1, 24, 24), rig()
+    ),
+    "RefinedSweepNet": lambda: on_meta(models.RefinedSweepNet(5), m(1, 4, 3, 10242), rig()),
+    "SemiGlobalSweep": lambda: on_meta(models.SemiGlobalSweep(4, 8), m(1, 4, 3, 2562), rig()),
+    "WinnerTakesAll": lambda: on_meta(models.WinnerTakesAll(4, 8), m(1, 4, 3, 2562), rig()),
+    "SphereClassifier": lambda: on_meta(models.SphereClassifier(level=3), m(1, 1, 642)),
+    # sphere
+    "Cubemap": lambda: sphere.Cubemap(4, device="meta").sample(m(3, 6, 4, 4), m(5, 3)),
+    "Equirectangular": lambda: panorama().sample(m(3, 8, 16), m(5, 3)),
+    "Healpix": lambda: sphere.Healpix(2, device="meta").sample(m(3, 48), m(5, 3)),
+    "TangentImages": lambda: sphere.TangentImages(0, 4, device="meta").sample(m(3, 20, 4, 4), m(5, 3)),
+    "SphereGrid": lambda: panorama().solid_angles,
+    "CubePad2d": lambda: on_meta(sphere.CubePad2d(1), m(6, 3, 4, 4)),
+    "EquirectangularPad2d": lambda: on_meta(sphere.EquirectangularPad2d(1), m(1, 3, 8, 16)),
+    "cube_pad": lambda: sphere.cube_pad(m(1, 3, 6, 4, 4), 1),
+    "equirectangular_pad": lambda: sphere.equirectangular_pad(m(3, 8, 16), 1),
+    "cube_from_layout": lambda: sphere.cube_from_layout(m(3, 12, 16)),
+    "cube_to_layout": lambda: sphere.cube_to_layout(m(3, 6, 4, 4)),
+    "make_seamless": lambda: on_meta(sphere.make_seamless(nn.Conv2d(3, 4, 3, padding=1)), m(1, 3, 8, 16)),
+    "nested_from_ring": lambda: sphere.nested_from_ring(ids(5), 2),
+    "ring_from_nested": lambda: sphere.ring_from_nested(ids(5), 2),
+    "resample": lambda: (
+        sphere.resample(m(3, *SIZE), camera(), ico(), m(3, 3)),
+        sphere.resample(values(), ico(), panorama(), mode="area"),
+    ),
+    "resample_mask": lambda: sphere.resample_mask(camera(), ico()),
+    "Resample": lambda: sphere.Resample(camera(), ico())(m(3, *SIZE)),
+    "SphereConv2d": lambda: on_meta(sphere.SphereConv2d(3, 4), m(1, 3, 8, 16)),
+    "sphere_conv2d": lambda: sphere.sphere_conv2d(m(1, 3, 8, 16), m(4, 3, 3, 3)),
+    "sphere_taps": lambda: sphere.sphere_taps((8, 16), device=torch.device("meta")),
+    # sweep
+    "Aggregation": lambda: on_meta(sweep.MeanVariance(5), sweep.sphere_sweep(m(1, 4, 5, V), tables())),
+    "Concatenation": lambda: on_meta(sweep.Concatenation(5, 4), sweep.sphere_sweep(m(1, 4, 5, V), tables())),
+    "MeanVariance": lambda: on_meta(sweep.MeanVariance(5), sweep.sphere_sweep(m(1, 4, 5, V), tables())),
+    "SphereSweep": lambda: on_meta(sweep.SphereSweep(LEVEL, 8, 0.5), m(1, 4, 5, V), rig()),
+    "PanoramaSweep": lambda: on_meta(sweep.PanoramaSweep((8, 16), 8, 0.5), m(1, 4, 5, 12, 12), rig()),
+    "SweepTables": tables,
+    "SweepVolume": lambda: sweep.sphere_sweep(m(1, 4, 5, V), tables()),
+    "sphere_sweep": lambda: sweep.sphere_sweep(m(1, 4, 5, V), tables(), mask(4, V)),
+    "DepthEstimate": lambda: sweep.depth_estimate(m(1, 8, V), mask(1, 4, 8, V)),
+    "depth_estimate": lambda: sweep.depth_estimate(m(1, 8, V), mask(1, 4, 8, V)),
+    "correlation_evidence": lambda: sweep.correlation_evidence(m(1, 4, 3, V), tables()),
+    "depth_from_index": lambda: sweep.depth_from_index(m(5), 8, 0.5),
+    "index_from_depth": lambda: sweep.index_from_depth(m(5), 8, 0.5),
+    "index_from_inverse_depth": lambda: sweep.index_from_inverse_depth(m(5), 8, 0.5),
+    "inverse_depth_from_index": lambda: sweep.inverse_depth_from_index(m(5), 8, 0.5),
+    "inverse_depth_hypotheses": lambda: sweep.inverse_depth_hypotheses(8, 0.5, device="meta"),
+    "photo_consistency": lambda: sweep.photo_consistency(m(1, 4, 3, V), rig(), 8, 0.5),
+    "semi_global_costs": lambda: sweep.semi_global_costs(m(1, 4, 3, V), tables()),
+    "semi_global_smoothing": lambda: sweep.semi_global_smoothing(m(1, 8, V), 0.1, 1.0),
+    "semi_global_sweep": lambda: sweep.semi_global_sweep(m(1, 4, 3, V), rig(), 8, 0.5),
+    "semi_global_tables": lambda: sweep.semi_global_tables(rig(), 8, 0.5, LEVEL),
+    "soft_argmax": lambda: sweep.soft_argmax(m(8, V)),
+    "soft_argmax_confidence": lambda: sweep.soft_argmax_confidence(m(8, V)),
+    # data
+    "random_rotations": lambda: data.random_rotations(3).to("meta"),
+    "collate_samples": lambda: data.collate_samples([{"images": values()}] * 2)["images"],
+}
+FILES = "reads or writes files"
+NUMBERS = "returns numbers of Python, for which it looks at the tensors"
+PICTURE = "returns a picture, a mesh or points of numpy"
+SCENE = "rays that met something are picked by what they met"
+FIT = "fits by least squares, and stops when the numbers do not change any more"
+CLASS = "a name for errors, types or a registry, without tensors"
+DRAWN = "draws numbers on the CPU, the same on every device, and looks at them"
+EXCEPTIONS: dict[str, str] = {
+    **dict.fromkeys(("read_camera", "read_cameras", "read_rig", "save_camera", "save_rig"), FILES),
+    **dict.fromkeys(("read_image", "write_image", "read_mesh_scene", "write_omnistereo"), FILES),
+    **dict.fromkeys(("OmniStereoDataset", "available_weights", "pretrained", "load_weights"), FILES),
+    **dict.fromkeys(("load_reference_checkpoint", "save_weights", "save_point_cloud"), FILES),
+    **dict.fromkeys(("field_of_view", "overlap", "level_from_num_vertices", "num_icosphere_vertices"), NUMBERS),
+    **dict.fromkeys(("calibrate_camera", "convert", "fit_inverse_polynomial", "refine", "refine_rig"), FIT),
+    **dict.fromkeys(("from_kornia", "to_kornia"), "looks whether the other library's class can hold the numbers"),
+    **dict.fromkeys(("register_camera", "register_network", "register_aggregation"), CLASS),
+    **dict.fromkeys(("ArgumentError", "ArgumentTypeError", "FileFormatError", "MissingCompilerError"), CLASS),
+    **dict.fromkeys(("MissingFileError", "ShapeError", "SphericalVisionError", "reference_kernels"), CLASS),
+    **dict.fromkeys(("set_kernel_options", "state_dict_from_reference", "Compose"), CLASS),
+    **dict.fromkeys(("Scene", "MeshScene", "make_scene", "mesh_from_scene", "ray_depth"), SCENE),
+    **dict.fromkeys(("render_camera", "render_directions", "render_rig"), SCENE),
+    **dict.fromkeys(("SceneDataset", "FisheyeSceneDataset"), SCENE),
+    **dict.fromkeys(("PhotometricAugmentation", "RandomShift", "RandomSphereRotation", "RandomYaw"), DRAWN),
+    **dict.fromkeys(("RotateFivefold", "ShuffleCameras"), DRAWN),
+    **dict.fromkeys(("RotateFisheye", "ToSphere"), "keeps tables of a rig, which it recognises by its numbers"),
+    **dict.fromkeys(("Depth", "DepthImage", "Predictor"), "looks for the nearest depth, and gives numbers to people"),
+    **dict.fromkeys(("ByRegion", "DepthError", "DepthIndexError", "OmniMVSError"),
+                    "leaves out images without a valid point; the functions behind it run"),
+    **dict.fromkeys(("SolidAngleIoU", "SolidAngleMean"), "leaves out what no mask counts, by its numbers"),
+    "ring_rig": "makes a rig on the CPU; `.to` moves it",
+    "TriangleLocator": "its tables are made for the numbers of a level, on a device that has some",
+    **dict.fromkeys(("angle_map", "coverage_panorama", "crown_picture", "depth_panorama", "depth_to_color"), PICTURE),
+    **dict.fromkeys(("error_panorama", "error_to_color", "icosphere_mesh", "panorama_point_cloud"), PICTURE),
+    **dict.fromkeys(("rgb_panorama", "rig_picture", "sheet", "sphere_mesh"), PICTURE),
+}  # fmt: skip
+
+
+def tensors(found: Any) -> Iterable[Tensor]:
+    """All tensors in a result."""
+    if isinstance(found, Tensor):
+        yield found
+    elif isinstance(found, Mapping):
+        for value in found.values():
+            yield from tensors(value)
+    elif isinstance(found, tuple | list):
+        for value in found:
+            yield from tensors(value)
+
+
+def test_every_public_name_is_in_one_of_the_tables() -> None:
+    names = {line.partition(": ")[2] for line in INVENTORY.read_text().splitlines()}
+    assert not set(CALLS) & set(EXCEPTIONS)
+    assert set(CALLS) | set(EXCEPTIONS) == names, set(CALLS) ^ set(EXCEPTIONS) ^ names
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_it_runs_on_the_meta_device(name: str) -> None:
+    results = list(tensors(CALLS[name]()))
+    assert results
+    assert {tensor.device.type for tensor in results} == {"meta"}

@@ -173,6 +173,7 @@ MISUSES: dict[str, tuple[Callable[[], Any], str, str]] = {
     "size of words": (lambda: pinhole(size=("big", "small")), "image_size", "whole pixels"),
     "size NaN": (lambda: pinhole(size=(NAN, 4)), "image_size", "nan"),
     "infinite size": (lambda: pinhole(size=(math.inf, 4)), "image_size", "inf"),
+    "a gigapixel": (lambda: pinhole(size=(40_000, 40_000)), "image_size", "134,217,728"),
     "field of view in degrees": (lambda: pinhole(max_angle=110), "max_angle", "radians"),
     "field of view in words": (lambda: pinhole(max_angle="wide"), "max_angle", "expected numbers"),
     "no distortion": (lambda: KannalaBrandtCamera(F, C, None, SIZE), "distortion", "got None"),

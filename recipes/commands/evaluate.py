@@ -74,5 +74,7 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
         rows = evaluate(estimators, data.loader(frames), net, within)
     print_rows(f"{config.split}, level {config.model.level}, percent of N = {net.num_hypotheses}", rows)
     save_rows(folder / "metrics", rows)
+    for sentence in data.left_out():
+        print(f"Warning: {sentence}")
     print(f"Saved in {folder}")
     return rows

@@ -15,6 +15,7 @@ from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.recipes.app.captures import find_capture, find_masks, read_frame
 from sphericalvision.recipes.app.cli import console, print_table
@@ -91,7 +92,7 @@ def save_pictures(
     written = []
     for name, camera in rig.cameras.items():
         title = f"{name}: {type(camera).__name__}, {camera.image_size[1]} x {camera.image_size[0]}"
-        written.append(folder / f"angles_{name}.png")
+        written.append(folder / f"angles_{part_of_name(name)}.png")
         write_image(written[-1], angle_map(camera, images.get(name), rig.masks.get(name), title))
     if not known:
         return written

@@ -114,6 +114,8 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
     try:
         trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
     except SystemExit as stopped:  # what Lightning makes of Ctrl+C and of a job queue's signal
+        for sentence in data.left_out():
+            print(f"Warning: {sentence}")
         if trainer.is_global_zero and last.is_file():
             print(f"\nStopped at step {trainer.global_step}. Go on with:\n{resume_command(last)}", flush=True)
         raise SystemExit(exit_status(trainer, stopped)) from None
@@ -126,6 +128,8 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
     if type(module).test_step is not pl.LightningModule.test_step:
         trainer.test(module, data, ckpt_path=best, weights_only=True, verbose=False)
         report(f"test ({module.unit})", folder / "test", trainer, logged_values(trainer, module, "test"))
+    for sentence in data.left_out():
+        print(f"Warning: {sentence}")
     if trainer.is_global_zero:
         print(f"\nResults are in {folder}")
         print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")

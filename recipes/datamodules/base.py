@@ -127,6 +127,10 @@ class SampleDataModule(pl.LightningDataModule):
         """The training samples without augmentation, in order."""
         return self.dataset("train")
 
+    def left_out(self) -> list[str]:
+        """Sentences about samples that were skipped, to be said at the end."""
+        return []
+
     def render(self, split: str) -> None:
         """Make the samples of a split ready, with progress; data on disk are."""
 

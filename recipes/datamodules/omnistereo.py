@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
+from torch.utils.data import Dataset
+
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift
 from sphericalvision.data.augmentation.transforms import Compose
@@ -13,6 +15,7 @@ from sphericalvision.recipes.app.kinds import Positive, Text
 from sphericalvision.recipes.app.schema import AtLeast, NotEmpty
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import ChosenEntries, Wanted
+from sphericalvision.recipes.datamodules.skipping import SkipDamaged
 
 __all__ = ["OmniStereoDataModule"]
 
@@ -39,6 +42,8 @@ class OmniStereoDataModule(SampleDataModule):
         entries: what samples hold: some of "sphere" (for networks on the icosphere), "fisheye" and "panorama" (for
             networks on panoramas), with the keys of ``SceneDataset``.
         depth_level: icosphere level of the depth at vertices.
+        on_error: "stop" at a frame whose files cannot be read, or "skip" it: training takes the next one in its place,
+            validation and test go without, and what was left out is said at the end.
     """
 
     def __init__(
@@ -60,8 +65,11 @@ class OmniStereoDataModule(SampleDataModule):
         seed: int = 0,
         entries: Annotated[Sequence[str], NotEmpty()] | None = None,
         depth_level: int | None = None,
+        on_error: Literal["stop", "skip"] = "stop",
     ) -> None:
         super().__init__(batch_size, num_workers, seed)
+        self.on_error = on_error
+        self.skipping: list[SkipDamaged] = []
         self.level, self.depth_level, self.min_depth = level, depth_level, min_depth
         self.entries = None if entries is None else tuple(entries)
         self.splits = {"train": train_split, "val": val_split, "test": test_split}
@@ -83,7 +91,7 @@ class OmniStereoDataModule(SampleDataModule):
         scale = wanted.scale(mine, depth_level)
         self.level, self.depth_level, self.min_depth = (scale[key] for key in mine)
 
-    def dataset(self, split: str) -> OmniStereoDataset:
+    def dataset(self, split: str) -> Dataset[Sample]:
         """Frames of one split, augmented in "train"."""
         augment = split == "train"
         stages: list[Callable[[Sample], Sample]] = []
@@ -91,16 +99,23 @@ class OmniStereoDataModule(SampleDataModule):
             stages.append(PhotometricAugmentation())
         if augment and self.shift:
             stages.append(RandomShift(self.shift))
-        return self._read(split, stages)
+        return self._read(split, stages, counts=augment)
 
-    def plain_train_dataset(self) -> OmniStereoDataset:
+    def plain_train_dataset(self) -> Dataset[Sample]:
         """Training frames as they are on disk."""
-        return self._read("train", [])
+        return self._read("train", [], counts=False)
 
-    def _read(self, split: str, stages: list[Callable[[Sample], Sample]]) -> OmniStereoDataset:
-        return self.read(
-            split, *stages, ChosenEntries(self.entries or ("sphere",), self.level or 7, self.depth_level)
-        )
+    def left_out(self) -> list[str]:
+        """Sentences about frames that could not be read and were skipped."""
+        return [sentence for part in self.skipping if (sentence := part.left_out()) is not None]
+
+    def _read(self, split: str, stages: list[Callable[[Sample], Sample]], counts: bool) -> Dataset[Sample]:
+        entries = ChosenEntries(self.entries or ("sphere",), self.level or 7, self.depth_level)
+        frames = self.read(split, *stages, entries)
+        if self.on_error == "stop":
+            return frames
+        self.skipping.append(SkipDamaged(frames, counts))
+        return self.skipping[-1]
 
     def read(self, split: str, *stages: Callable[[Sample], Sample]) -> OmniStereoDataset:
         """Frames of one split through transforms of one's own.

@@ -25,6 +25,10 @@ __all__ = [
 ]
 
 
+MAX_PIXELS = 2**27
+"""Of the largest image of a camera, as of the largest file that is read: directions of its pixels take 1.5 GB."""
+
+
 def check_precision(dtype: torch.dtype) -> None:
     """Raise ``ArgumentError`` for half precision, which cannot hold intrinsics."""
     if dtype in HALF:
@@ -70,6 +74,10 @@ def checked_size(image_size: Sequence[int]) -> tuple[int, int]:
         raise ArgumentError(
             f"image_size: expected (height, width) in whole pixels above 0, got {short_repr(image_size)}"
         ) from None
+    if height * width > MAX_PIXELS:
+        raise ArgumentError(
+            f"image_size: expected {MAX_PIXELS:,} pixels at most (8192 x 16384), got {height} x {width}"
+        )
     return int(height), int(width)
 
 

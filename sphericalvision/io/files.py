@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 import uuid
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +18,7 @@ import yaml
 
 from sphericalvision.core import MissingFileError
 
-__all__ = ["atomic_write", "list_folder", "write_bytes", "write_yaml"]
+__all__ = ["atomic_write", "list_folder", "part_of_name", "write_bytes", "write_yaml"]
 
 
 @contextmanager
@@ -75,6 +77,18 @@ def write_yaml(path: str | Path, content: dict[str, Any]) -> None:
     """
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
     write_bytes(path, text.encode())
+
+
+def part_of_name(name: str) -> str:
+    """A name from elsewhere as a part of a file's name, which leads nowhere: what is no letter, digit, ``-``, ``_`` or
+    ``.`` becomes ``_``, and names that are changed or longer than 80 characters get a number of their own.
+
+    Examples:
+        >>> part_of_name("cam1"), part_of_name("../../x")
+        ('cam1', '.._.._x-422533a8')
+    """
+    plain = re.sub(r"[^\w.-]", "_", name)[:80]
+    return plain if plain == name else f"{plain}-{zlib.crc32(name.encode(errors='replace')):08x}"
 
 
 def list_folder(folder: str | Path, what: str) -> set[str]:

@@ -17,7 +17,7 @@ import yaml
 from safetensors.torch import save_file
 
 from sphericalvision.core import MissingFileError
-from sphericalvision.io.files import atomic_write, list_folder, write_bytes, write_yaml
+from sphericalvision.io.files import atomic_write, list_folder, part_of_name, write_bytes, write_yaml
 from sphericalvision.io.images import write_image, write_mask, write_pages
 
 
@@ -135,3 +135,18 @@ def test_yaml_keeps_its_order_and_arrays_their_values(tmp_path: Path) -> None:
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match=r"none: no such folder \(images expected\)"):
         list_folder(tmp_path / "none", "images")
+
+
+@pytest.mark.parametrize(
+    "name", ["../../x", "/tmp/x", "a/../../b", "x" * 300, "\0", ".", "..", "a b", "\ud800", ""]
+)
+def test_names_from_elsewhere_lead_nowhere(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "inside" / f"mask_{part_of_name(name)}.png"
+    write_bytes(file, b"x")
+    assert [path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("*.png")] == ["inside"]
+    assert file.parent == tmp_path / "inside"
+
+
+def test_plain_names_stay_and_others_stay_apart() -> None:
+    assert part_of_name("cam-1_left.x") == "cam-1_left.x"
+    assert part_of_name("a/b") != part_of_name("a_b") != part_of_name("a b")

@@ -152,3 +152,14 @@ def test_real_calibrations(name: str) -> None:
 
     camera = next(iter(read_cameras(folder / name, dtype=torch.float64).values()))
     assert camera.convert(to=KannalaBrandtCamera).max_error < FILES[name]
+
+
+def test_names_of_cameras_lead_nowhere(run: Run, tmp_path: Path) -> None:
+    names = ["../../../../outside", "/tmp/outside"]
+    rig = CameraRig(dict.fromkeys(names, LENS), ring_rig(2).world_from_camera)
+    rig.to_yaml(tmp_path / "rig.yaml")
+    before = set(tmp_path.rglob("*"))
+    run("inspect", "calibration=rig.yaml", "level=3", "depths=[1]", "output=a/b/c/seen")
+    pictures = {path for path in tmp_path.rglob("*") if path.is_file()} - before
+    assert len([path for path in pictures if "outside" in path.name]) == 2
+    assert {path.parent for path in pictures} == {tmp_path / "a/b/c/seen"}

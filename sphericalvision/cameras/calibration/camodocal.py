@@ -36,6 +36,7 @@ from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.core import FileFormatError, MissingFileError, short_repr
+from sphericalvision.io.files import part_of_name
 
 __all__ = ["KITTI360_POSES", "contents", "kitti360_contents", "recognizes"]
 
@@ -115,7 +116,7 @@ def kitti360_contents(path: Path, options: Options) -> Contents:
     for line, (label, *words) in data_lines(path):
         name = label.rstrip(":")
         pose = transform_from_rows(words, f"{path}, line {line}, {name}")
-        file = path.with_name(f"{name}.yaml")
+        file = path.parent / f"{part_of_name(name)}.yaml"
         if not file.is_file():
             continue  # the perspective pair has other files
         content = load(file)

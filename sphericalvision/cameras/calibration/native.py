@@ -30,7 +30,7 @@ from sphericalvision.cameras.registry import camera_model, camera_model_names, c
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.cameras.verbs import implements
 from sphericalvision.core import FileFormatError, short_repr
-from sphericalvision.io.files import write_yaml
+from sphericalvision.io.files import part_of_name, write_yaml
 from sphericalvision.io.images import read_mask, write_mask
 
 __all__ = [
@@ -130,7 +130,7 @@ def write_rig(rig: CameraRig, path: str | Path) -> None:
     for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
         values = {"name": name, **camera_to_dict(camera), "world_from_camera": pose.tolist()}
         if name in rig.masks:
-            values["mask"] = f"{path.stem}_{name}_mask.png"
+            values["mask"] = f"{path.stem}_{part_of_name(name)}_mask.png"
             write_mask(path.parent / values["mask"], rig.masks[name])
         cameras.append(values)
     write_yaml(path, {"format": RIG_FORMAT, "version": VERSION, "cameras": cameras})

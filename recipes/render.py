@@ -6,9 +6,10 @@ What it does is in ``recipes/commands/render.py``, imported once the command lin
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sphericalvision.recipes.app.command import command, output_folder
+from sphericalvision.recipes.app.command import command
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -21,7 +22,7 @@ def main(config: DictConfig) -> Any:
     """Command line of rendering."""
     from sphericalvision.recipes.commands.render import render
 
-    return render(config, output_folder())
+    return render(config, Path(config.output).absolute())  # shards of a multi-run share it
 
 
 if __name__ == "__main__":

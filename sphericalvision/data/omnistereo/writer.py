@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -83,7 +84,10 @@ def write_omnistereo(
     if not kept:  # files of the same rig differ in the last digits of their fits from run to run
         _write_calibration(root, _calibration(root, layout, stored, min_depth))
     written = [_write_frame(root, layout, rig, sample, min_depth) for sample in frames]
-    if layout.name == "tiff":  # now config.yaml knows the last frame
+    known: list[int] = []
+    while layout.name == "tiff" and known != (now := _frames_in(root, layout)):
+        # Now config.yaml knows the last frame; once more if another process has added some meanwhile.
+        known = now
         _write_calibration(root, _calibration(root, layout, stored, min_depth))
     return [f"{frame:05d}" for frame in written]
 
@@ -126,8 +130,20 @@ def _stored_rig(rig: CameraRig, layout: Release) -> CameraRig:
                 "config.yaml holds any camera"
             )
         return CameraRig(list(rig.cameras.values()), poses, masks)
-    fitted = {id(camera): ocam_from_camera(camera) for camera in rig.cameras.values()}
+    with _one_thread():
+        fitted = {id(camera): ocam_from_camera(camera) for camera in rig.cameras.values()}
     return CameraRig([fitted[id(camera)] for camera in rig.cameras.values()], poses, masks)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Sums in the same order whatever the number of threads, so that processes side by side write the same digits."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) -> dict[str, bytes]:

@@ -105,6 +105,7 @@ def of_model(name: str, case: str) -> dict[str, Callable[[], Any]]:
 
 
 MODELS_OF = {
+    "AnglePolynomial": "angle polynomial",
     "Atan": "atan",
     "BrownConrady": "brown conrady",
     "Division": "division",
@@ -253,6 +254,8 @@ CALLS: dict[str, Callable[[], Any]] = {
     "Healpix": lambda: sphere.Healpix(2, device="meta").sample(m(3, 48), m(5, 3)),
     "TangentImages": lambda: sphere.TangentImages(0, 4, device="meta").sample(m(3, 20, 4, 4), m(5, 3)),
     "SphereGrid": lambda: panorama().solid_angles,
+    "healpix_pool": lambda: sphere.healpix_pool(m(3, 48)),
+    "healpix_upsample": lambda: sphere.healpix_upsample(m(3, 48)),
     "CubePad2d": lambda: on_meta(sphere.CubePad2d(1), m(6, 3, 4, 4)),
     "EquirectangularPad2d": lambda: on_meta(sphere.EquirectangularPad2d(1), m(1, 3, 8, 16)),
     "cube_pad": lambda: sphere.cube_pad(m(1, 3, 6, 4, 4), 1),
@@ -328,6 +331,7 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("ByRegion", "DepthError", "DepthIndexError", "OmniMVSError"),
                     "leaves out images without a valid point; the functions behind it run"),
     **dict.fromkeys(("SolidAngleIoU", "SolidAngleMean"), "leaves out what no mask counts, by its numbers"),
+    **dict.fromkeys(("straighten", "straighten_rig"), "takes a calibration apart, once, by its numbers"),
     "ring_rig": "makes a rig on the CPU; `.to` moves it",
     "TriangleLocator": "its tables are made for the numbers of a level, on a device that has some",
     **dict.fromkeys(("angle_map", "coverage_panorama", "crown_picture", "depth_panorama", "depth_to_color"), PICTURE),

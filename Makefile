@@ -15,7 +15,13 @@ PROGRESS := $(BIN)/python -uc 'import sys; [print("   ", line.strip()[:90]) for 
 # A process for each core, up to four, each with one thread: the tests are many and small.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: help demo test test-all lint format docs notebooks bench dist clean
+# Packages that `make test-lowest` takes as they come, and what it runs.
+LOWEST_BUT ?=
+LOWEST_TESTS ?= tests/geometry tests/icosphere tests/cameras/test_camera_laws.py tests/crown/test_layers.py tests/crown/test_layout.py \
+                tests/sweep tests/losses tests/metrics tests/models/test_network_laws.py tests/models/test_weights.py tests/io \
+                tests/test_misuse.py tests/recipes/test_cli.py
+
+.PHONY: help demo test test-all test-lowest mutants lint format docs notebooks bench dist clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,6 +34,17 @@ test: lint ## linters, then every test that is not slow
 
 test-all: lint ## linters, then every test
 	@$(PYTEST) $(ARGS)
+
+test-lowest: ## the core's tests with the lowest versions that pyproject.toml allows, in build/lowest
+	@mkdir -p build && $(PYTHON) tests/lowest_versions.py $(LOWEST_BUT) > build/lowest.txt
+	@echo "==> an environment with $$(wc -l < build/lowest.txt) lowest versions" && $(PYTHON) -m venv build/lowest
+	@set -o pipefail; PYTHONUNBUFFERED=1 build/lowest/bin/python -m pip install --no-compile --progress-bar off -c build/lowest.txt \
+	  -e '.[recipes]' pytest hypothesis | $(PROGRESS)
+	@OMP_NUM_THREADS=1 build/lowest/bin/python -m pytest -m "not slow" $(LOWEST_TESTS) $(ARGS)
+
+mutants: $(VENV)/.installed-all ## how many changes in the code no test notices (mutmut; [tool.mutmut] says in which files)
+	@$(BIN)/python -m mutmut --version > /dev/null 2>&1 || $(PIP) 'mutmut>=3.3'
+	@OMP_NUM_THREADS=1 $(BIN)/python -m mutmut run $(ARGS); $(BIN)/python -m mutmut results
 
 lint: $(VENV)/.installed-all ## ruff, mypy and the import layers
 	@echo "==> ruff check"   && $(BIN)/ruff check .
@@ -62,7 +79,7 @@ dist: $(VENV)/.installed-all ## build sdist and wheel into dist/, and run the de
 	@echo "Both files in dist/ are good. To publish: $(BIN)/python -m pip install twine && $(BIN)/python -m twine upload dist/*"
 
 clean: ## remove what can be made again (the environment too)
-	@rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info
+	@rm -rf $(VENV) build dist site mutants .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info
 
 # --- environment: made once, installed again only when pyproject.toml or constraints.txt change ---
 

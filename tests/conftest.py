@@ -12,7 +12,8 @@ from hypothesis import settings
 
 from tests import shape_checks
 
-shape_checks.install()  # before any test imports the package
+if "MUTANT_UNDER_TEST" not in os.environ:  # mutmut runs the tests again and again in one process
+    shape_checks.install()  # before any test imports the package
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)  # a run fails by a change alone
 settings.load_profile("repeatable")

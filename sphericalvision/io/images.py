@@ -179,7 +179,7 @@ def _sizes(encoded: Array) -> list[Size]:
     from PIL import Image  # only who reads files pays for it
 
     sizes: list[Size] = []
-    with warnings.catch_warnings(), suppress(OSError, ValueError, SyntaxError, EOFError):
+    with warnings.catch_warnings(), suppress(Exception):  # Pillow raises whatever it meets in a damaged file
         warnings.simplefilter("ignore")
         try:
             with Image.open(io.BytesIO(encoded.tobytes())) as image:

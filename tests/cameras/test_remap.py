@@ -535,7 +535,7 @@ def test_errors_say_what_is_expected() -> None:
         Remap(FISHEYE, PINHOLE)(torch.rand(72, 96))
     with pytest.raises(ShapeError, match=r"mask: expected shape \(\*b, 72, 96\)"):
         remap(image, FISHEYE, PINHOLE, mask=torch.ones(60, 80))
-    with pytest.raises(ShapeError, match=r"rotation: expected shape \(\*b, 3, 3\)"):
+    with pytest.raises(ShapeError, match=r"rotation: expected shape \(3, 3\) or \(\*b, 3, 3\)"):
         remap(image, FISHEYE, PINHOLE, rotation=torch.eye(4))
     with pytest.raises(ArgumentError, match="mode: expected one of 'bilinear', 'area'"):
         remap(image, FISHEYE, PINHOLE, mode="linear")

@@ -134,3 +134,11 @@ def test_the_size_is_checked_before_pixels_are_decoded(
             patch.setattr(cv2, "imdecodemulti", lambda *_: pytest.fail("decoded"))
             with pytest.raises(FileFormatError, match=r"expected 6 x 9 .* got 9 x 6"):
                 read_image(path, (9, 6))
+
+
+def test_a_tiff_without_dimensions_is_refused(tmp_path: Path) -> None:
+    """Found by generated files: Pillow raises TypeError for it."""
+    path = tmp_path / "a.tiff"
+    path.write_bytes(b"II*\x00\x08\x00\x00\x00\x00\x00\x00\x00\x00\x00")
+    with pytest.raises(FileFormatError, match="cannot be read as an image"):
+        read_image(path)

@@ -319,7 +319,7 @@ def law_mistakes_are_named(camera: Camera) -> None:
         camera.project(torch.tensor([[0, 0, 1]]))
     with pytest.raises(ArgumentError, match="pixels: expected floating point"):
         camera.unproject(torch.tensor([[0, 0]]))
-    with pytest.raises(ArgumentError, match=r"image: expected a tensor .* got ndarray"):
+    with pytest.raises(ArgumentError, match=r"image: expected a torch.Tensor .* got numpy.ndarray"):
         camera.sample(torch.zeros(1, *camera.image_size).numpy(), directions_within(camera, 4))
     given = arguments_of(camera)
     nonsense: list[tuple[str, object]] = [("image_size", (0, 4))]

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Twenty times ``kill -9`` at random moments: nothing half written, and at the end what comes of a run without."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.cameras import ring_rig, save_rig
+from sphericalvision.data import make_scene, render_rig
+from sphericalvision.io.images import read_image, write_image
+from tests.recipes.conftest import run_recipe
+from tests.recipes.tiny import TINY_TRAINING
+
+pytestmark = pytest.mark.slow
+
+KILLS = int(os.environ.get("SPHERICALVISION_KILLS", "20"))
+
+COMMANDS = {
+    "train": [*TINY_TRAINING, "trainer.max_steps=30", "resume=auto", "logger=none", "data.cache_dir=scenes"],
+    "render": ["rig=ring", "rig.image_size=[48,48]", "num_frames=12", "samples_per_pixel=1", "height=48"],
+    "predict": [
+        "calibration=capture/rig.yaml",
+        "images=capture/{camera}/{frame:03d}.png",
+        "method=semi_global",
+        "level=4",
+        "min_depth=0.5",
+        "height=48",
+        "skip_existing=true",
+    ],
+    "study": ["preset=tiny", "data.cache_dir=scenes"],
+}
+# What differs from run to run: times, places, and what tells how a run went.
+VARY = (".lock", "config.yaml", ".log", "events", ".pt", "multirun.yaml")
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    """A rig and a few frames."""
+    rig = ring_rig(3, image_size=(32, 32))
+    save_rig(rig, tmp_path / "capture/rig.yaml")
+    for frame in range(8):
+        for name, image in render_rig(make_scene("bare", seed=frame), rig).items():
+            write_image(tmp_path / "capture" / name / f"{frame:03d}.png", image)
+    return tmp_path
+
+
+def child(folder: Path, recipe: str, words: list[str]) -> None:
+    with (folder / "said.txt").open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+        run_recipe(folder, recipe, *words)
+
+
+def started(folder: Path, recipe: str, words: list[str]) -> multiprocessing.Process:
+    """A process of its own, from one that has imported everything already."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.recipes.conftest", f"sphericalvision.recipes.commands.{recipe}"])
+    process = context.Process(target=child, args=(folder, recipe, words))
+    process.start()
+    return process  # type: ignore[return-value]
+
+
+def whole(folder: Path) -> None:
+    """Every file under a final name can be read."""
+    for path in folder.rglob("*"):
+        if path.name.startswith(".") or not path.is_file():
+            continue  # left by whoever was killed, under a name of its own
+        if path.suffix == ".png":
+            read_image(path)
+        elif path.suffix == ".ckpt":
+            torch.load(path, weights_only=True)
+        elif path.suffix in (".ply", ".npz", ".json", ".csv", ".safetensors"):
+            assert path.stat().st_size, path
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """Contents of the files that a run is for."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not path.name.startswith(".") and not path.name.endswith(VARY)
+    }
+
+
+def same_weights(first: Path, second: Path) -> None:
+    states = [
+        torch.load(path / "checkpoints/last.ckpt", weights_only=True)["state_dict"]
+        for path in (first, second)
+    ]
+    for name, value in states[0].items():
+        assert torch.equal(value, states[1][name]), name
+
+
+def same_files(suffixes: tuple[str, ...]) -> Callable[[Path, Path], None]:
+    def compare(first: Path, second: Path) -> None:
+        left, right = (
+            {name: content for name, content in results(path).items() if name.endswith(suffixes)}
+            for path in (first, second)
+        )
+        assert left
+        assert left == right
+
+    return compare
+
+
+SAME = {
+    "train": same_weights,
+    "render": same_files((".png", ".txt", ".tiff")),
+    "predict": same_files((".png", ".ply")),
+    "study": same_files((".csv",)),
+}
+
+
+@pytest.mark.parametrize("recipe", COMMANDS)
+def test_kills_leave_nothing_half_done(recipe: str, capture: Path) -> None:
+    words = COMMANDS[recipe]
+    began = time.monotonic()
+    straight = started(capture, recipe, [*words, f"output={capture}/straight"])
+    straight.join()
+    assert straight.exitcode == 0, (capture / "said.txt").read_text()
+    took = time.monotonic() - began
+    chance, kills, goes = random.Random(0), 0, 0
+    output = capture / "killed"
+    while kills < KILLS:
+        process = started(capture, recipe, [*words, f"output={output}"])
+        process.join(chance.uniform(0.05, 0.9) * took)
+        assert process.exitcode in (None, 0), (capture / "said.txt").read_text()
+        if process.exitcode is None:
+            os.kill(process.pid or 0, signal.SIGKILL)
+            kills += 1
+        process.join()
+        whole(output)
+        goes += 1
+        assert goes < 10 * KILLS, "it ends before it can be killed"
+        if process.exitcode == 0 and kills < KILLS:  # it is done: once more from the beginning
+            output = capture / f"killed{goes}"
+    last = started(capture, recipe, [*words, f"output={output}"])
+    last.join()
+    said = (capture / "said.txt").read_text()
+    assert last.exitcode in (0, 1), said
+    assert last.exitcode == 0 or "Error" not in said, said
+    whole(output)
+    SAME[recipe](capture / "straight", output)

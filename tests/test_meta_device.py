@@ -9,6 +9,7 @@ with its reason, so a new name is in one of the two tables.
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -81,13 +82,16 @@ def on_meta(module: nn.Module, *inputs: Any) -> Any:
     return module.to("meta")(*inputs)
 
 
+def called(function: str, case: str, places: Tensor) -> Any:
+    """A function of a camera model with the intrinsics of a camera, by the names of its arguments."""
+    call, lens = getattr(cameras, function), camera(case)
+    known = {"direct_polynomial": "polynomial", "coefficients": "polynomial"}
+    names = {name: known.get(name, name) for name in list(inspect.signature(call).parameters)[1:]}
+    return call(places, **{name: getattr(lens, of) for name, of in names.items() if hasattr(lens, of)})
+
+
 def of_model(name: str, case: str) -> dict[str, Callable[[], Any]]:
     """Calls of a camera model: its class, and the pair of functions behind it."""
-
-    def intrinsics() -> list[Tensor | None]:
-        return [getattr(camera(case), intrinsic) for intrinsic in camera(case).intrinsic_names]
-
-    options = ("equidistant",) if name == "Fisheye" else ()
     words = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in name)
     words = words.replace("_o_cam", "_ocam")
     return {
@@ -96,12 +100,9 @@ def of_model(name: str, case: str) -> dict[str, Callable[[], Any]]:
             camera(case).unproject(m(5, 2)),
             camera(case).sample(m(3, *camera(case).image_size), m(5, 3)),
         ),
-        f"project{words}": lambda: getattr(cameras, f"project{words}")(m(5, 3), *intrinsics(), *options),
-        f"unproject{words}": lambda: getattr(cameras, f"unproject{words}")(
-            m(5, 2), *[value for name, value in zip(camera(case).intrinsic_names, intrinsics(), strict=True)
-                       if name != "inverse_polynomial"], *options
-        ),
-    }  # fmt: skip
+        f"project{words}": lambda: called(f"project{words}", case, m(5, 3)),
+        f"unproject{words}": lambda: called(f"unproject{words}", case, m(5, 2)),
+    }
 
 
 MODELS_OF = {
@@ -324,7 +325,8 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("from_kornia", "to_kornia"), "looks whether the other library's class can hold the numbers"),
     **dict.fromkeys(("register_camera", "register_network", "register_aggregation"), CLASS),
     **dict.fromkeys(("ArgumentError", "ArgumentTypeError", "FileFormatError", "MissingCompilerError"), CLASS),
-    **dict.fromkeys(("MissingFileError", "ShapeError", "SphericalVisionError", "reference_kernels"), CLASS),
+    **dict.fromkeys(("MissingFileError", "ShapeError", "SphericalVisionError"), CLASS),
+    **dict.fromkeys(("reference_kernels", "compact_kernels"), CLASS),
     **dict.fromkeys(("set_kernel_options", "state_dict_from_reference", "Compose"), CLASS),
     **dict.fromkeys(("Scene", "MeshScene", "make_scene", "mesh_from_scene", "ray_depth"), SCENE),
     **dict.fromkeys(("render_camera", "render_directions", "render_rig"), SCENE),

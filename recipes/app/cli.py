@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.tree import Tree
 
 from sphericalvision.core import ArgumentError, SphericalVisionError
+from sphericalvision.io.files import write_bytes
 from sphericalvision.recipes.app.lightning_words import explained
 from sphericalvision.recipes.app.schema import check_node
 
@@ -80,8 +81,7 @@ def print_config(config: DictConfig, folder: Path | None = None) -> None:
             tree.add(f"{key!s}: {value}", highlight=True)
     console.print(tree)
     if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        OmegaConf.save(resolved, folder / "config.yaml")
+        write_bytes(folder / "config.yaml", OmegaConf.to_yaml(resolved).encode())
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:

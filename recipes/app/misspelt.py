@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import tempfile
 from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -89,6 +90,9 @@ def wrong_place(config: DictConfig) -> str | None:
     if folder and not OmegaConf.is_interpolation(config, "output"):
         try:  # now: Hydra would tell it in its own words
             output.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=output) as probe:
+                probe.write(b"a full disk takes folders")
+                probe.flush()
         except OSError as error:
-            return f"output: {output} cannot be made ({error.strerror}); choose another place"
+            return f"output: {output} cannot be written to ({error.strerror}); free the disk, or choose another place"
     return None

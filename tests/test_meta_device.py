@@ -252,6 +252,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "RefinedSweepNet": lambda: on_meta(models.RefinedSweepNet(5), m(1, 4, 3, 10242), rig()),
     "SemiGlobalSweep": lambda: on_meta(models.SemiGlobalSweep(4, 8), m(1, 4, 3, 2562), rig()),
     "WinnerTakesAll": lambda: on_meta(models.WinnerTakesAll(4, 8), m(1, 4, 3, 2562), rig()),
+    "SphereSegmenter": lambda: on_meta(models.SphereSegmenter("hex", level=3, num_classes=5), m(1, 3, 642)),
     "SphereClassifier": lambda: on_meta(models.SphereClassifier(level=3), m(1, 1, 642)),
     # sphere
     "Cubemap": lambda: sphere.Cubemap(4, device="meta").sample(m(3, 6, 4, 4), m(5, 3)),
@@ -329,7 +330,8 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("reference_kernels", "compact_kernels"), CLASS),
     **dict.fromkeys(("set_kernel_options", "state_dict_from_reference", "Compose"), CLASS),
     **dict.fromkeys(("Scene", "MeshScene", "make_scene", "mesh_from_scene", "ray_depth"), SCENE),
-    **dict.fromkeys(("render_camera", "render_directions", "render_rig"), SCENE),
+    **dict.fromkeys(("render_camera", "render_directions", "render_rig", "ray_labels"), SCENE),
+    "SURFACE_LABELS": CLASS,
     **dict.fromkeys(("SceneDataset", "FisheyeSceneDataset"), SCENE),
     **dict.fromkeys(("PhotometricAugmentation", "RandomShift", "RandomSphereRotation", "RandomYaw"), DRAWN),
     **dict.fromkeys(("RotateFivefold", "ShuffleCameras"), DRAWN),

@@ -19,6 +19,7 @@ from sphericalvision.deploy.export import (
     OPSET,
     TABLES,
     RigProgram,
+    compile_program,
     export_onnx,
     export_program,
     onnx_difference,
@@ -31,7 +32,7 @@ from sphericalvision.recipes.app.rigs import rig_from_file
 
 __all__ = ["export"]
 
-FORMATS = ("pt2", "onnx")
+FORMATS = ("pt2", "onnx", "compiled")
 
 
 def export(config: DictConfig, folder: Path) -> list[Path]:
@@ -80,6 +81,13 @@ def export(config: DictConfig, folder: Path) -> list[Path]:
     if "pt2" in config.formats:
         written.append(path)
         say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
+    if "compiled" in config.formats:
+        start = time.process_time()
+        written.append(compile_program(exported, folder / "depth.compiled.pt2"))
+        seconds = time.process_time() - start
+        say(
+            f"{written[-1].name}: {written[-1].stat().st_size / 1e6:.1f} MB, {seconds:.0f} s of processor time and g++"
+        )
     if "onnx" in config.formats:
         start = time.process_time()
         written.append(export_onnx(exported, folder / "depth.onnx"))

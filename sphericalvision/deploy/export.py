@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ from torch.fx import GraphModule, Interpreter, Node
 from torch.utils import _pytree
 
 from sphericalvision.cameras.sphere_images import SphereLookup
-from sphericalvision.core import ArgumentError, check_choice, compact_kernels
+from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, compact_kernels
 from sphericalvision.deploy.predictor import Predictor
 from sphericalvision.io.files import atomic_write
 from sphericalvision.sphere import Equirectangular
@@ -26,6 +27,7 @@ __all__ = [
     "INPUTS",
     "TABLES",
     "RigProgram",
+    "compile_program",
     "example_images",
     "export_onnx",
     "export_program",
@@ -224,6 +226,38 @@ def export_program(
         with atomic_write(path) as temporary:
             torch.export.save(exported, temporary)
     return exported
+
+
+def compile_program(exported: torch.export.ExportedProgram, path: str | Path) -> Path:
+    """Compile an exported program to machine code, which libtorch runs from C++ and torch from Python.
+
+    The ``.pt2`` file is for this kind of processor and this version of torch: ``torch._inductor.aoti_load_package`` in
+    Python, ``AOTIModelPackageLoader`` in C++.
+
+    Args:
+        exported: of ``export_program``.
+        path: of the file, which ends in ``.pt2``.
+
+    Raises:
+        ArgumentError: another ending.
+        MissingCompilerError: there is no C++ compiler on this machine.
+    """
+    from torch._inductor import aoti_compile_and_package
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    path = Path(path)
+    if path.suffix != ".pt2":
+        raise ArgumentError(f"path: expected a name that ends in .pt2, got {path.name!r}")
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            made = aoti_compile_and_package(exported, package_path=str(Path(folder) / path.name))
+        except InvalidCxxCompiler:
+            raise MissingCompilerError(
+                "compiled: needs a C++ compiler, g++ or clang++ (CXX names another); formats=[pt2,onnx] need none"
+            ) from None
+        Path(made).replace(path)
+    return path
 
 
 def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Path:

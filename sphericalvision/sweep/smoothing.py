@@ -113,9 +113,13 @@ def _scanned(
 
     def extend(reached: Tensor, cost: Tensor, jump: Tensor) -> tuple[Tensor, Tensor]:
         reached = _extended(reached, cost, small_penalty, jump)
-        return reached, reached.clone()
+        return in_order(reached), in_order(reached)
 
-    _, reached = scan_op(extend, [steps[0].clone()], [steps[1:], jumps], ())
+    def in_order(values: Tensor) -> Tensor:
+        """A copy, in the one layout in memory that compilers ask of what goes round a loop."""
+        return values.clone(memory_format=torch.contiguous_format)
+
+    _, reached = scan_op(extend, [in_order(steps[0])], [in_order(steps[1:]), in_order(jumps)], ())
     reached = torch.cat((steps[:1], reached))[first:]
     return reached.movedim(0, 2).flatten(2)
 

@@ -25,6 +25,12 @@ def picture(pixels):
 
 
 """
+#: Pages show files of the project, which a notebook names.
+SOURCE = """def source(path, language):
+    return f"{path} of the project's repository"
+
+
+"""
 
 
 def notebook(page: Path) -> Any:
@@ -35,6 +41,7 @@ def notebook(page: Path) -> Any:
     text = re.sub(r"^```bash\n(.*?)^```$", r"~~~bash\n\1~~~", text, flags=re.M | re.S)
     # Links to other pages lead nowhere from here: their words stay.
     text = re.sub(r"\[([^\]\n]*(?:\n[^\]\n]*)?)\]\((?!https?:)[^)\s]*\)", r"\1", text)
+    text = text.replace("from shown import source\n", SOURCE)
     text = text.replace("from shown import picture\n", SHOWN).replace("print(picture(", "display(picture(")
     made = jupytext.reads(text, fmt="md")
     made.metadata["kernelspec"] = {"display_name": "Python 3", "language": "python", "name": "python3"}

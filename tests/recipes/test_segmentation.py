@@ -16,7 +16,6 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SphereSegmenter
 from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS
 from sphericalvision.recipes.segmentation.datamodule import LabelledRoomsDataModule
-from sphericalvision.recipes.segmentation.module import MeanIoU
 from sphericalvision.recipes.segmentation.rooms import ORIENTATIONS, LabelledRooms, orientation_rotation
 from tests.recipes.tiny import Run
 
@@ -90,15 +89,6 @@ def test_splits_share_no_room() -> None:
     rooms = {split: data.rooms(split, "upright") for split in ("train", "val", "test")}
     seeds = [set(range(r.first_seed, r.first_seed + len(r))) for r in rooms.values()]
     assert len(set.union(*seeds)) == sum(map(len, seeds)) == 480
-
-
-def test_scores_by_hand() -> None:
-    """Three classes of which one never occurs; a place that is not labelled; weights."""
-    metric = MeanIoU(3, torch.tensor([1.0, 2.0, 3.0, 4.0]))
-    metric.update(torch.tensor([[0, 0, 1, 2]]), torch.tensor([[0, 1, 1, -1]]))
-    metric.update(torch.tensor([[1, 1, 1, 0]]), torch.tensor([[0, 1, 1, 0]]))
-    # Class 0: both 1 + 4, either 1 + 2 + 1 + 4; class 1: both 3 + 2 + 3, either 2 + 3 + 1 + 2 + 3.
-    assert float(metric.compute()) == pytest.approx(100 * (5 / 8 + 8 / 11) / 2)
 
 
 @pytest.mark.slow

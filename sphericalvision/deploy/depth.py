@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -15,6 +16,8 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.deploy.surface import distance_along
+from sphericalvision.geometry.lookup import weighted_sums
+from sphericalvision.icosphere import Icosphere, locate
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import inverse_depth_from_index
@@ -118,9 +121,8 @@ class Depth:
 
     def panorama(self, height: int) -> DepthImage:
         """Return depth as an equirectangular panorama ``(*b, height, 2 * height)`` around the rig's centre."""
-        view = Equirectangular(height, 2 * height, device=self.index.device)
-        inverse_depth, confidence, seen = self.at(view.directions.reshape(-1, 3))
-        shape = (*self.batch_shape, *view.shape)
+        inverse_depth, confidence, seen = self._looked_up(height)
+        shape = (*self.batch_shape, height, 2 * height)
         return DepthImage(
             inverse_depth.reciprocal().reshape(shape), confidence.reshape(shape), seen.reshape(shape)
         )
@@ -214,13 +216,39 @@ class Depth:
 
         Inverse depth is NaN where the network's grid does not reach.
         """
-        number = self.index.numel() // math.prod(self.network.grid.shape)
-        together = torch.cat(
-            [
-                values.to(torch.float32).reshape(number, *self.network.grid.shape)
-                for values in (self.inverse_depth, self.confidence, self.seen)
-            ]
-        )
-        values, reached = self.network.index_at(together, directions)  # all are located once
-        inverse_depth, confidence, seen = values.reshape(3, *self.batch_shape, len(directions))
+        values, reached = self.network.index_at(self._together(), directions)  # all are located once
+        return self._parts(values, reached)
+
+    def _looked_up(self, height: int) -> tuple[Tensor, Tensor, Tensor]:
+        """As ``at`` in the pixels of a panorama, whose places on an icosphere are kept from frame to frame."""
+        grid, device = self.network.grid, self.index.device
+        if not isinstance(grid, Icosphere) or type(self.network).index_at is not DepthNetwork.index_at:
+            return self.at(panorama_rays(height, device))
+        ids, weights = _located(grid.level, height, device)
+        values = weighted_sums(self._together().unsqueeze(1), ids, weights).squeeze(1)
+        return self._parts(values, torch.ones_like(ids[:, 0], dtype=torch.bool))
+
+    def _together(self) -> Tensor:
+        """Inverse depth, confidence and seen ``(3 * b, *grid)``."""
+        grid = self.network.grid.shape
+        number = self.index.numel() // math.prod(grid)
+        parts = (self.inverse_depth, self.confidence, self.seen)
+        return torch.cat([values.to(torch.float32).reshape(number, *grid) for values in parts])
+
+    def _parts(self, values: Tensor, reached: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        inverse_depth, confidence, seen = values.reshape(3, *self.batch_shape, values.shape[-1])
         return inverse_depth.where(reached, math.nan), confidence, (seen > 0.5) & reached
+
+
+@lru_cache(maxsize=4)
+@torch.inference_mode(False)
+def panorama_rays(height: int, device: torch.device) -> Tensor:
+    """Directions ``(2 * height ** 2, 3)`` of a panorama's pixels, row by row."""
+    return Equirectangular(height, 2 * height, device=device).directions.reshape(-1, 3)
+
+
+@lru_cache(maxsize=4)
+@torch.inference_mode(False)
+def _located(level: int, height: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Vertices and weights ``(P, 3)`` of a panorama's pixels on an icosphere."""
+    return locate(panorama_rays(height, device), level)

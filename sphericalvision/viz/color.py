@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import matplotlib
@@ -114,8 +115,8 @@ def fade(colors: Picture, strength: Values) -> Picture:
         [[168, 68, 128]]
     """
     share = np.clip(np.nan_to_num(_to_numpy(strength)), 0, 1)[..., None]
-    mixed = UNKNOWN_GREY + share * (colors.astype(np.float64) - UNKNOWN_GREY)
-    return mixed.round().astype(np.uint8)
+    mixed = share.astype(np.float32) * (colors.astype(np.float32) - UNKNOWN_GREY) + UNKNOWN_GREY
+    return np.rint(mixed).astype(np.uint8)
 
 
 def near_end(depth: Values, min_depth: float, share: float = 0.01) -> float:
@@ -162,5 +163,16 @@ def _to_numpy(values: Values) -> npt.NDArray[np.float64]:
 
 def colorize(scaled: npt.NDArray[np.float64], color_map: str) -> Picture:
     """Map values (*) in [0, 1] through a matplotlib colour map to uint8 (*, 3); NaN becomes grey."""
-    colors = matplotlib.colormaps[color_map](np.clip(np.nan_to_num(scaled), 0, 1), bytes=True)[..., :3]
-    return np.where(np.isnan(scaled)[..., None], np.uint8(UNKNOWN_GREY), colors)
+    table = _table(color_map)
+    unknown = np.isnan(scaled)
+    places = (np.clip(np.where(unknown, 0, scaled), 0, 1) * (len(table) - 1)).astype(np.int64)
+    places = np.minimum(places, len(table) - 2)
+    return table[np.where(unknown, len(table) - 1, places)]
+
+
+@lru_cache(maxsize=8)
+def _table(color_map: str) -> Picture:
+    """The colours of a map, as matplotlib has them, and the grey of what is unknown after them."""
+    colors = matplotlib.colormaps[color_map]
+    shades = colors(np.arange(colors.N), bytes=True)[:, :3]
+    return np.concatenate((shades, np.full((1, 3), UNKNOWN_GREY, np.uint8)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -182,7 +183,7 @@ def rgb_panorama(
         ShapeError: depth of another shape, or the images' names are not the cameras'.
     """
     dtype, device = rig.world_from_camera.dtype, rig.world_from_camera.device
-    directions = Equirectangular(height, 2 * height, dtype, device).directions.reshape(-1, 3)
+    directions = _rays(height, dtype, device)
     far = torch.as_tensor(depth, dtype=dtype, device=device).reshape(-1, 1)
     if far.numel() not in (1, len(directions)):
         raise ShapeError(
@@ -192,6 +193,12 @@ def rgb_panorama(
     points = rig.center + far * directions
     colors, seen = point_colors(rig, images, points)
     return colors.reshape(-1, height, 2 * height), seen.reshape(height, 2 * height)
+
+
+@lru_cache(maxsize=4)  # frames of a video share them
+@torch.inference_mode(False)
+def _rays(height: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    return Equirectangular(height, 2 * height, dtype, device).directions.reshape(-1, 3)
 
 
 _FAR = 1e4  # metres; no rig is so large that its cameras would see a difference beyond

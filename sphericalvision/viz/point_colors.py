@@ -37,15 +37,14 @@ def point_colors(
     if not len(points):
         return points.new_zeros(next(iter(images.values())).shape[0], 0), torch.zeros(0, dtype=torch.bool)
     projection = rig.project(points)
-    total: Tensor | float = 0.0
-    weights = points.new_zeros(len(points))
+    channels = next(iter(images.values())).shape[0]
+    total, weights = points.new_zeros(channels, len(points)), points.new_zeros(len(points))
     for index, (name, camera) in enumerate(rig.cameras.items()):
-        seen = projection.valid[index]
-        pixels = torch.where(seen.unsqueeze(-1), projection.pixels[index], 0.0)
-        colors = camera.interpolate(images[name].to(points), pixels)
-        ray = points - rig.positions[index]
+        (which,) = projection.valid[index].nonzero(as_tuple=True)
+        colors = camera.interpolate(images[name].to(points), projection.pixels[index][which])
+        ray = points[which] - rig.positions[index]
         forward = (ray @ rig.axes[index] / ray.norm(dim=-1) + 1) / 2
-        weight = seen * forward.clamp(min=0.05) ** 8  # what is behind a panorama's axis counts, too
-        total = total + weight * torch.where(seen, colors, 0.0)
-        weights = weights + weight
-    return total / weights.clamp(min=1e-12), weights > 0  # type: ignore[return-value]
+        weight = forward.clamp(min=0.05) ** 8  # what is behind a panorama's axis counts, too
+        total = total.index_add(1, which, weight * colors)
+        weights = weights.index_add(0, which, weight)
+    return total / weights.clamp(min=1e-12), weights > 0

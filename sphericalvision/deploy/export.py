@@ -263,7 +263,7 @@ def compile_program(exported: torch.export.ExportedProgram, path: str | Path) ->
 def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Path:
     """Write an exported program as an ONNX file with the outputs of ``RigProgram``.
 
-    Its inputs are ``images`` and, where the program has them, the tables by their names.
+    Its inputs are ``images`` and, where the program has them, the tables: ``rig.`` and their names.
 
     Raises:
         ArgumentError: the packages for it are missing; ``pip install sphericalvision[onnx]``.
@@ -284,7 +284,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
             optimize=False,
             verbose=False,
             opset_version=OPSET,
-            input_names=["images", *(name for tables in inputs[1:] for name in tables)],
+            input_names=["images", *(f"rig.{name}" for tables in inputs[1:] for name in tables)],
             output_names=names,
         )
         assert converted is not None
@@ -299,7 +299,8 @@ def onnx_difference(path: str | Path, program: RigProgram, images: Float[Tensor,
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    inputs = {"images": images, **(rig_tables(program) if program.tables == "inputs" else {})}
+    tables = rig_tables(program) if program.tables == "inputs" else {}
+    inputs = {"images": images, **{f"rig.{name}": table for name, table in tables.items()}}
     arrays = {node.name: inputs[node.name].cpu().numpy() for node in session.get_inputs()}
     found = torch.from_numpy(session.run(["inverse_depth"], arrays)[0])
     with torch.no_grad():

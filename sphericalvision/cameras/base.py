@@ -410,7 +410,7 @@ class Camera(ABC):
 
     def _widest(self, values: Tensor) -> Tensor:
         """``max_angle`` to compare with, slackened so that a round trip does not lose the very edge."""
-        return self._align(self.max_angle, values) + 8 * torch.finfo(values.dtype).eps
+        return self._align(self.max_angle, values) + 32 * torch.finfo(values.dtype).eps
 
     def _within_max_angle(self, points: Tensor) -> Tensor:
         """Whether points of any length are within ``max_angle`` of the axis, and not the camera's centre.

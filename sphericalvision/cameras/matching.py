@@ -57,8 +57,8 @@ class RayMatcher:
     Examples:
         >>> from sphericalvision.cameras import ring_rig
         >>> from sphericalvision.data import make_scene, render_rig
-        >>> rig = ring_rig(2, image_size=(64, 64))
-        >>> matches = RayMatcher(rig)(render_rig(make_scene("room", seed=1), rig))
+        >>> rig = ring_rig(2, image_size=(128, 128))
+        >>> matches = RayMatcher(rig)(render_rig(make_scene("floating", seed=5), rig))
         >>> len(matches.first) > 10, matches.first.unique().tolist(), matches.second.unique().tolist()
         (True, [0], [1])
     """

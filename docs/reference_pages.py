@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
@@ -54,7 +55,10 @@ def names_tables(module_name: str) -> str:
             else "Constants and types."
         )
         doc = value.__doc__ if inspect.isroutine(value) or inspect.isclass(value) else None
-        themes.setdefault(theme, []).append(f"| [`{name}`](#{module_name}.{name}) | {first_sentence(doc)} |")
+        address = (
+            f"{home.__name__}.{name}" if home and is_hidden(module_name, name) else f"{module_name}.{name}"
+        )
+        themes.setdefault(theme, []).append(f"| [`{name}`](#{address}) | {first_sentence(doc)} |")
     parts = [
         f"**{theme.rstrip('.')}**\n\n| name | |\n|---|---|\n" + "\n".join(rows)
         for theme, rows in sorted(themes.items(), key=lambda item: item[0].startswith("Constants"))
@@ -62,16 +66,35 @@ def names_tables(module_name: str) -> str:
     return "\n\n".join(parts)
 
 
+def is_hidden(module_name: str, name: str) -> bool:
+    """Whether a package exports a function whose file has the same name: Griffe sees the file alone."""
+    value = getattr(importlib.import_module(module_name), name)
+    home = inspect.getmodule(value)
+    if home is None or home.__name__.rpartition(".")[2] != name:
+        return False
+    parent = home.__name__.rpartition(".")[0]
+    return parent == module_name or getattr(sys.modules[parent], name, None) is value
+
+
+def hidden_names(module_name: str) -> str:
+    """Blocks for the functions that ``is_hidden`` tells."""
+    package = importlib.import_module(module_name)
+    names = [name for name in package.__all__ if is_hidden(module_name, name)]
+    return "".join(f"\n\n::: {getattr(package, name).__module__}.{name}" for name in names)
+
+
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
     """Put the tables of names above what MkDocs makes of the docstrings."""
     if not page.file.src_uri.startswith("api/"):
         return markdown
-    return re.sub(
+    packages = re.findall(r"^::: (sphericalvision\.\w+)$", markdown, re.M)
+    markdown = re.sub(
         r"^::: (sphericalvision\.\w+)$",
         lambda found: f"{names_tables(found[1])}\n\n{found[0]}",
         markdown,
         flags=re.M,
     )
+    return markdown + "".join(map(hidden_names, packages))
 
 
 def keys_of_file(text: str) -> Iterator[Key]:

@@ -9,8 +9,6 @@ from sphericalvision.data.rendering.primitives import Part
 
 __all__ = ["SURFACE_LABELS", "labelled"]
 
-#: What label 0, 1, 2, ... of ``ray_labels`` means. "other" is small things, and in other kinds of scenes than rooms
-#: whatever nobody has named.
 SURFACE_LABELS = (
     "other",
     "floor",
@@ -26,6 +24,8 @@ SURFACE_LABELS = (
     "bed",
     "plant",
 )
+"""What label 0, 1, 2, ... of ``ray_labels`` means. "other" is small things, and in other kinds of scenes than rooms
+whatever nobody has named."""
 
 
 def labelled(parts: list[Part], name: str) -> list[Part]:

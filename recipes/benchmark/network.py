@@ -118,6 +118,9 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
         }
         if "bf16" in config.options:
             ways[OURS + BF16] = lambda: _step(net, images, tables, bf16=True)
+        if "native" in config.options:
+            ways[WAYS[3]] = lambda: _step(net, images, tables, native=True)
+            ways[f"{WAYS[3]}, recomputing"] = lambda: _step(net, images, tables, native=True, recompute=True)
         yield Comparison(
             f"{label}: one training step, without the optimiser",
             ways,
@@ -181,7 +184,7 @@ def _memory(
     if not config.memory:
         return
     native = WAYS[3:] if "native" in config.options else ()
-    for stage, ways in (("inference", WAYS[:2] + native), ("training", WAYS[:3])):
+    for stage, ways in (("inference", WAYS[:2] + native), ("training", WAYS[:3] + native)):
         if stage == "inference" or config.training:
             options = {"device": str(device), "feature_channels": config.feature_channels}
             yield Comparison(
@@ -248,15 +251,17 @@ def _step(
     plain: bool = False,
     recompute: bool = False,
     bf16: bool = False,
+    native: bool = False,
 ) -> None:
     """Forward and backward pass in training mode."""
     net.train()
-    net.configure(recompute=recompute)
+    net.configure(recompute=recompute, native=native)
     with reference_kernels() if plain else nullcontext():
         with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
             index = net(images, tables)
         index.sum().backward()
     net.zero_grad()
+    net.configure(recompute=False, native=False)
     net.eval()
 
 

@@ -298,6 +298,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "inverse_depth_from_index": lambda: sweep.inverse_depth_from_index(m(5), 8, 0.5),
     "inverse_depth_hypotheses": lambda: sweep.inverse_depth_hypotheses(8, 0.5, device="meta"),
     "photo_consistency": lambda: sweep.photo_consistency(m(1, 4, 3, V), rig(), 8, 0.5),
+    "photo_consistency_share": lambda: sweep.photo_consistency_share(m(1, V), m(1, 4, 3, V), rig(), 8, 0.5),
     "semi_global_costs": lambda: sweep.semi_global_costs(m(1, 4, 3, V), tables()),
     "semi_global_smoothing": lambda: sweep.semi_global_smoothing(m(1, 8, V), 0.1, 1.0),
     "semi_global_sweep": lambda: sweep.semi_global_sweep(m(1, 4, 3, V), rig(), 8, 0.5),

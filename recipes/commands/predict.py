@@ -150,6 +150,11 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         print(path)
     if len(outputs.written) > MOST_PATHS:
         print(f"... {len(outputs.written)} files in {folder}")
+    if shares := outputs.consistency.values():
+        mean = sum(shares) / len(shares)
+        print(
+            f"photo-consistency: {mean:.3f} of what winner-takes-all reaches, mean of {len(shares)} frame(s)"
+        )
     for warning in outputs.warnings:
         print(f"Warning: {warning}")
     if outputs.shares and min(outputs.shares) < ENOUGH:

@@ -18,11 +18,11 @@ from torch import Tensor
 
 from sphericalvision.core import FileFormatError, check_choice
 from sphericalvision.deploy import Depth, DepthImage
-from sphericalvision.deploy.checks import hypotheses_warning, poses_warning
+from sphericalvision.deploy.checks import PhotoConsistency, hypotheses_warning, poses_warning
 from sphericalvision.deploy.pictures import depth_picture, near_end_of
 from sphericalvision.deploy.rerun_log import RerunLog
 from sphericalvision.deploy.viewer import Timeline, save_viewer
-from sphericalvision.io.files import atomic_write
+from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.io.images import write_image
 from sphericalvision.viz.color import colorize
 from sphericalvision.viz.figure import add_scale_bar
@@ -31,7 +31,18 @@ from sphericalvision.viz.pointcloud import save_point_cloud
 
 __all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
 
-OUTPUTS = ("depth", "confidence", "cloud", "glb", "viewer", "npz", "video", "timeline", "rerun")
+OUTPUTS = (
+    "depth",
+    "confidence",
+    "cloud",
+    "glb",
+    "viewer",
+    "npz",
+    "video",
+    "timeline",
+    "rerun",
+    "consistency",
+)
 FILES = {
     "depth": "depth.png",
     "confidence": "confidence.png",
@@ -164,6 +175,7 @@ class Outputs:
         written: files so far.
         shares: of the sphere that two cameras see, frame by frame.
         warnings: what is probably wrong, told from the first frame.
+        consistency: photo-consistency of each frame, for the output of that name.
 
     Raises:
         ArgumentError: an unknown output.
@@ -181,6 +193,8 @@ class Outputs:
         self._timeline: Timeline | None = None
         self._recording: RerunLog | None = None
         self._number = 0
+        self.consistency: dict[str, float] = {}
+        self._judge = PhotoConsistency()
 
     def write(self, frame: str, depth: Depth) -> None:
         """Write what there is to write of a frame."""
@@ -205,6 +219,8 @@ class Outputs:
                 if self._recording is None:
                     self._recording = RerunLog(self.folder / "depth.rrd", self.settings.height)
                 self._recording.add(self._number, depth)
+            if "consistency" in self.settings.outputs:
+                self.consistency[frame] = self._judge(depth)
             self._number += 1
             self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
 
@@ -223,6 +239,10 @@ class Outputs:
         if self._recording is not None:
             self._recording.close()
             self.written.append(self._recording.path)
+        if self.consistency:
+            lines = [f"{frame},{share:.4f}" for frame, share in self.consistency.items()]
+            self.written.append(self.folder / "consistency.csv")
+            write_bytes(self.written[-1], "\n".join(["frame,photo_consistency", *lines, ""]).encode())
 
 
 class _Video:

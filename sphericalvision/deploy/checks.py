@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is probably wrong with a capture, told from its first depth: poses, overlap, and hypotheses that are wasted."""
+"""What is probably wrong with a capture, and how good its depth is, told without truth: the images are asked."""
 
 from __future__ import annotations
 
@@ -11,18 +11,28 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.cameras.sphere_images import sphere_lookups
+from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.deploy.depth import Depth
 from sphericalvision.icosphere import icosphere_vertices
-from sphericalvision.sweep import semi_global_sweep
+from sphericalvision.icosphere.topology import check_level
+from sphericalvision.sweep import photo_consistency_share, semi_global_sweep, semi_global_tables
 
-__all__ = ["capture_warnings", "hypotheses_warning", "overlap_warning", "pose_agreement", "poses_warning"]
+__all__ = [
+    "PhotoConsistency",
+    "capture_warnings",
+    "hypotheses_warning",
+    "overlap_warning",
+    "pose_agreement",
+    "poses_warning",
+]
 
 LEVEL, HYPOTHESES = 5, 24
 """Of the quick sweeps that compare poses."""
 ENOUGH_SEEN = 0.9
 FAR, SURE = 4.0, 0.5
 """How many times the nearest depth the nearest surface may be away; the confidence from which an answer counts."""
+JUDGED_WITH = 16
+"""Hypotheses that depth maps are judged with."""
 CLEARLY = 1.25
 """How much better the images must agree with the inverse poses."""
 
@@ -108,11 +118,66 @@ def pose_agreement(images: Mapping[str, Float[Tensor, "3 _ _"]], rig: CameraRig)
         >>> pose_agreement(images, rig) > 1.2 * pose_agreement(swapped, rig)
         True
     """
-    vertices = icosphere_vertices(LEVEL, torch.float32, rig.world_from_camera.device)
-    lookups = sphere_lookups(rig, vertices.to(rig.world_from_camera), antialias=True)
+    lookups = _lookups(rig, LEVEL)
     seen = torch.stack([look.seen for look in lookups])
-    values = [look(images[name].float(), 0) for name, look in zip(rig.names, lookups, strict=True)]
-    on_sphere = torch.stack(values).mul_(2).sub_(seen.unsqueeze(1).float())[None]
+    on_sphere = _on_sphere(images, rig, lookups)
     nearest = 1.2 * float((rig.positions - rig.center).norm(dim=-1).max())
     estimate = semi_global_sweep(on_sphere, rig, HYPOTHESES, nearest, level=LEVEL - 1, substeps=1, seen=seen)
     return float((estimate.confidence * estimate.seen).sum() / estimate.seen.sum().clamp(min=1))
+
+
+class PhotoConsistency:
+    """How far the images of a rig agree at a depth map, as a share of what they could: ``photo_consistency_share``.
+
+    What follows from the rig is made at the first call and kept. Depth of any network is judged with the same images
+    and hypotheses, so methods may be compared.
+
+    Args:
+        level: icosphere level of the images; cameras are compared one level coarser.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.data import make_scene, render_rig
+        >>> from sphericalvision.deploy import Predictor
+        >>> rig = ring_rig(4, image_size=(64, 64))
+        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.55)
+        >>> 0.5 < PhotoConsistency()(predictor(render_rig(make_scene("room", seed=1), rig))) < 1
+        True
+    """
+
+    def __init__(self, level: int = 6) -> None:
+        self.level = check_level(level)
+        self._made_for: tuple[CameraRig, float] | None = None
+
+    @torch.inference_mode()
+    def __call__(self, depth: Depth) -> float:
+        """Return the share of one frame, 0 to 1.
+
+        Args:
+            depth: of one frame, with its images.
+        """
+        rig, near = depth.rig, depth.min_depth
+        if self._made_for is None or self._made_for[0] is not rig or self._made_for[1] != near:
+            self._lookups = _lookups(rig, self.level)
+            self._tables = semi_global_tables(rig, JUDGED_WITH, near, self.level)
+            self._made_for = rig, near
+        images = _on_sphere(depth.images, rig, self._lookups)
+        seen = torch.stack([look.seen for look in self._lookups])
+        vertices = icosphere_vertices(self.level - 1, torch.float32, images.device)
+        index, _ = depth.network.index_at(depth.index[None].float(), vertices)
+        index = index * ((JUDGED_WITH - 1) / (depth.network.num_hypotheses - 1))
+        return float(photo_consistency_share(index, images, self._tables, JUDGED_WITH, near, seen))
+
+
+def _lookups(rig: CameraRig, level: int) -> list[SphereLookup]:
+    vertices = icosphere_vertices(level, torch.float32, rig.world_from_camera.device)
+    return sphere_lookups(rig, vertices.to(rig.world_from_camera), antialias=True)
+
+
+def _on_sphere(images: Mapping[str, Tensor], rig: CameraRig, lookups: list[SphereLookup]) -> Tensor:
+    """``(1, n, 3, V)`` in [-1, 1], 0 where nothing was seen."""
+    values = [
+        look(images[name].float(), 0) * 2 - look.seen.float()
+        for name, look in zip(rig.names, lookups, strict=True)
+    ]
+    return torch.stack(values)[None]

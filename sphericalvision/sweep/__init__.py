@@ -7,6 +7,7 @@ from sphericalvision.sweep.aggregation import (
     MeanVariance,
     register_aggregation,
 )
+from sphericalvision.sweep.consistency_share import photo_consistency_share
 from sphericalvision.sweep.correlation import correlation_evidence
 from sphericalvision.sweep.hypotheses import (
     depth_from_index,
@@ -48,6 +49,7 @@ __all__ = [
     "inverse_depth_from_index",
     "inverse_depth_hypotheses",
     "photo_consistency",
+    "photo_consistency_share",
     "register_aggregation",
     "semi_global_costs",
     "semi_global_smoothing",

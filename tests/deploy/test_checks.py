@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -13,7 +14,7 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import make_scene, render_rig
 from sphericalvision.deploy import Depth
-from sphericalvision.deploy.checks import capture_warnings, pose_agreement
+from sphericalvision.deploy.checks import PhotoConsistency, capture_warnings, pose_agreement
 
 RING = ring_rig(4, image_size=(80, 80))
 
@@ -63,3 +64,11 @@ def test_a_ring_whose_poses_are_inverted_is_in_one_place() -> None:
     assert math.isclose(float(inverted.radius), 0, abs_tol=1e-6)
     with pytest.raises(ArgumentError, match="seems to hold camera-from-world"):
         Predictor(inverted)
+
+
+def test_photo_consistency_falls_with_wrong_depth() -> None:
+    judge, depth = PhotoConsistency(level=4), depth_of(RING, "room", 0.55)
+    share = judge(depth)
+    assert 0.7 < share < 1
+    assert judge(replace(depth, index=15 - depth.index)) < share - 0.2
+    assert judge(replace(depth, rig=RING.rotated(tilt=0.1))) < share - 0.1  # another rig has other tables

@@ -155,6 +155,19 @@ def test_the_sweep_without_training_takes_any_number_of_hypotheses(
     assert 4 < index.max() <= 63
 
 
+@pytest.mark.slow
+def test_photo_consistency_is_printed_and_kept(
+    run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep = (*words(capture, weights, "out"), "method=semi_global", "outputs=[consistency]")
+    run("predict", *sweep)
+    header, *rows = (tmp_path / "out" / "consistency.csv").read_text().splitlines()
+    assert header == "frame,photo_consistency"
+    shares = [float(row.split(",")[1]) for row in rows]
+    assert all(0 < share < 1 for share in shares)
+    assert f"photo-consistency: {sum(shares) / len(shares):.3f} of" in capsys.readouterr().out
+
+
 def test_prediction_goes_on_where_it_stopped(
     run: Run, failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
 ) -> None:

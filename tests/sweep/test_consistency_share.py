@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Photo-consistency of a depth map is greatest where the cameras agree: at the true depth."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from sphericalvision.cameras import ring_rig
+from sphericalvision.core import ShapeError
+from sphericalvision.sweep import depth_from_index, photo_consistency, photo_consistency_share
+from sphericalvision.sweep.consistency_share import consistency_share
+from sphericalvision.sweep.semi_global import semi_global_tables
+from tests.sweep.textured_sphere import textured_sphere
+
+NUM_HYPOTHESES, MIN_DEPTH = 9, 0.5
+RIG = ring_rig(4)
+
+
+def images_at(index: float, level: int = 4) -> torch.Tensor:
+    depth = depth_from_index(torch.tensor(index), NUM_HYPOTHESES, MIN_DEPTH).item()
+    return textured_sphere(RIG, depth, level=level)
+
+
+def share_at(index: float, images: torch.Tensor) -> float:
+    estimate = torch.full((1, 642), index)
+    return photo_consistency_share(estimate, images, RIG, NUM_HYPOTHESES, MIN_DEPTH).item()
+
+
+def test_the_true_depth_is_the_most_consistent() -> None:
+    images = images_at(4.0)
+    at_truth = share_at(4.0, images)
+    assert 0.9 < at_truth <= 1
+    assert all(share_at(index, images) < at_truth - 0.05 for index in (3.0, 5.0, 7.5))
+
+
+def test_exposure_does_not_matter() -> None:
+    images = images_at(4.0)
+    gains = torch.tensor([0.6, 1.0, 0.8, 0.4]).view(1, 4, 1, 1)
+    assert share_at(4.0, images * gains - 0.1) == pytest.approx(share_at(4.0, images), abs=0.02)
+
+
+def test_tables_stand_for_the_rig_and_levels_may_differ() -> None:
+    images = images_at(4.0)
+    tables = semi_global_tables(RIG, NUM_HYPOTHESES, MIN_DEPTH, image_level=4)
+    index = torch.full((1, 2562), 4.0)
+    alone = photo_consistency_share(index[:, :642], images, RIG, NUM_HYPOTHESES, MIN_DEPTH)
+    kept = photo_consistency_share(index, images, tables, NUM_HYPOTHESES, MIN_DEPTH)
+    torch.testing.assert_close(alone, kept)
+
+
+def test_a_share_is_reached_over_most_where_two_cameras_see() -> None:
+    """By hand: between hypotheses correlation is linear, and what fewer than two cameras see does not count."""
+    correlation = torch.tensor([[[0.2, 0.9], [0.8, 0.1], [0.4, 0.5]]])
+    known = torch.ones_like(correlation, dtype=torch.bool)
+    place = torch.tensor([[0.25, 0.5]])
+    torch.testing.assert_close(
+        consistency_share(place, correlation, known), torch.tensor([(0.5 + 0.1) / (0.8 + 0.9)])
+    )
+    known[:, :, 1] = False
+    torch.testing.assert_close(consistency_share(place, correlation, known), torch.tensor([0.5 / 0.8]))
+    assert consistency_share(place, correlation, ~(correlation > 2) & False).isnan().all()
+
+
+def test_shapes_that_do_not_fit_are_told() -> None:
+    images = images_at(4.0)
+    with pytest.raises(ShapeError, match="index: expected shape"):
+        photo_consistency_share(torch.zeros(2, 642), images, RIG, NUM_HYPOTHESES, MIN_DEPTH)
+    with pytest.raises(ShapeError, match="level 4 or less"):
+        photo_consistency_share(torch.zeros(1, 10242), images, RIG, NUM_HYPOTHESES, MIN_DEPTH)
+
+
+def test_winner_takes_all_reaches_almost_all() -> None:
+    images = images_at(4.0)
+    found = photo_consistency(images, RIG, 17, MIN_DEPTH, level=3, aggregation=1).index
+    assert photo_consistency_share(found, images, RIG, 17, MIN_DEPTH).item() > 0.9

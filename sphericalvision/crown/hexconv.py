@@ -163,7 +163,8 @@ def hex_conv2d(
         return result
 
     own = _oriented(convolve, weight, bias, _own_fraction(north, values, stride))
-    special = torch.einsum("bivj,oivj->bov", rings, _ring_kernel(weight, north))
+    special = torch.einsum("bivj,vjt->bvit", rings, _taps_of_rings(rings, north)).flatten(2)
+    special = (special @ weight.flatten(1).T).mT
     return fill_charts(own, special if bias is None else special + bias[:, None])
 
 
@@ -212,7 +213,8 @@ def hex_conv3d(
 
     own = _oriented(convolve, by_depth, bias, _own_fraction(north, values, stride))
     windows = _repeat_ends(rings).unfold(2, 3, 1)
-    special = torch.einsum("binvjd,oidvj->bonv", windows, _ring_kernel(by_depth, north))
+    special = torch.einsum("binvjd,vjt->bnvidt", windows, _taps_of_rings(rings, north)).flatten(3)
+    special = (special @ weight.flatten(1).T).permute(0, 3, 1, 2)
     return fill_charts(own, special if bias is None else special + bias[:, None, None])
 
 
@@ -240,14 +242,16 @@ def _own_fraction(north: Tensor | None, values: Tensor, stride: int) -> Tensor |
     return charts[..., stride - 1 :: stride, ::stride]
 
 
-def _ring_kernel(weight: Tensor, north: Tensor | None) -> Tensor:
-    """Arrange seven taps ``(*, 7)`` as weights of the rings ``(*, 12, 6)``: five neighbours, then the centre."""
+def _taps_of_rings(like: Tensor, north: Tensor | None) -> Tensor:
+    """What each tap of the twelve special vertices reads of their rings, ``(12, 6, 7)``.
+
+    Values are brought to the taps, not weights to the rings, which are many more.
+    """
     pole_north, a, b, pole_south = CHART_RINGS if north is None else NORTH_RINGS
-    taps = torch.tensor((pole_north, *(a, b) * 5, pole_south), device=weight.device)
-    of_tap = torch.eye(7, dtype=weight.dtype, device=weight.device)
+    taps = torch.tensor((pole_north, *(a, b) * 5, pole_south), device=like.device)
+    of_tap = torch.eye(7, dtype=like.dtype, device=like.device)
     neighbors = of_tap[taps[:, :5]] + of_tap[taps[:, 5:]] / 5  # each has its share of the mean in the gap
-    ring = torch.cat((neighbors, of_tap[6].expand(12, 1, 7)), 1)
-    return (weight @ ring.view(72, 7).T).unflatten(-1, (12, 6))
+    return torch.cat((neighbors, of_tap[6].expand(12, 1, 7)), 1)
 
 
 def _check_conv(values: Tensor, weight: Tensor, spatial_dims: int, stride: int, north: Tensor | None) -> None:

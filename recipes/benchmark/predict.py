@@ -6,6 +6,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -16,9 +17,10 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import make_scene, render_rig
 from sphericalvision.deploy import Predictor
 from sphericalvision.recipes.benchmark.measuring import Comparison
-from sphericalvision.recipes.commands.predict import run
+from sphericalvision.recipes.commands.predict import MOST_WORKERS, run
 from sphericalvision.recipes.prediction.frames import Selection
 from sphericalvision.recipes.prediction.outputs import Outputs, Settings
+from sphericalvision.recipes.prediction.threads import side_by_side, threads_kept
 from sphericalvision.recipes.prediction.videos import Videos
 
 __all__ = ["comparisons"]
@@ -38,7 +40,10 @@ def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison
         yield Comparison(
             f"predict, {name}: level {level}, 4 x {SIZE[1]} x {SIZE[0]}, video to video, seconds a frame",
             {
-                "network alone": lambda p=predictor, i=images: _alone(p, i, config.num_frames),  # type: ignore[misc]
+                "network alone, all threads for a frame": partial(
+                    _alone, predictor, images, config.num_frames, 1
+                ),
+                "network alone": partial(_alone, predictor, images, config.num_frames, MOST_WORKERS),
                 "sphericalvision": _end_to_end(predictor, rig, images, height, config.num_frames),
             },
             "network alone",
@@ -47,11 +52,14 @@ def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison
         )
 
 
-def _alone(predictor: Predictor, images: dict[str, torch.Tensor], number: int) -> float:
-    start = time.perf_counter()
-    for _ in range(number):
-        predictor(images)
-    return (time.perf_counter() - start) / number
+def _alone(predictor: Predictor, images: dict[str, torch.Tensor], number: int, most: int) -> float:
+    """Seconds a frame of the network, so many frames at most side by side."""
+    with threads_kept() as threads:
+        workers = min(threads, most, number)
+        start = time.perf_counter()
+        for _ in side_by_side(predictor, [images] * number, workers, threads // workers):
+            pass
+        return (time.perf_counter() - start) / number
 
 
 def _end_to_end(

@@ -22,7 +22,7 @@ from sphericalvision.recipes.prediction.frames import Frame, Selection, Source
 from sphericalvision.recipes.prediction.moving import open_moving
 from sphericalvision.recipes.prediction.outputs import Outputs, Settings, done_file
 from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
-from sphericalvision.recipes.prediction.threads import Behind, ahead
+from sphericalvision.recipes.prediction.threads import Behind, ahead, side_by_side, threads_kept
 
 __all__ = ["load_rig", "nearest_in", "open_capture", "predict", "predictor_for"]
 
@@ -178,7 +178,12 @@ class Done(NamedTuple):
     """A frame on its way to the files."""
 
     frame: Frame
-    depth: Depth
+    depth: Depth | None
+    seconds: float = 0.0
+
+
+MOST_WORKERS = 4
+"""Frames that are estimated at once, each in memory of its own."""
 
 
 def run(
@@ -190,6 +195,8 @@ def run(
     stop_on_error: bool = False,
 ) -> list[str]:
     """Estimate frame after frame, while threads read the next ones and write the ones before; returns what was wrong.
+
+    On a CPU as many frames as torch has threads, up to four, are estimated side by side.
 
     Args:
         source: of the frames.
@@ -208,35 +215,46 @@ def run(
     )
     wrong: list[str] = []
     number, busy = 0, 0.0
+
+    def estimate(frame: Frame) -> Done:
+        if frame.images is None:
+            return Done(frame, None)
+        start = time.perf_counter()
+        depth = (predictor if frame.rig is None else predictor.with_rig(frame.rig))(frame.images)
+        return Done(frame, depth, time.perf_counter() - start)
+
     frames = ahead(source.frames(selection, lambda name: left is None or name in left), newest=source.live)
     began = time.perf_counter()
-    try:
-        with (
-            Progress(*columns, console=console) as progress,
-            Behind[Done](lambda done: outputs.write(done.frame.name, done.depth)) as behind,
-        ):
-            task = progress.add_task("", total=None if left is None else len(left), speed="")
-            for frame in frames:
-                if frame.images is None:
-                    if stop_on_error and frame.error is not None:
-                        raise frame.error
-                    wrong.append(str(frame.error))
-                    console.print(f"left out: {frame.error}", style="yellow", highlight=False, soft_wrap=True)
-                else:
-                    start = time.perf_counter()
-                    depth = (predictor if frame.rig is None else predictor.with_rig(frame.rig))(frame.images)
-                    busy += time.perf_counter() - start
-                    behind.put(Done(frame, depth))
-                    number += 1
-                progress.update(
-                    task, advance=1, speed=f"{number / (time.perf_counter() - began):.2f} frames/s"
-                )
-    except KeyboardInterrupt:
-        if not source.live:  # live cameras have no other end
-            raise
-    finally:
-        frames.close()  # type: ignore[attr-defined]
-        outputs.close()
+    with threads_kept() as threads:
+        workers = 1 if predictor.device.type != "cpu" else min(threads, MOST_WORKERS, *_number(left))
+        estimated = side_by_side(estimate, frames, workers, threads // workers)
+        try:
+            with (
+                Progress(*columns, console=console) as progress,
+                Behind[Done](lambda done: outputs.write(done.frame.name, done.depth)) as behind,  # type: ignore[arg-type]
+            ):
+                task = progress.add_task("", total=None if left is None else len(left), speed="")
+                for done in estimated:
+                    if done.depth is None:
+                        error = done.frame.error
+                        if stop_on_error and error is not None:
+                            raise error
+                        wrong.append(str(error))
+                        console.print(f"left out: {error}", style="yellow", highlight=False, soft_wrap=True)
+                    else:
+                        busy += done.seconds / workers
+                        behind.put(done)
+                        number += 1
+                    progress.update(
+                        task, advance=1, speed=f"{number / (time.perf_counter() - began):.2f} frames/s"
+                    )
+        except KeyboardInterrupt:
+            if not source.live:  # live cameras have no other end
+                raise
+        finally:
+            estimated.close()  # type: ignore[attr-defined]
+            frames.close()  # type: ignore[attr-defined]
+            outputs.close()
     took = time.perf_counter() - began
     if number:
         console.print(
@@ -245,6 +263,11 @@ def run(
             highlight=False,
         )
     return wrong
+
+
+def _number(left: set[str] | None) -> list[int]:
+    """How many frames there are, where that is known; at least one."""
+    return [] if left is None else [max(1, len(left))]
 
 
 def _left_to_do(

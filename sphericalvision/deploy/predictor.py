@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import copy
+import os
 import threading
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -46,8 +48,9 @@ class _Ready(NamedTuple):
 class Predictor:
     """Depth all around from the images of a rig.
 
-    Everything that follows from the rig is computed once. Calls may come from several threads; they are answered one
-    after the other, each with the whole machine.
+    Everything that follows from the rig is computed once. Calls may come from several threads. On a CPU they run side
+    by side where torch leaves them room, for instance with ``torch.set_num_threads(1)`` in each thread, which gives
+    the most frames a second. Where each would take more than half the cores, and on a GPU, they wait for each other.
 
     Args:
         rig: calibrated cameras, for instance ``cameras.read_rig("capture/config.yaml")``; masks are heeded.
@@ -128,6 +131,11 @@ class Predictor:
             self._min_depth = checked_min_depth(min_depth)
         else:
             check_places(rig)
+
+    @property
+    def device(self) -> torch.device:
+        """Where depth is computed."""
+        return self._device
 
     @property
     def rig(self) -> CameraRig:
@@ -219,7 +227,7 @@ class Predictor:
         ready = self._prepared(photographs)
         batch = photographs[self._rig.names[0]].shape[:-3]
         inputs = self._inputs(ready, photographs)
-        with self._lock:  # parts of networks keep their working memory from call to call
+        with self._turn():
             estimate = ready.net.predict(
                 inputs.reshape(-1, *inputs.shape[len(batch) :]), ready.tables, ready.seen
             )
@@ -239,6 +247,11 @@ class Predictor:
             "nearest depth still to be found" if self._min_depth is None else f"from {self._min_depth:.3g} m"
         )
         return f"Predictor({type(self._net).__name__}, {near}, {self._rig})"
+
+    def _turn(self) -> AbstractContextManager[Any]:
+        """Wait for one's turn, where two calls at once would take more cores than there are."""
+        room = 2 * torch.get_num_threads() <= (os.cpu_count() or 1)
+        return nullcontext() if room and self._device.type == "cpu" else self._lock
 
     def _photographs(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
         found = as_photographs(images, self._rig, self._channels)

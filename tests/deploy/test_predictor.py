@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import math
+import time
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
@@ -124,6 +126,29 @@ def test_tables_are_made_once_and_threads_get_what_one_gets(rig: CameraRig, imag
     assert len(made) == 1
     for depth, frame in zip(found, frames, strict=True):
         assert torch.equal(depth.index, shared(frame).index)
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_calls_run_side_by_side_where_there_are_cores_for_both(
+    rig: CameraRig, images: Images, cores: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inside, most = [0], [0]
+
+    class Slow(SemiGlobalSweep):
+        def predict(self, *arguments: Any) -> DepthEstimate:
+            inside[0] += 1
+            most[0] = max(most[0], inside[0])
+            time.sleep(0.1)
+            inside[0] -= 1
+            return super().predict(*arguments)
+
+    monkeypatch.setattr("os.cpu_count", lambda: cores)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    predictor = Predictor(rig, Slow(3, 8), min_depth=0.5)
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(predictor, [images] * 2))
+    assert most == [cores]
+    assert torch.equal(found[0].index, found[1].index)
 
 
 def test_the_nearest_depth_is_found_scaled_or_given(images: Images) -> None:

@@ -19,7 +19,7 @@ from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.recipes.prediction.frames import Selection
 from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
-from sphericalvision.recipes.prediction.threads import Behind, ahead
+from sphericalvision.recipes.prediction.threads import Behind, ahead, side_by_side, threads_kept
 from sphericalvision.recipes.prediction.videos import views_layout
 from tests.recipes.tiny import Run
 
@@ -248,3 +248,26 @@ def test_writing_behind_hands_errors_on() -> None:
 
     with pytest.raises(OSError, match="disk full"):
         write_all()
+
+
+def test_side_by_side_work_overlaps_keeps_order_and_ends_with_the_first_error() -> None:
+    both = threading.Barrier(2, timeout=20)  # broken, and an error, unless two are at work at once
+    seen: list[int] = []
+
+    def work(number: int) -> int:
+        if number == 7:
+            raise ValueError("damaged")
+        both.wait()
+        seen.append(torch.get_num_threads())
+        return number
+
+    with threads_kept() as before:
+        assert list(side_by_side(work, range(6), workers=2)) == list(range(6))
+        assert set(seen) == {1}
+    assert torch.get_num_threads() == before
+    results = side_by_side(work, [0, 1, 7, 9], workers=2)
+    assert [next(results), next(results)] == [0, 1]
+    both.abort()
+    with pytest.raises(ValueError, match="damaged"):
+        next(results)
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("side by side")]

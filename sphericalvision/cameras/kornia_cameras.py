@@ -64,7 +64,8 @@ def to_kornia(camera: Camera, camera_from_world: Float[Tensor, "*poses 4 4"] | N
         raise ArgumentError(f"camera: Kornia's cameras with a pose are pinholes, got {camera!r}")
     (fx, fy), (cx, cy) = camera.focal_length.unbind(-1), camera.principal_point.unbind(-1)
     zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    entries = (fx, zero, cx, zero, zero, fy, cy, zero, zero, zero, one, zero, zero, zero, zero, one)
+    skew = zero if camera.skew is None else camera.skew
+    entries = (fx, skew, cx, zero, zero, fy, cy, zero, zero, zero, one, zero, zero, zero, zero, one)
     intrinsics = torch.stack(entries, -1).reshape(-1, 4, 4)
     extrinsics = camera_from_world.to(intrinsics).reshape(-1, 4, 4).expand(len(intrinsics), 4, 4)
     sides = torch.tensor([[height, width]]).to(intrinsics).expand(len(intrinsics), 2)
@@ -73,13 +74,14 @@ def to_kornia(camera: Camera, camera_from_world: Float[Tensor, "*poses 4 4"] | N
 
 def _model(camera: PinholeCamera | BrownConradyCamera | KannalaBrandtCamera) -> tuple[str, Tensor]:
     """Kornia's name of the model, and its coefficients (*b, k)."""
-    if isinstance(camera, PinholeCamera):
-        return "PINHOLE", camera.focal_length[..., :0]
-    name = "BROWN_CONRADY" if isinstance(camera, BrownConradyCamera) else "KANNALA_BRANDT_K3"
-    if getattr(camera, "skew", None) is not None:
+    names = {PinholeCamera: "PINHOLE", BrownConradyCamera: "BROWN_CONRADY"}
+    name = next((names[kind] for kind in names if isinstance(camera, kind)), "KANNALA_BRANDT_K3")
+    if camera.skew is not None:
         raise ArgumentError(
             f"camera: Kornia's {name} has no skew, this one has; set it to None, or convert to OCam"
         )
+    if isinstance(camera, PinholeCamera):
+        return name, camera.focal_length[..., :0]
     most, given = _COEFFICIENTS[name], camera.distortion
     if bool((given.detach()[..., most:] != 0).any()):
         raise ArgumentError(f"camera: Kornia's {name} has {most} coefficients, got {given.tolist()}")
@@ -108,20 +110,22 @@ def from_kornia(camera: Any) -> Camera:
         if not bool((sides == sides[0]).all()):
             raise ArgumentError(f"camera: expected images of one size, got {sides.tolist()} (height, width)")
         focal_length = torch.stack((matrix[:, 0, 0], matrix[:, 1, 1]), -1)
-        found = PinholeCamera(focal_length, matrix[:, :2, 2], [int(side) for side in sides[0]])
+        size = [int(side) for side in sides[0]]
+        skew = matrix[:, 0, 1] if bool((matrix[:, 0, 1] != 0).any()) else None
+        found = PinholeCamera(focal_length, matrix[:, :2, 2], size, skew=skew)
         return found.select(0) if len(matrix) == 1 else found
     if isinstance(camera, CameraModel):
         camera = camera._model
     if isinstance(camera, CameraModelBase):
-        size = (int(camera.image_size.height), int(camera.image_size.width))
+        sizes = (int(camera.image_size.height), int(camera.image_size.width))
         focal_length, center, k = camera.params.split((2, 2, camera.params.shape[-1] - 4), -1)
         name = type(camera).__name__
         if name == "PinholeModel":
-            return PinholeCamera(focal_length, center, size)
+            return PinholeCamera(focal_length, center, sizes)
         if name == "BrownConradyModel":
-            return BrownConradyCamera(focal_length, center, k, size)
+            return BrownConradyCamera(focal_length, center, k, sizes)
         if name == "KannalaBrandtK3":
-            return KannalaBrandtCamera(focal_length, center, k, size)
+            return KannalaBrandtCamera(focal_length, center, k, sizes)
     raise ArgumentError(
         "camera: expected Kornia's PinholeCamera, or its CameraModel but an orthographic one, got "
         f"{type(camera).__name__}"

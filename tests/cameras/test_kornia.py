@@ -59,12 +59,12 @@ def test_kornias_model_projects_as_ours(camera: Camera) -> None:
 
 def test_pinholes_with_poses() -> None:
     pose = transform_from_axis_angle(torch.tensor([0.1, -0.2, 0.05]), torch.tensor([0.1, 0.2, 0.3]))
-    camera = PinholeCamera([500.0, 510.0], [319.5, 239.5], SIZE)
+    camera = PinholeCamera([500.0, 510.0], [319.5, 239.5], SIZE, skew=2.5)
     theirs = to_kornia(camera, pose)
     points = torch.tensor([[0.1, 0.2, 1.0], [-0.3, 0.25, 1.5]])
     expected = camera.project(transform_points(pose, points)).pixels
     torch.testing.assert_close(theirs.project(points[None])[0], expected, rtol=0, atol=1e-3)
-    assert from_kornia(theirs).equals(PinholeCamera(camera.focal_length, camera.principal_point, SIZE))
+    assert from_kornia(theirs).equals(camera)
     batch = PinholeCamera.stack([camera, camera])
     assert from_kornia(to_kornia(batch, pose)).batch_shape == (2,)
 
@@ -78,6 +78,8 @@ def test_what_kornia_does_not_have_is_refused() -> None:
     six = KannalaBrandtCamera([300.0, 310.0], [319.5, 239.5], [0.01] * 6, SIZE, 1.2)
     with pytest.raises(ArgumentError, match="KANNALA_BRANDT_K3 has 4 coefficients"):
         to_kornia(six)
+    with pytest.raises(ArgumentError, match="PINHOLE has no skew"):
+        to_kornia(PinholeCamera([500.0, 510.0], [319.5, 239.5], SIZE, skew=2.5))
     flat = CameraModel(
         ImageSize(480, 640), CameraModelType.ORTHOGRAPHIC, torch.tensor([328.0, 328.0, 320.0, 240.0])
     )

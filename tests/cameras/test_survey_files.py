@@ -80,7 +80,7 @@ LENS = "<f>300</f><cx>3.5</cx><cy>-2.25</cy><k1>-0.1</k1><k2>0.02</k2><k3>-0.001
 SIZE = '<resolution width="640" height="480"/>'
 CALIBRATION = "<?xml version='1.0'?><calibration>"
 CALIBRATION += f"<projection>frame</projection><width>640</width><height>480</height>{LENS}"
-CALIBRATION += "<b1>0.5</b1></calibration>"
+CALIBRATION += "<b1>0.5</b1><b2>0.25</b2></calibration>"
 CHUNK = f"""<?xml version="1.0" encoding="UTF-8"?>
 <document version="1.5.0"><chunk label="Chunk 1">
 <sensors>
@@ -100,8 +100,8 @@ CHUNK = f"""<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def metashape(rays: np.ndarray, fisheye: bool, k4: float = 0.0, b1: float = 0.0) -> Any:
-    """The manual's appendix: x' = x (1 + ...) + P1 (r² + 2x²) + 2 P2 x y, u = w/2 + cx + x' f + x' B1."""
+def metashape(rays: np.ndarray, fisheye: bool, k4: float = 0.0, b1: float = 0.0, b2: float = 0.0) -> Any:
+    """The manual's appendix: x' = x (1 + ...) + P1 (r² + 2x²) + 2 P2 x y, u = w/2 + cx + x' (f + B1) + y' B2."""
     x, y, z = rays.T
     x, y = x / z, y / z
     if fisheye:
@@ -111,7 +111,7 @@ def metashape(rays: np.ndarray, fisheye: bool, k4: float = 0.0, b1: float = 0.0)
     growth = 1 - 0.1 * r2 + 0.02 * r2**2 - 0.001 * r2**3 + k4 * r2**4
     u = x * growth + 0.001 * (r2 + 2 * x * x) - 2 * 0.002 * x * y
     v = y * growth - 0.002 * (r2 + 2 * y * y) + 2 * 0.001 * x * y
-    return np.stack((320 + 3.5 + u * (300 + b1) - 0.5, 240 - 2.25 + v * 300 - 0.5), -1)
+    return np.stack((320 + 3.5 + u * (300 + b1) + v * b2 - 0.5, 240 - 2.25 + v * 300 - 0.5), -1)
 
 
 def written(path: Path, text: str) -> Path:
@@ -122,7 +122,7 @@ def written(path: Path, text: str) -> Path:
 def test_metashape_formulas(tmp_path: Path) -> None:
     rays = directions(35.0)
     alone = read_camera(written(tmp_path / "lens.xml", CALIBRATION), dtype=torch.float64)
-    assert_projects(alone, metashape(rays, fisheye=False, b1=0.5), rays)
+    assert_projects(alone, metashape(rays, fisheye=False, b1=0.5, b2=0.25), rays)
     cameras = read_cameras(written(tmp_path / "cameras.xml", CHUNK), dtype=torch.float64)
     assert_projects(cameras["cam0"], metashape(rays, fisheye=False), rays)
     assert_projects(cameras["cam1"], metashape(rays, fisheye=True, k4=0.003), rays)
@@ -139,7 +139,7 @@ def test_metashape_cameras_are_a_rig_in_metres(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("<b1>0.5</b1>", "<b2>0.5</b2>", r"b2 \(skew\).*got b2 = 0.5"),
+        (">frame<", ">fisheye<", r"b2 \(skew\) of a fisheye.*got b2 = 0.25"),
         ("<f>300</f>", "<f>wide</f>", "f: expected numbers"),
         ("<width>640</width>", "", "width and height: expected the width and height"),
         (">frame<", ">cylindrical<", "type: expected frame or fisheye or spherical, got 'cylindrical'"),

@@ -179,8 +179,8 @@ CAMERAS = [
         ),
     ),
     CameraCase(
-        "brown conrady, 14",
-        lambda s: BrownConradyCamera([60.0 * s, 61.0], CENTER, OPENCV_14, SIZE, math.radians(42)),
+        "brown conrady, 14, skew",
+        lambda s: BrownConradyCamera([60.0 * s, 61.0], CENTER, OPENCV_14, SIZE, math.radians(42), 0.6 * s),
     ),
     CameraCase(
         "unified", lambda s: UnifiedCamera([48.0 * s, 47.0], CENTER, 0.9, None, SIZE, math.radians(110))
@@ -201,6 +201,9 @@ CAMERAS = [
         traced=True,
     ),
     CameraCase("pinhole", lambda s: PinholeCamera([60.0 * s, 61.0], CENTER, SIZE), traced=True),
-    CameraCase("pinhole, 80°", lambda s: PinholeCamera([60.0 * s, 61.0], CENTER, SIZE, math.radians(40))),
+    CameraCase(
+        "pinhole, 80°, skew",
+        lambda s: PinholeCamera([60.0 * s, 61.0], CENTER, SIZE, math.radians(40), -0.4 * s),
+    ),
 ]
 MODELS: dict[str, Callable[[float], Camera]] = {case.name: case.make for case in CAMERAS}

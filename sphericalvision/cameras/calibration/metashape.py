@@ -132,11 +132,12 @@ def _camera(
     if kind == "spherical":
         return EquirectangularCamera(size)
     f, cx, cy, k1, k2, k3, k4, p1, p2, b1, b2 = (get(key) for key in _KEYS)
-    if b2 or (kind == "frame" and k4):
+    if (kind == "fisheye" and b2) or (kind == "frame" and k4):
         raise FileFormatError(
-            f"{where}: b2 (skew), and k4 of a frame camera, have no place in a camera here, got b2 = {b2:g} and k4 = "
-            f"{k4:g}; calibrate without them"
+            f"{where}: b2 (skew) of a fisheye, and k4 of a frame camera, have no place in a camera here, got "
+            f"b2 = {b2:g} and k4 = {k4:g}; calibrate without them"
         )
+    skew = b2 or None
     focal_length = torch.tensor(focal_lengths([f + b1, f], f"{where}, f and f + b1"), dtype=torch.float64)
     center = [size[1] / 2 + cx - 0.5, size[0] / 2 + cy - 0.5]
     with errors_of_file(where):
@@ -145,8 +146,8 @@ def _camera(
             fisheye = ThinPrismFisheyeCamera(focal_length, center, *terms, size, math.pi, "additive")
             return bounded(fisheye, options.max_angle, where)
         if not any((k1, k2, k3, p1, p2)):
-            return bounded(PinholeCamera(focal_length, center, size), options.max_angle, where)
-        frame = BrownConradyCamera(focal_length, center, [k1, k2, p2, p1, k3], size)
+            return bounded(PinholeCamera(focal_length, center, size, skew=skew), options.max_angle, where)
+        frame = BrownConradyCamera(focal_length, center, [k1, k2, p2, p1, k3], size, skew=skew)
         return bounded(frame, options.max_angle, where)
 
 

@@ -16,6 +16,7 @@ __all__ = ["check_holds", "numbers_of", "without_trailing_zeros"]
 
 
 _WITH_SKEW = ("native", "opencv")
+_WITHOUT_SKEW_IN_OPENCV = ("pinhole", "brown_conrady")  # whose functions take no notice of it
 
 
 def check_holds(format: str, camera: Camera) -> None:
@@ -32,9 +33,10 @@ def check_holds(format: str, camera: Camera) -> None:
             f"camera: the format {format!r} has no {camera.model} model, it has {', '.join(models)}. Write it as "
             f"{' or '.join(map(repr, others))}, or convert the camera first: camera.convert(to=...)"
         )
-    if format not in _WITH_SKEW and getattr(camera, "skew", None) is not None:
+    formats = _WITH_SKEW[:1] if camera.model in _WITHOUT_SKEW_IN_OPENCV else _WITH_SKEW
+    if format not in formats and getattr(camera, "skew", None) is not None:
         raise ArgumentError(
-            f"camera: the format {format!r} has no skew; write it as {' or '.join(map(repr, _WITH_SKEW))}, or convert "
+            f"camera: the format {format!r} has no skew; write it as {' or '.join(map(repr, formats))}, or convert "
             'the camera to OCam, whose affine map holds one: camera.convert(to="ocam")'
         )
 

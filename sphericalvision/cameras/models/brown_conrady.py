@@ -19,6 +19,8 @@ from sphericalvision.cameras.models.image_plane import (
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
+    with_skew,
+    without_skew,
 )
 from sphericalvision.cameras.models.plane_distortion import (
     distort_inside,
@@ -168,6 +170,7 @@ class BrownConradyCamera(Camera):
         image_size: (height, width).
         max_angle: half the field of view in radians, a number or (*b,); by default, and at most, the angle up to which
             the distortion is one-to-one.
+        skew: (*b,), pixels by which u grows for each focal length of v, Metashape's b2; or None.
 
     Raises:
         ArgumentError: another number of coefficients.
@@ -179,12 +182,15 @@ class BrownConradyCamera(Camera):
     """
 
     model = "brown_conrady"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = IMAGE_PLANE
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion", "skew")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "skew": ()}
+    optional_names: ClassVar[tuple[str, ...]] = ("skew",)
+    default_names: ClassVar[tuple[str, ...]] = ("skew",)
 
     focal_length: Float[Tensor, "*batch 2"]
     principal_point: Float[Tensor, "*batch 2"]
     distortion: Float[Tensor, "*batch k"]
+    skew: Float[Tensor, "*batch"] | None
 
     def __init__(
         self,
@@ -193,6 +199,7 @@ class BrownConradyCamera(Camera):
         distortion: Sequence[float] | Float[Tensor, "*#batch k"],
         image_size: Sequence[int],
         max_angle: float | Float[Tensor, "*#batch"] | None = None,
+        skew: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
         super().__init__(
             image_size,
@@ -200,6 +207,7 @@ class BrownConradyCamera(Camera):
             focal_length=focal_length,
             principal_point=principal_point,
             distortion=distortion,
+            skew=skew,
         )
         _check_distortion(self.distortion)
         if max_angle is None:
@@ -219,16 +227,19 @@ class BrownConradyCamera(Camera):
         self.max_angle = torch.minimum(self.max_angle, torch.atan(radius_limit(self.distortion)))
 
     def _project(self, points: Tensor) -> Projection:
-        focal_length, principal_point, distortion = self._aligned(points)
+        focal_length, center, distortion, skew = self._aligned(points)
         max_tangent = torch.tan(self._widest(points))
-        return project_brown_conrady(points, focal_length, principal_point, distortion, max_tangent)
+        projection = project_brown_conrady(points, focal_length, center, distortion, max_tangent)
+        return with_skew(projection, focal_length, center, skew)
 
     def _within_max_angle(self, points: Tensor) -> Tensor:
         """Known from the radius in the plane: not asked for again."""
         return torch.ones((), dtype=torch.bool, device=points.device)
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
-        return unproject_brown_conrady(pixels, *self._aligned(pixels))
+        focal_length, center, distortion, skew = self._aligned(pixels)
+        pixels = without_skew(pixels, focal_length, center, skew)
+        return unproject_brown_conrady(pixels, focal_length, center, distortion)
 
 
 def _plane_start(model: FittedModel, samples: Samples) -> list[Tensor]:

@@ -19,6 +19,8 @@ from sphericalvision.cameras.models.image_plane import (
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
+    with_skew,
+    without_skew,
 )
 from sphericalvision.cameras.precision import computed_in_float32
 from sphericalvision.cameras.registry import register_camera
@@ -77,6 +79,7 @@ class PinholeCamera(Camera):
         principal_point: (*b, 2) as (u, v).
         image_size: (height, width).
         max_angle: half the field of view in radians, below π/2; the image border is the limit by default.
+        skew: (*b,), pixels by which u grows for each focal length of v, the second number of a camera matrix; or None.
 
     Examples:
         >>> camera = PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640))
@@ -85,20 +88,30 @@ class PinholeCamera(Camera):
     """
 
     model = "pinhole"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = IMAGE_PLANE
+    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "skew")
+    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "skew": ()}
+    optional_names: ClassVar[tuple[str, ...]] = ("skew",)
+    default_names: ClassVar[tuple[str, ...]] = ("skew",)
 
     focal_length: Float[Tensor, "*batch 2"]
     principal_point: Float[Tensor, "*batch 2"]
+    skew: Float[Tensor, "*batch"] | None
 
     def __init__(
         self,
         focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
         principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
         image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] = math.pi / 2,
+        max_angle: float | Float[Tensor, "*#batch"] | None = None,
+        skew: float | Float[Tensor, "*#batch"] | None = None,
     ) -> None:
-        super().__init__(image_size, max_angle, focal_length=focal_length, principal_point=principal_point)
+        super().__init__(
+            image_size,
+            math.pi / 2 if max_angle is None else max_angle,
+            focal_length=focal_length,
+            principal_point=principal_point,
+            skew=skew,
+        )
 
     @classmethod
     def from_field_of_view(
@@ -123,10 +136,12 @@ class PinholeCamera(Camera):
         return cls([focal_length, focal_length], center, image_size)
 
     def _project(self, points: Tensor) -> Projection:
-        return project_pinhole(points, *self._aligned(points))
+        focal_length, center, skew = self._aligned(points)
+        return with_skew(project_pinhole(points, focal_length, center), focal_length, center, skew)
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
-        return unproject_pinhole(pixels, *self._aligned(pixels))
+        focal_length, center, skew = self._aligned(pixels)
+        return unproject_pinhole(without_skew(pixels, focal_length, center, skew), focal_length, center)
 
 
 @fitted(PinholeCamera)

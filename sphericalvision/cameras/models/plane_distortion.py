@@ -176,9 +176,9 @@ def radius_limit(coefficients: Float[Tensor, "*batch k"]) -> Float[Tensor, "*bat
     derivatives.
     """
     with torch.no_grad():
-        growing = (~_radially_folded(coefficients)).to(coefficients)
+        growing, upright = (signs.to(coefficients) for signs in _radial_signs(coefficients))
         before = growing.cumprod(-1)  # 1 up to the first fold
-        until = torch.cummax(growing - before, -1).values  # 1 from where it grows again
+        until = torch.cummax(upright * (1 - before), -1).values  # 1 from where it turns again
         middle = (_SAMPLES + (before - until).sum(-1)) / 2
         return torch.where(before[..., -1] > 0, LARGEST_RADIUS, torch.tan(middle * _STEP))
 
@@ -211,7 +211,7 @@ def undistort(
     u: Float[Tensor, "*batch"],
     v: Float[Tensor, "*batch"],
     coefficients: Float[Tensor, "*coefficients k"],
-    iterations: int = 10,
+    iterations: int | None = None,
 ) -> Undistorted:
     """The plane's points (x, y) whose distorted places are (u, v), each (*): the inverse of ``distort``.
 
@@ -220,11 +220,15 @@ def undistort(
     and they carry exact first and second derivatives (implicit function theorem). Where no solution was found the last
     place is returned, without derivatives.
 
+    By default there are 10 steps, and 18 in float64: at a fold each step only halves what is missing.
+
     Examples:
         >>> found = undistort(torch.tensor(0.45), torch.tensor(0.0), torch.tensor([-0.4, 0.0, 0.0, 0.0]))
         >>> round(found.x.item(), 5), found.converged.item()
         (0.5, True)
     """
+    if iterations is None:
+        iterations = 18 if u.dtype == torch.float64 else 10
     with torch.no_grad():
         limit = radius_limit(coefficients).square()
         start = _radial_start(u.detach(), v.detach(), coefficients.detach())  # also forward
@@ -299,7 +303,7 @@ def _newton_step(u: Tensor, v: Tensor, slopes: Jacobian, determinant: Tensor) ->
 
 def _radial_start(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
     """The solution (x, y) were there no tangential and thin prism distortion, to some digits."""
-    growing = (~_radially_folded(coefficients)).to(u).cumprod(-1).sum(-1, keepdim=True)
+    growing = _radial_signs(coefficients)[0].to(u).cumprod(-1).sum(-1, keepdim=True)
     radius = torch.tan((growing - 1).clamp_min(1) / (_SAMPLES - 1) * _angles(coefficients))
     radial, _ = _radial(coefficients.unsqueeze(-2), radius * radius)
     table = tabulate_inverse(radius, torch.atan(radius * radial))
@@ -308,16 +312,18 @@ def _radial_start(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, T
     return u * ratio, v * ratio
 
 
-def _radially_folded(coefficients: Tensor) -> Tensor:
-    """Where, of the radii up to 10⁴ at equal angles (*, n), the radial distortion falls or has passed a pole."""
+def _radial_signs(coefficients: Tensor) -> tuple[Tensor, Tensor]:
+    """At radii up to 10⁴ at equal angles (*, n): where the radial distortion grows, and where it keeps orientation.
+
+    It keeps orientation also where it falls and has passed the centre, and may where it has passed a pole.
+    """
     coefficients = coefficients.unsqueeze(-2)
     squared = torch.tan(_angles(coefficients)).square()
     radial, divisor = _radial(coefficients, squared)
     slope = _radial_slope(coefficients, Distorted(radial, radial, squared, radial, divisor, radial))
-    growing = (radial > 0) & (radial + 2 * squared * slope > 0)
-    if divisor is not None:
-        growing = growing & (divisor > 0)
-    return ~growing
+    outwards, rising = radial > 0, radial + 2 * squared * slope > 0
+    growing = outwards & rising if divisor is None else outwards & rising & (divisor > 0)
+    return growing, outwards == rising
 
 
 def _angles(coefficients: Tensor) -> Tensor:

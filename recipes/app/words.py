@@ -11,6 +11,7 @@ __all__ = ["ELSEWHERE", "CommandLine", "quote_paths", "read_words", "unquote_pat
 
 PATH_KEYS = {
     "calibration",
+    "capture",
     "images",
     "masks",
     "checkpoint",

@@ -21,7 +21,7 @@ from sphericalvision.recipes.app.captures import find_masks
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.commands.predict import load_rig
 from sphericalvision.recipes.prediction.frames import Selection
-from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
+from sphericalvision.recipes.prediction.sources import open_source, rig_for_images, spread_evenly
 
 __all__ = ["align"]
 
@@ -67,18 +67,6 @@ def align(config: DictConfig) -> AlignedRig | None:
     save_rig(result.rig, config.output, config.format)
     print(config.output)
     return result
-
-
-def spread_evenly(names: list[str], number: int) -> list[str]:
-    """So many names, from the first to the last.
-
-    Examples:
-        >>> spread_evenly(list("abcdefg"), 3)
-        ['a', 'd', 'g']
-    """
-    if len(names) <= number:
-        return names
-    return [names[round(place * (len(names) - 1) / max(number - 1, 1))] for place in range(number)]
 
 
 def _read(source: Any, wanted: list[str]) -> dict[str, Mapping[str, Any]]:

@@ -9,19 +9,16 @@ from typing import Any, NamedTuple
 
 from omegaconf import DictConfig
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice
 from sphericalvision.deploy import Depth, Predictor
-from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.captures import find_masks
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
-from sphericalvision.recipes.app.rigs import rig_from_file
 from sphericalvision.recipes.prediction.frames import Frame, Selection, Source
 from sphericalvision.recipes.prediction.moving import open_moving
 from sphericalvision.recipes.prediction.outputs import Outputs, Settings, done_file
-from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
+from sphericalvision.recipes.prediction.sources import open_source, read_capture_rig, rig_for_images
 from sphericalvision.recipes.prediction.threads import Behind, ahead, side_by_side, threads_kept
 
 __all__ = ["load_rig", "nearest_in", "open_capture", "predict", "predictor_for"]
@@ -29,15 +26,8 @@ __all__ = ["load_rig", "nearest_in", "open_capture", "predict", "predictor_for"]
 
 def load_rig(config: DictConfig) -> CameraRig:
     """Read the calibration, take the cameras asked for, and put the masks on."""
-    rig = rig_from_file(config.calibration, config.translation_unit, config.max_angle_deg)
-    if config.cameras is not None:
-        rig = rig.subset(list(config.cameras))
-    if config.masks is None:
-        return rig
-    masks: dict[str, Tensor] = {}
-    for name, path in find_masks(config.masks, rig.names).items():
-        masks[name] = read_image(path, rig.cameras[name].image_size, f"the mask of camera {name}")[0] > 0.5
-    return CameraRig(rig.cameras, rig.world_from_camera, masks=masks)
+    keys = (config.cameras, config.masks, config.translation_unit, config.max_angle_deg)
+    return read_capture_rig(config.calibration, *keys)[0]
 
 
 def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:

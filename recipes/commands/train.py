@@ -108,7 +108,9 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
         print_config(config, folder)
         if changes:
             print(f"Goes on from {checkpoint} with other settings: {'; '.join(changes)}")
-    if config.init_weights is not None and checkpoint is None:
+    # A capture is taught by the weights at the start, also to a run that goes on; Lightning loads those of the
+    # checkpoint later.
+    if config.init_weights is not None and (checkpoint is None or not data.has_truth):
         module.initialize(config.init_weights)
     last = folder / "checkpoints" / "last.ckpt"
     try:
@@ -131,9 +133,10 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
     for sentence in data.left_out():
         print(f"Warning: {sentence}")
     if trainer.is_global_zero:
+        module.conclude(data, values, config.init_weights, folder)
         print(f"\nResults are in {folder}")
         print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")
-        if best.with_suffix(".safetensors").is_file():
+        if data.has_truth and best.with_suffix(".safetensors").is_file():
             print(f"Evaluate: {evaluate_command(best, config)}")
     return values
 

@@ -106,6 +106,9 @@ class SampleDataModule(pl.LightningDataModule):
         seed: of order and augmentation in training.
     """
 
+    has_truth = True
+    """Whether validation and test samples hold the true depth, so that ``sphericalvision-evaluate`` can use them."""
+
     def __init__(self, batch_size: int = 4, num_workers: int = 0, seed: int = 0) -> None:
         super().__init__()
         if batch_size < 1:

@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, MissingFileError
-from sphericalvision.recipes.app.captures import find_capture
+from sphericalvision.io.images import read_image
+from sphericalvision.recipes.app.captures import find_capture, find_masks
+from sphericalvision.recipes.app.rigs import rig_from_file
 from sphericalvision.recipes.prediction.frames import Files, Source
 from sphericalvision.recipes.prediction.videos import VIDEO_SUFFIXES, Videos
 
-__all__ = ["open_source", "rig_for_images"]
+__all__ = ["open_source", "read_capture_rig", "rig_for_images", "spread_evenly"]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 STEMS = (
@@ -121,3 +125,45 @@ def rig_for_images(rig: CameraRig, sizes: dict[str, tuple[int, int]]) -> CameraR
         if (height, width) != (h, w) and abs(height * w - width * h) <= 0.005 * height * w:
             other[name] = (height, width)
     return rig.resized(other) if other else rig
+
+
+def read_capture_rig(
+    calibration: str,
+    cameras: Sequence[str | int] | None = None,
+    masks: str | None = None,
+    translation_unit: str | None = None,
+    max_angle_deg: float | None = None,
+) -> tuple[CameraRig, list[Path]]:
+    """The rig of a capture with its masks on, and the files of these.
+
+    Args:
+        calibration: file, or folder; of a pattern with fields the folder above them.
+        cameras: names to use, in order; all when not given.
+        masks: pattern of masks, white where usable.
+        translation_unit: of ``poses.txt``.
+        max_angle_deg: half the field of view in degrees, where the file does not say it.
+    """
+    if "{" in calibration:
+        calibration = str(Path(calibration.partition("{")[0] + "_").parent)
+    rig = rig_from_file(calibration, translation_unit, max_angle_deg)  # type: ignore[arg-type]
+    if cameras is not None:
+        rig = rig.subset(list(cameras))
+    if masks is None:
+        return rig, []
+    usable: dict[str, Tensor] = {}
+    files = find_masks(masks, rig.names)
+    for name, path in files.items():
+        usable[name] = read_image(path, rig.cameras[name].image_size, f"the mask of camera {name}")[0] > 0.5
+    return CameraRig(rig.cameras, rig.world_from_camera, masks=usable), list(files.values())
+
+
+def spread_evenly(names: list[str], number: int) -> list[str]:
+    """So many names, from the first to the last.
+
+    Examples:
+        >>> spread_evenly(list("abcdefg"), 3)
+        ['a', 'd', 'g']
+    """
+    if len(names) <= number:
+        return names
+    return [names[round(place * (len(names) - 1) / max(number - 1, 1))] for place in range(number)]

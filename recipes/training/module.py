@@ -66,6 +66,16 @@ class TrainingModule(pl.LightningModule):
         """Start from the parameters of another network."""
         raise NotImplementedError
 
+    def conclude(self, data: Any, values: dict[str, float], init_weights: str | None, folder: Path) -> None:
+        """Say and write what there is to, once the best checkpoint is loaded and validated; most have nothing.
+
+        Args:
+            data: the data module.
+            values: validated.
+            init_weights: what training started from, as the configuration has it.
+            folder: of the run.
+        """
+
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Say in the checkpoint which network's it is."""
         checkpoint["architecture"] = name_of(self.net)

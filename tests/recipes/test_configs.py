@@ -18,12 +18,15 @@ from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.keys import KEYS
 from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.recipes.app.schema import check_node
 from sphericalvision.recipes.app.words import PATH_KEYS
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 
 CONF = Path(sphericalvision.conf.__file__).parent
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
-DEPTH_EXPERIMENTS = [name for name in EXPERIMENTS if name not in ("spherical_digits", "segmentation")]
+DEPTH_EXPERIMENTS = [
+    name for name in EXPERIMENTS if name not in ("spherical_digits", "segmentation", "adapt")
+]
 FILES = sorted(CONF.rglob("*.yaml"))
 DELTAS = ("experiment", "debug", "hparams", "launcher")
 """Groups of changes to keys that are explained elsewhere."""
@@ -61,6 +64,15 @@ def test_every_experiment_makes_its_network_and_its_first_sample(experiment: str
     inverse_depth, valid = truth_of(batch, net)
     assert inverse_depth.shape == valid.shape == (1, *net.grid.shape)
     assert len(data.dataset("val")) > 0
+
+
+def test_adapting_takes_a_capture_and_the_shipped_weights() -> None:
+    config = train_config("experiment=adapt", "capture='c/{camera}/{frame}.png'")
+    assert (config.data.images, config.init_weights) == ("c/{camera}/{frame}.png", "refinedsweepnet")
+    assert config.callbacks.best.monitor == config.task.monitor == "val/photo-consistency"
+    assert config.callbacks.best.mode == "max"
+    for group in ("data", "task", "model", "optimizer"):
+        check_node(config[group], group, ("net", "loss", "optimizer", "scheduler"))
 
 
 def test_the_digits_make_their_network_and_their_first_sample() -> None:

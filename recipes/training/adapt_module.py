@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Adapting a depth network to a capture without truth: judged by photo-consistency, kept only where that rises."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.models import DepthNetwork, save_weights
+from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.recipes.datamodules.capture import CaptureDataModule
+from sphericalvision.recipes.training.depth_module import DepthModule
+from sphericalvision.sweep.consistency_share import consistency_share
+
+__all__ = ["AdaptModule"]
+
+RESULT = "adapted.safetensors"
+
+
+class AdaptModule(DepthModule):
+    """As ``DepthModule``, for captures: validated is the photo-consistency of frames that were held out.
+
+    At the end ``adapted.safetensors`` in the folder of the run holds the best weights if they are more
+    photo-consistent than those that training started from, and these if not.
+
+    Args:
+        net: see ``DepthModule``; so are the others.
+        loss: see there.
+        optimizer: see there.
+        scheduler: see there.
+        monitor: see there.
+        mode: see there.
+        recompute: see there.
+        seed: see there.
+        native: see there.
+    """
+
+    metric_names = ("photo-consistency",)
+    unit = "share of what winner-takes-all reaches"
+
+    def __init__(
+        self,
+        net: DepthNetwork,
+        loss: Any,
+        optimizer: Any,
+        scheduler: Any,
+        monitor: str = "val/photo-consistency",
+        mode: str = "max",
+        recompute: bool = False,
+        seed: int = 0,
+        native: bool = False,
+    ) -> None:
+        super().__init__(net, loss, optimizer, scheduler, monitor, mode, recompute, seed, native)
+        self.shares: list[float] = []
+
+    def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
+        """Gather the photo-consistency of one batch; returns the index."""
+        index = self.estimate(batch)
+        correlation = batch["correlation"].float() / 255
+        vertices = Icosphere(level_from_num_vertices(correlation.shape[-1]), device=index.device).vertices
+        place = self.net.index_at(index, vertices)[0] / (self.net.num_hypotheses - 1)
+        self.shares += consistency_share(place, correlation, batch["known"]).tolist()
+        return index
+
+    def on_validation_epoch_end(self) -> None:
+        """Log ``val/photo-consistency``."""
+        self.log("val/photo-consistency", sum(self.shares) / max(len(self.shares), 1), prog_bar=True)
+        self.shares.clear()
+
+    def conclude(self, data: Any, values: dict[str, float], init_weights: str | None, folder: Path) -> None:
+        """Compare with the start, and write the weights to use.
+
+        Args:
+            data: the capture.
+            values: of the best checkpoint, which the network holds.
+            init_weights: what training started from.
+            folder: of the run.
+        """
+        assert isinstance(data, CaptureDataModule)
+        before, after = data.start_share, values["photo-consistency"]
+        path = folder / RESULT
+        print(
+            f"photo-consistency of {len(data.held_out)} held-out frame(s): {before:.4f} before, {after:.4f} after "
+            f"({after - before:+.4f})"
+        )
+        if after > before:
+            save_weights(self.net, path)
+        else:
+            print("It has not risen: the old weights stay.")
+            start = self.net if init_weights is None else load_network(init_weights)
+            save_weights(start, path)
+        print(f"Weights to use: checkpoint={path}")

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A network is adapted to a capture without truth, and stays as it was where that does not help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.data import write_image
+from sphericalvision.models import load_weights
+from sphericalvision.recipes.datamodules.capture import CaptureDataModule
+from sphericalvision.recipes.datamodules.rehearsal import Rehearsal
+from tests.recipes.knocked_capture import KNOCKED, write_knocked_capture
+from tests.recipes.tiny import Run
+
+TINY = (
+    "model=icosweepnet_small",
+    "model.level=3",
+    "model.num_hypotheses=4",
+    "model.feature_channels=2",
+    "trainer.max_steps=2",
+    "trainer.val_check_interval=1",
+    "trainer.accelerator=cpu",
+    "callbacks.panels=null",
+    "output=run",
+)
+CALIBRATED = "data.calibration=c/rig.yaml"
+
+
+def same(one: Path, other: Path) -> bool:
+    states = [load_weights(path).state_dict() for path in (one, other)]
+    return all(torch.equal(states[0][name], states[1][name]) for name in states[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rises", [True, False])
+def test_weights_are_kept_only_if_photo_consistency_rises(
+    rises: bool,
+    run: Run,
+    weights: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write_knocked_capture(tmp_path / "c", degrees=0.0)
+    monkeypatch.setattr(CaptureDataModule, "start_share", -1.0 if rises else 2.0)
+    words = ("capture=c/{camera}/{frame:05d}.png", f"init_weights={weights}", *TINY)
+    run("train", "experiment=adapt", *words, CALIBRATED)
+    printed = capsys.readouterr().out
+    result = tmp_path / "run" / "adapted.safetensors"
+    assert f"checkpoint={result}" in " ".join(printed.split())
+    assert ("the old weights stay" in printed) == (not rises)
+    assert same(result, weights) == (not rises)
+    assert load_weights(result).min_depth == load_weights(weights).min_depth
+
+
+@pytest.mark.slow
+def test_frames_are_divided_and_taught_by_the_network_itself(tmp_path: Path, weights: Path) -> None:
+    write_knocked_capture(tmp_path / "c", degrees=0.0)
+    data = CaptureDataModule(
+        f"{tmp_path}/c", calibration=f"{tmp_path}/c/rig.yaml", held_out_every=2, min_depth=1.1, rendered=0.0
+    )
+    net = load_weights(weights)
+    data.serve(net)
+    data.setup("fit")
+    assert data.names == ["00000", "00001", "00002", "00003"]
+    assert data.held_out == ["00001", "00003"]
+    assert 0 < data.start_share < 1
+    judged, learned = data.dataset("val"), data.dataset("train")
+    assert len(judged) == len(learned) == 2
+    sample, disturbed = judged[0], learned[0]
+    # at half the size the nearest hypothesis is the network's
+    torch.testing.assert_close(sample["rig"].positions, KNOCKED.positions / 2)
+    with torch.no_grad():
+        said = net.eval().predict(sample["images"][None], sample["rig"], sample["seen"][None])
+    index = sample["inverse_depth"] * net.min_depth * (net.num_hypotheses - 1)
+    sure = said.confidence[0] >= 0.5
+    assert (sample["valid"] >= sure).all()
+    torch.testing.assert_close(index[sure], said.index[0][sure], atol=1e-4, rtol=0)
+    assert disturbed["frame"] == "00000"
+    assert disturbed["images"].shape == sample["images"].shape
+    assert "correlation" not in disturbed
+
+
+@pytest.mark.slow
+def test_rendered_scenes_stand_in_a_share_of_the_time(tmp_path: Path, weights: Path) -> None:
+    write_knocked_capture(tmp_path / "c", degrees=0.0)
+    words = {"calibration": f"{tmp_path}/c/rig.yaml", "min_depth": 1.1, "rendered": 1.0}
+    data = CaptureDataModule(f"{tmp_path}/c", **words)  # type: ignore[arg-type]
+    data.serve(load_weights(weights))
+    data.setup("fit")
+    torch.manual_seed(0)
+    sample = data.dataset("train")[0]
+    kind, _, seed = sample["frame"].rpartition("-")
+    assert kind
+    assert int(seed) >= 5_000_000
+    assert sample["images"].shape == (3, 3, 642)
+    turns = sample["rig"].positions - KNOCKED.positions / 2
+    assert float(turns.abs().max()) < 1e-6  # cameras turn by a little where they stand
+
+
+def test_a_rehearsed_scene_is_the_same_but_for_its_disturbances() -> None:
+    scenes = Rehearsal(KNOCKED.resized((16, 16)), 3, 2, grey=1.0, num_scenes=2)
+    torch.manual_seed(1)
+    one = scenes[1]
+    torch.manual_seed(2)
+    other = scenes[1]
+    torch.testing.assert_close(one["inverse_depth"], other["inverse_depth"])
+    assert not torch.equal(one["images"], other["images"])
+    torch.testing.assert_close(one["images"][:, 0], one["images"][:, 2], atol=0.3, rtol=0)
+
+
+@pytest.mark.slow
+def test_what_a_capture_must_have_is_told(failing: Callable[..., str], tmp_path: Path) -> None:
+    write_knocked_capture(tmp_path / "c", degrees=0.0)
+    adapt = ("experiment=adapt", "output=run")
+    assert "capture" in failing("train", *adapt)
+    assert "nowhere" in failing("train", *adapt, "capture=nowhere")
+    pattern = "capture=c/{camera}/{frame:05d}.png"
+    assert "two or more frames" in failing("train", *adapt, pattern, CALIBRATED, "data.frames=[0]")
+    assert "two or more that see" in failing("train", *adapt, pattern, CALIBRATED, "data.cameras=[cam1]")
+    assert "data.held_out_every: expected" in failing("train", *adapt, pattern, "data.held_out_every=1")
+    write_image(tmp_path / "d" / "cam1" / "0.png", torch.zeros(3, 8, 8))
+    assert "calibration" in failing("train", *adapt, "capture=d")

@@ -57,7 +57,7 @@ class Predict:
     skip_existing: bool
     on_error: Literal["skip", "stop"]
     device: Device
-    native: bool
+    native: bool | Literal["auto"]
 
 
 class Export:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from shutil import which
 from typing import Any, NamedTuple
 
 from omegaconf import DictConfig
@@ -122,6 +123,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     console.print(
         f"{many}, {len(source.rig)} {cameras}, rig radius {float(source.rig.radius):.3f} m, nearest hypothesis {near}"
     )
+    if config.native == "auto" and predictor.device.type == "cpu" and not predictor.native and which("c++"):
+        console.print("native=true would compile operators in C++, once on this machine, which are faster")
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     rate = (source.rate or 10.0) / config.every
     settings = Settings(

@@ -8,7 +8,7 @@ from torch import nn
 from sphericalvision.core import ArgumentError
 from sphericalvision.crown import fast
 
-__all__ = ["kernel_option", "set_kernel_options"]
+__all__ = ["kernel_option", "native_pays_at_once", "set_kernel_options"]
 
 
 def set_kernel_options(
@@ -53,6 +53,16 @@ def set_kernel_options(
 def kernel_option(module: nn.Module, name: str) -> bool:
     """Return whether a choice of ``set_kernel_options`` is on anywhere inside a network."""
     return any(getattr(part, name) for part in _parts(module, name))
+
+
+def native_pays_at_once(module: nn.Module) -> bool:
+    """Return whether a network has layers that operators in C++ make faster, and these have been compiled here.
+
+    Examples:
+        >>> native_pays_at_once(nn.Linear(1, 1))
+        False
+    """
+    return bool(_parts(module, "native")) and fast.native_at_hand()
 
 
 def _parts(module: nn.Module, name: str) -> list[nn.Module]:

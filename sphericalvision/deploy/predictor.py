@@ -19,6 +19,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_type
+from sphericalvision.crown.options import native_pays_at_once
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.deploy.depth import Depth
 from sphericalvision.deploy.photographs import as_photographs
@@ -63,7 +64,8 @@ class Predictor:
         num_hypotheses: N; as trained when not given.
         device: where to compute; where the network is (a CPU, when read from weights) if not given.
         antialias: whether images finer than the icosphere are averaged over the area between its vertices.
-        native: whether a CPU uses operators in C++, compiled once, which are faster.
+        native: whether a CPU uses operators in C++, compiled once, which are faster; ``"auto"``: if they have been
+            compiled on this machine.
         channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
         trained_radius: metres; radius of the rigs that the network was trained with, for ``min_depth=None``.
 
@@ -93,7 +95,7 @@ class Predictor:
         num_hypotheses: int | None = None,
         device: torch.device | str | None = None,
         antialias: bool = True,
-        native: bool = False,
+        native: bool | Literal["auto"] = False,
         channels: Literal["rgb", "bgr"] = "rgb",
         trained_radius: float = 0.2,
     ) -> None:
@@ -101,6 +103,8 @@ class Predictor:
         check_single(rig)
         check_choice("method", method, METHODS)
         check_choice("channels", channels, ("rgb", "bgr"))
+        if native not in (True, False, "auto"):
+            raise ArgumentError(f"native: expected True, False or 'auto', got {native!r}")
         net = weights if isinstance(weights, DepthNetwork) else read_network(weights)
         if level is not None:
             check_level(level)
@@ -122,6 +126,8 @@ class Predictor:
         self._lock = threading.Lock()
         self._ready: _Ready | None = None
         self._scaled: DepthNetwork | None = None
+        if native == "auto":
+            native = self._device.type == "cpu" and native_pays_at_once(net)
         self._net, self._native = net, native
         self._method, self._level, self._num_hypotheses = method, level, num_hypotheses
         self._min_depth: float | None = None
@@ -136,6 +142,11 @@ class Predictor:
     def device(self) -> torch.device:
         """Where depth is computed."""
         return self._device
+
+    @property
+    def native(self) -> bool:
+        """Whether operators in C++ are used."""
+        return bool(self._native)
 
     @property
     def rig(self) -> CameraRig:

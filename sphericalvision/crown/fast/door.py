@@ -18,7 +18,7 @@ from sphericalvision.crown.fast.block import NormedLayer, convolve_block
 from sphericalvision.crown.fast.chain import convolve_chain
 from sphericalvision.crown.fast.hex_native import hex_convolution, hex_convolution_pays
 from sphericalvision.crown.fast.layout import Fold, Unfold, places_per_vertex
-from sphericalvision.crown.fast.native import native_operators
+from sphericalvision.crown.fast.native import native_at_hand, native_operators
 from sphericalvision.crown.fast.norms import folded, is_affine, normalize, normalizes, track
 from sphericalvision.crown.fast.planar import conv2d_replicate
 from sphericalvision.crown.fast.policy import available, wherever_possible
@@ -31,6 +31,7 @@ __all__ = [
     "conv_charts",
     "conv_norm",
     "fold",
+    "native_at_hand",
     "native_operators",
     "unfold",
     "wherever_possible",

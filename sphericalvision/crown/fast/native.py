@@ -18,7 +18,7 @@ import torch
 
 from sphericalvision.core import MissingCompilerError
 
-__all__ = ["native_operators"]
+__all__ = ["native_at_hand", "native_operators"]
 
 SOURCES = [
     Path(__file__).with_name(name)
@@ -49,6 +49,17 @@ def native_operators() -> Any:
     else:
         _build(library)
     return torch.ops.sphericalvision
+
+
+def native_at_hand() -> bool:
+    """Whether the operators have been compiled on this machine, and load: nothing has to be waited for."""
+    try:
+        if (_folder() / f"sphericalvision_{_fingerprint()}.so").is_file():
+            native_operators()
+            return True
+    except (MissingCompilerError, OSError, RuntimeError):
+        pass
+    return False
 
 
 def _folder() -> Path:

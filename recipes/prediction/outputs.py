@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import ExitStack
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,8 +22,10 @@ from sphericalvision.deploy.checks import PhotoConsistency, hypotheses_warning, 
 from sphericalvision.deploy.pictures import depth_picture, near_end_of
 from sphericalvision.deploy.rerun_log import RerunLog
 from sphericalvision.deploy.viewer import Timeline, save_viewer
+from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.io.images import write_image
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.color import colorize
 from sphericalvision.viz.figure import add_scale_bar
 from sphericalvision.viz.panorama import rgb_panorama
@@ -108,8 +110,15 @@ class Views:
     @property
     def share_seen(self) -> float:
         """Share of the sphere, by solid angle, that two cameras see at the depth estimated."""
-        areas = self.depth.network.grid.solid_angles
+        areas = _areas(self.depth.network.grid)
         return float((areas * self.depth.seen).sum()) / (4 * math.pi)
+
+
+@lru_cache(maxsize=4)
+@torch.inference_mode(False)
+def _areas(grid: Icosphere | Equirectangular) -> Tensor:
+    """Solid angles of a grid, which frames share."""
+    return grid.solid_angles
 
 
 def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> list[Path]:

@@ -143,6 +143,10 @@ def candidates_of(fused: FusedLogits) -> Candidates:
     with torch.no_grad():
         probability = logits.softmax(1)
         nearest = (2 * index).round().long().clamp(0, logits.shape[1] - 1)
-        likely = [probability[..., parent].gather(1, nearest) for parent in (one, other)]
+        places = nearest * probability.shape[-1]  # of hypotheses and vertices in one row
+        likely = [
+            probability.flatten(1).gather(1, (places + parent).flatten(1)).view_as(index)
+            for parent in (one, other)
+        ]
         step = (best[:, one] - best[:, other]).abs()
     return Candidates(index, (likely[0] + likely[1]) / 2, step)

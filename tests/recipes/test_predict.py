@@ -59,7 +59,7 @@ def test_native_operators_are_asked_for(
 ) -> None:
     asked: list[None] = []
     monkeypatch.setattr("sphericalvision.crown.fast.native_operators", lambda: asked.append(None))
-    run("predict", *words(capture, weights, "out"), "frames=[3]")
+    run("predict", *words(capture, weights, "out"), "frames=[3]", "native=false")
     assert not asked
     run("predict", *words(capture, weights, "out"), "frames=[3]", "native=true")
     assert len(asked) == 1

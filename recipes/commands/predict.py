@@ -223,7 +223,7 @@ def run(
         estimated = side_by_side(estimate, frames, workers, threads // workers)
         try:
             with (
-                Progress(*columns, console=console) as progress,
+                Progress(*columns, console=console, refresh_per_second=4) as progress,
                 Behind[Done](lambda done: outputs.write(done.frame.name, done.depth)) as behind,  # type: ignore[arg-type]
             ):
                 task = progress.add_task("", total=None if left is None else len(left), speed="")

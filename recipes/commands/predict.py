@@ -209,14 +209,23 @@ def run(
     wrong: list[str] = []
     number, busy = 0, 0.0
 
+    # Colours follow the first frame of all: whoever goes on looks at that one once more, and only then at what is left.
+    looks = bool(left) and outputs.follows_first_frame
+
+    def there(name: str) -> bool:
+        return left is not None and name not in left
+
+    def wanted(name: str) -> bool:
+        return not there(name) or (looks and outputs.near is None)
+
     def estimate(frame: Frame) -> Done:
-        if frame.images is None:
+        if frame.images is None or not wanted(frame.name):
             return Done(frame, None)
         start = time.perf_counter()
         depth = (predictor if frame.rig is None else predictor.with_rig(frame.rig))(frame.images)
         return Done(frame, depth, time.perf_counter() - start)
 
-    frames = ahead(source.frames(selection, lambda name: left is None or name in left), newest=source.live)
+    frames = ahead(source.frames(selection, wanted), newest=source.live)
     began = time.perf_counter()
     with threads_kept() as threads:
         workers = 1 if predictor.device.type != "cpu" else min(threads, MOST_WORKERS, *_number(left))
@@ -228,6 +237,10 @@ def run(
             ):
                 task = progress.add_task("", total=None if left is None else len(left), speed="")
                 for done in estimated:
+                    if done.depth is not None:
+                        outputs.begin(done.depth)
+                    if there(done.frame.name):
+                        continue
                     if done.depth is None:
                         error = done.frame.error
                         if stop_on_error and error is not None:

@@ -54,6 +54,8 @@ FILES = {
     "npz": "depth.npz",
 }
 """Output -> what the name of its file for a frame ends with; the last one chosen tells that a frame is done."""
+COLOURED = ("depth", "viewer", "video", "timeline")
+"""Outputs that show depth in colours."""
 
 
 class Settings(NamedTuple):
@@ -205,11 +207,20 @@ class Outputs:
         self.consistency: dict[str, float] = {}
         self._judge = PhotoConsistency()
 
+    @property
+    def follows_first_frame(self) -> bool:
+        """Whether pictures have colours that the first frame decides."""
+        return self.near is None and any(output in COLOURED for output in self.settings.outputs)
+
+    def begin(self, depth: Depth) -> None:
+        """Take the colours of all pictures from this frame, if it is the first."""
+        if self.near is None:
+            self.near = near_end_of(depth)
+
     def write(self, frame: str, depth: Depth) -> None:
         """Write what there is to write of a frame."""
+        self.begin(depth)
         with torch.inference_mode():
-            if self.near is None:
-                self.near = near_end_of(depth)  # one for all frames
             views = Views(depth, self.settings.height, self.near)
             if not self.shares:
                 self._warn(depth)

@@ -14,6 +14,7 @@ import torch
 import trimesh
 from omegaconf import OmegaConf
 
+from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.data import make_scene, ray_depth, render_rig
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image, write_image
@@ -185,6 +186,23 @@ def test_prediction_goes_on_where_it_stopped(
     run("predict", *words(capture, weights, "out"), "skip_existing=true")
     assert (tmp_path / "out/00003_depth.npz").is_file()
     assert (tmp_path / "out/00004_depth.npz").stat().st_mtime_ns == first
+
+
+def test_colours_stay_those_of_the_first_frame(run: Run, tmp_path: Path) -> None:
+    """Whoever goes on writes the pictures that a run without interruption writes."""
+    rig = ring_rig(3, image_size=(32, 32))
+    save_rig(rig, tmp_path / "rig.yaml")
+    for frame, seed in enumerate((0, 2)):
+        for name, image in render_rig(make_scene("bare", seed=seed), rig).items():
+            write_image(tmp_path / name / f"{frame}.png", image)
+    settings = ["calibration=rig.yaml", "images={camera}/{frame}.png", "method=semi_global", "level=4"]
+    settings += ["min_depth=0.5", "height=16", "outputs=[depth]"]
+    for more in (["output=all"], ["output=parts", "stop=1"], ["output=parts", "skip_existing=true"]):
+        run("predict", *settings, *more)
+    run("predict", *settings, "output=alone", "start=1")
+    pictures = {name: (tmp_path / name / "1_depth.png").read_bytes() for name in ("all", "parts", "alone")}
+    assert pictures["parts"] == pictures["all"]
+    assert pictures["alone"] != pictures["all"]
 
 
 def test_what_only_one_camera_sees_is_not_shown_as_measured(

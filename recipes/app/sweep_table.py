@@ -11,6 +11,8 @@ from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
+from sphericalvision.io.files import write_bytes
+
 __all__ = ["SweepTable", "sweep_rows"]
 
 
@@ -26,8 +28,8 @@ class SweepTable(Callback):
         columns = list(dict.fromkeys(key for row in rows for key in row))
         lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
         lines += [f"| {' | '.join(_text(row.get(column)) for column in columns)} |" for row in rows]
-        (folder / "sweep.md").write_text("\n".join(lines) + "\n")
-        (folder / "sweep.json").write_text(json.dumps(rows, indent=2) + "\n")
+        write_bytes(folder / "sweep.md", ("\n".join(lines) + "\n").encode())
+        write_bytes(folder / "sweep.json", (json.dumps(rows, indent=2) + "\n").encode())
         print("\n".join(["", *lines, "", f"Table of the sweep: {folder / 'sweep.md'}"]))
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sized
 from pathlib import Path
@@ -14,6 +15,7 @@ from rich.progress import track
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.io.files import write_bytes
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import print_table
@@ -135,18 +137,17 @@ def print_rows(title: str, rows: list[Row]) -> None:
 
 def save_rows(stem: Path, rows: list[Row]) -> None:
     """Write a table as ``.md``, ``.json`` and ``.csv``; the columns are those of the first row."""
-    stem.parent.mkdir(parents=True, exist_ok=True)
     names = list(rows[0].values)
     lines = ["| | " + " | ".join(names) + " |", "|---" + "|---:" * len(names) + "|"]
     lines += ["| " + " | ".join([row.name, *(f"{row.values[k]:.2f}" for k in names)]) + " |" for row in rows]
-    stem.with_suffix(".md").write_text("\n".join(lines) + "\n")
-    stem.with_suffix(".json").write_text(
-        json.dumps({row.name: dict(row.values) for row in rows}, indent=2) + "\n"
-    )
-    with stem.with_suffix(".csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["name", *names])
-        writer.writerows([row.name, *(row.values[key] for key in names)] for row in rows)
+    table = io.StringIO(newline="")
+    writer = csv.writer(table)
+    writer.writerow(["name", *names])
+    writer.writerows([row.name, *(row.values[key] for key in names)] for row in rows)
+    values = json.dumps({row.name: dict(row.values) for row in rows}, indent=2)
+    contents = {".md": "\n".join(lines) + "\n", ".json": values + "\n", ".csv": table.getvalue()}
+    for suffix, content in contents.items():
+        write_bytes(stem.with_suffix(suffix), content.encode())
 
 
 def _progress(loader: Iterable[Batch], label: str) -> Iterable[Batch]:

@@ -20,7 +20,13 @@ from sphericalvision.recipes.app.cli import choose_device
 from sphericalvision.recipes.study.data import View, study_frames, training_depths
 from sphericalvision.recipes.study.measures import Measured, Yardstick, measure
 from sphericalvision.recipes.study.models import Scale, StudyModel, constant_map, make_estimator
-from sphericalvision.recipes.study.training import flat_config, training_config, training_words, write_json
+from sphericalvision.recipes.study.training import (
+    flat_config,
+    read_json,
+    training_config,
+    training_words,
+    write_json,
+)
 
 __all__ = ["Job", "evaluate_jobs", "scale_of"]
 
@@ -58,8 +64,12 @@ class Job(NamedTuple):
         """What is there already, if it was measured under the same circumstances."""
         if not self.path.is_file() or not self.path.with_suffix(".npz").is_file():
             return None
-        result: dict[str, Any] = json.loads(self.path.read_text())
-        return result if result["key"] == json.loads(json.dumps(key)) else None
+        try:
+            result = read_json(self.path)
+            self.drawn()
+        except Exception:  # damaged, so it is measured again; numpy raises nearly anything
+            return None
+        return result if result.get("key") == json.loads(json.dumps(key)) else None
 
     def drawn(self) -> Tensor:
         """The estimate ``(V,)`` of the frame that is drawn."""

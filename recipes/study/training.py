@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import shlex
 import shutil
@@ -17,14 +18,14 @@ from hydra import compose
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from sphericalvision.core import ArgumentError, SphericalVisionError, check_choice
+from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError, check_choice
 from sphericalvision.io.files import atomic_write
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.next_steps import own_configs
 from sphericalvision.recipes.app.words import quote_paths
 from sphericalvision.recipes.study.models import StudyModel
 
-__all__ = ["Training", "TrainingError", "check_alike", "training_config", "write_json"]
+__all__ = ["Training", "TrainingError", "check_alike", "read_json", "training_config", "write_json"]
 
 CHANGES_NOTHING = (
     "output",
@@ -92,7 +93,7 @@ class Training(NamedTuple):
         """Keys in which an earlier training in this folder differs, with both values."""
         if not self.record.is_file():
             return []
-        old = json.loads(self.record.read_text())["config"]
+        old = read_json(self.record)["config"]
         keys = [key for key in {**old, **self.config} if old.get(key) != self.config.get(key)]
         return [f"{key} was {old.get(key)}, is {self.config.get(key)}" for key in keys]
 
@@ -101,7 +102,7 @@ class Training(NamedTuple):
         """Whether it reached its end, with these words."""
         if not self.record.is_file() or not self.weights.is_file():
             return False
-        return bool(json.loads(self.record.read_text())["finished"]) and not self.changes
+        return bool(read_json(self.record)["finished"]) and not self.changes
 
     @property
     def command(self) -> list[str]:
@@ -134,7 +135,7 @@ class Training(NamedTuple):
         Raises:
             TrainingError: it stopped before; the same study goes on with it.
         """
-        before = json.loads(self.record.read_text())["seconds"] if self.record.is_file() else 0.0
+        before = read_json(self.record)["seconds"] if self.record.is_file() else 0.0
         facts = {"config": self.config, "words": self.words, "finished": False, "seconds": before}
         write_json(self.record, facts)
         began = time.monotonic()
@@ -161,6 +162,9 @@ def training_config(words: tuple[str, ...]) -> DictConfig:
 
 ROOMS = ("paths.", "callbacks.", "logger.")
 """Beginnings of keys that leave the result of a training as it is."""
+
+PR_SET_PDEATHSIG = 1
+"""Of ``prctl`` of Linux: which signal the death of the parent is told by."""
 
 NAMES = "_target_"
 """Last parts of keys that say where in the package something is: it may move, and a training stays what it was."""
@@ -197,11 +201,36 @@ def check_alike(trainings: list[Training]) -> list[str]:
     return notes
 
 
+def read_json(path: Path) -> dict[str, Any]:
+    """What ``write_json`` wrote.
+
+    Raises:
+        FileFormatError: the file is damaged.
+    """
+    try:
+        content = json.loads(path.read_text())
+    except (ValueError, RecursionError) as error:
+        content = error
+    if not isinstance(content, dict):
+        raise FileFormatError(
+            f"{path}: is damaged ({content!r:.200}); remove it, and what it tells is done again"
+        )
+    return content
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write a whole file or none; folders are made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary:
         Path(temporary).write_text(json.dumps(content, indent=2) + "\n")
+
+
+def _end_with_parent() -> None:
+    """Have the system stop this process when the study is no more: ``kill -9`` leaves it no time to say so itself.
+
+    A training that went on alone would hold its folder, and the study that is started again could not go on.
+    """
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _run(command: list[str]) -> int:
@@ -212,7 +241,7 @@ def _run(command: list[str]) -> int:
 
     previous = signal.signal(signal.SIGTERM, stop)
     try:
-        process = subprocess.Popen(command)
+        process = subprocess.Popen(command, preexec_fn=_end_with_parent if sys.platform == "linux" else None)
         try:
             return process.wait()
         except KeyboardInterrupt:  # the terminal has told the training, too

@@ -18,6 +18,7 @@ from sphericalvision.data import make_scene, ray_depth
 from sphericalvision.data.scenes.recipes import kind_of
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.files import atomic_write
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.study.benchmark.frames import Frame
@@ -162,17 +163,25 @@ def make_method(word: str, level: int = 6, constant: Path | None = None) -> Meth
     return Method(method_name(word), net)
 
 
+def _kept(path: Path) -> dict[str, Any] | None:
+    """What a file holds; None if it is not there, or is damaged and has to be made anew."""
+    try:
+        content: dict[str, Any] = torch.load(path, weights_only=True)
+        return content if {"level", "scenes", "index"} <= set(content) else None
+    except Exception:  # whatever a damaged file makes of itself
+        return None
+
+
 def _constant_map(level: int, path: Path | None) -> ConstantMap:
     net = ConstantMap(level, TRAINING_SCENES)
-    if path is not None and path.is_file():
-        kept = torch.load(path, weights_only=True)
-        if kept["level"] == level and kept["scenes"] == net.scenes:
-            net.index = kept["index"]
-            return net
+    kept = None if path is None else _kept(path)
+    if kept is not None and kept["level"] == level and kept["scenes"] == net.scenes:
+        net.index = kept["index"]
+        return net
     net.fit()
     if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        torch.save({"level": level, "scenes": net.scenes, "index": net.index}, path)
+        with atomic_write(path) as temporary:
+            torch.save({"level": level, "scenes": net.scenes, "index": net.index}, temporary)
     return net
 
 

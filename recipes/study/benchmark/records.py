@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import atomic_write
-from sphericalvision.recipes.study.training import write_json
+from sphericalvision.recipes.study.training import read_json, write_json
 
 __all__ = ["GENERATION", "Record"]
 
@@ -43,9 +45,10 @@ class Record:
         self.scores: dict[str, Any] = {}
         self.cost: dict[str, Any] | None = None
         if self.path is not None and self.path.is_file():
-            kept = json.loads(self.path.read_text())
-            if kept["key"] == self.key:
-                self.scores, self.cost = kept["frames"], kept["cost"]
+            with suppress(FileFormatError, KeyError):  # what is damaged is measured again
+                kept = read_json(self.path)
+                if kept["key"] == self.key:
+                    self.scores, self.cost = kept["frames"], kept["cost"]
 
     def add(self, frame: str, scores: dict[str, Any], cost: dict[str, Any] | None = None) -> None:
         """Add a frame and write the file."""

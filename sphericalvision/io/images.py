@@ -25,6 +25,9 @@ __all__ = ["MAX_PIXELS", "read_image", "read_mask", "read_pages", "write_image",
 MAX_PIXELS = 2**27
 """Pixels of all pages of an image file together; a file that says it has more is refused before it is decoded."""
 
+SIZES_UNKNOWN = (b"II*", b"MM\0*", b"II+", b"MM\0+", b"#?")
+"""How files begin whose sizes Pillow does not always know: TIFF in one of its many variants, Radiance HDR."""
+
 Array = npt.NDArray[Any]
 Size = tuple[int, int]
 
@@ -44,9 +47,12 @@ def read_pages(path: str | Path, what: str = "an image", image_size: Size | None
     """
     path = check_file(path, what)
     encoded = np.fromfile(path, dtype=np.uint8)
-    _check_sizes(path, _sizes(encoded), image_size)
+    sizes = _sizes(encoded)
+    _check_sizes(path, sizes, image_size)
     pages: Sequence[Array] = ()
-    if encoded.size:
+    # OpenCV believes damaged headers, too, and takes gigabytes for what they say: no size, no decoding.
+    believed = bool(sizes) or encoded[:4].tobytes().startswith(SIZES_UNKNOWN)
+    if believed and _chunks_fit(encoded):
         with suppress(cv2.error):
             pages = cv2.imdecodemulti(encoded, cv2.IMREAD_UNCHANGED)[1]
     if not pages:
@@ -97,7 +103,7 @@ def read_mask(
     page = _first_page(path, image_size, what)
     if page.ndim == 3:
         page = cv2.cvtColor(page, cv2.COLOR_RGB2GRAY)
-    return torch.from_numpy(2 * page.astype(np.int64) > np.iinfo(page.dtype).max)
+    return torch.from_numpy(page > np.iinfo(page.dtype).max // 2)
 
 
 def write_pages(path: str | Path, pages: list[Array]) -> None:
@@ -172,7 +178,7 @@ def _first_page(path: str | Path, image_size: Size | None, what: str) -> Array:
 
 
 def _sizes(encoded: Array) -> list[Size]:
-    """(height, width) of every page as the headers say; nothing for formats that only OpenCV knows.
+    """(height, width) of every page as the headers say; nothing where a header is damaged, or only OpenCV knows it.
 
     Pixels are not decoded, so a small file that claims to be a huge image costs nothing.
     """
@@ -189,6 +195,16 @@ def _sizes(encoded: Array) -> list[Size]:
         except Image.DecompressionBombError:  # whose own bound is a little higher
             sizes.append((MAX_PIXELS, MAX_PIXELS))
     return sizes
+
+
+def _chunks_fit(encoded: Array) -> bool:
+    """Whether all chunks of a PNG end within the file; True for other files."""
+    content, at = memoryview(encoded.tobytes()), 8
+    if content[:8] != b"\x89PNG\r\n\x1a\n":
+        return True
+    while at + 12 <= len(content) and content[at + 4 : at + 8] != b"IEND":
+        at += 12 + int.from_bytes(content[at : at + 4], "big")
+    return at + 12 <= len(content)
 
 
 def _check_sizes(path: Path, sizes: list[Size], image_size: Size | None) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import resource
 import struct
 import zlib
 from pathlib import Path
@@ -142,3 +143,25 @@ def test_a_tiff_without_dimensions_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b"II*\x00\x08\x00\x00\x00\x00\x00\x00\x00\x00\x00")
     with pytest.raises(FileFormatError, match="cannot be read as an image"):
         read_image(path)
+
+
+@pytest.mark.parametrize(
+    ("at", "value"), [(16, 60_000), (33, 2**31 - 1)], ids=["width", "length of the data"]
+)
+def test_damaged_png_takes_no_memory(tmp_path: Path, at: int, value: int) -> None:
+    """OpenCV alone would take gigabytes for what the header of a few hundred bytes says."""
+    path = tmp_path / "a.png"
+    write_image(path, torch.rand(3, 8, 8))
+    content = path.read_bytes()
+    path.write_bytes(content[:at] + value.to_bytes(4, "big") + content[at + 4 :])
+    before = peak()
+    with pytest.raises(FileFormatError, match=r"a\.png: cannot be read"):
+        read_image(path)
+    assert peak() - before < 100 * 2**20
+    path.write_bytes(content + b"what other programs leave behind")
+    assert read_image(path).shape == (3, 8, 8)
+
+
+def peak() -> int:
+    """Bytes of this process in memory, at most."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -46,7 +46,16 @@ class ShapeError(SphericalVisionError, ValueError):
 
 
 class FileFormatError(SphericalVisionError, ValueError):
-    """A file exists but does not hold what its format promises; the message names file and line or key."""
+    """A file exists but does not hold what its format promises; the message names file and line or key.
+
+    Of a message that quotes endless words of a damaged file, the middle is left out.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        longest = 2000
+        if len(message) > longest:
+            message = f"{message[: longest - 500]} ... {message[-495:]}"
+        super().__init__(message)
 
 
 class MissingFileError(SphericalVisionError, FileNotFoundError):

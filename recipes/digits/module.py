@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -16,6 +15,7 @@ from torchmetrics.classification import MulticlassAccuracy
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models.classifier import SphereClassifier
+from sphericalvision.models.weights.filling import made
 from sphericalvision.recipes.digits.dataset import ORIENTATIONS
 from sphericalvision.recipes.training.module import TrainingModule
 
@@ -80,15 +80,17 @@ class ClassificationModule(TrainingModule):
         path = check_file(checkpoint, "a checkpoint (.ckpt) of a classifier")
         try:
             content = torch.load(path, map_location="cpu", weights_only=True)
-            net = SphereClassifier(**content["network_hyperparameters"])
-            state = content["state_dict"].items()
-            net.load_state_dict({key[4:]: value for key, value in state if key.startswith("net.")})
-        except (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeError, ValueError) as error:
+            stored = content["state_dict"].items()
+            state = {key[4:]: value for key, value in stored if key.startswith("net.")}
+            return made(SphereClassifier, content["network_hyperparameters"], state, path)
+        except FileFormatError:
+            raise
+        except Exception as error:  # whatever a damaged file makes of itself
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise FileFormatError(
-                f"{path}: is not a checkpoint of a classifier, or is damaged ({str(error).splitlines()[0]:.200}); "
+                f"{path}: is not a checkpoint of a classifier, or is damaged ({reason:.200}); "
                 "give a .ckpt file from the checkpoints folder of experiment=spherical_digits"
             ) from error
-        return net
 
     def forward(self, values: Tensor) -> Tensor:
         """Logits ``(B, num_classes)`` of values ``(B, 1, *grid.shape)``."""

@@ -143,3 +143,9 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
         MeshScene(quad(), up="x")
     with pytest.raises(ArgumentError, match="scale"):
         MeshScene(quad(), scale=0.0)
+
+
+def test_triangles_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
+    with pytest.raises(FileFormatError, match=r"flat\.obj: (its triangles make no sense|cannot be read)"):
+        read_mesh_scene(tmp_path / "flat.obj")

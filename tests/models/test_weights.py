@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
@@ -108,6 +110,20 @@ def test_weights_that_do_not_fit_name_the_tensor(tmp_path: Path) -> None:
     net.features.last.weight = torch.nn.Parameter(torch.zeros(5, 2, 7))
     save_weights(net, path)
     with pytest.raises(FileFormatError, match=r"features\.last\.weight.*\(5, 2, 7\).*\(2, 2, 7\)"):
+        load_weights(path)
+
+
+@pytest.mark.parametrize("value", ["100000", "1e3", "[" * 3000])
+def test_damaged_hyper_parameters_cost_nothing(tmp_path: Path, value: str) -> None:
+    """A hundred thousand channels would be a terabyte of weights, of which the file has none."""
+    path = save_weights(small_net(), tmp_path / "net.safetensors")
+    with safe_open(path, framework="pt") as file:
+        metadata, state = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    metadata["hyperparameters"] = re.sub(
+        r'("feature_channels": )\d+', rf"\g<1>{value}", metadata["hyperparameters"]
+    )
+    save_file(state, path, metadata)
+    with pytest.raises(FileFormatError, match=r"do not fit|cannot build"):
         load_weights(path)
 
 

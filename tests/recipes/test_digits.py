@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from sphericalvision.core import FileFormatError
 from sphericalvision.data import random_rotations
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere, yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
@@ -199,3 +200,10 @@ def test_mistakes_are_told(failing: Callable[..., str], tmp_path: Path) -> None:
     assert "level: expected 3 or more" in failing("train", *TINY, "model.level=2")
     assert "--multirun" in failing("digits_table", f"runs={tmp_path}")
     assert network_grid("sphere", 3).shape == (16, 32)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"{}"])
+def test_damaged_checkpoints_are_told(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "net.ckpt").write_bytes(content)
+    with pytest.raises(FileFormatError, match="not a checkpoint of a classifier, or is damaged"):
+        ClassificationModule.stored_network(tmp_path / "net.ckpt")

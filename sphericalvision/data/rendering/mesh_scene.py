@@ -202,13 +202,21 @@ def read_mesh_scene(
         )
     try:
         loaded = trimesh.load_scene(path)
+        has_triangles = any(len(part.faces) for part in _parts(loaded))
     except Exception as error:  # readers of damaged files raise nearly anything
         raise FileFormatError(
             f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})"
         ) from error
-    if not any(len(part.faces) for part in _parts(loaded)):
+    if not has_triangles:
         raise FileFormatError(f"{path}: expected a mesh with triangles, found none")
-    return MeshScene(loaded, up, scale, center)
+    try:
+        return MeshScene(loaded, up, scale, center)
+    except (ArgumentError, ImportError):
+        raise
+    except Exception as error:  # vertices of two coordinates, corners that do not exist
+        raise FileFormatError(
+            f"{path}: its triangles make no sense ({type(error).__name__}: {error})"
+        ) from error
 
 
 def _parts(mesh: trimesh.Trimesh | trimesh.Scene) -> list[trimesh.Trimesh]:

@@ -10,7 +10,7 @@ import torch
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.weights.files import load_weights
-from sphericalvision.models.weights.filling import filled
+from sphericalvision.models.weights.filling import made
 from sphericalvision.models.weights.pretrained import available_weights, pretrained
 from sphericalvision.models.weights.reference import load_reference_checkpoint
 from sphericalvision.models.weights.registry import network_class
@@ -53,8 +53,8 @@ def read_network(source: str | Path | None = None) -> DepthNetwork:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         state = {key[4:]: value for key, value in content["state_dict"].items() if key.startswith("net.")}
-        net = network_class(content["architecture"])(**content["network_hyperparameters"])
-        return filled(net, state, path).eval()
+        network = network_class(content["architecture"])
+        return made(network, content["network_hyperparameters"], state, path).eval()
     except FileFormatError:
         raise
     except Exception as error:  # whatever a damaged file makes of itself

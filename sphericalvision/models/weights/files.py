@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.io.files import atomic_write
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.models.weights.filling import filled
+from sphericalvision.models.weights.filling import made
 from sphericalvision.models.weights.registry import network_class, network_name
 
 __all__ = ["load_weights", "save_weights"]
@@ -66,10 +66,11 @@ def load_weights(path: str | Path) -> DepthNetwork:
     except ArgumentError as error:
         raise FileFormatError(f"{path}: holds the weights of an unknown network: {error}") from error
     try:
-        net = network(**json.loads(metadata["hyperparameters"]))
-    except (TypeError, ValueError) as error:
+        return made(network, json.loads(metadata["hyperparameters"]), state, path).eval()
+    except FileFormatError:
+        raise
+    except (TypeError, ValueError, RuntimeError) as error:  # nesting without end is a RecursionError
         raise FileFormatError(
             f"{path}: cannot build {network.__name__} from metadata 'hyperparameters' = "
             f"{metadata['hyperparameters']:.1000}: {error}"
         ) from error
-    return filled(net, state, path).eval()

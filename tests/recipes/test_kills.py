@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Twenty times ``kill -9`` at random moments: nothing half written, and at the end what comes of a run without."""
+"""Twenty times ``kill -9`` at random moments of four commands: nothing half written, and the same result.
+
+``SPHERICALVISION_KILLS`` is how often each command is killed, ``SPHERICALVISION_SEED`` chooses other moments.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,8 @@ from tests.recipes.tiny import TINY_TRAINING
 
 pytestmark = pytest.mark.slow
 
-KILLS = int(os.environ.get("SPHERICALVISION_KILLS", "20"))
+KILLS = int(os.environ.get("SPHERICALVISION_KILLS", "5"))
+SEED = int(os.environ.get("SPHERICALVISION_SEED", "0"))
 
 COMMANDS = {
     "train": [*TINY_TRAINING, "trainer.max_steps=30", "resume=auto", "logger=none", "data.cache_dir=scenes"],
@@ -128,7 +132,7 @@ def test_kills_leave_nothing_half_done(recipe: str, capture: Path) -> None:
     straight.join()
     assert straight.exitcode == 0, (capture / "said.txt").read_text()
     took = time.monotonic() - began
-    chance, kills, goes = random.Random(0), 0, 0
+    chance, kills, goes = random.Random(f"{SEED} {recipe}"), 0, 0
     output = capture / "killed"
     while kills < KILLS:
         process = started(capture, recipe, [*words, f"output={output}"])

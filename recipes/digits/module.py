@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -17,12 +16,12 @@ from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models.classifier import SphereClassifier
 from sphericalvision.models.weights.filling import made
 from sphericalvision.recipes.digits.dataset import ORIENTATIONS
-from sphericalvision.recipes.training.module import TrainingModule
+from sphericalvision.recipes.training.orientations import OrientationModule
 
 __all__ = ["ClassificationModule"]
 
 
-class ClassificationModule(TrainingModule):
+class ClassificationModule(OrientationModule):
     """A classifier on the sphere, validated and tested on upright and on rotated samples.
 
     Args:
@@ -50,7 +49,7 @@ class ClassificationModule(TrainingModule):
     ) -> None:
         super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
         number = net.hyperparameters["num_classes"]
-        self.accuracies = nn.ModuleDict(
+        self.scores = nn.ModuleDict(
             {name: MulticlassAccuracy(number, average="micro") for name in ORIENTATIONS}
         )
 
@@ -91,36 +90,3 @@ class ClassificationModule(TrainingModule):
                 f"{path}: is not a checkpoint of a classifier, or is damaged ({reason:.200}); "
                 "give a .ckpt file from the checkpoints folder of experiment=spherical_digits"
             ) from error
-
-    def forward(self, values: Tensor) -> Tensor:
-        """Logits ``(B, num_classes)`` of values ``(B, 1, *grid.shape)``."""
-        return self.net(values)  # type: ignore[no-any-return]
-
-    def training_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
-        """The loss of one batch."""
-        loss: Tensor = self.loss(self(batch["values"]), batch["label"])
-        self.log("train/loss", loss, prog_bar=True, batch_size=len(batch["label"]))
-        return loss
-
-    def validation_step(self, batch: dict[str, Any], batch_idx: int, dataloader_idx: int = 0) -> None:
-        """Count what is right; loaders are in the order of ``ORIENTATIONS``."""
-        accuracy = cast(MulticlassAccuracy, self.accuracies[ORIENTATIONS[dataloader_idx]])
-        accuracy.update(self(batch["values"]), batch["label"])
-
-    def on_validation_epoch_end(self) -> None:
-        """Log ``val/upright`` and ``val/rotated``, percent correct."""
-        self._log_accuracies("val")
-
-    def test_step(self, batch: dict[str, Any], batch_idx: int, dataloader_idx: int = 0) -> None:
-        """Count what is right; loaders are in the order of ``ORIENTATIONS``."""
-        self.validation_step(batch, batch_idx, dataloader_idx)
-
-    def on_test_epoch_end(self) -> None:
-        """Log ``test/upright`` and ``test/rotated``, percent correct."""
-        self._log_accuracies("test")
-
-    def _log_accuracies(self, split: str) -> None:
-        for name in ORIENTATIONS:
-            accuracy = cast(MulticlassAccuracy, self.accuracies[name])
-            self.log(f"{split}/{name}", 100 * accuracy.compute(), prog_bar=True)
-            accuracy.reset()

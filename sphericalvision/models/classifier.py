@@ -3,22 +3,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ShapeError
 from sphericalvision.crown import FromCrown, ToCrown
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.models.sphere_blocks import WIDTHS, convolution_block, network_grid, pooling
+from sphericalvision.models.sphere_blocks import SphereNetwork, convolution_block, pooling
 from sphericalvision.sphere import Equirectangular
 
 __all__ = ["SphereClassifier"]
 
 
-class SphereClassifier(nn.Module):
+class SphereClassifier(SphereNetwork):
     """Four convolutions on three levels of detail, the mean over the sphere, and a linear layer.
 
     Args:
@@ -58,11 +55,7 @@ class SphereClassifier(nn.Module):
         in_channels: int = 1,
         width: int | None = None,
     ) -> None:
-        super().__init__()
-        self.grid = network_grid(network, level)
-        self.network, self.level = network, level
-        self.num_classes, self.in_channels = num_classes, in_channels
-        self.width = WIDTHS[network] if width is None else width
+        super().__init__(network, level, num_classes, in_channels, width)
         w = self.width
         layers = [
             convolution_block(network, in_channels, w, level, first=True),
@@ -78,17 +71,9 @@ class SphereClassifier(nn.Module):
         self.head = nn.Linear(4 * w, num_classes)
         self.register_buffer("share", self._shares(), persistent=False)
 
-    @property
-    def hyperparameters(self) -> dict[str, Any]:
-        """Plain scalars that rebuild this network: ``SphereClassifier(**net.hyperparameters)``."""
-        names = ("network", "level", "num_classes", "in_channels", "width")
-        return {name: getattr(self, name) for name in names}
-
     def forward(self, values: Float[Tensor, "B C_in *grid"]) -> Float[Tensor, "B classes"]:
         """Return logits ``(B, num_classes)`` of values ``(B, in_channels, *grid.shape)``."""
-        if tuple(values.shape[1:]) != (self.in_channels, *self.grid.shape):
-            size = ", ".join(map(str, (self.in_channels, *self.grid.shape)))
-            raise ShapeError(f"values: expected shape (B, {size}), got {tuple(values.shape)}")
+        self.check_values(values)
         features = self.features(values)
         features = features.amax(2) if self.network == "hexgroup" else features.flatten(2)
         return self.head(features @ self.share)

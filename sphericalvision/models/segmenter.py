@@ -10,15 +10,14 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ShapeError
 from sphericalvision.crown import Crown, CrownUpsample, FromCrown, ToCrown
 from sphericalvision.icosphere import Icosphere, icosphere_upsample
-from sphericalvision.models.sphere_blocks import WIDTHS, convolution_block, network_grid, pooling
+from sphericalvision.models.sphere_blocks import SphereNetwork, convolution_block, pooling
 
 __all__ = ["SphereSegmenter"]
 
 
-class SphereSegmenter(nn.Module):
+class SphereSegmenter(SphereNetwork):
     """A U-Net of three levels of detail.
 
     Args:
@@ -50,11 +49,7 @@ class SphereSegmenter(nn.Module):
         in_channels: int = 3,
         width: int | None = None,
     ) -> None:
-        super().__init__()
-        self.grid = network_grid(network, level)
-        self.network, self.level = network, level
-        self.num_classes, self.in_channels = num_classes, in_channels
-        self.width = WIDTHS[network] if width is None else width
+        super().__init__(network, level, num_classes, in_channels, width)
         w = self.width
         self.fine = convolution_block(network, in_channels, w, level, first=True)
         self.middle = nn.Sequential(pooling(network, level), convolution_block(network, w, 2 * w, level - 1))
@@ -67,17 +62,9 @@ class SphereSegmenter(nn.Module):
         self.to_fine = convolution_block(network, 3 * w, w, level)
         self.head = nn.Conv1d(w, num_classes, 1)
 
-    @property
-    def hyperparameters(self) -> dict[str, Any]:
-        """Plain scalars that rebuild this network: ``SphereSegmenter(**net.hyperparameters)``."""
-        names = ("network", "level", "num_classes", "in_channels", "width")
-        return {name: getattr(self, name) for name in names}
-
     def forward(self, values: Float[Tensor, "B C_in *grid"]) -> Float[Tensor, "B classes *grid"]:
         """Return logits ``(B, num_classes, *grid.shape)`` of values ``(B, in_channels, *grid.shape)``."""
-        if tuple(values.shape[1:]) != (self.in_channels, *self.grid.shape):
-            size = ", ".join(map(str, (self.in_channels, *self.grid.shape)))
-            raise ShapeError(f"values: expected shape (B, {size}), got {tuple(values.shape)}")
+        self.check_values(values)
         fine = self.fine(ToCrown()(values) if self.network == "crown" else values)
         middle = self.middle(fine)
         middle = self.to_middle(_joined(self._upsampled(self.coarse(middle)), middle))

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from torch import nn
+from jaxtyping import Float
+from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.core import ArgumentError, ShapeError, check_choice
 from sphericalvision.crown import (
     CrownAvgPool2d,
     CrownBatchNorm2d,
@@ -21,7 +23,7 @@ from sphericalvision.crown import (
 from sphericalvision.icosphere import Icosphere, IcospherePool, num_icosphere_vertices
 from sphericalvision.sphere import Equirectangular, SphereConv2d
 
-__all__ = ["SPHERE_NETWORKS", "WIDTHS", "convolution_block", "network_grid", "pooling"]
+__all__ = ["SPHERE_NETWORKS", "WIDTHS", "SphereNetwork", "convolution_block", "network_grid", "pooling"]
 
 SPHERE_NETWORKS = ("crown", "hex", "hexgroup", "sphere", "planar")
 
@@ -88,3 +90,39 @@ def pooling(network: str, level: int) -> nn.Module:
     if network == "crown":
         return CrownAvgPool2d()
     return IcospherePool(level) if network in _ON_ICOSPHERES else nn.AvgPool2d(2)
+
+
+class SphereNetwork(nn.Module):
+    """A network's grid, its hyper-parameters, and the check of what it is given.
+
+    Args:
+        network: one of ``SPHERE_NETWORKS``.
+        level: of the icosphere, 3 or more; equirectangular images have about as many pixels.
+        num_classes: number of logits.
+        in_channels: of the values given.
+        width: channels at the finest level, those of ``WIDTHS`` when not given.
+
+    Raises:
+        ArgumentError: if the network is unknown or the level below 3.
+    """
+
+    def __init__(
+        self, network: str, level: int, num_classes: int, in_channels: int, width: int | None = None
+    ) -> None:
+        super().__init__()
+        self.grid = network_grid(network, level)
+        self.network, self.level = network, level
+        self.num_classes, self.in_channels = num_classes, in_channels
+        self.width = WIDTHS[network] if width is None else width
+
+    @property
+    def hyperparameters(self) -> dict[str, Any]:
+        """Plain scalars that rebuild this network: ``type(net)(**net.hyperparameters)``."""
+        names = ("network", "level", "num_classes", "in_channels", "width")
+        return {name: getattr(self, name) for name in names}
+
+    def check_values(self, values: Float[Tensor, "B C_in *grid"]) -> None:
+        """Raise ``ShapeError`` unless values are ``(B, in_channels, *grid.shape)``."""
+        if tuple(values.shape[1:]) != (self.in_channels, *self.grid.shape):
+            size = ", ".join(map(str, (self.in_channels, *self.grid.shape)))
+            raise ShapeError(f"values: expected shape (B, {size}), got {tuple(values.shape)}")

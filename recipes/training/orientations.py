@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks on the sphere that are validated and tested in several orientations."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from torch import Tensor, nn
+from torchmetrics import Metric
+
+from sphericalvision.recipes.training.module import TrainingModule
+
+__all__ = ["OrientationModule"]
+
+
+class OrientationModule(TrainingModule):
+    """A network of classes with a metric for each orientation, whose loaders are in the order of ``scores``."""
+
+    scores: nn.ModuleDict
+    """Metrics of predicted and true classes, by the name of the orientation."""
+
+    def percent(self, score: Metric) -> Tensor:
+        """What is logged of a metric."""
+        return 100 * cast(Tensor, score.compute())
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Logits of values ``(B, in_channels, *grid.shape)``."""
+        return self.net(values)  # type: ignore[no-any-return]
+
+    def training_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
+        """The loss of one batch."""
+        loss: Tensor = self.loss(self(batch["values"]), batch["label"])
+        self.log("train/loss", loss, prog_bar=True, batch_size=len(batch["label"]))
+        return loss
+
+    def validation_step(self, batch: dict[str, Any], batch_idx: int, dataloader_idx: int = 0) -> None:
+        """Compare classes in one orientation."""
+        score = cast(Metric, list(self.scores.values())[dataloader_idx])
+        score.update(self(batch["values"]).argmax(1), batch["label"])
+
+    def on_validation_epoch_end(self) -> None:
+        """Log ``val/upright`` and so on."""
+        self._log_scores("val")
+
+    def test_step(self, batch: dict[str, Any], batch_idx: int, dataloader_idx: int = 0) -> None:
+        """Compare classes in one orientation."""
+        self.validation_step(batch, batch_idx, dataloader_idx)
+
+    def on_test_epoch_end(self) -> None:
+        """Log ``test/upright`` and so on."""
+        self._log_scores("test")
+
+    def _log_scores(self, split: str) -> None:
+        for name, module in self.scores.items():
+            score = cast(Metric, module)
+            self.log(f"{split}/{name}", self.percent(score), prog_bar=True)
+            score.reset()

@@ -12,12 +12,14 @@ import pytest
 import torch
 
 from sphericalvision.core import FileFormatError
+from sphericalvision.crown import CrownConv2d, from_crown, hex_conv2d, to_crown
 from sphericalvision.data import random_rotations
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere, yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SphereClassifier
 from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS, network_grid
 from sphericalvision.recipes.commands.digits_table import DigitsRun, table
+from sphericalvision.recipes.digits.aligned import AlignedCrownClassifier, AlignedCrownConv2d
 from sphericalvision.recipes.digits.datamodule import NUM_DIGITS, DigitsDataModule
 from sphericalvision.recipes.digits.dataset import SphericalDigits, draw_on_sphere, load_digits
 from sphericalvision.recipes.digits.module import ClassificationModule
@@ -183,6 +185,20 @@ def test_training_starts_from_weights_and_refuses_those_of_another_network(
         assert torch.equal(second.get_parameter(name), value), name
     message = failing("train", *TINY, "model.network=crown", f"init_weights={best}")
     assert "network = hex, the network to train has crown" in message
+
+
+def test_aligned_crowns_convolve_as_hexagons_do_away_from_borders() -> None:
+    """``CrownConv2d`` turns its taps in rows, so that it agrees nowhere."""
+    values, plain, aligned = torch.randn(1, 1, 642), CrownConv2d(1, 1), AlignedCrownConv2d(1, 1)
+    expected = hex_conv2d(values, plain.weight)
+    aligned.load_state_dict(plain.state_dict())
+    shares = []
+    for layer in (aligned, plain):
+        off = (from_crown(layer(to_crown(values))) - expected).abs()
+        shares.append((off < 1e-5).float().mean())
+    assert shares[0] > 0.7 > 0.01 > shares[1]
+    net = AlignedCrownClassifier(level=3)
+    assert sum(isinstance(layer, AlignedCrownConv2d) for layer in net.modules()) == 4
 
 
 def test_runs_that_only_differ_in_their_seed_are_averaged() -> None:

@@ -22,7 +22,9 @@ from sphericalvision.deploy.export import (
     rig_tables,
     with_constants_folded,
 )
-from sphericalvision.models import IcoSweepNet, RefinedSweepNet
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
+from sphericalvision.sweep import DepthEstimate
 
 RIG = ring_rig(3, image_size=(24, 30))
 
@@ -117,6 +119,32 @@ def test_the_default_network_at_its_level(tmp_path: Path) -> None:
     images = torch.stack(list(render_rig(make_scene("room", seed=1), rig).values()))[None]
     path = export_onnx(export_program(program), tmp_path / "depth.onnx")
     assert onnx_difference(path, program, images) < 1e-4
+
+
+class Bright(DepthNetwork):
+    """What is bright is near: a network that is exported in a second."""
+
+    def __init__(self, level: int = 1, num_hypotheses: int = 4, min_depth: float = 0.5) -> None:
+        super().__init__(num_hypotheses, min_depth, num_cameras=2)
+        self.level, self.grid = level, Icosphere(level)
+        self.scale = torch.nn.Parameter(torch.tensor(1.4))
+
+    def predict(self, images: torch.Tensor, rig: object, seen: torch.Tensor | None = None) -> DepthEstimate:  # type: ignore[override]
+        assert seen is not None
+        index = (images.mean((1, 2)) + 1) * self.scale
+        return DepthEstimate(index, images[:, 0, 0].sigmoid(), seen.all(-2).expand_as(index))
+
+
+def test_a_small_network_as_pt2_and_onnx(tmp_path: Path) -> None:
+    program = RigProgram(Predictor(ring_rig(2, image_size=(8, 8)), Bright(), min_depth=0.5))
+    exported = export_program(program, tmp_path / "depth.pt2")
+    images = example_images(program)
+    loaded = torch.export.load(tmp_path / "depth.pt2").module()
+    for ours, theirs in zip(program(images), loaded(images), strict=True):
+        torch.testing.assert_close(theirs, ours, rtol=1e-5, atol=1e-6)
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    assert onnx_difference(export_onnx(exported, tmp_path / "depth.onnx"), program, images) < 1e-5
 
 
 @pytest.mark.slow

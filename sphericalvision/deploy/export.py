@@ -40,6 +40,8 @@ __all__ = [
 INPUTS = ("camera", "sphere")
 TABLES = ("inside", "inputs")
 OPSET = 20
+LOOKUPS = {torch.ops.aten.index_select.default: 2, torch.ops.aten.embedding.default: 1}
+"""Operation -> which of its arguments says what is looked up; both take 32 bits."""
 CONVOLUTIONS = tuple(getattr(torch.ops.aten, f"conv{dims}d").default for dims in (1, 2, 3))
 
 
@@ -353,7 +355,8 @@ def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
             traced.graph.erase_node(node)
         elif isinstance(known.get(node), Tensor) and any(user not in known for user in node.users):
             name = f"constant{number}"
-            traced.register_buffer(name, known[node].detach().clone())
+            kept = known[node].detach().clone()
+            traced.register_buffer(name, kept.int() if _only_places(node) else kept)
             with traced.graph.inserting_before(node):
                 constant = traced.graph.get_attr(name)
             known[constant] = known[node]
@@ -361,3 +364,12 @@ def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
     traced.graph.eliminate_dead_code()
     traced.recompile()
     return traced
+
+
+def _only_places(node: Node) -> bool:
+    """Whether a constant only says what to look up, for which 32 bits do: half the size of large tables."""
+    return node.meta["val"].dtype == torch.int64 and all(
+        user.target in LOOKUPS
+        and [k for k, argument in enumerate(user.args) if argument is node] == [LOOKUPS[user.target]]
+        for user in node.users
+    )

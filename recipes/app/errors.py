@@ -58,6 +58,8 @@ def check_overrides(config_name: str, line: CommandLine) -> None:
         words = _first_values(line.overrides) if line.multirun else line.overrides
         config = compose(config_name, words, return_hydra_config=True)
         check_keys(config_name, config)
+        if line.multirun and (wrong := several_processes(config)):
+            refuse(wrong)
         if not line.flags and (wrong := wrong_place(config)):
             refuse(wrong)
     except (HydraException, OmegaConfBaseException) as error:
@@ -70,6 +72,24 @@ def check_overrides(config_name: str, line: CommandLine) -> None:
                 f"{left[0]}: this group cannot be left out; {_program(config_name)} --help lists its options"
             )
         refuse(str(error))
+
+
+def several_processes(config: DictConfig) -> str | None:
+    """What is wrong with a multi-run of trainings in several processes; None if each run is one process."""
+    trainer = config.get("trainer") or {}
+    devices, nodes, strategy = (trainer.get(key) for key in ("devices", "num_nodes", "strategy"))
+    several = (isinstance(devices, int) and devices > 1) or len(re.findall(r"\d+", str(devices))) > 1
+    for key, value, wrong in (
+        ("devices", devices, several),
+        ("num_nodes", nodes, isinstance(nodes, int) and nodes > 1),
+        ("strategy", strategy, "ddp" in str(strategy)),
+    ):
+        if wrong:
+            return (
+                f"trainer.{key}={value}: the processes of one training and the runs of --multirun do not mix; start a "
+                "command for each value, without --multirun"
+            )
+    return None
 
 
 def check_keys(config_name: str, config: DictConfig) -> None:

@@ -57,13 +57,31 @@ class Wanted(NamedTuple):
         """``level``, ``depth_level`` and ``min_depth`` as given, or else the network's.
 
         A level that is given brings depth two levels below, as always, unless that is given, too.
+
+        Raises:
+            ArgumentError: images or, where ``depth_level`` is not given, depth are wanted on another icosphere than the
+                network's. It is said here, before anything is rendered.
         """
+        if (
+            "sphere" in self.entries
+            and "depth" not in self.entries
+            and given["level"] not in (None, self.level)
+        ):
+            raise ArgumentError(
+                f"data.level: the network takes images of level {self.level}, got {given['level']}; set "
+                f"model.level={given['level']} or leave data.level out"
+            )
         mine = {"level": self.level, "depth_level": self.depth_level, "min_depth": self.min_depth}
         chosen = {key: mine[key] if given[key] is None else given[key] for key in mine}
         if given["depth_level"] is None and depth_level is not None:
             chosen["depth_level"] = depth_level
         elif given["depth_level"] is None and given["level"] is not None:
             chosen["depth_level"] = given["level"] - 2
+        if self.panorama_size is None and depth_level is None and chosen["depth_level"] != self.depth_level:
+            raise ArgumentError(
+                f"data.depth_level: the network estimates depth at level {self.depth_level}, got "
+                f"{chosen['depth_level']}; leave data.level and data.depth_level out"
+            )
         return chosen
 
 

@@ -128,7 +128,8 @@ class RandomRigDataModule(SampleDataModule):
         """Give samples on the network's icospheres, and keep what it computes of them before anything trained.
 
         Raises:
-            ArgumentError: the network is not one on icospheres, or its nearest hypothesis is not 0.55 m.
+            ArgumentError: the network is not one on icospheres, or of another level than given, or its nearest
+                hypothesis is not 0.55 m.
         """
         if net.images != "sphere" or not isinstance(net.grid, Icosphere):
             raise ArgumentError(f"data: random rigs are for networks on icospheres, not {type(net).__name__}")
@@ -136,8 +137,12 @@ class RandomRigDataModule(SampleDataModule):
             raise ArgumentError(
                 f"model.min_depth: random rigs are in scenes of natural size, for 0.55 m, got {net.min_depth}"
             )
+        if self.level not in (None, net.level):
+            raise ArgumentError(
+                f"data.level: the network takes images of level {net.level}, got {self.level}; leave data.level out"
+            )
         self.net = net
-        self.level = self.level or net.level
+        self.level = net.level
         self.depth_level = net.grid.level if depth_level is None else depth_level
 
     def dataset(self, split: str) -> Dataset[Sample]:

@@ -56,6 +56,7 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
         "7_viewer.html",
         "7_depth.npz",
         "depth.mp4",
+        "consistency.csv",
     }
     assert all(path.is_file() for path in outputs.written)
     assert not torch.equal(read_image(tmp_path / "7_depth.png"), read_image(tmp_path / "7_confidence.png"))

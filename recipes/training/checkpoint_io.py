@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,12 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
             super().save_checkpoint(checkpoint, temporary, storage_options)
         if not isinstance(self.net, DepthNetwork) or not self._has_name:
             return
-        save_weights(self.net, path.with_suffix(".safetensors"))
+        net = self.net
+        if "current_model_state" in checkpoint:  # of averaged weights, which are what was validated; the net has others
+            net = copy.deepcopy(net)
+            state = checkpoint["state_dict"].items()
+            net.load_state_dict({name[4:]: value for name, value in state if name.startswith("net.")})
+        save_weights(net, path.with_suffix(".safetensors"))
 
     def remove_checkpoint(self, path: Any) -> None:
         """Remove both files."""

@@ -99,6 +99,18 @@ def test_weights_beside_a_checkpoint_are_those_inside(trained: Any) -> None:
     assert all(torch.equal(beside[name], inside[name]) for name in beside)
 
 
+def test_of_averaged_weights_both_files_hold_the_average(
+    run: Run, tmp_path: Path, tiny_training: Words
+) -> None:
+    run("train", *tiny_training, "trainer.max_steps=2", "callbacks=averaged", "output=averaged")
+    folder = tmp_path / "averaged/checkpoints"
+    (best,) = (state(path) for path in folder.glob("best.ckpt"))
+    current = torch.load(folder / "best.ckpt", weights_only=True)["current_model_state"]
+    beside = load_weights(folder / "best.safetensors").state_dict()
+    assert all(torch.equal(value, best[f"net.{name}"]) for name, value in beside.items())
+    assert any(not torch.equal(current[name], best[name]) for name in best)
+
+
 def test_saved_hyperparameters_are_plain_scalars(trained: Any) -> None:
     stored = torch.load(trained.folder / "checkpoints/last.ckpt", weights_only=True)["hyper_parameters"]
     assert stored["level"] == 3

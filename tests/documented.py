@@ -228,10 +228,10 @@ def listed(words: list[str]) -> str:
 def network_words(model: DictConfig) -> list[str]:
     """A narrow network of the same kind."""
     target = str(model._target_).rpartition(".")[2]
-    if target in ("SphereClassifier", "AlignedCrownClassifier", "SphereSegmenter"):
+    if target in ("SphereClassifier", "SphereSegmenter"):
         return ["model.level=3", "model.width=2"]
     if target == "around":  # RefinedSweepNet.around, with the prior that ships
-        return ["model.level=3", "model.widths=[4,4]"]
+        return ["model.level=3", "model.widths=[4,4]", "model.blocks=1"]
     size = ["model.output_size=[20,40]", "model.num_scales=2"] if target == "OmniMVS" else ["model.level=3"]
     return [*size, "model.num_hypotheses=4", "model.feature_channels=2"]
 

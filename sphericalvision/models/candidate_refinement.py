@@ -32,11 +32,13 @@ class Candidates(NamedTuple):
             and the second best answer of one of them.
         likely: ``(B, 4, V)`` probability of their hypotheses at these two vertices.
         step: ``(B, V)`` by how far these two differ.
+        spread: ``(B, V)`` expected distance of the two coarser vertices' indices from what they say.
     """
 
     index: Float[Tensor, "B four V"]  # type: ignore[assignment]  # hides tuple.index
     likely: Float[Tensor, "B four V"]
     step: Float[Tensor, "B V"]
+    spread: Float[Tensor, "B V"]
 
 
 class RefinedIndex(NamedTuple):
@@ -44,7 +46,7 @@ class RefinedIndex(NamedTuple):
 
     Attributes:
         index: ``(B, V)``.
-        confidence: ``(B, V)`` logit of its being less than one hypothesis off.
+        confidence: ``(B, V)`` logit of 1 less the expected error, which counts from none to two hypotheses.
         seen: ``(B, V)`` whether two cameras see the point.
     """
 
@@ -62,16 +64,17 @@ class CandidateRefinement(nn.Module):
     Args:
         state: channels of ``FusedLogits``.
         width: channels of the convolutions.
+        blocks: residual blocks.
 
     References:
         Bleyer et al. (2011), "PatchMatch stereo", for candidates from the surroundings; Tankovich et al. (2021),
         "HITNet: hierarchical iterative tile refinement network".
     """
 
-    def __init__(self, state: int, width: int = 16) -> None:
+    def __init__(self, state: int, width: int = 16, blocks: int = 1) -> None:
         super().__init__()
-        self.entry = HexConv2d(state + 4 * 4 + 6, width, bias=True)
-        self.block = HexResidualBlock(width)
+        self.entry = HexConv2d(state + 4 * 4 + 7, width, bias=True)
+        self.block = nn.Sequential(*(HexResidualBlock(width) for _ in range(blocks)))
         self.exit = HexConv2d(width, 4 + 2, bias=True)
         with torch.no_grad():
             self.exit.weight.zero_()
@@ -92,7 +95,7 @@ class CandidateRefinement(nn.Module):
             state: ``(B, S, V_coarse)`` one level coarser.
             num_hypotheses: N.
         """
-        index, likely, step = candidates
+        index, likely, step, spread = candidates
         color, deviation, cameras = appearance
         mean = index[:, :1]
         entries = (
@@ -104,6 +107,7 @@ class CandidateRefinement(nn.Module):
             (color[:, 1] - color[:, 2]).abs().mean(1, keepdim=True),
             mean.detach() / num_hypotheses,
             step[:, None] / 4,
+            spread[:, None] / 4,
         )
         values = self.block(self.entry(torch.cat((icosphere_upsample(state), *entries), 1)))
         scores, correction, confidence = self.exit(F.relu(values)).split((4, 1, 1), 1)
@@ -149,4 +153,7 @@ def candidates_of(fused: FusedLogits) -> Candidates:
             for parent in (one, other)
         ]
         step = (best[:, one] - best[:, other]).abs()
-    return Candidates(index, (likely[0] + likely[1]) / 2, step)
+        tried = torch.arange(logits.shape[1], device=logits.device)[:, None] / 2
+        spread = (probability * (tried - best[:, None]).abs()).sum(1)
+        spread = (spread[:, one] + spread[:, other]) / 2
+    return Candidates(index, (likely[0] + likely[1]) / 2, step, spread)

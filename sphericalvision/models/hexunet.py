@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from sphericalvision.core import ArgumentError
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import icosphere_upsample
 
@@ -49,7 +50,10 @@ class HexUNet(nn.Module):
 
     Args:
         widths: channels at the level of the values and at each coarser one.
-        blocks: residual blocks at each level on the way down, and again on the way up.
+        blocks: residual blocks at each level on the way down, and again on the way up; or their number level by level.
+
+    Raises:
+        ArgumentError: for other numbers of blocks than of widths.
 
     References:
         Ronneberger et al. (2015), "U-Net: convolutional networks for biomedical image segmentation".
@@ -60,13 +64,16 @@ class HexUNet(nn.Module):
         torch.Size([1, 4, 162])
     """
 
-    def __init__(self, widths: Sequence[int], blocks: int = 1) -> None:
+    def __init__(self, widths: Sequence[int], blocks: int | Sequence[int] = 1) -> None:
         super().__init__()
+        counts = [blocks] * len(widths) if isinstance(blocks, int) else list(blocks)
+        if len(counts) != len(widths) or min(counts) < 1:
+            raise ArgumentError(f"blocks: expected a number from 1 on for each of {len(widths)} widths, got {blocks}")
         steps = list(pairwise(widths))
-        self.down = nn.ModuleList(_blocks(width, blocks) for width in widths)
+        self.down = nn.ModuleList(_blocks(*level) for level in zip(widths, counts, strict=True))
         self.coarsen = nn.ModuleList(HexConv2d(fine, coarse, 2, bias=True) for fine, coarse in steps)
         self.refine = nn.ModuleList(nn.Conv1d(coarse, fine, 1) for fine, coarse in steps)
-        self.up = nn.ModuleList(_blocks(width, blocks) for width in widths[:-1])
+        self.up = nn.ModuleList(_blocks(*level) for level in zip(widths[:-1], counts, strict=False))
 
     def forward(self, values: Float[Tensor, "B C V"]) -> Float[Tensor, "B C V"]:
         levels = []

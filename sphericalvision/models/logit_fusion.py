@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -65,18 +66,21 @@ class LogitFusion(nn.Module):
         num_hypotheses: N.
         widths: channels of the U-Net, see ``HexUNet``.
         state: channels handed on.
+        blocks: of the U-Net.
 
     References:
         Hinton (2002), "Training products of experts by minimizing contrastive divergence"; Seki and Pollefeys
         (2017), "SGM-Nets: semi-global matching with neural networks".
     """
 
-    def __init__(self, num_hypotheses: int, widths: tuple[int, ...], state: int) -> None:
+    def __init__(
+        self, num_hypotheses: int, widths: tuple[int, ...], state: int, blocks: int | Sequence[int] = 1
+    ) -> None:
         super().__init__()
         tried = 2 * num_hypotheses - 1
         self.sizes = (tried, 2, state)
         self.entry = nn.Conv1d(2 * tried + 2 * num_hypotheses + 4 + 3 + 6, widths[0], 1)
-        self.unet = HexUNet(widths)
+        self.unet = HexUNet(widths, blocks)
         self.exit = nn.Conv1d(widths[0], sum(self.sizes), 1)
         with torch.no_grad():
             self.exit.weight[: tried + 2].zero_()

@@ -46,6 +46,8 @@ PRIOR = {
 }
 """Hyper-parameters of ``icosweepnet-small`` that its weights depend on."""
 COST_RANGE = 2.5
+DOUBTFUL = 2.0
+"""Hypotheses: an answer that is expected to be as far off deserves no confidence."""
 
 
 class RefinedTables(NamedTuple):
@@ -87,6 +89,8 @@ class RefinedSweepNet(DepthNetwork):
         inner_hypotheses: hypotheses that the network works with, whatever N is.
         prior: hyper-parameters of the ``IcoSweepNet``; those of ``icosweepnet-small`` when not given.
         widths: channels of the fusion's U-Net at each level, from ``level - 1`` on.
+        blocks: residual blocks of the U-Net, one number or one a level.
+        refining_blocks: residual blocks of the refinement.
 
     Raises:
         ArgumentError: for a level below the number of widths.
@@ -111,6 +115,8 @@ class RefinedSweepNet(DepthNetwork):
         inner_hypotheses: int = 16,
         prior: Mapping[str, Any] | None = None,
         widths: Sequence[int] = (32, 48, 64, 96, 96),
+        blocks: int | Sequence[int] = (1, 2, 2, 3, 3),
+        refining_blocks: int = 2,
     ) -> None:
         if check_level(level) < len(widths):
             raise ArgumentError(f"level: expected {len(widths)} or more for as many widths, got {level!r}")
@@ -118,8 +124,8 @@ class RefinedSweepNet(DepthNetwork):
         self.level, self.grid, self.inner_hypotheses = level, Icosphere(level), inner_hypotheses
         scale = {"level": level, "num_hypotheses": inner_hypotheses, "min_depth": min_depth}
         self.prior = IcoSweepNet(**{**(PRIOR if prior is None else prior), **scale})
-        self.fusion = LogitFusion(inner_hypotheses, tuple(widths), STATE)
-        self.refinement = CandidateRefinement(STATE)
+        self.fusion = LogitFusion(inner_hypotheses, tuple(widths), STATE, blocks)
+        self.refinement = CandidateRefinement(STATE, blocks=refining_blocks)
         self.register_buffer("up", -icosphere_vertices(level - 1)[:, 1], persistent=False)
 
     @classmethod
@@ -261,7 +267,7 @@ class RefinedSweepNet(DepthNetwork):
         """Return a loss of the index at both levels, of the logits, and of the confidence.
 
         What fewer than two cameras see counts a quarter. The logits' share is the cross entropy of the two hypotheses
-        around the true index, the confidence's that of being less than one hypothesis off.
+        around the true index. The confidence learns 1 less the error of the index, in halves of hypotheses up to two.
         """
         tables = rig if isinstance(rig, RefinedTables) else (None if fixed else self.tables(rig))
         if seen is None:
@@ -278,13 +284,13 @@ class RefinedSweepNet(DepthNetwork):
         known = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * coarse_valid
         both = torch.where(refined.seen, 1.0, 0.25) * valid
         entropy = _cross_entropy(fused.logits, coarse)
-        right = ((refined.index.detach() - true).abs() < 1).to(true)
-        doubt = F.binary_cross_entropy_with_logits(refined.confidence, right, reduction="none")
+        sure = 1 - (refined.index.detach() - true).abs().clamp(max=DOUBTFUL) / DOUBTFUL
+        doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
         return (
             loss(refined.index, true, valid, weights=both)
             + 0.4 * loss(two_modes(fused.logits)[0], coarse, coarse_valid, weights=known)
             + 0.05 * (entropy * known).sum() / known.sum().clamp(min=1)
-            + 0.03 * (doubt * valid).sum() / valid.sum().clamp(min=1)
+            + 0.1 * (doubt * valid).sum() / valid.sum().clamp(min=1)
         )
 
 

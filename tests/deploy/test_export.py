@@ -62,7 +62,7 @@ def test_a_program_is_its_predictor() -> None:
 def refined(radius: float = 0.2, **options: object) -> RigProgram:
     """A small network as the default one is, with weights that change its answer."""
     torch.manual_seed(0)
-    net = RefinedSweepNet(2, 8, inner_hypotheses=8, widths=(4, 6))
+    net = RefinedSweepNet(2, 8, inner_hypotheses=8, widths=(4, 6), blocks=1)
     with torch.no_grad():
         for weight in net.parameters():
             if not weight.any():

@@ -46,7 +46,7 @@ def frame():
 def net():
     torch.manual_seed(0)
     prior = IcoSweepNet(LEVEL, 16, num_cameras=2, **PRIOR)
-    return RefinedSweepNet.around(prior, level=LEVEL, widths=(8, 8, 8)).eval()
+    return RefinedSweepNet.around(prior, level=LEVEL, widths=(8, 8, 8), blocks=(1, 1, 2)).eval()
 
 
 def test_starts_from_the_sum_of_costs_and_prior(net, frame):
@@ -118,7 +118,7 @@ def test_candidates_at_an_edge_are_both_sides():
     logits = torch.full((1, 31, grid.num_vertices), -20.0)
     logits[0, 20, near] = 20.0
     logits[0, 4, ~near] = 20.0
-    index, likely, step = candidates_of(FusedLogits(logits, torch.zeros(1, 1, grid.num_vertices)))
+    index, likely, step, spread = candidates_of(FusedLogits(logits, torch.zeros(1, 1, grid.num_vertices)))
     edge = step[0] > 1
     assert 0 < edge.float().mean() < 0.2
     torch.testing.assert_close(
@@ -127,6 +127,9 @@ def test_candidates_at_an_edge_are_both_sides():
     torch.testing.assert_close(likely[0, 1:3, edge], torch.full((2, int(edge.sum())), 0.5))
     inside = (step[0] == 0) & (index[0, 1] == index[0, 2])
     assert inside.float().mean() > 0.7
+    assert spread.max() < 1e-3
+    undecided = candidates_of(FusedLogits(torch.zeros_like(logits), torch.zeros(1, 1, grid.num_vertices)))
+    assert undecided.spread.min() > 3
 
 
 def test_cameras_agree_at_the_true_depth(frame):

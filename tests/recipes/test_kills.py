@@ -87,11 +87,12 @@ def whole(folder: Path) -> None:
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """Contents of the files that a run is for."""
+    """Contents of the files that a run is for; metrics along the way have a folder for each start."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
         if path.is_file() and not path.name.startswith(".") and not path.name.endswith(VARY)
+        if "metrics" not in path.relative_to(folder).parts
     }
 
 

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from shutil import which
 from typing import Any, NamedTuple
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sphericalvision.cameras import CameraRig
@@ -110,10 +111,15 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     check_choice("on_error", config.on_error, ("skip", "stop"))
     source = open_capture(config)
     predictor = predictor_for(source.rig, config)
+    before = _settings_before(folder) if config.skip_existing else {}
+    if config.min_depth == "scene" and "min_depth" in before:
+        config.min_depth = before["min_depth"]
+        predictor = predictor_for(source.rig, config)
     if config.min_depth == "scene" and (samples := source.samples()):
         config.min_depth = round(nearest_in(samples, predictor), 3)
         if predictor.min_depth is None:  # windows have rigs of their own, and share the depth
             predictor = predictor_for(source.rig, config)
+    _check_settings(config, before, folder)
     print_config(config, folder)
     selection = Selection(config.start, config.stop, config.every)
     names = source.names(selection)
@@ -175,6 +181,11 @@ class Done(NamedTuple):
     seconds: float = 0.0
 
 
+FREE = (
+    *("frames", "start", "stop", "every", "outputs", "output", "preset"),
+    *("skip_existing", "on_error", "device", "native"),
+)
+"""Settings that may change between a prediction and its continuation."""
 MOST_WORKERS = 4
 """Frames that are estimated at once, each in memory of its own."""
 
@@ -274,6 +285,30 @@ def run(
 def _number(left: set[str] | None) -> list[int]:
     """How many frames there are, where that is known; at least one."""
     return [] if left is None else [max(1, len(left))]
+
+
+def _settings_before(folder: Path) -> dict[str, Any]:
+    """Settings of the run that wrote a folder, by key; none where there was none."""
+    path = folder / "config.yaml"
+    if not path.is_file():
+        return {}
+    stored = OmegaConf.load(path)
+    return {str(key): stored[key] for key in stored} if isinstance(stored, DictConfig) else {}
+
+
+def _check_settings(config: DictConfig, before: Mapping[str, Any], folder: Path) -> None:
+    """Refuse to mix results of other settings into a folder.
+
+    Raises:
+        ArgumentError: a setting that changes what frames become is another.
+    """
+    wrong = [key for key in before if key in config and key not in FREE and before[key] != config[key]]
+    if wrong:
+        told = ", ".join(f"{key} was {before[key]}, is {config[key]}" for key in wrong)
+        raise ArgumentError(
+            f"skip_existing: {folder} holds results of other settings ({told}); set them as before, or give another "
+            "output="
+        )
 
 
 def _left_to_do(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,6 +45,7 @@ OUTPUTS = (
     "rerun",
     "consistency",
 )
+SHARES_HEADER = "frame,photo_consistency"
 FILES = {
     "depth": "depth.png",
     "confidence": "confidence.png",
@@ -68,7 +69,7 @@ class Settings(NamedTuple):
         voxel: side of the cubes of which each keeps one point, metres.
         rate: frames a second of the video.
         near: metres, the red end of depth pictures; found in the first frame when not given.
-        go_on: whether the video begins with the frames of the one that is there.
+        go_on: whether video and table of consistency begin with the frames that are there.
     """
 
     outputs: Sequence[str]
@@ -175,6 +176,16 @@ def arrays_of(views: Views) -> dict[str, Any]:
     return {key: value.cpu().numpy() for key, value in arrays.items()}
 
 
+def read_shares(path: Path) -> dict[str, float]:
+    """Photo-consistency by frame, of a table whose last line may be torn; nothing if there is none."""
+    shares: dict[str, float] = {}
+    for line in path.read_text().split("\n")[1:-1] if path.is_file() else ():
+        frame, _, share = line.rpartition(",")
+        with suppress(ValueError):
+            shares[frame] = float(share)
+    return shares
+
+
 class Outputs:
     """Writes frame after frame, and what is made of all of them.
 
@@ -204,8 +215,11 @@ class Outputs:
         self._timeline: Timeline | None = None
         self._recording: RerunLog | None = None
         self._number = 0
-        self.consistency: dict[str, float] = {}
         self._judge = PhotoConsistency()
+        self._table = folder / "consistency.csv"
+        self.consistency: dict[str, float] = read_shares(self._table) if settings.go_on else {}
+        if "consistency" in settings.outputs:
+            self._write_shares()
 
     @property
     def follows_first_frame(self) -> bool:
@@ -241,6 +255,8 @@ class Outputs:
                 self._recording.add(self._number, depth)
             if "consistency" in self.settings.outputs:
                 self.consistency[frame] = self._judge(depth)
+                with self._table.open("a") as table:  # what is there when the process is killed is read again
+                    table.write(f"{frame},{self.consistency[frame]:.4f}\n")
             self._number += 1
             self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
 
@@ -259,10 +275,13 @@ class Outputs:
         if self._recording is not None:
             self._recording.close()
             self.written.append(self._recording.path)
-        if self.consistency:
-            lines = [f"{frame},{share:.4f}" for frame, share in self.consistency.items()]
-            self.written.append(self.folder / "consistency.csv")
-            write_bytes(self.written[-1], "\n".join(["frame,photo_consistency", *lines, ""]).encode())
+        if "consistency" in self.settings.outputs:
+            self._write_shares()
+            self.written.append(self._table)
+
+    def _write_shares(self) -> None:
+        lines = [f"{frame},{share:.4f}" for frame, share in self.consistency.items()]
+        write_bytes(self._table, "\n".join([SHARES_HEADER, *lines, ""]).encode())
 
 
 class _Video:

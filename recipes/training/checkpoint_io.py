@@ -46,7 +46,9 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
         if not isinstance(self.net, DepthNetwork) or not self._has_name:
             return
         net = self.net
-        if "current_model_state" in checkpoint:  # of averaged weights, which are what was validated; the net has others
+        if (
+            "current_model_state" in checkpoint
+        ):  # of averaged weights, which are what was validated; the net has others
             net = copy.deepcopy(net)
             state = checkpoint["state_dict"].items()
             net.load_state_dict({name[4:]: value for name, value in state if name.startswith("net.")})

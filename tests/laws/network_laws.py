@@ -107,7 +107,12 @@ NETWORKS = {
     "refinedsweepnet": Example(
         lambda: trained(
             RefinedSweepNet(
-                3, 6, inner_hypotheses=5, widths=(4, 4), blocks=1, prior=REFINED_PRIOR | {"feature_channels": 2}
+                3,
+                6,
+                inner_hypotheses=5,
+                widths=(4, 4),
+                blocks=1,
+                prior=REFINED_PRIOR | {"feature_channels": 2},
             )
         ),
         {"level": 4, "num_hypotheses": 9, "min_depth": 0.3},

@@ -20,6 +20,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.recipes.prediction.outputs import read_shares
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run
 
@@ -167,6 +168,8 @@ def test_photo_consistency_is_printed_and_kept(
     shares = [float(row.split(",")[1]) for row in rows]
     assert all(0 < share < 1 for share in shares)
     assert f"photo-consistency: {sum(shares) / len(shares):.3f} of" in capsys.readouterr().out
+    run("predict", *sweep, "skip_existing=true", "stop=1")
+    assert list(read_shares(tmp_path / "out" / "consistency.csv").values()) == pytest.approx(shares)
 
 
 def test_prediction_goes_on_where_it_stopped(
@@ -186,6 +189,16 @@ def test_prediction_goes_on_where_it_stopped(
     run("predict", *words(capture, weights, "out"), "skip_existing=true")
     assert (tmp_path / "out/00003_depth.npz").is_file()
     assert (tmp_path / "out/00004_depth.npz").stat().st_mtime_ns == first
+    message = failing("predict", *words(capture, weights, "out"), "skip_existing=true", "height=24")
+    assert "holds results of other settings (height was" in message
+    assert "is 24)" in message
+
+
+def test_a_torn_table_of_consistency_loses_its_last_line_alone(tmp_path: Path) -> None:
+    table = tmp_path / "consistency.csv"
+    assert read_shares(table) == {}
+    table.write_text("frame,photo_consistency\n1,0.9134\n2,0.8")
+    assert read_shares(table) == {"1": 0.9134}
 
 
 def test_colours_stay_those_of_the_first_frame(run: Run, tmp_path: Path) -> None:

@@ -68,7 +68,9 @@ class HexUNet(nn.Module):
         super().__init__()
         counts = [blocks] * len(widths) if isinstance(blocks, int) else list(blocks)
         if len(counts) != len(widths) or min(counts) < 1:
-            raise ArgumentError(f"blocks: expected a number from 1 on for each of {len(widths)} widths, got {blocks}")
+            raise ArgumentError(
+                f"blocks: expected a number from 1 on for each of {len(widths)} widths, got {blocks}"
+            )
         steps = list(pairwise(widths))
         self.down = nn.ModuleList(_blocks(*level) for level in zip(widths, counts, strict=True))
         self.coarsen = nn.ModuleList(HexConv2d(fine, coarse, 2, bias=True) for fine, coarse in steps)

@@ -27,7 +27,15 @@ AnyCamera = TypeVar("AnyCamera", bound="Camera")
 
 
 class Projection(NamedTuple):
-    """Pixels and whether the camera sees them."""
+    """Pixels and whether the camera sees them.
+
+    Examples:
+        >>> from sphericalvision.cameras import FisheyeCamera
+        >>> camera = FisheyeCamera.from_field_of_view((64, 64), 3.5)
+        >>> pixels, valid = camera.project(torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
+        >>> valid.tolist()
+        [True, False]
+    """
 
     pixels: Float[Tensor, "*batch 2"]
     """(u, v), shape (*, 2), also where not valid."""
@@ -36,7 +44,15 @@ class Projection(NamedTuple):
 
 
 class Unprojection(NamedTuple):
-    """Directions and whether the camera looks there."""
+    """Directions and whether the camera looks there.
+
+    Examples:
+        >>> from sphericalvision.cameras import FisheyeCamera
+        >>> camera = FisheyeCamera.from_field_of_view((64, 64), 3.5)
+        >>> directions, valid = camera.unproject(torch.tensor([[31.5, 31.5], [0.0, 0.0]]))
+        >>> directions[0].abs().round().tolist(), valid.tolist()
+        ([0.0, 0.0, 1.0], [True, False])
+    """
 
     directions: Float[Tensor, "*batch 3"]
     """Unit vectors (*, 3), also where not valid."""
@@ -73,6 +89,13 @@ class Camera(ABC):
 
     A model is one subclass with two methods, ``_project`` and ``_unproject``, that know nothing about the image borders
     and ``max_angle``. ``register_camera`` makes it known to files.
+
+    Examples:
+        >>> from sphericalvision.cameras import FisheyeCamera
+        >>> camera = FisheyeCamera.from_field_of_view((64, 64), 3.5)
+        >>> directions, valid = camera.unproject(torch.tensor([[40.0, 20.0]]))
+        >>> camera.project(2.0 * directions).pixels.round(decimals=3)
+        tensor([[40., 20.]])
     """
 
     model: ClassVar[str]

@@ -121,7 +121,14 @@ class CrownInstanceNorm2d(_CrownInstanceNorm):
 
 
 class CrownInstanceNorm3d(_CrownInstanceNorm):
-    """Instance normalisation of a crown of volumes ``(B, 5, C, N, h, w)``; see ``CrownInstanceNorm2d``."""
+    """Instance normalisation of a crown of volumes ``(B, 5, C, N, h, w)``; see ``CrownInstanceNorm2d``.
+
+    Examples:
+        >>> from sphericalvision.crown import FromCrown, ToCrown
+        >>> volume = FromCrown()(CrownInstanceNorm3d(4)(ToCrown()(torch.rand(1, 4, 8, 162))))
+        >>> volume.shape
+        torch.Size([1, 4, 8, 162])
+    """
 
     spatial_dims = 3
 

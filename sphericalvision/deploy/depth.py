@@ -35,6 +35,16 @@ class DepthImage(NamedTuple):
         depth: ``(*b, h, w)`` metres along the pixel's ray; NaN where the network's grid or the camera does not reach.
         confidence: ``(*b, h, w)`` 0 to 1.
         seen: ``(*b, h, w)`` True where two cameras saw that point; elsewhere the depth is a guess.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.data import make_scene, render_rig
+        >>> from sphericalvision.deploy import Predictor
+        >>> rig = ring_rig(3, image_size=(24, 24))
+        >>> answer = Predictor(rig, method="semi_global", level=3, min_depth=0.5)(render_rig(make_scene("room"), rig))
+        >>> depth, confidence, seen = answer.panorama(8)
+        >>> depth.shape
+        torch.Size([8, 16])
     """
 
     depth: Float[Tensor, "*batch h w"]

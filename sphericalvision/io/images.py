@@ -78,6 +78,11 @@ def read_image(
     Raises:
         MissingFileError: there is no such file.
         FileFormatError: the file is not readable, is no 8- or 16-bit image, or has another size.
+
+    Examples:
+        >>> write_image("grey.png", torch.full((1, 4, 6), 0.2))
+        >>> read_image("grey.png", image_size=(4, 6)).shape  # three equal channels
+        torch.Size([3, 4, 6])
     """
     page = _first_page(path, image_size, what)
     if page.ndim == 2:
@@ -145,6 +150,11 @@ def write_image(path: str | Path, image: Tensor | Array) -> None:
         ShapeError: the image is none of these.
         FileFormatError: the suffix names no format.
         OSError: the file cannot be written.
+
+    Examples:
+        >>> write_image("folder/white.png", torch.ones(3, 4, 6))
+        >>> read_image("folder/white.png").min().item()
+        1.0
     """
     if isinstance(image, Tensor):
         if image.ndim != 3 or image.shape[0] not in (1, 3) or not image.is_floating_point():

@@ -79,6 +79,12 @@ class Concatenation(Aggregation):
     References:
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
         representation of icosahedron", section III-C.
+
+    Examples:
+        >>> from sphericalvision.sweep import SweepVolume
+        >>> values, seen = torch.rand(1, 3, 8, 4, 42), torch.ones(1, 3, 4, 42, dtype=torch.bool)
+        >>> Concatenation(channels=8, num_cameras=3)(SweepVolume(values, seen)).shape
+        torch.Size([1, 24, 4, 42])
     """
 
     any_cameras = False
@@ -110,6 +116,12 @@ class MeanVariance(Aggregation):
 
     Args:
         channels: C, of each camera.
+
+    Examples:
+        >>> from sphericalvision.sweep import SweepVolume
+        >>> values, seen = torch.rand(1, 3, 8, 4, 42), torch.ones(1, 3, 4, 42, dtype=torch.bool)
+        >>> MeanVariance(channels=8)(SweepVolume(values, seen)).shape
+        torch.Size([1, 17, 4, 42])
     """
 
     def __init__(self, channels: int) -> None:

@@ -19,6 +19,11 @@ class DepthEstimate(NamedTuple):
 
     All three have the shape of the network's grid, ``(B, V)`` or ``(B, h, w)``. Where ``seen`` is False the index is a
     guess from the surroundings.
+
+    Examples:
+        >>> index, confidence, seen = depth_estimate(torch.randn(1, 8, 42), torch.ones(1, 2, 8, 42, dtype=torch.bool))
+        >>> index.shape, bool(seen.all())
+        (torch.Size([1, 42]), True)
     """
 
     index: Float[Tensor, " B *grid"]  # type: ignore[assignment]  # hides tuple.index, which nobody needs here

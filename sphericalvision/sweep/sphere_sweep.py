@@ -29,6 +29,12 @@ class SweepVolume(NamedTuple):
         values: ``(B, n, C, N, V)``, zero outside the fields of view.
         seen: ``(B, n, N, V)`` True where a camera sees the point: it is inside the field of view, and the image shows
             something there. Occlusion is not known. For all of a batch it may be an expanded view.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> values, seen = SphereSweep(level=2, num_hypotheses=4, min_depth=0.5)(torch.rand(1, 2, 3, 162), ring_rig(2))
+        >>> values.shape, seen.shape
+        (torch.Size([1, 2, 3, 4, 162]), torch.Size([1, 2, 4, 162]))
     """
 
     values: Float[Tensor, "B n C N *grid"]

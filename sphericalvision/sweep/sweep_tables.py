@@ -32,6 +32,13 @@ class SweepTables(NamedTuple):
         ids: ``([B,] N, V, n, 3)`` vertex ids on a camera's icosphere.
         weights: ``([B,] N, V, n, 3)`` barycentric weights, zero outside the field of view.
         seen: ``([B,] N, V, n)`` True inside the field of view.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.sweep import SphereSweep
+        >>> tables = SphereSweep(level=2, num_hypotheses=4, min_depth=0.5).tables(ring_rig(2))
+        >>> tables.ids.shape
+        torch.Size([4, 162, 2, 3])
     """
 
     ids: Int[Tensor, "*batch N V n 3"]

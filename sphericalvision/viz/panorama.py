@@ -59,6 +59,10 @@ def depth_panorama(
 
     Returns:
         uint8 ``(H + margins, W, 3)``, RGB.
+
+    Examples:
+        >>> depth_panorama(torch.full((32, 64), 2.0), min_depth=0.5).shape[1:]
+        (640, 3)
     """
     _check_panorama("depth", depth)
     ticks = depth_ticks(min_depth, max_depth)
@@ -115,6 +119,10 @@ def error_panorama(
 
     Returns:
         uint8 ``(H + margins, W, 3)``, RGB.
+
+    Examples:
+        >>> error_panorama(torch.rand(32, 64), max_error=1.0).shape[1:]
+        (640, 3)
     """
     _check_panorama("error", error)
     ticks = [(k / 5, f"{max_error * k / 5:.3g}") for k in range(5)] + [(1.0, f"≥ {max_error:.3g}")]
@@ -181,6 +189,13 @@ def rgb_panorama(
 
     Raises:
         ShapeError: depth of another shape, or the images' names are not the cameras'.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig = ring_rig(2, image_size=(16, 16))
+        >>> colors, known = rgb_panorama(rig, {name: torch.ones(3, 16, 16) for name in rig.names}, height=8)
+        >>> colors.shape, known.shape
+        (torch.Size([3, 8, 16]), torch.Size([8, 16]))
     """
     dtype, device = rig.world_from_camera.dtype, rig.world_from_camera.device
     directions = _rays(height, dtype, device)

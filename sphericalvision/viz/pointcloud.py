@@ -87,6 +87,10 @@ def save_point_cloud(
     Raises:
         ShapeError: not ``(n, 3)`` all.
         ArgumentError: no points, or some are not finite; viewers refuse such files.
+
+    Examples:
+        >>> save_point_cloud("points.ply", torch.rand(10, 3), torch.ones(10, 3)).name
+        'points.ply'
     """
     path = Path(path)
     check_tensor("points", points, "(n, 3)")

@@ -41,6 +41,13 @@ def read_rig(
         MissingFileError: there is nothing at ``path``.
         FileFormatError: the format is unknown, the file is broken, or has no poses; the message names line or key.
         ArgumentError: ``translation_unit`` is missing, or given for a format that is in metres.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig, save_rig
+        >>> save_rig(ring_rig(3, radius=0.1), "rig.yaml")
+        >>> rig = read_rig("rig.yaml")
+        >>> rig.names, round(float(rig.radius), 3)
+        (['cam1', 'cam2', 'cam3'], 0.1)
     """
     check_type("path", path, (str, Path))
     path, found = _contents(Path(path), Options(max_angle, dtype, translation_unit, image_size, rig=True))
@@ -54,7 +61,14 @@ def read_cameras(
     image_size: tuple[int, int] | None = None,
     dtype: torch.dtype | None = None,
 ) -> dict[str, Camera]:
-    """All cameras of a calibration by name, whether it has poses or not; arguments and errors are ``read_rig``'s."""
+    """All cameras of a calibration by name, whether it has poses or not; arguments and errors are ``read_rig``'s.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig, save_rig
+        >>> save_rig(ring_rig(3), "rig.yaml")
+        >>> {name: type(camera).__name__ for name, camera in read_cameras("rig.yaml").items()}["cam2"]
+        'FisheyeCamera'
+    """
     check_type("path", path, (str, Path))
     options = Options(max_angle, dtype, "m", image_size)  # positions are not looked at, so any unit will do
     return _contents(Path(path), options)[1].cast(dtype)
@@ -83,6 +97,12 @@ def read_camera(
         MissingFileError: there is nothing at ``path``.
         FileFormatError: the format is unknown, or the file is broken; the message names line or key.
         ArgumentError: there are several cameras and no ``name``, or none of that name.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig, save_rig
+        >>> save_rig(ring_rig(3, image_size=(60, 80)), "rig.yaml")
+        >>> read_camera("rig.yaml", "cam2").image_size
+        (60, 80)
     """
     cameras = read_cameras(path, max_angle=max_angle, image_size=image_size, dtype=dtype)
     if name is None and len(cameras) == 1:

@@ -78,6 +78,12 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
     Raises:
         ArgumentError: an unknown format, a batch, or a model that the format does not have; the message names formats
             that have it. ``camera.convert(to=...)`` fits another model.
+
+    Examples:
+        >>> from sphericalvision.cameras import read_rig, ring_rig
+        >>> save_rig(ring_rig(2), "rig.yaml")
+        >>> read_rig("rig.yaml").names
+        ['cam1', 'cam2']
     """
     format = format or "native"
     check_choice("format", format, rig_formats())

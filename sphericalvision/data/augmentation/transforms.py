@@ -74,6 +74,13 @@ class ToSphere:
     References:
         Komatsu et al., 360 Depth Estimation from Multiple Fisheye Images with Origami Crown Representation of
         Icosahedron, IROS 2020, section III.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.data import make_scene, render_rig
+        >>> rig = ring_rig(3, image_size=(24, 24))
+        >>> ToSphere(3).images(render_rig(make_scene("room"), rig), rig).shape
+        torch.Size([3, 3, 642])
     """
 
     def __init__(self, level: int, depth_level: int | None = None, antialias: bool = False) -> None:
@@ -182,6 +189,12 @@ class RandomShift:
 
     References:
         Komatsu et al., IROS 2020, augmentation for real images.
+
+    Examples:
+        >>> images = {"cam1": torch.rand(3, 8, 8)}
+        >>> shifted = RandomShift(0.5)({"images": images})["images"]["cam1"]
+        >>> shifted.shape, torch.equal(shifted, images["cam1"])
+        (torch.Size([3, 8, 8]), False)
     """
 
     def __init__(self, scale: float = 0.5, generator: torch.Generator | None = None) -> None:
@@ -215,6 +228,12 @@ class ShuffleCameras:
 
     Args:
         generator: source of randomness; torch's global one when not given.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> sample = {"images": torch.rand(3, 3, 42), "seen": torch.ones(3, 42, dtype=torch.bool), "rig": ring_rig(3)}
+        >>> sorted(ShuffleCameras()(sample)["rig"].names)
+        ['cam1', 'cam2', 'cam3']
     """
 
     by_camera = ("images", "seen", "fisheye", "fisheye_seen")

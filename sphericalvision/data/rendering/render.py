@@ -102,6 +102,12 @@ def render_directions(
 
     Returns:
         ``(3, *)`` in [0, 1].
+
+    Examples:
+        >>> from sphericalvision.data import make_scene
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> render_directions(make_scene("room"), torch.zeros(3), Icosphere(2).vertices).shape
+        torch.Size([3, 162])
     """
     check_type("scene", scene, (Scene, MeshScene), "make_scene makes one")
     check_last_dim("directions", directions, 3)
@@ -143,6 +149,14 @@ def render_camera(
 
     Raises:
         ArgumentError: ``samples_per_pixel`` below 1.
+
+    Examples:
+        >>> from sphericalvision.cameras import FisheyeCamera
+        >>> from sphericalvision.data import make_scene
+        >>> camera = FisheyeCamera.from_field_of_view((16, 16), 3.5)
+        >>> picture = render_camera(make_scene("room"), camera, torch.eye(4))
+        >>> picture.shape, picture[:, 0, 0].tolist()  # a corner lies outside the field of view
+        (torch.Size([3, 16, 16]), [0.0, 0.0, 0.0])
     """
     check_type("scene", scene, (Scene, MeshScene), "make_scene makes one")
     check_type("camera", camera, Camera)
@@ -176,7 +190,14 @@ def render_camera(
 def render_rig(
     scene: Scene | MeshScene, rig: CameraRig, samples_per_pixel: int = 1
 ) -> dict[str, Float[Tensor, "3 _ _"]]:
-    """The pictures that all cameras of a rig take: name -> ``(3, h, w)`` in [0, 1]; see `render_camera`."""
+    """The pictures that all cameras of a rig take: name -> ``(3, h, w)`` in [0, 1]; see `render_camera`.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.data import make_scene
+        >>> list(render_rig(make_scene("room"), ring_rig(2, image_size=(16, 16))))
+        ['cam1', 'cam2']
+    """
     check_type("rig", rig, CameraRig, "ring_rig makes one, read_rig reads one")
     check_single(rig)
     poses = zip(rig.cameras.items(), rig.world_from_camera, strict=True)

@@ -86,6 +86,12 @@ class Scene:
         ambient: ``(3,)`` light from everywhere.
         background: ``(2, 3)`` colours above and below the horizon where rays hit nothing.
         exposure: scalar that multiplies all light before it becomes a picture.
+
+    Examples:
+        >>> from sphericalvision.data import make_scene
+        >>> scene = make_scene("room", seed=1)
+        >>> scene.lamps.position.shape[-1], scene.background.shape
+        (3, torch.Size([2, 3]))
     """
 
     primitives: Primitives

@@ -108,6 +108,13 @@ def make_scene(
 
     Raises:
         ArgumentError: unknown kind, scale not positive, or a clear radius outside (0, 1).
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.data import render_rig
+        >>> images = render_rig(make_scene("hall", seed=3), ring_rig(2, image_size=(16, 16)))
+        >>> images["cam1"].shape
+        torch.Size([3, 16, 16])
     """
     check_choice("kind", kind, SCENE_KINDS)
     if not scale > 0:

@@ -27,6 +27,11 @@ def save_weights(net: DepthNetwork, path: str | Path) -> Path:
     Raises:
         ArgumentError: if the file's name does not end in ``.safetensors``, or the network has no name
             (``register_network``) or hyper-parameters that no file can hold.
+
+    Examples:
+        >>> from sphericalvision.models import IcoSweepNet
+        >>> save_weights(IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2), "net.safetensors").name
+        'net.safetensors'
     """
     path = Path(path)
     if path.suffix != ".safetensors":
@@ -44,6 +49,12 @@ def load_weights(path: str | Path) -> DepthNetwork:
     Raises:
         MissingFileError: if there is no such file.
         FileFormatError: if it is no such file, or its weights do not fit its hyper-parameters.
+
+    Examples:
+        >>> from sphericalvision.models import IcoSweepNet
+        >>> path = save_weights(IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2), "net.safetensors")
+        >>> load_weights(path).num_hypotheses
+        4
     """
     path = check_file(path, "weights written by save_weights")
     try:

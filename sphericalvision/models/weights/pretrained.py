@@ -15,7 +15,12 @@ _SHIPPED = Path(__file__).parent / "shipped"
 
 
 def available_weights() -> tuple[str, ...]:
-    """Return the names of the trained networks that ship with the package."""
+    """Return the names of the trained networks that ship with the package.
+
+    Examples:
+        >>> "refinedsweepnet" in available_weights()
+        True
+    """
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.safetensors")))
 
 

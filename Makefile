@@ -21,7 +21,7 @@ LOWEST_TESTS ?= tests/geometry tests/icosphere tests/cameras/test_camera_laws.py
                 tests/sweep tests/losses tests/metrics tests/models/test_network_laws.py tests/models/test_weights.py tests/io \
                 tests/test_misuse.py tests/recipes/test_cli.py
 
-.PHONY: help demo test test-all test-lowest mutants lint format docs notebooks bench dist clean
+.PHONY: help demo test test-all test-lowest mutants audit lint format docs notebooks bench dist clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -45,6 +45,10 @@ test-lowest: ## the core's tests with the lowest versions that pyproject.toml al
 mutants: $(VENV)/.installed-all ## how many changes in the code no test notices (mutmut; [tool.mutmut] says in which files)
 	@$(BIN)/python -m mutmut --version > /dev/null 2>&1 || $(PIP) 'mutmut>=3.3'
 	@OMP_NUM_THREADS=1 $(BIN)/python -m mutmut run $(ARGS); $(BIN)/python -m mutmut results
+
+audit: $(VENV)/.installed-all ## known vulnerabilities of everything that the tests of this release ran with (pip-audit)
+	@$(BIN)/python -m pip_audit --version > /dev/null 2>&1 || $(PIP) pip-audit
+	@$(BIN)/python -m pip_audit --no-deps --disable-pip -r tests/versions.txt $(ARGS)
 
 lint: $(VENV)/.installed-all ## ruff, mypy and the import layers
 	@echo "==> ruff check"   && $(BIN)/ruff check .

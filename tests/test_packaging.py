@@ -12,6 +12,7 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -154,3 +155,17 @@ def test_mypy_refuses_an_untyped_function(tmp_path: Path) -> None:
     result = run(sys.executable, "-m", "mypy", "--config-file", ROOT / "pyproject.toml", module, cwd=tmp_path)
     assert result.returncode == 1, result.stdout + result.stderr
     assert "missing a type annotation" in result.stdout
+
+
+def test_versions_to_be_audited_are_those_of_every_dependency() -> None:
+    lines = (ROOT / "tests/versions.txt").read_text().splitlines()
+    versions = dict(line.lower().replace("_", "-").split("==") for line in lines if not line.startswith("#"))
+    project = PYPROJECT["project"]
+    asked = [
+        Requirement(text) for text in project["dependencies"] + project["optional-dependencies"]["recipes"]
+    ]
+    assert len(asked) > 10
+    for requirement in asked:
+        name = requirement.name.lower().replace("_", "-")
+        if name != project["name"]:
+            assert requirement.specifier.contains(versions[name]), requirement

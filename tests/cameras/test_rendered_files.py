@@ -125,6 +125,10 @@ def test_blender_sensor_fits_the_side_that_it_is_told(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"fisheye_polynomial_k0": 0.01}, "fisheye_polynomial_k0: expected 0, as the axis is in the middle"),
+        (
+            {"fisheye_polynomial_k1": -1e100},
+            "fisheye_polynomial_k1: expected radians a millimetre, got -1e.100",
+        ),
         ({"fisheye_polynomial_k1": 0.06}, r"fisheye_polynomial_k1 \(negative\): expected positive"),
         ({"panorama_type": "MIRRORBALL"}, "panorama_type: expected FISHEYE_EQUIDISTANT or"),
         ({"shift_x": 0.1}, "shift_x and shift_y: expected 0 of a panoramic camera"),

@@ -127,7 +127,12 @@ def _camera(values: Any, where: str, options: Options) -> Camera:
                 f"{where}, fisheye_polynomial_k0: expected 0, as the axis is in the middle, got {-k0:g}, which is "
                 f"{abs(k0 / k1) * scale:.2g} pixels"
             )
-        distortion = [value / k1**power for power, value in enumerate(more, start=2)]
+        try:
+            distortion = [value / k1**power for power, value in enumerate(more, start=2)]
+        except (OverflowError, ZeroDivisionError) as error:
+            raise FileFormatError(
+                f"{where}, fisheye_polynomial_k1: expected radians a millimetre, got {-k1:g}, whose powers overflow"
+            ) from error
         lens = AnglePolynomialCamera(focal, center, distortion, size)
         return lens.with_max_angle(min(view / 2, float(lens.max_angle)))
 

@@ -7,6 +7,7 @@ expect, so ``except ValueError`` and ``except SphericalVisionError`` both work.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -52,14 +53,18 @@ class FileFormatError(SphericalVisionError, ValueError):
     """
 
     def __init__(self, message: str = "") -> None:
-        longest = 2000
-        if len(message) > longest:
-            message = f"{message[: longest - 500]} ... {message[-495:]}"
-        super().__init__(message)
+        super().__init__(_without_middle(message))
 
 
 class MissingFileError(SphericalVisionError, FileNotFoundError):
-    """A file or folder is missing; the message names it and says what was expected there."""
+    """A file or folder is missing; the message names it, without the middle of a long name, and what was expected."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(_without_middle(message))
+
+
+def _without_middle(message: str, longest: int = 2000) -> str:
+    return message if len(message) <= longest else f"{message[: longest - 500]} ... {message[-495:]}"
 
 
 class MissingCompilerError(SphericalVisionError, RuntimeError):
@@ -189,9 +194,11 @@ def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
 def check_file(path: str | Path, what: str) -> Path:
     """Return ``path`` as a ``Path`` or raise ``MissingFileError`` saying what was expected there."""
     path = Path(path)
-    if not path.is_file():
-        folder = path.parent.resolve()
-        near = f"looked in {folder}" if folder.exists() else f"the folder {folder} does not exist either"
+    if not os.path.isfile(path):  # False, too, for names that no file can have, where pathlib raises
+        folder = path.parent.absolute()
+        near = (
+            f"looked in {folder}" if os.path.exists(folder) else f"the folder {folder} does not exist either"
+        )
         raise MissingFileError(f"{path}: no such file ({what} expected; {near})")
     return path
 

@@ -16,7 +16,7 @@ import torch
 import yaml
 from safetensors.torch import save_file
 
-from sphericalvision.core import MissingFileError
+from sphericalvision.core import MissingFileError, check_file
 from sphericalvision.io.files import atomic_write, list_folder, part_of_name, write_bytes, write_yaml
 from sphericalvision.io.images import write_image, write_mask, write_pages
 
@@ -150,3 +150,10 @@ def test_names_from_elsewhere_lead_nowhere(name: str, tmp_path: Path) -> None:
 def test_plain_names_stay_and_others_stay_apart() -> None:
     assert part_of_name("cam-1_left.x") == "cam-1_left.x"
     assert part_of_name("a/b") != part_of_name("a_b") != part_of_name("a b")
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "nul" + chr(0)])
+def test_names_that_no_file_can_have_are_missing_files(name: str, tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match="a rig expected") as told:
+        check_file(tmp_path / name, "a rig")
+    assert len(str(told.value)) <= 2000

@@ -104,14 +104,16 @@ def described(value: Any) -> str:
     return repr(value)
 
 
-def looks(value: Any) -> Any:
-    """All that a check looks at of a value: of tensors kind and shape, of others what they are."""
+def looks(value: Any, deepest: int = 6) -> Any:
+    """All that a check looks at of a value: of tensors kind and shape, of others what they are.
+
+    Lists of damaged files may hold themselves, so there is an end to it.
+    """
     if isinstance(value, Tensor):
         return value.dtype, value.shape
-    if isinstance(value, tuple | list):
-        return type(value), *map(looks, value)
-    if isinstance(value, Mapping):
-        return type(value), *map(looks, value.values())
+    if deepest and isinstance(value, tuple | list | Mapping):
+        parts = value.values() if isinstance(value, Mapping) else value
+        return type(value), *(looks(part, deepest - 1) for part in parts)
     return type(value)
 
 

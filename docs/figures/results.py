@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the network that ships makes of a scene: images, depth, confidence, points, and one "
-"vertex's probabilities."""
+"""What the network that ships makes of a scene: images, depth, confidence, points and failures."""
 
 from __future__ import annotations
 

@@ -73,8 +73,11 @@ bench: $(VENV)/.installed-recipes ## measure speed; ARGS="groups=[cameras]" for 
 notebooks: $(VENV)/.installed-all ## the tutorials as Jupyter notebooks, in notebooks/
 	@$(BIN)/python docs/notebooks.py notebooks
 
-dist: $(VENV)/.installed-all ## build sdist and wheel into dist/, and run the demo from the wheel in an empty environment
-	@rm -rf dist build/dist && $(BIN)/python -m build --no-isolation --outdir dist . > build-dist.log 2>&1 || { cat build-dist.log; exit 1; }
+# Links of the README lead to the repository URL, at the tag of the version; without URL they are left out.
+URL ?=
+dist: $(VENV)/.installed-all ## build sdist and wheel into dist/, and run the demo from the wheel; URL= of the repository
+	@rm -rf dist build/dist && $(BIN)/python docs/release.py build/source $(URL)
+	@$(BIN)/python -m build --no-isolation --outdir dist build/source > build-dist.log 2>&1 || { cat build-dist.log; exit 1; }
 	@rm -f build-dist.log && ls -lh dist
 	@echo "==> an empty environment" && $(PYTHON) -m venv build/dist
 	@set -o pipefail; PYTHONUNBUFFERED=1 build/dist/bin/python -m pip install --no-compile --progress-bar off -c constraints.txt \

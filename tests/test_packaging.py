@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -111,6 +112,13 @@ def test_declared_packages_are_the_folders_on_disk() -> None:
     assert set(PYPROJECT["tool"]["setuptools"]["packages"]) == on_disk
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/recipes/index.md"])
+def test_pages_name_every_console_script(page: str) -> None:
+    text = (ROOT / page).read_text()
+    missing = [name for name in PYPROJECT["project"]["scripts"] if f"{name} " not in text]
+    assert not missing
+
+
 @pytest.mark.parametrize("script", sorted(PYPROJECT["project"]["scripts"]))
 def test_console_scripts_are_installed_and_loadable(script: str) -> None:
     (entry,) = metadata.entry_points(group="console_scripts", name=script)
@@ -122,6 +130,28 @@ def test_version_is_said_once_everywhere() -> None:
 
     assert sphericalvision.__version__ == PYPROJECT["project"]["version"]
     assert f"version: {sphericalvision.__version__}" in (ROOT / "CITATION.cff").read_text()
+
+
+@pytest.mark.parametrize("url", [None, "https://example.org/me/it"])
+def test_readme_of_a_release_has_no_relative_link(monkeypatch: pytest.MonkeyPatch, url: str | None) -> None:
+    """An index has none of the files that README links to; with a URL they are found in that repository."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    from release import readme_for_index, with_urls
+
+    text = readme_for_index((ROOT / "README.md").read_text(), "1.2", url)
+    targets = re.findall(r"\]\(([^)\s]+)\)", text)
+    assert all(target.startswith("https://") for target in targets), targets
+    if url is None:
+        assert "![" not in text
+        assert "Above:" not in text
+        assert "follows one page of conventions." in text
+        return
+    inside = [re.split(r"/(?:raw|blob)/v1\.2/", target)[1] for target in targets if target.startswith(url)]
+    assert len(inside) > 5
+    assert all((ROOT / path).exists() for path in inside), inside
+    urls = tomllib.loads(with_urls((ROOT / "pyproject.toml").read_text(), "1.2", url))["project"]["urls"]
+    assert urls["Source"] == url
+    assert urls["Paper"]
 
 
 def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:

@@ -31,25 +31,66 @@ __all__ = [
 
 
 class SphericalVisionError(Exception):
-    """Base of every error raised on purpose by this package."""
+    """Base of every error raised on purpose by this package.
+
+    Examples:
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> try:
+        ...     Icosphere(level=-1)
+        ... except SphericalVisionError as error:
+        ...     print(error)
+        level: expected an integer from 0 (icosahedron) to 10 (ten million vertices), got -1
+    """
 
 
 class ArgumentError(SphericalVisionError, ValueError):
-    """An argument has a value that makes no sense; the message names it and the accepted values."""
+    """An argument has a value that makes no sense; the message names it and the accepted values.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> ring_rig(4, radius=-1)
+        Traceback (most recent call last):
+        sphericalvision.core.ArgumentError: radius: expected metres above 0, got -1
+        >>> issubclass(ArgumentError, ValueError)
+        True
+    """
 
 
 class ArgumentTypeError(ArgumentError, TypeError):
-    """An argument is of another type than the docstring asks for; the message says which, and what makes one."""
+    """An argument is of another type than the docstring asks for; the message says which, and what makes one.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.data import make_scene, render_rig
+        >>> render_rig(make_scene("room"), "rig.yaml")
+        Traceback (most recent call last):
+        sphericalvision.core.ArgumentTypeError: rig: expected a CameraRig, got 'rig.yaml'; ring_rig makes one, read_rig
+        reads one
+    """
 
 
 class ShapeError(SphericalVisionError, ValueError):
-    """A tensor has another shape than the docstring asks for."""
+    """A tensor has another shape than the docstring asks for; the message says both.
+
+    Examples:
+        >>> from sphericalvision.icosphere import Icosphere
+        >>> Icosphere(level=1).sample(torch.zeros(3, 40), torch.eye(3))
+        Traceback (most recent call last):
+        sphericalvision.core.ShapeError: values: expected shape (*b, c, 42) for an icosphere of level 1, got (3, 40)
+    """
 
 
 class FileFormatError(SphericalVisionError, ValueError):
     """A file exists but does not hold what its format promises; the message names file and line or key.
 
-    Of a message that quotes endless words of a damaged file, the middle is left out.
+    If a message quotes very long content of a damaged file, its middle is left out.
+
+    Examples:
+        >>> from sphericalvision.cameras import read_cameras
+        >>> _ = Path("notes.yaml").write_text("lens: new")
+        >>> read_cameras("notes.yaml")
+        Traceback (most recent call last):
+        sphericalvision.core.FileFormatError: notes.yaml: not a calibration; known are ...
     """
 
     def __init__(self, message: str = "") -> None:
@@ -57,7 +98,16 @@ class FileFormatError(SphericalVisionError, ValueError):
 
 
 class MissingFileError(SphericalVisionError, FileNotFoundError):
-    """A file or folder is missing; the message names it, without the middle of a long name, and what was expected."""
+    """A file or folder is missing; the message names it, without the middle of a long name, and what was expected.
+
+    Examples:
+        >>> from sphericalvision.cameras import read_rig
+        >>> read_rig("nowhere.yaml")
+        Traceback (most recent call last):
+        sphericalvision.core.MissingFileError: nowhere.yaml: no such file or folder (a calibration was expected; ...)
+        >>> issubclass(MissingFileError, FileNotFoundError)
+        True
+    """
 
     def __init__(self, message: str = "") -> None:
         super().__init__(_without_middle(message))
@@ -68,7 +118,12 @@ def _without_middle(message: str, longest: int = 2000) -> str:
 
 
 class MissingCompilerError(SphericalVisionError, RuntimeError):
-    """What is to be compiled on this machine could not be; the message says what is needed."""
+    """Code could not be compiled on this machine; the message says what is needed.
+
+    Examples:
+        >>> issubclass(MissingCompilerError, RuntimeError)
+        True
+    """
 
 
 def short_repr(value: Any) -> str:

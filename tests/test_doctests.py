@@ -17,9 +17,20 @@ FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 MODULES = sorted(info.name for info in pkgutil.walk_packages(sphericalvision.__path__, "sphericalvision."))
 
 
+REGISTRIES = (
+    ("sphericalvision.cameras.registry", "_MODELS"),
+    ("sphericalvision.models.weights.registry", "_NETWORKS"),
+    ("sphericalvision.sweep.aggregation", "_AGGREGATIONS"),
+)
+"""Examples add to copies of these: other tests look at all that is registered."""
+
+
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_of_module(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     torch.manual_seed(0)
+    for module, registry in REGISTRIES:
+        known = getattr(importlib.import_module(module), registry)
+        monkeypatch.setattr(f"{module}.{registry}", dict(known))
     result = doctest.testmod(importlib.import_module(name), optionflags=FLAGS)
     assert result.failed == 0, f"{result.failed} of {result.attempted} examples of {name} fail; see above"

@@ -7,6 +7,7 @@ the list is changed by hand or with `python tests/test_public_api.py > tests/pub
 
 from __future__ import annotations
 
+import doctest
 import importlib
 import inspect
 from pathlib import Path
@@ -183,6 +184,23 @@ def test_every_public_name_exists_and_says_what_it_is(package: str) -> None:
         found = getattr(module, name)
         if inspect.isclass(found) or inspect.isfunction(found):
             assert inspect.getdoc(found), f"{package}.{name} has no docstring"
+
+
+NO_EXAMPLE: dict[str, str] = {}
+"""Names without an example, and why; empty is best."""
+
+
+def test_every_public_name_has_an_example_that_prints() -> None:
+    """Classes and functions show what they return; ``tests/test_doctests.py`` runs the examples."""
+    parser, silent = doctest.DocTestParser(), []
+    for line in public_names():
+        package, name = line.split(": ")
+        found = getattr(importlib.import_module(package), name)
+        if not (inspect.isclass(found) or inspect.isfunction(found)):
+            continue
+        if not any(example.want for example in parser.get_examples(found.__doc__ or "")):
+            silent.append(f"{package}.{name}")
+    assert silent == sorted(NO_EXAMPLE), "give each an example in its docstring, or a reason in NO_EXAMPLE"
 
 
 @pytest.mark.parametrize("dotted", sorted(SIGNATURES))

@@ -31,20 +31,27 @@ _ROUNDS = 12
 
 
 class RayMatches(NamedTuple):
-    """Pairs of rays to what seems to be the same thing, each in its own camera's frame, whatever the poses are."""
+    """Pairs of rays of two cameras to what seems to be the same point, each in the frame of its own camera.
+
+    Examples:
+        >>> ray = torch.tensor([[0.0, 0.0, 1.0]])
+        >>> one = RayMatches(torch.tensor([0]), torch.tensor([1]), ray, ray)  # straight ahead in both cameras
+        >>> RayMatches.joined([one, one]).first_rays.shape
+        torch.Size([2, 3])
+    """
 
     first: Int[Tensor, " m"]
-    """Place of one camera in the rig."""
+    """Index of the first camera in the rig."""
     second: Int[Tensor, " m"]
-    """Place of the other."""
+    """Index of the second camera."""
     first_rays: Float[Tensor, "m 3"]
-    """Unit vectors in the frame of the one."""
+    """Unit vectors in the frame of the first camera."""
     second_rays: Float[Tensor, "m 3"]
-    """Unit vectors in the frame of the other."""
+    """Unit vectors in the frame of the second camera."""
 
     @staticmethod
     def joined(parts: Sequence[RayMatches]) -> RayMatches:
-        """Those of several frames together."""
+        """The matches of several frames together."""
         return RayMatches(*(torch.cat(same) for same in zip(*parts, strict=True)))
 
 

@@ -175,6 +175,16 @@ def register_aggregation(name: str, aggregation: type[Aggregation]) -> None:
 
     Raises:
         ArgumentError: if the name belongs to another class.
+
+    Examples:
+        >>> class FirstCamera(Aggregation):
+        ...     def __init__(self, channels):
+        ...         super().__init__(out_channels=channels)
+        ...     def forward(self, volume):
+        ...         return volume.values[:, 0]
+        >>> register_aggregation("first-camera", FirstCamera)
+        >>> named_aggregation("first-camera", channels=8, num_cameras=4)
+        FirstCamera(out_channels=8)
     """
     known = _AGGREGATIONS.get(name, aggregation)
     if (known.__module__, known.__qualname__) != (aggregation.__module__, aggregation.__qualname__):

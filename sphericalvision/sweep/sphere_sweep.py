@@ -59,6 +59,12 @@ def sphere_sweep(
 
     Raises:
         ShapeError: if features, tables and ``seen`` do not fit.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> tables = SphereSweep(level=2, num_hypotheses=8, min_depth=0.5).tables(ring_rig(2, radius=0.1))
+        >>> sphere_sweep(torch.ones(1, 2, 5, 162), tables).values.shape
+        torch.Size([1, 2, 5, 8, 162])
     """
     values = _look_up(features, tables)
     points_seen = tables.seen if seen is None else _points_seen(_batched(seen, features), tables)

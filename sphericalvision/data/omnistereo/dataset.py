@@ -76,6 +76,19 @@ class OmniStereoDataset(Dataset[Sample]):
 
     References:
         Won et al., SweepNet, ICRA 2019 and OmniMVS, ICCV 2019; http://cvlab.hanyang.ac.kr/project/omnistereo
+
+    Examples:
+        >>> import torch
+        >>> from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
+        >>> from sphericalvision.data import make_scene, render_rig, write_omnistereo
+        >>> rig = CameraRig([EquirectangularCamera((8, 16))] * 2, ring_rig(2).world_from_camera)
+        >>> images = render_rig(make_scene("room"), rig)
+        >>> frame = {"frame": 1, "images": images, "inverse_depth": torch.ones(16, 32)}
+        >>> write_omnistereo("mine", [frame], rig, release="tiff")  # stands for a set on your disk
+        ['00001']
+        >>> data = OmniStereoDataset("mine", split="all")
+        >>> data[0]["frame"], data[0]["images"]["cam1"].shape, data[0]["inverse_depth"].shape
+        ('00001', torch.Size([3, 8, 16]), torch.Size([16, 32]))
     """
 
     def __init__(

@@ -66,6 +66,17 @@ def write_omnistereo(
             rig or is no number, or the PNG release cannot hold the cameras.
         FileFormatError: ``min_depth`` and the rig are a mixture of the published scales, which no reader
             may accept.
+
+    Examples:
+        >>> from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
+        >>> from sphericalvision.data import make_scene, render_rig
+        >>> rig = CameraRig([EquirectangularCamera((8, 16))] * 2, ring_rig(2).world_from_camera)
+        >>> images = render_rig(make_scene("room"), rig)
+        >>> frame = {"frame": 1, "images": images, "inverse_depth": torch.ones(16, 32)}
+        >>> write_omnistereo("written", [frame], rig, release="tiff")
+        ['00001']
+        >>> sorted(path.name for path in Path("written").iterdir())
+        ['cam1', 'cam2', 'config.yaml', 'omnidepth_gt_640']
     """
     check_choice("release", release, tuple(RELEASES))
     root, layout = Path(root), RELEASES[release]

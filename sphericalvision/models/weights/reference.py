@@ -62,6 +62,11 @@ def load_reference_checkpoint(
         MissingFileError: if there is no such file.
         FileFormatError: if an entry is missing, foreign or of another size than the network's; the message
             names it.
+
+    Examples:
+        >>> net = load_reference_checkpoint("icosweepnet.pth")  # doctest: +SKIP
+        >>> net.level, net.num_hypotheses, net.min_depth  # doctest: +SKIP
+        (7, 32, 0.55)
     """
     path = check_file(path, "a checkpoint with state_dict, ndisp, min_depth and level")
     try:
@@ -120,6 +125,10 @@ def state_dict_from_reference(
 
     Raises:
         FileFormatError: if a name does not belong to the authors' network.
+
+    Examples:
+        >>> list(state_dict_from_reference({"module.feature_extraction.conv1.bn.weight": torch.ones(32)}))
+        ['features.entry.norm.weight']
     """
     state = {}
     for key, tensor in state_dict.items():

@@ -40,6 +40,15 @@ def register_network(name: str, network: type[DepthNetwork]) -> None:
 
     Raises:
         ArgumentError: if the class is no ``DepthNetwork``, or the name belongs to another one.
+
+    Examples:
+        >>> from sphericalvision.models import load_weights, save_weights
+        >>> class Mine(IcoSweepNet):
+        ...     "Changes what you like."
+        >>> register_network("mine", Mine)
+        >>> _ = save_weights(Mine(level=2, num_hypotheses=4, feature_channels=2), "mine.safetensors")
+        >>> type(load_weights("mine.safetensors")).__name__
+        'Mine'
     """
     if not (isinstance(network, type) and issubclass(network, DepthNetwork)):
         raise ArgumentError(

@@ -6,8 +6,7 @@
 ``layout``                crowns by slices
 ``planar``                2D convolutions that keep no borders for the backward pass
 ``winograd``              3D convolutions with a third of the multiplications, upon ``winograd_rows``
-``hex_native``            2D and 3D convolutions without the zeros of a 3 x 3 kernel, by operators in C++ (``native``)
-``winograd_cubes``        with an eighth of them, by operators in C++ (``native``)
+``hex_native``            2D and 3D convolutions with a third to a seventh of them, by operators in C++ (``native``)
 ``chain``, ``block``      two layers from vertices to vertices, for inference and for training, by ``rectangles``
 ``block_parts``           what both passes of ``block`` share
 ``norms``                 normalisation folded into a convolution, or rectified in place

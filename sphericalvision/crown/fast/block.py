@@ -20,23 +20,15 @@ from torch import Tensor
 from sphericalvision.crown.fast.block_parts import (
     BlockPlaces,
     MomentSums,
-    WeightGradient,
-    convolve_group,
-    forward_kernels,
+    NativeConvolution,
+    TorchConvolution,
     norm_factors,
     stack_samples,
-    transformed_weight,
 )
 from sphericalvision.crown.fast.double_backward import reference_gradients
+from sphericalvision.crown.fast.hex_native import hex_convolution_pays
 from sphericalvision.crown.fast.layout import places_per_vertex
 from sphericalvision.crown.fast.rectangles import PlaceSum
-from sphericalvision.crown.fast.winograd import (
-    adjoint_kernels,
-    convolve_padded_backward,
-    unpadded,
-)
-from sphericalvision.crown.fast.winograd_cubes import cubes_pay
-from sphericalvision.crown.fast.workspace import workspace
 from sphericalvision.crown.places import places_per_vertex as plain_places_per_vertex
 from sphericalvision.crown.places import sum_over_places, values_at_places
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve
@@ -83,7 +75,7 @@ def convolve_block(
         values: ``(B, in, N, V)``.
         first: from in to hidden channels.
         second: from hidden to out channels; it may be without normalisation.
-        native: whether the forward pass uses operators in C++.
+        native: whether to use operators in C++ where they can.
 
     Returns:
         ``(B, out, N, V)`` and the statistics of the normalisations, for running averages.
@@ -164,30 +156,27 @@ class _Block(torch.autograd.Function):
         eps2: float,
         native: bool,
     ) -> tuple[Tensor, ...]:
-        geometry, buffers = BlockPlaces(volumes), workspace()
+        native = native and hex_convolution_pays(volumes, weight1, stride=1)
+        convolution = NativeConvolution if native else TorchConvolution
+        geometry = BlockPlaces(volumes, native)
         hidden, out = len(weight1), len(weight2)
         conv1, conv2 = geometry.outputs(hidden), geometry.outputs(out)
-        native = native and cubes_pay(volumes, geometry.n)
 
         # First round: convolve, and count the statistics of the first normalisation.
-        moments, kernels = MomentSums(), forward_kernels(weight1, native)
-        padded = geometry.padded(volumes.shape[-1])
+        moments, convolve_first = MomentSums(), convolution(weight1, geometry)
         for place, group, sample in geometry:
-            given = geometry.take(sample, group, padded)
             result = geometry.view(conv1[place], group)
-            convolve_group(given, kernels[group.is_row], result, buffers)
+            convolve_first(convolve_first.take(sample, group), group, result)
             moments.add(result[:, : geometry.count])
         mean1, variance1 = moments.total()
         to_norm1 = norm_factors(mean1, (variance1 + eps1).rsqrt(), scale1, shift1)
 
         # Second round: normalise and rectify on the way into the second convolution; sum results by vertex.
-        moments, kernels = MomentSums(), forward_kernels(weight2, native)
-        padded = geometry.padded(hidden)
+        moments, convolve_second = MomentSums(), convolution(weight2, geometry)
         sums = [PlaceSum(sample.new_empty(*sample.shape[:2], out), geometry.n) for sample in volumes]
         for place, group, _ in geometry:
-            given = geometry.rectified(conv1[place], group, to_norm1, padded)
             result = geometry.view(conv2[place], group)
-            convolve_group(given, kernels[group.is_row], result, buffers)
+            convolve_second(convolve_second.rectified(conv1[place], group, to_norm1), group, result)
             result = result[:, : geometry.count]
             sums[place // len(geometry.crown)].add(result, group)
             if scale2 is not None:
@@ -204,7 +193,7 @@ class _Block(torch.autograd.Function):
             factor, offset = norm_factors(mean2, (variance2 + eps2).rsqrt(), scale2, shift2)
             answer = torch.addcmul(offset, answer, factor)
         ctx.save_for_backward(*kept)
-        ctx.eps = eps1, eps2
+        ctx.eps, ctx.native = (eps1, eps2), native
         ctx.mark_non_differentiable(*statistics)
         return answer, *statistics
 
@@ -218,7 +207,8 @@ class _Block(torch.autograd.Function):
             found = reference_gradients(_plain_block(*ctx.eps), inputs, needed, gradient)
             return *found[:4], None, *found[4:], None, None
         invert1 = (variance1 + ctx.eps[0]).rsqrt()
-        geometry, buffers = BlockPlaces(volumes, slack=True), workspace()
+        geometry = BlockPlaces(volumes, ctx.native, backward=True)
+        convolution = NativeConvolution if ctx.native else TorchConvolution
         # The adjoint of the mean over places: each place gets its share of the gradient of its vertex.
         by_vertex = gradient * places_per_vertex(geometry.n, gradient).reciprocal_()[:, None]
 
@@ -240,67 +230,44 @@ class _Block(torch.autograd.Function):
         # Second convolution and ReLU: what the convolution was given is normalised and rectified once more from what
         # was kept, needed for the gradient of the weight and to tell where the ReLU was open.
         to_norm1 = norm_factors(mean1, invert1, scale1, shift1)
-        kernels, grad_weight = transformed_weight(weight2, adjoint_kernels), WeightGradient(weight2)
-        padded, grad_padded = geometry.padded(len(weight1)), geometry.padded(len(weight1), slack=False)
-        upstreams = geometry.outputs_with_zeros(len(weight2))
+        second = convolution(weight2, geometry, backward=True)
         grad_norm1 = torch.empty_like(conv1)
         grad_scale1, grad_shift1 = torch.zeros_like(mean1), torch.zeros_like(mean1)
         for place, group, sample in geometry.over(by_vertex):
-            given = geometry.rectified(conv1[place], group, to_norm1, padded)
-            upstream = geometry.zero_bordered(upstreams, group)
-            inner = upstream[:, : geometry.count, 2:-2, 2:-2]
-            inner.copy_(geometry.take_inner(sample, group))
+            given = second.rectified(conv1[place], group, to_norm1)
+            upstream = second.upstream(group).copy_(geometry.take_inner(sample, group))
             if conv2 is not None and by_input2 is not None:
-                inner.addcmul_(geometry.view(conv2[place], group)[:, : geometry.count], by_input2)
-            grad_given = geometry.without_slack(grad_padded, group).zero_()
-            convolve_padded_backward(
-                upstream,
-                given,
-                kernels[group.is_row],
-                grad_given,
-                grad_weight.sums[group.is_row],
-                buffers,
-                grad_weight.taps[group.is_row],
-            )
+                upstream.addcmul_(geometry.view(conv2[place], group)[:, : geometry.count], by_input2)
             normed_gradient = geometry.view(grad_norm1[place], group)[:, : geometry.count]
-            positive = given[:, 1 : geometry.count + 1, 1:-3, 1:-3] > 0
-            torch.mul(unpadded(grad_given, geometry.count), positive, out=normed_gradient)
+            grad_given = second.gradients(given, group)
+            assert grad_given is not None
+            torch.mul(grad_given, second.inner(given) > 0, out=normed_gradient)
             # The two sums that the gradient of the first normalisation needs are counted on the way.
             grad_shift1 += normed_gradient.sum((0, 1, 2, 3))
             centered = geometry.view(conv1[place], group)[:, : geometry.count] - mean1
             grad_scale1 += centered.mul_(normed_gradient).sum((0, 1, 2, 3))
         grad_scale1 *= invert1
-        grad_weight2 = grad_weight.total()
+        grad_weight2 = second.weight_gradient()
 
         # First normalisation, on the way into the first convolution, whose gradient is summed by vertex.
         by_input1, constant = geometry.norm_gradient(mean1, invert1, scale1, grad_scale1, grad_shift1)
-        kernels, grad_weight = transformed_weight(weight1, adjoint_kernels), WeightGradient(weight1)
-        padded = geometry.padded(volumes.shape[-1])
+        first = convolution(weight1, geometry, backward=True)
         wanted = ctx.needs_input_grad[0]
-        grad_padded = geometry.padded(volumes.shape[-1], slack=False) if wanted else padded
-        upstreams = geometry.outputs_with_zeros(len(weight1))
         sums = [PlaceSum(torch.empty_like(sample), geometry.n) for sample in volumes] if wanted else []
         for place, group, sample in geometry:
-            given = geometry.take(sample, group, padded)
-            upstream = geometry.zero_bordered(upstreams, group)
-            inner = upstream[:, : geometry.count, 2:-2, 2:-2]
             normed_gradient, output = (
                 geometry.view(both[place], group)[:, : geometry.count] for both in (grad_norm1, conv1)
             )
-            torch.addcmul(constant, normed_gradient, scale1 * invert1, out=inner)
-            inner.addcmul_(output, by_input1)
-            target = geometry.without_slack(grad_padded, group).zero_() if wanted else None
-            convolve_padded_backward(
-                upstream,
-                given,
-                kernels[group.is_row],
-                target,
-                grad_weight.sums[group.is_row],
-                buffers,
-                grad_weight.taps[group.is_row],
-            )
-            if target is not None:
-                sums[place // len(geometry.crown)].add(unpadded(target, geometry.count), group)
+            upstream = first.upstream(group)
+            torch.addcmul(constant, normed_gradient, scale1 * invert1, out=upstream)
+            upstream.addcmul_(output, by_input1)
+            grad_given = first.gradients(first.take(sample, group), group, wanted)
+            if grad_given is not None:
+                sums[place // len(geometry.crown)].add(grad_given, group)
         grad_volumes = stack_samples([total.total() for total in sums]) if wanted else None
-        first = grad_weight.total(), grad_scale1, grad_shift1, None
-        return grad_volumes, *first, grad_weight2, grad_scale2, grad_shift2, None, None
+        return (
+            grad_volumes,
+            *(first.weight_gradient(), grad_scale1, grad_shift1, None),
+            *(grad_weight2, grad_scale2, grad_shift2, None),
+            None,
+        )

@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from sphericalvision.crown.fast.hex_native import convolve_rectangles, hex_convolution_pays, hex_factors
 from sphericalvision.crown.fast.rectangles import PlaceSum, Rectangles
 from sphericalvision.crown.fast.winograd import (
     convolve_padded,
@@ -20,7 +21,6 @@ from sphericalvision.crown.fast.winograd import (
     transformed_kernels,
     winograd_pays,
 )
-from sphericalvision.crown.fast.winograd_cubes import convolve_cubes, cube_kernel, cubes_pay
 from sphericalvision.crown.fast.workspace import Workspace, workspace
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, neighbor_taps, planar_kernel
 from sphericalvision.icosphere import level_from_num_vertices
@@ -45,8 +45,7 @@ def convolve_chain(
     Args:
         values: ``(B, in, N, V)``.
         layers: weight ``(out, in, 21)`` and bias ``(out,)`` or None of each convolution.
-        native: whether to use operators in C++ where they are faster, which is in single precision on a CPU; they are
-            compiled when they are first used on a machine.
+        native: whether to use operators in C++ where they can; they are compiled when they are first used on a machine.
 
     Returns:
         ``(B, out, N, V)``.
@@ -59,22 +58,41 @@ def convolve_chain(
     level = level_from_num_vertices(values.shape[-1])
     given = values.movedim(1, -1)
     result = values.new_empty(*given.shape[:3], len(layers[-1][0]))
+    chain = _native_chain if native and hex_convolution_pays(given, layers[0][0], stride=1) else _chain
     for sample, result_sample in zip(given, result, strict=True):
-        _chain(sample, level, layers, native, workspace(), result_sample)
+        chain(sample, level, layers, workspace(), result_sample)
     return result.movedim(-1, 1)
 
 
-def _chain(
-    sample: Tensor, level: int, layers: Sequence[Layer], native: bool, workspace: Workspace, result: Tensor
+def _native_chain(
+    sample: Tensor, level: int, layers: Sequence[Layer], workspace: Workspace, result: Tensor
 ) -> None:
+    """Values ``(N, V, in)`` to the result ``(N, V, out)`` by operators in C++, which need no borders and rectify."""
+    count, _, channels = sample.shape
+    made_ready = [
+        [(hex_factors(weight, taps), bias) for weight, bias in layers] for taps in (COL_TAPS, ROW_TAPS)
+    ]
+    crown = Rectangles(sample, level, count)
+    places = PlaceSum(result, crown.n)
+    flat = sample.reshape(-1, channels)
+    given = workspace.take("given", (crown.size, channels), sample)
+    for group in crown:
+        ids = group.places[:, 1:-1, 1:-1, 1:-1]
+        torch.index_select(flat, 0, ids.flatten(), out=given)
+        values = given.view(*ids.shape, channels)
+        for k, (factors, bias) in enumerate(made_ready[group.is_row], 1):
+            made = workspace.take(f"layer {k}", (*ids.shape, len(layers[k - 1][0])), sample)
+            convolve_rectangles(values, factors, bias, made, rectify=k < len(layers))
+            values = made
+        places.add(values, group)
+    places.mean()
+
+
+def _chain(sample: Tensor, level: int, layers: Sequence[Layer], workspace: Workspace, result: Tensor) -> None:
     """Values ``(N, V, in)`` to the result ``(N, V, out)``."""
     count, _, channels = sample.shape
     convolutions = [
-        [
-            _Convolution(weight, bias, taps, sample, native and cubes_pay(sample, 2**level))
-            for weight, bias in layers
-        ]
-        for taps in (COL_TAPS, ROW_TAPS)
+        [_Convolution(weight, bias, taps, sample) for weight, bias in layers] for taps in (COL_TAPS, ROW_TAPS)
     ]
     full = count + (-count % 4 if any(c.winograd for c in convolutions[0]) else 0)
     by_five = any(c.slow_alone((full + 2) * (2**level + 3)) for c in convolutions[0])
@@ -106,23 +124,12 @@ def _chain(
 class _Convolution:
     """One layer, made ready for rectangles of one direction."""
 
-    def __init__(
-        self,
-        weight: Tensor,
-        bias: Tensor | None,
-        taps: Taps,
-        sample: Tensor,
-        native: bool,
-    ) -> None:
+    def __init__(self, weight: Tensor, bias: Tensor | None, taps: Taps, sample: Tensor) -> None:
         self.kernel, self.bias = planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias
         out_channels, in_channels, _ = weight.shape
-        self.winograd = winograd_pays(
-            sample.movedim(-1, 0)[None], sample.shape[1], in_channels, out_channels, native
-        )
-        self.cubes = cube_kernel(self.kernel, neighbor_taps(taps)) if self.winograd and native else None
-        self.kernels = (
-            transformed_kernels(self.kernel, neighbor_taps(taps)) if self.winograd and not native else []
-        )
+        volumes = sample.movedim(-1, 0)[None]
+        self.winograd = winograd_pays(volumes, sample.shape[1], in_channels, out_channels)
+        self.kernels = transformed_kernels(self.kernel, neighbor_taps(taps)) if self.winograd else []
 
     def slow_alone(self, places: int) -> bool:
         """Whether torch is slow at a single volume of so many hypotheses x rows."""
@@ -131,9 +138,6 @@ class _Convolution:
 
     def __call__(self, padded: Tensor, result: Tensor, workspace: Workspace, rectify: bool = False) -> None:
         """Convolve ``(g, N + 2, h + 2, w + 2, C)`` into ``(g, N, h, w, O)``."""
-        if self.cubes is not None:
-            convolve_cubes(padded, self.cubes, self.bias, result, workspace, rectify, native=True)
-            return
         if self.winograd:
             convolve_padded(padded, self.kernels, self.bias, result, workspace, rectify)
             return

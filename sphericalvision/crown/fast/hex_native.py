@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convolutions with a hexagon's seven taps by operators in C++, for any number of channels, in both passes.
 
-Libraries for planar convolutions multiply with the two zeros of a 3 x 3 kernel, too, and reach two thirds of a
-processor's speed where there are few channels. ``hex_convolution.cpp`` sums over seven taps, and in volumes takes
-Winograd's F(4, 3) along the hypotheses: six products in place of twelve, so that 7/18 of the multiplications are left.
-Borders are repeated while reading, not copied around.
+``hex_convolution.cpp`` takes Winograd's algorithms along every dimension: F(3, 3) along rows and columns, of whose 25
+products for nine results two are zero because two corners of the kernel are, and F(4, 3) along the hypotheses. A
+result then takes 2.6 products in place of 9 of a planar convolution, or 3.8 in place of 27. Borders are repeated while
+reading, not copied around, and nothing but results leaves the cache.
+
+The points of F(4, 3) are 0, +-1 / sqrt(2), +-sqrt(2) and infinity, as with the usual +-1 and +-2 in several dimensions
+the largest errors would be several times as large; those of F(3, 3) are 0, 1, -1, 2 and infinity.
 """
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any
 
@@ -19,13 +23,40 @@ from torch import Tensor
 
 from sphericalvision.crown.fast.double_backward import reference_gradients
 from sphericalvision.crown.fast.native import native_operators
-from sphericalvision.crown.fast.winograd_cubes import LINE_TAPS
 from sphericalvision.crown.taps import Taps, planar_kernel, repeat_border
 
-__all__ = ["hex_convolution", "hex_convolution_pays"]
+__all__ = [
+    "add_gradient_of_weight",
+    "convolve_rectangles",
+    "gradient_of_given",
+    "hex_convolution",
+    "hex_convolution_pays",
+    "hex_factors",
+    "hex_weight_gradient",
+    "zero_factor_gradients",
+]
 
 LANES = 16
 """Results are summed in vectors of so many channels."""
+
+_A, _B = math.sqrt(0.5), math.sqrt(2.0)
+
+# From three taps along a line to factors of F(3, 3) and of F(4, 3). The transforms of values are in winograd_lines.h.
+_PLANE_TAPS = (
+    (1 / 2, 0.0, 0.0),
+    (-1 / 2, -1 / 2, -1 / 2),
+    (-1 / 6, 1 / 6, -1 / 6),
+    (1 / 6, 1 / 3, 2 / 3),
+    (0.0, 0.0, 1.0),
+)
+_LINE_TAPS = (
+    (1.0, 0.0, 0.0),
+    (-2 / 3, -2 / 3 * _A, -1 / 3),
+    (-2 / 3, 2 / 3 * _A, -1 / 3),
+    (1 / 6, _B / 6, 1 / 3),
+    (1 / 6, -_B / 6, 1 / 3),
+    (0.0, 0.0, 1.0),
+)
 
 
 def hex_convolution_pays(
@@ -63,10 +94,91 @@ def hex_convolution(
 
     References:
         Winograd (1980), "Arithmetic complexity of computations"; Lavin and Gray (2016), "Fast algorithms for
-        convolutional neural networks", for F(4, 3).
+        convolutional neural networks", for F(4, 3); Barabasz et al. (2020), "Error analysis and improving the
+        accuracy of Winograd convolution for deep neural networks", for the choice of points.
     """
     result: Tensor = _HexConvolution.apply(images, weight, bias, taps, border)
     return result
+
+
+def hex_factors(
+    weight: Float[Tensor, "O C taps"], taps: Taps, adjoint: bool = False
+) -> Float[Tensor, "F S C_in C_out_filled"]:
+    """Return a weight as factors of products, for ``convolve_rectangles`` or, ``adjoint``, ``gradient_of_given``.
+
+    ``(1 or 6, 23, in, out)``, channels out filled up to a whole number of vectors.
+    """
+    transform = _transform(taps, weight.shape[-1] // 7).to(weight.dtype)
+    by_tap = weight.permute((2, 0, 1) if adjoint else (2, 1, 0))
+    factors = (transform.flatten(0, 1) @ by_tap.flatten(1)).view(*transform.shape[:2], *by_tap.shape[1:])
+    return F.pad(factors, (0, -factors.shape[-1] % LANES)).contiguous()
+
+
+def convolve_rectangles(
+    given: Float[Tensor, "B N h_in w_in C"],
+    factors: Float[Tensor, "F S C O_filled"],
+    bias: Float[Tensor, " O"] | None,
+    result: Float[Tensor, "B N h w O"],
+    rectify: bool = False,
+    border: bool = False,
+) -> None:
+    """Convolve volumes, or images of one hypothesis, into ``result``; channels lie together in both."""
+    native_operators().hex_convolve(given, factors, bias, rectify, border, result)
+
+
+def gradient_of_given(
+    grad_result: Float[Tensor, "B N h w O"],
+    factors: Float[Tensor, "F S O C_filled"],
+    grad_given: Float[Tensor, "B N h_in w_in C"],
+    border: bool = False,
+) -> None:
+    """The adjoint of ``convolve_rectangles``, added to ``grad_given``; ``factors`` are ``adjoint``."""
+    native_operators().hex_convolve_backward_given(grad_result, factors, border, grad_given)
+
+
+def zero_factor_gradients(weight: Float[Tensor, "O C taps"]) -> Float[Tensor, "threads F S C O_filled"]:
+    """Return zeros for ``add_gradient_of_weight``: a part for every thread, added up in the end in the same order."""
+    planes, slots = _transform_size(weight.shape[-1] // 7)
+    out, channels, _ = weight.shape
+    return weight.new_zeros(torch.get_num_threads(), planes, slots, channels, out + -out % LANES)
+
+
+def add_gradient_of_weight(
+    given: Float[Tensor, "B N h_in w_in C"],
+    grad_result: Float[Tensor, "B N h w O"],
+    parts: Float[Tensor, "threads F S C O_filled"],
+    border: bool = False,
+) -> None:
+    """The adjoint of ``convolve_rectangles`` with respect to its factors, added to ``parts``."""
+    native_operators().hex_convolve_backward_weight(given, grad_result, border, parts)
+
+
+def hex_weight_gradient(
+    parts: Float[Tensor, "threads F S C O_filled"], weight: Float[Tensor, "O C taps"], taps: Taps
+) -> Float[Tensor, "O C taps"]:
+    """The gradient of a weight from that of its factors: the adjoint of ``hex_factors``."""
+    transform = _transform(taps, weight.shape[-1] // 7).to(parts.dtype).flatten(0, 1)
+    by_factor = parts.sum(0)[..., : len(weight)].flatten(0, 1)
+    return (transform.T @ by_factor.flatten(1)).view(-1, *by_factor.shape[1:]).permute(2, 1, 0)
+
+
+def _transform_size(depth: int) -> tuple[int, int]:
+    return (1 if depth == 1 else len(_LINE_TAPS)), len(_PLANE_TAPS) ** 2 - 2
+
+
+@lru_cache(maxsize=8)
+@torch.inference_mode(False)  # kept for training, too
+def _transform(taps: Taps, depth: int) -> Tensor:
+    """From taps to factors, ``(planes, slots, taps)``, float64 on the CPU; without two slots that are always zero."""
+
+    def table(rows: tuple[tuple[float, ...], ...]) -> Tensor:
+        return torch.tensor(rows, dtype=torch.float64, device="cpu")
+
+    line, plane = table(_LINE_TAPS if depth > 1 else ((1.0,),)), table(_PLANE_TAPS)
+    # Every tap by itself as a planar kernel (7, 3, 3), of which the first and the last place are none.
+    single = planar_kernel(torch.eye(7, dtype=torch.float64, device="cpu"), taps)
+    slots = torch.einsum("ri,sj,tij->rst", plane, plane, single).flatten(0, 1)[1:-1]
+    return torch.einsum("kd,st->ksdt", line, slots).flatten(2)
 
 
 def _plain(taps: Taps, border: bool, images: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
@@ -91,8 +203,7 @@ class _HexConvolution(torch.autograd.Function):
         batch, depth, height, width, _ = given.shape
         size = (batch, depth, height - 2 * border, width - 2 * border, len(weight))
         result = given.new_empty(size)
-        ready = _filled(_factors(weight).transpose(2, 3))
-        native_operators().hex_convolve(given, ready, _places(taps), bias, border, result)
+        convolve_rectangles(given, hex_factors(weight, taps), bias, result, border=border)
         ctx.save_for_backward(images, weight, bias)
         ctx.options = taps, border
         return _images(result, images)
@@ -108,26 +219,16 @@ class _HexConvolution(torch.autograd.Function):
                 return _plain(taps, border, images, weight, bias)
 
             return *reference_gradients(plain, (images, weight, bias), wanted[:3], gradient), None, None
-        operators, places = native_operators(), _places(taps)
         given, upstream = _volumes(images), _volumes(gradient)
         grad_images = grad_weight = None
         if wanted[0]:
-            # The adjoint has the taps on the other side of the centre, and channels in and out change places.
             grad_given = given.new_zeros(given.shape)
-            ready = _filled(_factors(weight))
-            operators.hex_convolve_backward_given(upstream, ready, 8 - places, border, grad_given)
+            gradient_of_given(upstream, hex_factors(weight, taps, adjoint=True), grad_given, border)
             grad_images = _images(grad_given, images)
         if wanted[1]:
-            factors = 1 if images.ndim == 4 else len(LINE_TAPS)
-            filled = len(weight) + -len(weight) % LANES
-            parts = given.new_zeros(torch.get_num_threads(), factors, 7, given.shape[-1], filled)
-            operators.hex_convolve_backward_weight(given, upstream, places, border, parts)
-            grad_factors = parts.sum(0)[..., : len(weight)]
-            if images.ndim == 4:
-                grad_weight = grad_factors[0].permute(2, 1, 0)
-            else:
-                transform = given.new_tensor(LINE_TAPS)
-                grad_weight = torch.einsum("kd,ktco->ocdt", transform, grad_factors).flatten(2)
+            parts = zero_factor_gradients(weight)
+            add_gradient_of_weight(given, upstream, parts, border)
+            grad_weight = hex_weight_gradient(parts, weight, taps)
         grad_bias = upstream.sum((0, 1, 2, 3)) if wanted[2] else None
         return grad_images, grad_weight, grad_bias, None, None
 
@@ -142,23 +243,3 @@ def _images(volumes: Tensor, like: Tensor) -> Tensor:
     """Undo ``_volumes``."""
     images = volumes.movedim(-1, 1)
     return images.squeeze(2) if like.ndim == 4 else images
-
-
-def _factors(weight: Tensor) -> Tensor:
-    """A weight as factors of products, ``(1 or 6, 7, O, C)``."""
-    if weight.shape[-1] == 7:
-        return weight.permute(2, 0, 1)[None]
-    return torch.einsum("kd,ocdt->ktoc", weight.new_tensor(LINE_TAPS), weight.unflatten(-1, (3, 7)))
-
-
-def _filled(factors: Tensor) -> Tensor:
-    """With zeros up to a whole number of vectors."""
-    return F.pad(factors, (0, -factors.shape[-1] % LANES)).contiguous()
-
-
-@lru_cache(maxsize=2)
-@torch.inference_mode(False)  # kept for training, too
-def _places(taps: Taps) -> Tensor:
-    """Which of nine places each tap is, ``(7,)``."""
-    flat = sum(taps, ())
-    return torch.tensor([flat.index(tap) for tap in range(7)], device="cpu")

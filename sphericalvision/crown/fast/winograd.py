@@ -91,7 +91,7 @@ def winograd_pays(
         vertices: of the icosphere that they are on.
         channels: of a convolution.
         out_channels: of its result.
-        native: whether the sums around the products are in C++.
+        native: whether operators in C++ convolve, which pay for fewer channels.
     """
     if volumes.device.type != "cpu" or torch.is_autocast_enabled("cpu"):
         return False

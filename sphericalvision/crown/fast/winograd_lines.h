@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Winograd's F(4, 3) for one line of values: six given ones d become six factors, six products m four results y.
-// The matrices, and why these points, are in winograd_cubes.py. Those that end in _adjoint are for gradients.
+// Winograd's F(4, 3) for one line of values: six given ones d become six factors, six products m four results y; and F(3, 3):
+// five given ones become five factors, five products three results. Those that end in _adjoint are for gradients.
+// The matrices for taps, and why these points, are in hex_native.py.
 
 #pragma once
 
@@ -60,6 +61,59 @@ inline void to_results_adjoint(const V (&y)[4], V (&m)[6]) {
   m[3] = even_b + odd_b;
   m[4] = even_b - odd_b;
   m[5] = y[3];
+}
+
+// The same as matrices, (factor, given) and (result, product).
+template <typename T>
+constexpr T GIVEN_TO_FACTORS[6][6] = {{1, 0, -FIVE_HALVES<T>, 0, 1, 0},
+                                      {0, -2 * A<T>, -2, A<T>, 1, 0},
+                                      {0, 2 * A<T>, -2, -A<T>, 1, 0},
+                                      {0, -HALF<T> * B<T>, -HALF<T>, B<T>, 1, 0},
+                                      {0, HALF<T> * B<T>, -HALF<T>, -B<T>, 1, 0},
+                                      {0, 1, 0, -FIVE_HALVES<T>, 0, 1}};
+template <typename T>
+constexpr T PRODUCTS_TO_RESULTS[4][6] = {{1, 1, 1, 1, 1, 0},
+                                         {0, A<T>, -A<T>, B<T>, -B<T>, 0},
+                                         {0, HALF<T>, HALF<T>, 2, 2, 0},
+                                         {0, HALF<T> * A<T>, -HALF<T> * A<T>, 2 * B<T>, -2 * B<T>, 1}};
+
+// F(3, 3) with the points 0, 1, -1, 2 and infinity.
+template <typename V>
+inline void to_factors(const V (&d)[5], V (&x)[5]) {
+  const V odd = d[1] - d[3];
+  x[0] = 2 * (d[0] - d[2]) - odd;
+  x[1] = d[3] - d[2] - 2 * d[1];
+  x[2] = d[3] - 3 * d[2] + 2 * d[1];
+  x[3] = -odd;
+  x[4] = d[4] - d[2] + 2 * odd;
+}
+
+template <typename V>
+inline void to_factors_adjoint(const V (&x)[5], V (&d)[5]) {
+  const V odd = 2 * (x[4] - x[1] + x[2]) - x[0] - x[3];
+  d[0] = 2 * x[0];
+  d[1] = odd;
+  d[2] = -2 * x[0] - x[1] - 3 * x[2] - x[4];
+  d[3] = 3 * x[2] - x[1] - odd;
+  d[4] = x[4];
+}
+
+template <typename V>
+inline void to_results(const V (&m)[5], V (&y)[3]) {
+  const V sum = m[1] + m[2];
+  y[0] = m[0] + sum + m[3];
+  y[1] = m[1] - m[2] + 2 * m[3];
+  y[2] = sum + 4 * m[3] + m[4];
+}
+
+template <typename V>
+inline void to_results_adjoint(const V (&y)[3], V (&m)[5]) {
+  const V even = y[0] + y[2];
+  m[0] = y[0];
+  m[1] = even + y[1];
+  m[2] = even - y[1];
+  m[3] = y[0] + 2 * y[1] + 4 * y[2];
+  m[4] = y[2];
 }
 
 }  // namespace winograd

@@ -16,6 +16,7 @@ from sphericalvision.crown import (
 )
 from sphericalvision.crown.fast.block import Moments, NormedLayer, convolve_block
 from sphericalvision.crown.fast.norms import track
+from tests.crown.fast.test_native import compiler_is_there
 from tests.crown.same import assert_same_values_and_gradients
 
 
@@ -41,10 +42,10 @@ def on_whole_crowns(values: Tensor, *parameters: Tensor) -> tuple[Tensor, list[C
     return from_crown(norms[1](crown_conv3d(crown, weight2))), norms
 
 
-def block(values: Tensor, *parameters: Tensor) -> tuple[Tensor, list[Moments]]:
+def block(values: Tensor, *parameters: Tensor, native: bool = False) -> tuple[Tensor, list[Moments]]:
     weight1, scale1, shift1, weight2, scale2, shift2 = parameters
     first, second = NormedLayer(weight1, scale1, shift1, 1e-5), NormedLayer(weight2, scale2, shift2, 1e-5)
-    return convolve_block(values, first, second)
+    return convolve_block(values, first, second, native)
 
 
 @pytest.mark.parametrize(("batch", "count", "level"), [(2, 4, 1), (1, 6, 1), (1, 8, 0), (1, 5, 2)])
@@ -62,6 +63,17 @@ def test_values_and_gradients_are_those_of_whole_crowns(
     monkeypatch.setattr("sphericalvision.crown.fast.winograd_rows.MIN_PLACES", cache_bytes)
     tensors = inputs(generator, batch, count, level)
     (expected, _), (result, _) = on_whole_crowns(*tensors), block(*tensors)
+    assert_same_values_and_gradients(result, expected, tensors, generator)
+
+
+@pytest.mark.skipif(not compiler_is_there(), reason="needs a C++ compiler and ninja")
+@pytest.mark.parametrize("cache_bytes", [0, 1 << 30])
+def test_operators_give_values_and_gradients_of_whole_crowns(
+    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch, cache_bytes: int
+) -> None:
+    monkeypatch.setattr("sphericalvision.crown.fast.rectangles.CACHE_BYTES", cache_bytes)
+    tensors = inputs(generator, 2, 5, 1)
+    (expected, _), (result, _) = on_whole_crowns(*tensors), block(*tensors, native=True)
     assert_same_values_and_gradients(result, expected, tensors, generator)
 
 

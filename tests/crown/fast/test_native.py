@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Winograd's algorithm in three dimensions: in PyTorch, and its operators in C++."""
+"""Operators in C++: convolutions by Winograd's algorithms along all dimensions, and what uses them."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +18,10 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.core import MissingCompilerError
 from sphericalvision.crown.fast.block import NormedLayer, convolve_block
 from sphericalvision.crown.fast.chain import convolve_chain
+from sphericalvision.crown.fast.hex_native import convolve_rectangles, hex_convolution, hex_factors
 from sphericalvision.crown.fast.native import native_operators
-from sphericalvision.crown.fast.winograd_cubes import (
-    CubeKernel,
-    convolve_cubes,
-    cube_kernel,
-    results_of_products,
-    tiles_of_volumes,
-)
-from sphericalvision.crown.fast.workspace import Workspace
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, planar_kernel, repeat_border
 from sphericalvision.models import IcoSweepNet
-
-HEXAGON = (1, 2, 3, 4, 5, 6, 7)
 
 
 def compiler_is_there() -> bool:
@@ -39,120 +31,97 @@ def compiler_is_there() -> bool:
 needs_compiler = pytest.mark.skipif(not compiler_is_there(), reason="needs a C++ compiler and ninja")
 
 
-def hexagonal(generator: torch.Generator, out_channels: int, channels: int) -> Tensor:
-    kernel = torch.randn(out_channels, channels, 3, 3, 3, generator=generator)
-    kernel[..., 0, 0] = kernel[..., 2, 2] = 0
-    return kernel / (21 * channels) ** 0.5
-
-
-@pytest.mark.parametrize("taps", [range(9), HEXAGON, (0, 1, 4, 7, 8), (3, 4, 5), (0,)])
-@pytest.mark.parametrize("size", [(5, 4), (1, 2), (8, 9)])
-def test_results_are_those_of_the_direct_sum(
-    generator: torch.Generator, taps: Sequence[int], size: tuple[int, int]
-) -> None:
-    height, width = size
-    padded = torch.randn(2, 10, height + 2, width + 2, 3, generator=generator, dtype=torch.float64)
-    kernel = torch.randn(4, 3, 3, 9, generator=generator, dtype=torch.float64)
-    kernel[..., [tap for tap in range(9) if tap not in taps]] = 0
-    kernel = kernel.unflatten(-1, (3, 3))
-    bias = torch.randn(4, generator=generator, dtype=torch.float64)
-    result = padded.new_empty(2, 8, height, width, 4)
-    convolve_cubes(padded, cube_kernel(kernel, taps), bias, result, Workspace(), rectify=True)
-    expected = F.conv3d(padded.movedim(-1, 1), kernel, bias).relu().movedim(1, -1)
-    torch.testing.assert_close(result, expected)
-
-
-def test_zero_taps_leave_out_products(generator: torch.Generator) -> None:
-    kernel = hexagonal(generator, 2, 3)
-    factors, slots = cube_kernel(kernel, HEXAGON)
-    assert factors.shape == (6 * 34, 3, 2)
-    assert (slots < 0).nonzero().flatten().tolist() == [0, 35]
-    assert cube_kernel(kernel).factors.shape == (6 * 36, 3, 2)
-
-
-def test_slabs_change_nothing(generator: torch.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    padded = torch.randn(1, 22, 7, 6, 3, generator=generator)
-    kernel = cube_kernel(hexagonal(generator, 4, 3), HEXAGON)
-    whole, sliced = (torch.empty(1, 20, 5, 4, 4) for _ in range(2))
-    convolve_cubes(padded, kernel, None, whole, Workspace())
-    monkeypatch.setattr("sphericalvision.crown.fast.winograd_cubes.TILE_BYTES", 0)
-    convolve_cubes(padded, kernel, None, sliced, Workspace())
-    torch.testing.assert_close(sliced, whole)
-
-
-def test_error_of_single_precision_is_small(generator: torch.Generator) -> None:
-    padded = torch.randn(1, 10, 14, 10, 64, generator=generator)
-    kernel = hexagonal(generator, 64, 64)
-    result = padded.new_empty(1, 8, 12, 8, 64)
-    convolve_cubes(padded, cube_kernel(kernel, HEXAGON), None, result, Workspace())
-    exact = F.conv3d(padded.double().movedim(-1, 1), kernel.double()).movedim(1, -1)
-    assert (result - exact).abs().max() < 1e-5 * exact.abs().max()
+def direct(images: Tensor, weight: Tensor, bias: Tensor | None, taps: Taps) -> Tensor:
+    """The sum over all taps, of images or of volumes."""
+    if images.ndim == 4:
+        return F.conv2d(repeat_border(images), planar_kernel(weight, taps), bias)
+    return F.conv3d(repeat_border(images), planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias)
 
 
 @needs_compiler
-@pytest.mark.parametrize("channels", [1, 5, 8, 11, 16, 20, 40])
-@pytest.mark.parametrize("size", [(5, 9), (1, 2), (8, 4)])
-@pytest.mark.parametrize("rectify", [False, True])
-def test_operators_equal_their_twins(
-    generator: torch.Generator, channels: int, size: tuple[int, int], rectify: bool
+@pytest.mark.parametrize("taps", [COL_TAPS, ROW_TAPS])
+@pytest.mark.parametrize("size", [(4, 5, 9), (5, 8, 4), (1, 1, 2), (6, 17, 9), (5, 3), (17, 34)])
+@pytest.mark.parametrize(("channels", "out"), [(3, 5), (16, 20), (17, 48)])
+def test_values_and_gradients_are_those_of_the_direct_sum(
+    generator: torch.Generator, taps: Taps, size: tuple[int, ...], channels: int, out: int
 ) -> None:
     def draw(*shape: int) -> Tensor:
-        return torch.randn(*shape, generator=generator)
+        return torch.randn(*shape, generator=generator, dtype=torch.float64).requires_grad_()
 
-    height, width = size
-    operators = native_operators()
-    slots = cube_kernel(torch.zeros(1, 1, 3, 3, 3), HEXAGON).slots
-    places = 2 * 2 * -(-height // 4) * -(-width // 4)
-    given = draw(2, 14, height + 3, width + 4, channels)[:, 2:12, 1:, 1:-1]  # a part of something larger
-    tiles, expected = torch.empty(204, places, channels), torch.empty(204, places, channels)
-    operators.winograd_tiles(given, slots, tiles)
-    tiles_of_volumes(given, slots, expected)
-    torch.testing.assert_close(tiles, expected, atol=2e-5, rtol=1e-5)
+    inputs = draw(2, channels, *size), draw(out, channels, 7 if len(size) == 2 else 21), draw(out)
+    result, expected = hex_convolution(*inputs, taps), direct(*inputs, taps)
+    torch.testing.assert_close(result, expected)
+    upstream = torch.randn(expected.shape, generator=generator, dtype=torch.float64)
+    ours, theirs = (torch.autograd.grad(of, inputs, upstream) for of in (result, expected))
+    torch.testing.assert_close(ours, theirs)
 
-    products, bias = draw(204, places, channels), draw(channels) if rectify else None
-    around, expected = torch.zeros(2, 9, height + 2, width + 1, channels), draw(2, 8, *size, channels)
-    operators.winograd_results(products, slots, bias, rectify, around[:, 1:, 1:-1, :-1])
-    results_of_products(products, slots, bias, rectify, expected)
-    torch.testing.assert_close(around[:, 1:, 1:-1, :-1], expected, atol=2e-4, rtol=1e-5)
-    assert not around[:, 0].any()  # nothing else is written
-    assert not around[:, :, [0, -1]].any()
-    assert not around[:, :, :, -1].any()
+
+@needs_compiler
+def test_error_of_single_precision_is_small(generator: torch.Generator) -> None:
+    volumes = torch.randn(1, 64, 8, 17, 9, generator=generator).requires_grad_()
+    weight = (torch.randn(64, 64, 21, generator=generator) / 36).requires_grad_()
+    exact = direct(volumes.double(), weight.double(), None, COL_TAPS)
+    result = hex_convolution(volumes, weight, None, COL_TAPS)
+    assert (result - exact).abs().max() < 1e-5 * exact.abs().max()
+    upstream = torch.randn(result.shape, generator=generator)
+    for ours, theirs in zip(
+        torch.autograd.grad(result, (volumes, weight), upstream),
+        torch.autograd.grad(exact, (volumes, weight), upstream.double()),
+        strict=True,
+    ):
+        assert (ours - theirs).abs().max() < 1e-5 * theirs.abs().max()
 
 
 @needs_compiler
 @pytest.mark.parametrize("threads", [1, 3])
 def test_any_number_of_threads(generator: torch.Generator, threads: int) -> None:
-    padded = torch.randn(2, 10, 11, 8, 16, generator=generator)
-    kernel = cube_kernel(hexagonal(generator, 24, 16), HEXAGON)
-    result, expected = torch.empty(2, 8, 9, 6, 24), torch.empty(2, 8, 9, 6, 24)
+    inputs = (
+        torch.randn(2, 16, 9, 16, 7, generator=generator).requires_grad_(),
+        (torch.randn(24, 16, 21, generator=generator) / 18).requires_grad_(),
+    )
+    upstream = torch.randn(2, 24, 9, 16, 7, generator=generator)
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
-        convolve_cubes(padded, kernel, None, result, Workspace(), native=True)
+        result = hex_convolution(*inputs, None, ROW_TAPS)
+        ours = torch.autograd.grad(result, inputs, upstream)
     finally:
         torch.set_num_threads(before)
-    convolve_cubes(padded, kernel, None, expected, Workspace())
+    expected = direct(*inputs, None, ROW_TAPS)
     torch.testing.assert_close(result, expected, atol=1e-5, rtol=1e-5)
+    theirs = torch.autograd.grad(expected, inputs, upstream)
+    torch.testing.assert_close(ours, theirs, atol=1e-3, rtol=1e-4)
+
+
+@needs_compiler
+def test_parts_of_larger_tensors_are_convolved_and_written(generator: torch.Generator) -> None:
+    around = torch.randn(2, 9, 8, 11, 20, generator=generator)
+    weight, bias = torch.randn(16, 20, 21, generator=generator) / 20, torch.randn(16, generator=generator)
+    given, result = around[:, 1:7, 1:, 2:-1], torch.zeros(2, 8, 7, 10, 16)
+    convolve_rectangles(given, hex_factors(weight, COL_TAPS), bias, result[:, 1:7, :, 1:-1], rectify=True)
+    expected = direct(given.movedim(-1, 1), weight, bias, COL_TAPS).relu().movedim(1, -1)
+    torch.testing.assert_close(result[:, 1:7, :, 1:-1], expected, atol=1e-5, rtol=1e-5)
+    assert not result[:, [0, 7]].any()  # nothing else is written
+    assert not result[:, :, :, [0, -1]].any()
 
 
 @needs_compiler
 def test_operators_refuse_what_does_not_fit() -> None:
-    operators, slots = native_operators(), cube_kernel(torch.zeros(1, 1, 3, 3, 3), HEXAGON).slots
-    padded, tiles = torch.zeros(1, 6, 6, 6, 8), torch.zeros(204, 1, 8)
-    operators.winograd_tiles(padded, slots, tiles)
+    factors = hex_factors(torch.zeros(5, 8, 21), COL_TAPS)
+    given, result = torch.zeros(1, 6, 6, 6, 8), torch.zeros(1, 6, 6, 6, 5)
+    convolve_rectangles(given, factors, None, result)
     for wrong in (
-        (padded.double(), slots, tiles),
-        (padded.movedim(-1, 1).contiguous().movedim(1, -1), slots, tiles),
-        (padded, slots, tiles[:, :, :4].contiguous()),
-        (padded, slots, torch.zeros(204, 2, 8)),
-        (padded, slots[:9].contiguous(), tiles),
-        (padded, slots + 1, tiles),
-        (padded[0], slots, tiles),
+        (given.double(), factors, None, result),
+        (given.movedim(-1, 1).contiguous().movedim(1, -1), factors, None, result),
+        (given[..., :7], factors, None, result),
+        (given, factors[..., :5].contiguous(), None, result),
+        (given, factors[:1].contiguous(), None, result),
+        (given, factors, torch.zeros(6), result),
+        (given, factors, None, result[:, :5]),
+        (given[0], factors, None, result),
     ):
-        with pytest.raises((RuntimeError, IndexError)):
-            operators.winograd_tiles(*wrong)
-    with pytest.raises(RuntimeError, match="bias"):
-        operators.winograd_results(tiles, slots, torch.zeros(7), False, torch.zeros(1, 4, 4, 4, 8))
+        with pytest.raises(RuntimeError):
+            convolve_rectangles(*wrong)
 
 
 class Spy:
@@ -161,18 +130,18 @@ class Spy:
     def __init__(self, operators: Any) -> None:
         self.operators, self.calls = operators, 0
 
-    def winograd_results(self, *args: Any) -> None:
-        self.operators.winograd_results(*args)
-
-    def winograd_tiles(self, *args: Any) -> None:
+    def hex_convolve(self, *args: Any) -> None:
         self.calls += 1
-        self.operators.winograd_tiles(*args)
+        self.operators.hex_convolve(*args)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.operators, name)
 
 
 @pytest.fixture
 def spy(monkeypatch: pytest.MonkeyPatch) -> Iterator[Spy]:
     counter = Spy(native_operators())
-    monkeypatch.setattr("sphericalvision.crown.fast.winograd_cubes.native_operators", lambda: counter)
+    monkeypatch.setattr("sphericalvision.crown.fast.hex_native.native_operators", lambda: counter)
     return counter
 
 
@@ -197,10 +166,8 @@ def test_a_chain_equals_that_without(
     expected = convolve_chain(values, layers)
     assert not spy.calls
     result = convolve_chain(values, layers, native=True)
-    assert bool(spy.calls) == (level == 3)  # shorter sides leave too much of the cubes unused
+    assert spy.calls
     torch.testing.assert_close(result, expected, atol=1e-5 * float(expected.abs().max()), rtol=1e-5)
-    double = convolve_chain(values.double(), [(layers[0][0].double(), None)], native=True)
-    assert double.dtype == torch.float64
 
 
 @needs_compiler
@@ -269,10 +236,3 @@ def test_without_a_compiler_the_error_says_what_is_needed(
             native_operators()
     finally:
         native_operators.cache_clear()
-
-
-def test_factors_are_as_exact_as_their_kernel(generator: torch.Generator) -> None:
-    kernel = hexagonal(generator, 3, 2)
-    single, double = cube_kernel(kernel, HEXAGON), cube_kernel(kernel.double(), HEXAGON)
-    assert isinstance(single, CubeKernel)
-    torch.testing.assert_close(single.factors, double.factors.float(), atol=0, rtol=1e-7)

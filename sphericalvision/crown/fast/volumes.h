@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tensors of volumes, and places outside them.
+
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <algorithm>
+
+#include "lanes.h"
+
+namespace volumes {
+
+using lanes::LANES;
+
+// Volumes (B, D, h, w, C), channels next to each other; images have D = 1.
+template <typename T>
+struct Volumes {
+  T* data;
+  int64_t batch, depth, height, width, channels, blocks;
+  int64_t next, deep, down, right;
+
+  Volumes(const at::Tensor& tensor, const char* name)
+      : data(const_cast<T*>(tensor.const_data_ptr<T>())),
+        batch(tensor.size(0)),
+        depth(tensor.size(1)),
+        height(tensor.size(2)),
+        width(tensor.size(3)),
+        channels(tensor.size(4)),
+        blocks((channels + LANES - 1) / LANES),
+        next(tensor.stride(0)),
+        deep(tensor.stride(1)),
+        down(tensor.stride(2)),
+        right(tensor.stride(3)) {
+    TORCH_CHECK(tensor.dim() == 5 && (tensor.stride(4) == 1 || channels == 1), name,
+                ": expected (B, D, h, w, C) whose channels lie together, got ", tensor.sizes());
+  }
+
+  T* at(const int64_t b, const int64_t d, const int64_t y, const int64_t x, const int64_t block) const {
+    return data + b * next + d * deep + y * down + x * right + block * LANES;
+  }
+
+  // Channels in a block; the last one may have fewer.
+  int64_t in_block(const int64_t block) const { return std::min(LANES, channels - block * LANES); }
+};
+
+// What to do with a row or column outside: it is there (the border was given), or the outermost one is repeated.
+inline int64_t inside(const int64_t place, const int64_t size) { return std::clamp<int64_t>(place, 0, size - 1); }
+
+}  // namespace volumes

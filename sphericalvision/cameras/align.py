@@ -70,7 +70,7 @@ class AlignedRig(NamedTuple):
 
 
 def align_rig(rig: CameraRig, matches: RayMatches, *, expected: float = math.radians(2)) -> AlignedRig:
-    """The rig with orientations such that the rays of ``matches`` meet; positions and intrinsics stay as they are.
+    """The rig with orientations for which the rays of ``matches`` intersect; positions and intrinsics do not change.
 
     Two rays to one point lie in a plane with the line between their cameras. The angle by which they miss it is made
     small over all pairs, robustly, with a threshold that falls from ``expected`` to what features allow: half of the

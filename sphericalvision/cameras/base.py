@@ -75,20 +75,20 @@ class Conversion(NamedTuple):
 
 
 class Camera(ABC):
-    """A central camera: it maps points or directions, never the plane z = 1, and so reaches beyond 180°.
+    """A central camera. It maps points or directions, not the plane z = 1, so fields of view beyond 180° are possible.
 
     Intrinsics are tensors whose batch dimensions ``*b`` broadcast with each other (none for a single camera); points
     and pixels given to a batched camera start with the same dimensions. Intrinsics take the dtype and device of the
-    points or pixels, so one camera serves float32 and float64, and gradients reach them. Points and pixels in half
-    precision are computed in float32, and so is the answer.
+    points or pixels, so one camera works in float32 and float64, and gradients reach them. Points and pixels in half
+    precision are computed and returned in float32.
 
     Convention:
         x right, y down, z forward along the optical axis. Pixels are (u, v) = (column, row) with integer pixel centres;
         the image covers [−0.5, w − 0.5] x [−0.5, h − 0.5]. ``max_angle`` is measured from the optical axis in radians:
         half the field of view.
 
-    A model is one subclass with two methods, ``_project`` and ``_unproject``, that know nothing about the image borders
-    and ``max_angle``. ``register_camera`` makes it known to files.
+    A model is a subclass with two methods, ``_project`` and ``_unproject``, which need not consider the image borders
+    and ``max_angle``. ``register_camera`` makes it known to the readers and writers of files.
 
     Examples:
         >>> from sphericalvision.cameras import FisheyeCamera

@@ -33,7 +33,7 @@ def coverage(
 ) -> Int[Tensor, "*rigs d V"]:
     """Number of cameras (*b, d, V) that see the points at ``depths`` (d,) along ``directions`` (V, 3).
 
-    Fields of view, image borders and masks count; what stands in the way does not.
+    Fields of view, image borders and masks are considered, occlusion is not.
 
     Args:
         rig: single, or a batch of rigs.
@@ -64,7 +64,7 @@ def seen_by(
 ) -> Int[Tensor, "*rigs V"]:
     """Number of cameras (*b, V) that see the surface points of a depth map.
 
-    Fields of view, image borders and masks count; what stands in the way does not. Where fewer than two cameras see a
+    Fields of view, image borders and masks are considered, occlusion is not. Where fewer than two cameras see a
     point no parallax tells its depth.
 
     Args:

@@ -44,8 +44,8 @@ class CameraRig:
     """Ordered, named cameras and their poses.
 
     Args:
-        cameras: by name, or a sequence that gets the names ``cam1``, ``cam2``, ...
-        world_from_camera: ``(*b, n, 4, 4)`` rigid transforms, metres; leading dimensions are rigs of a batch.
+        cameras: a mapping from names to cameras, or a sequence, whose cameras are named ``cam1``, ``cam2``, ...
+        world_from_camera: ``(*b, n, 4, 4)`` rigid transforms, metres; leading dimensions are a batch of rigs.
         masks: for some or all names, ``(*b, h, w)`` bool, True where the image is usable.
 
     Raises:
@@ -418,7 +418,7 @@ def ring_rig(
     field_of_view: float = math.radians(220),
     projection: str = "equidistant",
 ) -> CameraRig:
-    """Equal fisheyes evenly on a horizontal ring that look outwards, the first forward, then clockwise seen from above.
+    """Equal fisheyes on a horizontal ring that look outwards: the first forward, the others clockwise from above.
 
     The default is like the rig of OmniThings: front, right, back and left at 0.2 m, 220°.
 

@@ -109,8 +109,7 @@ def to_crown(values: Num[Tensor, "B C *N V"]) -> Crown:
 
 
 def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
-    """Return values on the icosphere, ``(B, C, V)`` or ``(B, C, N, V)``: the mean over every place a vertex
-    stands in.
+    """Return values on the icosphere, ``(B, C, V)`` or ``(B, C, N, V)``: the mean over all copies of a vertex.
 
     Raises:
         ShapeError: if the rectangles do not belong together.

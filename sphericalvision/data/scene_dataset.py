@@ -41,10 +41,10 @@ KEYS = (
 
 
 class SceneDataset(Dataset[dict[str, Any]]):
-    """Scenes of consecutive seeds, seen by a rig; of each, what the networks that train on it want.
+    """Scenes of consecutive seeds, seen by a rig, with the entries that networks need for training.
 
     Sample ``i`` is the scene of seed ``first_seed + i``, so data sets with disjoint seeds are disjoint. ``entries``
-    says what a sample holds, and nothing else is computed:
+    selects what a sample contains; nothing else is computed:
 
     * ``"sphere"``: ``images`` ``(n, 3, V_level)`` in [-1, 1], 0 where not ``seen`` ``(n, V_level)`` (in the field of
       view and in the mask), and ``"depth"``;

@@ -65,7 +65,7 @@ class Depth:
         index: ``(*b, *grid)`` hypothesis index on the network's grid; 0 is infinity, N - 1 is ``min_depth``.
         confidence: ``(*b, *grid)`` 0 to 1.
         seen: ``(*b, *grid)`` True where two cameras saw that point; elsewhere the index is a guess.
-        network: which said so; ``network.grid`` is where.
+        network: the network; ``network.grid`` is the grid of the values.
         rig: the cameras.
         images: camera name -> ``(*b, 3, h, w)`` in [0, 1], for colours.
 

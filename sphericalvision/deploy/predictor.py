@@ -49,23 +49,23 @@ class _Ready(NamedTuple):
 class Predictor:
     """Depth all around from the images of a rig.
 
-    Everything that follows from the rig is computed once. Calls may come from several threads. On a CPU they run side
-    by side where torch leaves them room, for instance with ``torch.set_num_threads(1)`` in each thread, which gives
-    the most frames a second. Where each would take more than half the cores, and on a GPU, they wait for each other.
+    All tables of the rig are computed once. Calls may come from several threads. On a CPU they run in parallel if
+    torch leaves them cores: ``torch.set_num_threads(1)`` in each thread gives the most frames per second. If each call
+    uses more than half of the cores, and on a GPU, calls wait for each other.
 
     Args:
-        rig: calibrated cameras, for instance ``cameras.read_rig("capture/config.yaml")``; masks are heeded.
-        weights: a name of ``models.available_weights()``, a file of weights, or a network; the best that ships when
-            not given.
-        method: ``"network"``, or ``"semi_global"``: a sweep without training in its place, at its level.
-        min_depth: nearest hypothesis in metres; ``"scene"`` finds it in the first images (one to three seconds, once);
-            ``None`` is what the network was trained with, scaled as the rig is.
-        level: icosphere level of the images; as trained when not given. One less is four times as fast.
-        num_hypotheses: N; as trained when not given.
-        device: where to compute; where the network is (a CPU, when read from weights) if not given.
+        rig: calibrated cameras, for instance ``cameras.read_rig("capture/config.yaml")``; its masks are used.
+        weights: a name of ``models.available_weights()``, a weights file, or a network; by default the best one that
+            ships.
+        method: ``"network"``, or ``"semi_global"``: a sweep without training at the level of the network.
+        min_depth: nearest hypothesis in metres; ``"scene"`` estimates it from the first images (one to three seconds,
+            once); ``None`` is the value of the training, scaled with the rig.
+        level: icosphere level of the images; by default that of the training. One level less is four times as fast.
+        num_hypotheses: N; by default that of the training.
+        device: where to compute; by default the device of the network, which is the CPU if it was read from weights.
         antialias: whether images finer than the icosphere are averaged over the area between its vertices.
-        native: whether a CPU uses operators in C++, compiled once, which are faster; ``"auto"``: if they have been
-            compiled on this machine.
+        native: whether to use faster operators in C++ on a CPU, which are compiled once; ``"auto"``: only if they have
+            been compiled on this machine already.
         channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
         trained_radius: metres; radius of the rigs that the network was trained with, for ``min_depth=None``.
 

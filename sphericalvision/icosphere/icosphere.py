@@ -20,7 +20,7 @@ __all__ = ["Icosphere"]
 
 
 class Icosphere(nn.Module):
-    """A subdivided icosahedron as a grid of directions: values live on its ``2 + 10 * 4**level`` vertices.
+    """A subdivided icosahedron as a grid of directions, with values on its ``2 + 10 * 4**level`` vertices.
 
     Convention:
         x right, y down, z forward; vertex 0 is the north pole (0, -1, 0), the last vertex is the south pole

@@ -111,7 +111,7 @@ def depth_error(
 
 
 class DepthIndexError(MeanOverImages):
-    """The field's table row: ``>1 >3 >5 MAE RMS`` in percent of N, per image and then averaged over images.
+    """The errors that papers report: ``>1 >3 >5 MAE RMS`` in percent of N, averaged over images.
 
     See ``depth_index_error``; images without a valid point do not count.
 

@@ -30,12 +30,12 @@ __all__ = ["DepthNetwork"]
 class DepthNetwork(RemembersArguments):
     """Depth around a rig as hypothesis indices on a grid of directions: the base of all networks that estimate it.
 
-    A subclass says in ``images`` what images it wants, sets ``grid``, and writes ``predict``. Whatever else is here
-    follows from these, and may be overridden. Nothing in the package asks which class a network is.
+    A subclass declares the images it takes in ``images``, sets ``grid``, and implements ``predict``. All other methods
+    follow from these, and may be overridden. The package never depends on the class of a network.
 
     Convention:
-        Images are in [-1, 1], in the order of ``rig.names``. ``seen`` tells where they show anything: True inside the
-        field of view and off the masks; without it, everything inside the cameras' fields of view was seen. The
+        Images are in [-1, 1], in the order of ``rig.names``. ``seen`` is True inside the field of view and where not
+        masked; without it, everything inside the cameras' fields of view was seen. The
         result is a hypothesis index seen from ``rig.center``, in directions of the world: 0 is infinity, N - 1 is
         ``min_depth``; ``depth`` turns it into metres along the ray. Arguments of the constructor are plain values
         (numbers, texts, None, lists of them), which makes ``hyperparameters`` complete by themselves.

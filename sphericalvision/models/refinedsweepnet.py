@@ -79,12 +79,12 @@ class RefinedSweepNet(DepthNetwork):
     refinement  level             a choice between the depths around each vertex: ``CandidateRefinement``
     ==========  ================  ======================================================================
 
-    The sweep is exact where there is texture, and the prior knows what scenes look like where there is none. Takes two
-    or more cameras in any order, tilted or not, partial coverage, panoramas.
+    The sweep is accurate where there is texture, and the prior knows what scenes look like where there is none. It
+    takes two or more cameras in any order, tilted or not, with partial coverage, or panoramas.
 
     Args:
         level: of the icospheres that hold the images and the result, as many as there are widths or more.
-        num_hypotheses: N, which the result is counted in.
+        num_hypotheses: N of the resulting index.
         min_depth: radius of the nearest hypothesis in metres.
         inner_hypotheses: hypotheses that the network works with, whatever N is.
         prior: hyper-parameters of the ``IcoSweepNet``; those of ``icosweepnet-small`` when not given.

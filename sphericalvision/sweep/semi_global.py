@@ -77,15 +77,15 @@ def semi_global_sweep(
     contrast: float = 0.4,
     seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
 ) -> DepthEstimate:
-    """Return depth without training: the best cameras' correlation, and semi-global smoothing on the icosphere.
+    """Return depth without training, by correlation between cameras and semi-global smoothing on the icosphere.
 
-    At each vertex and hypothesis the pairs of cameras that see the point are compared by the correlation of what
-    they see around it, and the better half of them counts (``correlation_evidence``). These costs are smoothed along
-    the straight lines of the icosphere (``semi_global_smoothing``), less where the colours change; the smallest
-    wins, refined to a fraction by a parabola. Any rig, any number of cameras, no weights.
+    At each vertex and hypothesis, the pairs of cameras that see the point are compared by the correlation of the
+    colours around it; the better half of the pairs counts (``correlation_evidence``). These costs are smoothed along
+    the straight lines of the icosphere (``semi_global_smoothing``), less where the colours change; the smallest cost
+    wins, and is refined by a parabola. It takes any rig with any number of cameras, and needs no weights.
 
-    Where nothing is seen by two cameras, or nothing can be told, the index is that of the surroundings; confidence
-    and ``seen`` tell.
+    Where fewer than two cameras look, or there is no texture, the index is that of the surroundings; confidence and
+    ``seen`` show where.
 
     Args:
         sphere_images: ``(B, n, 3, V_image)`` in [-1, 1] on icospheres aligned with the world, in the order of

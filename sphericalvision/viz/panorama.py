@@ -54,8 +54,8 @@ def depth_panorama(
         min_depth: metres, the near (red) end of the scale.
         max_depth: metres, the far (blue) end; the scale is even in inverse depth, so infinity is a good end.
         title: text above the picture.
-        strength: ``(H, W)`` 0 to 1: how much of its colour a depth keeps; the less, the greyer. ``confidence_strength``
-            makes it of a confidence.
+        strength: ``(H, W)`` 0 to 1: saturation of the colour of each depth; the less, the greyer.
+            ``confidence_strength`` computes it from a confidence.
 
     Returns:
         uint8 ``(H + margins, W, 3)``, RGB.

@@ -25,15 +25,15 @@ def read_rig(
     image_size: tuple[int, int] | None = None,
     dtype: torch.dtype | None = None,
 ) -> CameraRig:
-    """The rig of a calibration, whose format is recognised by its content; poses are metres, camera to rig.
+    """Read a rig from a calibration file, whose format is recognised by its content; poses are metres, camera to rig.
 
     Args:
         path: a file of any format in the documentation's table of calibration files that has poses; or a folder that
             holds exactly one of these under its usual name, or a file for each camera (WoodScape, EuRoC's ``mav0``).
         translation_unit: ``"m"``, ``"cm"`` or ``"mm"``: required for ``poses.txt`` and OpenCV's files, which do not
-            tell. All other formats are in metres.
-        max_angle: half the field of view in radians, for all cameras, instead of what the file tells or, where it does
-            not, of the angle at the farthest pixel of the image.
+            state it. All other formats are in metres.
+        max_angle: half the field of view in radians, for all cameras. By default that of the file or, if it states
+            none, the angle at the farthest pixel of the image.
         image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF).
         dtype: of intrinsics and poses, by default torch's default.
 
@@ -82,14 +82,14 @@ def read_camera(
     image_size: tuple[int, int] | None = None,
     dtype: torch.dtype | None = None,
 ) -> Camera:
-    """The camera of a calibration that has one, or one of several by name.
+    """Read a camera from a calibration file that has one, or one of several by name.
 
     Args:
         path: a file or folder of any format that ``read_rig`` knows, or one of a single camera: OCamCalib's text file,
             COLMAP's ``cameras.txt``, KITTI-360's ``image_02.yaml``, Lafida's ``InteriorOrientationFisheye0.yaml``.
-        name: which one, where there are several: ``cam0``, ``cam1``, ... or as the file says.
-        max_angle: half the field of view in radians, instead of what the file tells or, where it does not, of the angle
-            at the farthest pixel of the image.
+        name: which camera, if there are several: ``cam0``, ``cam1``, ... or its name in the file.
+        max_angle: half the field of view in radians. By default that of the file or, if it states none, the angle at
+            the farthest pixel of the image.
         image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF).
         dtype: of the intrinsics, by default torch's default.
 

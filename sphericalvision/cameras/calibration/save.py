@@ -67,11 +67,12 @@ def save_camera(camera: Camera, path: str | Path, format: str | None = None) -> 
 
 
 def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> None:
-    """Write a rig, which ``read_rig`` reads back.
+    """Write a rig to a calibration file, which ``read_rig`` reads back.
 
     Args:
         rig: a single rig of cameras whose models the format has; each format's page says which.
-        path: the file, replaced at once when everything is written; a folder where a format has a file for each camera.
+        path: the file, replaced only after everything is written; or a folder, if the format has a file for each
+            camera.
         format: ``"native"`` (this package's own YAML, also when ``None``), or another one of
             ``sphericalvision.cameras.calibration.RIG_FORMATS``, such as ``"kalibr"``.
 

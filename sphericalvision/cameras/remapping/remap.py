@@ -23,23 +23,23 @@ def remap(
     fill: float = 0.0,
     mask: Shaped[Tensor, "*masks h w"] | None = None,
 ) -> Shaped[Tensor, "*batch c rows columns"]:
-    """The image of ``source`` as ``target`` would have taken it from the same place.
+    """The image that ``target`` would have taken from the same place as ``source``.
 
-    Differentiable in the image and, but for ``"nearest"``, in the rotation and both cameras' intrinsics. For many
-    images of one pair of cameras ``Remap`` is faster: it computes where to look once.
+    Differentiable with respect to the image and, except for ``"nearest"``, the rotation and the intrinsics of both
+    cameras. For many images of the same pair of cameras ``Remap`` is faster: it computes the lookup table once.
 
     Args:
         image: ``(*b, c, h, w)`` as taken by ``source``. Floating point, or of any type for ``"nearest"``.
         source: camera that took the image; batch dimensions of image, cameras and rotation broadcast.
         target: camera to imitate.
         rotation: ``(*b, 3, 3)``, target_from_source: what the source sees in direction d, the target sees in
-            ``rotation @ d``. None: both look the same way.
+            ``rotation @ d``. None: both have the same orientation.
         mode: ``"bilinear"`` reads four pixels around a point and aliases where the image shrinks. ``"area"`` is
-            bilinear where it grows and the mean over all that a target pixel covers where it shrinks.
-            ``"bicubic"`` is sharper and may overshoot. ``"nearest"`` makes up no values: for labels and masks.
+            bilinear where it grows, and the mean over the area of the target pixel where it shrinks. ``"bicubic"`` is
+            sharper and may overshoot. ``"nearest"`` creates no new values: for labels and masks.
             ``"depth"`` is for depth along the rays: linear in its inverse, so that planes stay planes, infinity
-            is a depth, and unknown pixels (NaN, zero, negative) take no part; unknown results are ``fill``.
-        fill: value where the source or the target sees nothing, see ``remap_mask``.
+            is a depth, and unknown pixels (NaN, zero, negative) are ignored; unknown results are ``fill``.
+        fill: value where the source or the target does not see, see ``remap_mask``.
         mask: ``(*b, h, w)``, pixels of the image that may be used (bool, or nonzero). Results are means over usable
             pixels; a target pixel is valid if it touches one.
 
@@ -96,11 +96,11 @@ def remap_mask(
 
 
 class Remap(nn.Module):
-    """``remap`` between two fixed cameras, with its tables made once.
+    """``remap`` between two fixed cameras, with tables that are computed once.
 
-    The tables are computed in float64 and kept in ``dtype`` as buffers that are in no state dict; they move with
-    ``.to`` and take no gradient. A call costs little more than one bare ``grid_sample``; with ``"area"``, about 16 of
-    them for every target pixel that the map shrinks. ``mask()`` returns where results are valid.
+    The tables are computed in float64 and kept in ``dtype`` as buffers that are not part of the state dict; they move
+    with ``.to`` and have no gradient. A call costs little more than one ``grid_sample``; with ``"area"``, about 16
+    samples for every target pixel where the image shrinks. ``mask()`` returns where results are valid.
 
     Args:
         source: camera that takes the images.

@@ -33,14 +33,14 @@ def undistort(
     fill: float = 0.0,
     mask: Shaped[Tensor, "*masks h w"] | None = None,
 ) -> Shaped[Tensor, "*batch C h_out w_out"]:
-    """The perspective picture in a wide image: ``remap`` to ``undistorted_camera``.
+    """A perspective view from a wide image: ``remap`` to ``undistorted_camera``.
 
     Args:
         image: ``(*b, c, h, w)`` as taken by ``camera``.
         camera: camera that took the image.
         field_of_view: of the picture from its left to its right edge, radians, below π.
-        focal_length: of the picture in pixels, in place of a field of view. With neither, the middle of the
-            picture has the scale of the image.
+        focal_length: of the view in pixels, instead of a field of view. With neither, the centre of the view has the
+            scale of the image.
         image_size: (height, width) of the picture; that of the image if not given.
         rotation: ``(*b, 3, 3)``, from the camera to the view: what the image shows in direction d, the picture shows in
             ``rotation @ d``.

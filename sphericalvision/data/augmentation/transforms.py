@@ -50,14 +50,14 @@ class Compose:
 
 
 class ToSphere:
-    """Bring a sample of images and a ground-truth panorama onto the icosphere.
+    """Resample the images and the ground-truth panorama of a sample onto the icosphere.
 
     Images are looked up bilinearly at the vertices, each camera turned into world orientation (its position
     plays no part) and scaled to [-1, 1]; what lies outside a camera's field of view, image or mask is 0.
     Ground truth is the nearest panorama pixel to each vertex, not interpolated, as in the paper's
     evaluation; vertices beyond the latitudes of the urban sets are not valid.
 
-    The table of pixel positions is kept while samples come with one and the same rig object.
+    The table of pixel positions is cached as long as samples have the same rig object.
 
     Args:
         level: of the icosphere that carries the images.

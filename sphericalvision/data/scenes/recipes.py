@@ -97,9 +97,9 @@ def make_scene(
     """The scene of a seed, well exposed for a rig at its centre.
 
     Args:
-        kind: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects in mid-air before a far shell), ``"hall"``,
-            ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a floor that mirrors) or ``"outdoors"`` (ground
-            below an infinitely far sky).
+        kind: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects in mid-air in front of a distant shell),
+            ``"hall"``, ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a reflecting floor) or ``"outdoors"``
+            (ground below an infinitely distant sky).
         seed: the same seed makes the same scene.
         device: where the scene lives; the CPU by default.
         center: ``(3,)`` where the rig's centre is, metres; the origin by default.

@@ -27,7 +27,7 @@ def available_weights() -> tuple[str, ...]:
 def pretrained(name: str = "refinedsweepnet") -> DepthNetwork:
     """Return a trained network that ships with the package, on the CPU and in eval mode.
 
-    Its model card, ``shipped/<name>.md`` beside this file, tells how it was trained and how well it does.
+    Its model card, ``shipped/<name>.md`` next to this file, tells how it was trained and how accurate it is.
 
     Raises:
         ArgumentError: if there is no network of this name.

@@ -29,8 +29,8 @@ def resample(
 ) -> Shaped[Tensor, "*results"]:
     """Resample values from one grid or camera to another.
 
-    Depth along the rays stays what it is: all grids and cameras are seen from the same centre. For many values on one
-    pair ``Resample`` is faster: it computes where to look once.
+    Depth along the rays needs no correction, since all grids and cameras have the same centre. For many values on one
+    pair ``Resample`` is faster: it computes the lookup table once.
 
     Args:
         values: ``(*b, c, *source_shape)``; the shape of a camera is its ``image_size``.
@@ -39,13 +39,13 @@ def resample(
         rotation: ``(3, 3)``, or ``(*b, 3, 3)`` for one a sample, target_from_source: what was seen in direction d is
             then seen in ``rotation @ d``.
         mode: ``"bilinear"`` interpolates between the nearest values (linear in each triangle of an icosphere), and
-            aliases where the target is coarser. ``"area"`` is bilinear where it is not, and the mean over each cell of
-            the target where it is. ``"nearest"`` makes up no values: for labels, of any dtype. It takes the
-            value in whose cell a direction lies, see ``SphereGrid.nearest``. ``"conservative"``, between grids of the
-            same part of the sphere, keeps the integral to rounding: every value goes to the cells that its own cell
-            overlaps, by area. Results are means that stay between the smallest and the largest value, and blocks where
-            the target is finer.
-        fill: value where the source or the target sees nothing, see ``resample_mask``.
+            aliases where the target is coarser. ``"area"`` is the mean over each cell of the target where the target
+            is coarser, and bilinear elsewhere. ``"nearest"`` creates no new values: for labels, of any dtype. It takes
+            the value whose cell contains the direction, see ``SphereGrid.nearest``. ``"conservative"``, between grids
+            of the same part of the sphere, preserves the integral up to rounding: every value is distributed to the
+            cells that its own cell overlaps, by area. Results are means, so they stay within the range of the values;
+            they look blocky where the target is finer.
+        fill: value where the source or the target does not see, see ``resample_mask``.
         mask: ``(*b, *source_shape)``, values that may be used (bool, or nonzero). Results are means over usable values.
 
     Returns:
@@ -96,10 +96,10 @@ def resample_mask(
 
 
 class Resample(nn.Module):
-    """``resample`` between two fixed grids or cameras, its tables made once.
+    """``resample`` between two fixed grids or cameras, with tables that are computed once.
 
-    The tables are buffers that move with the module and are not saved. They hold no gradients by rotation or
-    intrinsics: for these use ``resample``. ``mask()`` returns where results are valid.
+    The tables are buffers that move with the module and are not saved. They have no gradients with respect to rotation
+    or intrinsics; use ``resample`` for these. ``mask()`` returns where results are valid.
 
     Args:
         source: where values are given.

@@ -52,6 +52,7 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
         device=choose_device(config.device),
         antialias=config.antialias,
         native=config.native,
+        photometric=config.photometric,
         trained_radius=config.trained_radius,
     )
 

@@ -66,6 +66,7 @@ from sphericalvision.cameras.models.thin_prism_fisheye import (
     unproject_thin_prism_fisheye,
 )
 from sphericalvision.cameras.models.unified import UnifiedCamera, project_unified, unproject_unified
+from sphericalvision.cameras.photometric import PhotometricCalibration, calibrate_photometry
 from sphericalvision.cameras.refine import refine, refine_rig
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.cameras.remapping.remap import Remap, remap, remap_mask
@@ -88,6 +89,7 @@ __all__ = [
     "FisheyeCamera",
     "KannalaBrandtCamera",
     "OCamCamera",
+    "PhotometricCalibration",
     "PinholeCamera",
     "Projection",
     "RadialPolynomialCamera",
@@ -100,6 +102,7 @@ __all__ = [
     "Unprojection",
     "align_rig",
     "calibrate_camera",
+    "calibrate_photometry",
     "convert",
     "coverage",
     "depth_from_z",

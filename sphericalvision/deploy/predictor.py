@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import os
 import threading
 from collections.abc import Iterable, Mapping
@@ -15,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras import CameraRig, PhotometricCalibration, calibrate_photometry
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_type
@@ -23,6 +24,7 @@ from sphericalvision.crown.options import native_pays_at_once
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.deploy.depth import Depth
 from sphericalvision.deploy.photographs import as_photographs
+from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
@@ -33,6 +35,8 @@ from sphericalvision.sweep.nearest_depth import nearest_depth
 __all__ = ["METHODS", "Predictor", "nearest_in_frames"]
 
 METHODS = ("network", "semi_global")
+LEAST_LIGHT = 0.05
+"""Share of the light: cameras that differ by less are taken to be alike."""
 SCENE_LEVEL = 6
 """Icosphere level of the images that the nearest depth of a scene is looked for in."""
 
@@ -44,6 +48,8 @@ class _Ready(NamedTuple):
     tables: Any
     lookups: list[SphereLookup]
     seen: Tensor
+    angles: Tensor
+    """``(n, V)`` radians from each camera's axis; empty for networks that take images as they are."""
 
 
 class Predictor:
@@ -66,6 +72,8 @@ class Predictor:
         antialias: whether images finer than the icosphere are averaged over the area between its vertices.
         native: whether to use faster operators in C++ on a CPU, which are compiled once; ``"auto"``: only if they have
             been compiled on this machine already.
+        photometric: whether to compensate differences in exposure and vignetting between the cameras before depth is
+            estimated, if they exceed 5 %. They are estimated from each frame (``cameras.calibrate_photometry``).
         channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
         trained_radius: metres; radius of the rigs that the network was trained with, for ``min_depth=None``.
 
@@ -96,6 +104,7 @@ class Predictor:
         device: torch.device | str | None = None,
         antialias: bool = True,
         native: bool | Literal["auto"] = False,
+        photometric: bool = True,
         channels: Literal["rgb", "bgr"] = "rgb",
         trained_radius: float = 0.2,
     ) -> None:
@@ -122,7 +131,7 @@ class Predictor:
             check_places(rig)
         self._device = net.device if device is None else checked_device(device)
         self._rig = rig.to(self._device)
-        self._antialias, self._channels = antialias, channels
+        self._antialias, self._channels, self._photometric = antialias, channels, bool(photometric)
         self._lock = threading.Lock()
         self._ready: _Ready | None = None
         self._scaled: DepthNetwork | None = None
@@ -270,11 +279,31 @@ class Predictor:
 
     def _inputs(self, ready: _Ready, photographs: Mapping[str, Tensor]) -> Tensor:
         """``(*b, n, 3, V)`` on icospheres, or ``(*b, n, 3, h, w)``; 0 where nothing was seen."""
+        lights = self._lights(photographs)
         if ready.net.images == "camera":
+            photographs = _evened(self._rig, photographs, lights)
             stacked = torch.stack(list(photographs.values()), -4) * 2 - 1
             return stacked * ready.seen[:, None]
-        values = [look(image, 0) for look, image in zip(ready.lookups, photographs.values(), strict=True)]
-        return torch.stack(values, -3).mul_(2).sub_(ready.seen.unsqueeze(1).float())
+        looked = [look(image, 0) for look, image in zip(ready.lookups, photographs.values(), strict=True)]
+        values = torch.stack(looked, -3)
+        frames = values.view(-1, *values.shape[-3:])
+        for frame, light in zip(frames, lights, strict=True):
+            if light is not None:
+                frame.div_(light.light(ready.angles)).clamp_(0, 1)
+        return values.mul_(2).sub_(ready.seen.unsqueeze(1).float())
+
+    def _lights(self, photographs: Mapping[str, Tensor]) -> list[PhotometricCalibration | None]:
+        """What is to be taken out of each frame, None where there is nothing to speak of."""
+        first = next(iter(photographs.values()))
+        flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in photographs.items()}
+        count = math.prod(first.shape[:-3])
+        if not self._photometric or len(self._rig) < 2:
+            return [None] * count
+        found = [
+            calibrate_photometry(self._rig, {name: images[frame] for name, images in flat.items()})
+            for frame in range(count)
+        ]
+        return [light if light.strength > LEAST_LIGHT else None for light in found]
 
     def _prepared(self, photographs: Mapping[str, Tensor] | None) -> _Ready:
         """Network and tables, made by the first call; others wait for it."""
@@ -307,11 +336,27 @@ class Predictor:
         if net.images == "sphere":
             vertices = icosphere_vertices(net.level, torch.float32, self._device)
             lookups = sphere_lookups(self._rig, vertices.to(self._rig.world_from_camera), self._antialias)
-            return _Ready(net, net.tables(self._rig), lookups, torch.stack([look.seen for look in lookups]))
+            local = vertices.to(self._rig.world_from_camera) @ self._rig.world_from_camera[:, :3, :3]
+            seen = torch.stack([look.seen for look in lookups])
+            return _Ready(net, net.tables(self._rig), lookups, seen, angle_from_axis(local).float())
         sizes = sorted({camera.image_size for camera in self._rig.cameras.values()})
         if len(sizes) > 1:
             raise ShapeError(f"images: {type(net).__name__} wants images of one size, got {sizes}")
-        return _Ready(net, net.tables(self._rig), [], torch.stack(list(pixels_seen(self._rig).values())))
+        seen = torch.stack(list(pixels_seen(self._rig).values()))
+        return _Ready(net, net.tables(self._rig), [], seen, torch.empty(0))
+
+
+def _evened(
+    rig: CameraRig, photographs: Mapping[str, Tensor], lights: list[PhotometricCalibration | None]
+) -> dict[str, Tensor]:
+    """Images ``(*b, 3, h, w)`` without what is to be taken out of each frame."""
+    flat = {name: image.reshape(-1, *image.shape[-3:]).clone() for name, image in photographs.items()}
+    for frame, light in enumerate(lights):
+        if light is not None:
+            even = light.corrected(rig, {name: images[frame] for name, images in flat.items()})
+            for name, image in even.items():
+                flat[name][frame] = image
+    return {name: flat[name].view_as(image) for name, image in photographs.items()}
 
 
 def check_number(net: DepthNetwork, rig: CameraRig) -> None:

@@ -180,7 +180,7 @@ class _View:
         self.frames = image.reshape(-1, *image.shape[-3:]) * self.inside
 
     def shown(self, look: SphereLookup) -> tuple[Tensor, Tensor]:
-        """Logarithms of values ``(c, b V)``, and where they are usable ``(b V,)``: not at the edge of the image circle."""
+        """Logarithms of values ``(c, b V)``, and which are usable ``(b V,)``: not at the border of the view."""
         share = look(self.inside, 0)
         found = look(self.frames, 0) / share.clamp(min=0.5)
         good = look.seen & (share[0] > 0.99) & (found.amin(1) > _DARKEST) & (found.amax(1) < _BRIGHTEST)

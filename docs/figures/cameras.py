@@ -78,8 +78,8 @@ def radius_by_angle() -> str:
     return to_html(
         figure,
         "Radius in the image against the angle from the axis for twelve camera models",
-        "A pinhole's image is infinitely large at 90°; a fisheye's grows on. A line ends where its "
-        "model does.",
+        "The image of a pinhole camera is infinitely large at 90°; that of a fisheye continues. A line "
+        "ends where its model ends.",
     )
 
 
@@ -105,5 +105,5 @@ def coverage() -> str:
         figure,
         "Panoramas of how many cameras of a ring of four see each direction, for two fields of view "
         "and a tilt",
-        "Depth needs two cameras. Lenses of 185° leave what is straight above and below to one, or to none.",
+        "Depth needs two cameras. With 185° lenses, at most one sees straight up and down.",
     )

@@ -114,7 +114,7 @@ def unfolding() -> str:
         "southern half of the next. "
         "Sheared so that the triangles become half squares, both are rectangles. N and S are the "
         "poles; what is cut at the "
-        "rim of a column is inside a row.",
+        "border of a column is inside a row.",
     )
 
 
@@ -160,5 +160,5 @@ def taps() -> str:
         "The seven taps of a hexagonal convolution on a grid and on the sphere",
         "Seven weights: the vertex (6) and its neighbours (0 to 5). Two corners of the 3 x 3 window "
         "stay empty. On rows the same "
-        "taps stand a sixth of a turn further on.",
+        "taps are rotated by 60°.",
     )

@@ -90,8 +90,8 @@ def vertex_order() -> str:
         "Vertices of the first chart at levels 0, 1 and 2 as grids of numbers",
         "The first chart. The north pole is number 0, then the charts follow one by one, row by row, "
         "the south pole is the last. "
-        "Filled vertices are the chart's own, the others belong to a neighbour. Bold ones were there "
-        "a level before.",
+        "Filled vertices belong to this chart, the others to a neighbour. Bold ones are also vertices "
+        "of the coarser level.",
     )
 
 
@@ -131,5 +131,5 @@ def interpolation() -> str:
     return to_html(
         figure,
         "A direction in a triangle of the icosphere, and the three weights of its corners",
-        "Linear interpolation in the triangle that the direction meets.",
+        "Linear interpolation in the triangle that contains the direction.",
     )

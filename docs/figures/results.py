@@ -25,10 +25,10 @@ __all__ = ["Result", "confidence", "failures", "hero", "result", "scene_images"]
 PANORAMA = Equirectangular(180, 360)
 #: Scenes in which the network errs most, and why.
 HARD = {
-    ("polished", 2): "a floor that mirrors",
+    ("polished", 2): "a reflecting floor",
     ("bare", 2): "walls without texture",
-    ("floating", 5): "things before each other",
-    ("outdoors", 2): "thin poles, and trees before the sky",
+    ("floating", 5): "objects in front of each other",
+    ("outdoors", 2): "thin poles, and trees against the sky",
 }
 
 
@@ -117,9 +117,9 @@ def hero() -> str:
         figure,
         "Four fisheye images of a room, the estimated inverse depth as a panorama, its colours, and "
         "its points from above",
-        "A scene that the network has never seen. Red is near, blue is far. Below: what the cameras "
-        "see, put together, and the "
-        "points that it makes, seen from above through the open ceiling.",
+        "A scene that is not part of the training. Red is near, blue is far. Below: the images as one "
+        "panorama, and the "
+        "estimated points from above, without the ceiling.",
     )
 
 
@@ -142,9 +142,8 @@ def confidence() -> str:
     return to_html(
         figure,
         "Error and confidence as panoramas, and the mean error of the surest share of all points",
-        "The network knows where it may be wrong: dark in the second picture, where the first is "
-        "bright. Dropping the least sure "
-        "fifth leaves a smaller error.",
+        "The confidence is low (dark) where the error is large (bright). Without the fifth of lowest "
+        "confidence, the mean error is smaller.",
     )
 
 
@@ -168,7 +167,7 @@ def failures() -> str:
             axes.imshow(values, cmap=colors, vmin=0, vmax=most)
     return to_html(
         figure,
-        "Four scenes in which the network errs, with its answer, the truth and the error",
-        "Scenes that it was not trained on, chosen because it errs on them. Colours are indices of 0 "
-        "to 8 (red), errors of 0 to 4.",
+        "Four scenes with large errors of the network: image, estimate, truth and error",
+        "Scenes that are not part of the training, chosen because of their large errors. Colours show "
+        "indices from 0 to 8 (red) and errors from 0 to 4.",
     )

@@ -80,10 +80,10 @@ def geometry() -> str:
     chart.set_title("do the cameras see the same?")
     return to_html(
         figure,
-        "Two cameras look at points at five guessed distances along one direction; they agree at the surface",
-        "One direction of the rig, five guesses. At the true one both cameras look at the same spot "
+        "Two cameras look at points at five distances along one direction; they agree at the surface",
+        "One direction of the rig, five hypotheses. At the true one both cameras look at the same point "
         "of the surface, and see the "
-        "same; at the others they look at different spots. (A drawing, not a measurement.)",
+        "same; at the others they look at different points. (A drawing, not a measurement.)",
     )
 
 
@@ -130,6 +130,6 @@ def probabilities() -> str:
         "Probabilities of the hypotheses at three vertices: of the sweep, of the prior, and of both fused",
         "Three vertices of one scene. Where there is texture the sweep's costs are sharp. On a bare "
         "wall they are flat, and the "
-        "network that knows rooms decides. At an edge two depths are left: the answer is taken "
-        "around the larger peak, not between.",
+        "prior decides. At an edge two depths are likely: the result is the mean around the larger "
+        "peak, not between them.",
     )

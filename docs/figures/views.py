@@ -63,7 +63,7 @@ def resampling_modes() -> str:
         "One photograph resampled to a finer and to a coarser grid by four modes",
         "A photograph of bricks around the sphere. Above, a view of 5°, seven times finer; below, a "
         "panorama eleven times coarser, "
-        "where all modes but the last see a pattern that is not there.",
+        "where all modes except the last show a false pattern (aliasing).",
     )
 
 

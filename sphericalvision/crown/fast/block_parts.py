@@ -134,7 +134,7 @@ class NativeConvolution:
 
     def __call__(self, given: Tensor, group: RectangleGroup, result: Tensor) -> None:
         """Convolve into ``(g, N', h, w, O)``."""
-        convolve_rectangles(given, self.factors[group.is_row], None, result)
+        convolve_rectangles(given, self.factors[group.is_row], None, result, TAPS[group.is_row])
 
     def upstream(self, group: RectangleGroup) -> Tensor:
         """Where ``gradients`` wants the gradient of results, ``(g, N, h, w, O)``."""
@@ -144,11 +144,11 @@ class NativeConvolution:
     def gradients(self, given: Tensor, group: RectangleGroup, wanted: bool = True) -> Tensor | None:
         """Count in the weight's gradient and return, if ``wanted``, that of the values given, ``(g, N, h, w, C)``."""
         upstream = self.upstream(group)
-        add_gradient_of_weight(given, upstream, self.parts[group.is_row])
+        add_gradient_of_weight(given, upstream, self.parts[group.is_row], TAPS[group.is_row])
         if not wanted:
             return None
         grad_given = workspace().take("grad_given", given.shape, given).zero_()
-        gradient_of_given(upstream, self.factors[group.is_row], grad_given)
+        gradient_of_given(upstream, self.factors[group.is_row], grad_given, TAPS[group.is_row])
         return grad_given
 
     def weight_gradient(self) -> Tensor:

@@ -79,10 +79,10 @@ def _native_chain(
     for group in crown:
         ids = group.places[:, 1:-1, 1:-1, 1:-1]
         torch.index_select(flat, 0, ids.flatten(), out=given)
-        values = given.view(*ids.shape, channels)
+        values, taps = given.view(*ids.shape, channels), (COL_TAPS, ROW_TAPS)[group.is_row]
         for k, (factors, bias) in enumerate(made_ready[group.is_row], 1):
             made = workspace.take(f"layer {k}", (*ids.shape, len(layers[k - 1][0])), sample)
-            convolve_rectangles(values, factors, bias, made, rectify=k < len(layers))
+            convolve_rectangles(values, factors, bias, made, taps, rectify=k < len(layers))
             values = made
         places.add(values, group)
     places.mean()

@@ -4,7 +4,8 @@
 ``hex_convolution.cpp`` takes Winograd's algorithms along every dimension: F(3, 3) along rows and columns, of whose 25
 products for nine results two are zero because two corners of the kernel are, and F(4, 3) along the hypotheses. A
 result then takes 2.6 products in place of 9 of a planar convolution, or 3.8 in place of 27. Borders are repeated while
-reading, not copied around, and nothing but results leaves the cache.
+reading, not copied around, and nothing but results leaves the cache. In volumes of few channels transforms in the plane
+cost more than they save: there ``hex_direct.cpp`` sums over the seven taps, 10.5 products a result.
 
 The points of F(4, 3) are 0, +-1 / sqrt(2), +-sqrt(2) and infinity, as with the usual +-1 and +-2 in several dimensions
 the largest errors would be several times as large; those of F(3, 3) are 0, 1, -1, 2 and infinity.
@@ -38,6 +39,9 @@ __all__ = [
 
 LANES = 16
 """Results are summed in vectors of so many channels."""
+
+DIRECT = 16
+"""In volumes of no more channels than this the seven taps are summed directly."""
 
 _A, _B = math.sqrt(0.5), math.sqrt(2.0)
 
@@ -106,9 +110,9 @@ def hex_factors(
 ) -> Float[Tensor, "F S C_in C_out_filled"]:
     """Return a weight as factors of products, for ``convolve_rectangles`` or, ``adjoint``, ``gradient_of_given``.
 
-    ``(1 or 6, 23, in, out)``, channels out filled up to a whole number of vectors.
+    ``(1 or 6, 23 or 7, in, out)``, channels out filled up to a whole number of vectors.
     """
-    transform = _transform(taps, weight.shape[-1] // 7).to(weight.dtype)
+    transform = _transform(taps, *_kind(weight)).to(weight.dtype)
     by_tap = weight.permute((2, 0, 1) if adjoint else (2, 1, 0))
     factors = (transform.flatten(0, 1) @ by_tap.flatten(1)).view(*transform.shape[:2], *by_tap.shape[1:])
     return F.pad(factors, (0, -factors.shape[-1] % LANES)).contiguous()
@@ -119,10 +123,16 @@ def convolve_rectangles(
     factors: Float[Tensor, "F S C O_filled"],
     bias: Float[Tensor, " O"] | None,
     result: Float[Tensor, "B N h w O"],
+    taps: Taps,
     rectify: bool = False,
     border: bool = False,
 ) -> None:
     """Convolve volumes, or images of one hypothesis, into ``result``; channels lie together in both."""
+    if _is_direct(factors):
+        native_operators().hex_direct(given, factors, _places(taps), bias, border, result)
+        if rectify:
+            result.relu_()
+        return
     native_operators().hex_convolve(given, factors, bias, rectify, border, result)
 
 
@@ -130,15 +140,21 @@ def gradient_of_given(
     grad_result: Float[Tensor, "B N h w O"],
     factors: Float[Tensor, "F S O C_filled"],
     grad_given: Float[Tensor, "B N h_in w_in C"],
+    taps: Taps,
     border: bool = False,
 ) -> None:
     """The adjoint of ``convolve_rectangles``, added to ``grad_given``; ``factors`` are ``adjoint``."""
+    if _is_direct(factors):  # with the taps on the other side of the centre
+        places = 8 - _places(taps)
+        native_operators().hex_direct_backward_given(grad_result, factors, places, border, grad_given)
+        return
     native_operators().hex_convolve_backward_given(grad_result, factors, border, grad_given)
 
 
 def zero_factor_gradients(weight: Float[Tensor, "O C taps"]) -> Float[Tensor, "threads F S C O_filled"]:
     """Return zeros for ``add_gradient_of_weight``: a part for every thread, added up in the end in the same order."""
-    planes, slots = _transform_size(weight.shape[-1] // 7)
+    depth, direct = _kind(weight)
+    planes, slots = (1 if depth == 1 else len(_LINE_TAPS)), (7 if direct else len(_PLANE_TAPS) ** 2 - 2)
     out, channels, _ = weight.shape
     return weight.new_zeros(torch.get_num_threads(), planes, slots, channels, out + -out % LANES)
 
@@ -147,9 +163,13 @@ def add_gradient_of_weight(
     given: Float[Tensor, "B N h_in w_in C"],
     grad_result: Float[Tensor, "B N h w O"],
     parts: Float[Tensor, "threads F S C O_filled"],
+    taps: Taps,
     border: bool = False,
 ) -> None:
     """The adjoint of ``convolve_rectangles`` with respect to its factors, added to ``parts``."""
+    if _is_direct(parts):
+        native_operators().hex_direct_backward_weight(given, grad_result, _places(taps), border, parts)
+        return
     native_operators().hex_convolve_backward_weight(given, grad_result, border, parts)
 
 
@@ -157,18 +177,32 @@ def hex_weight_gradient(
     parts: Float[Tensor, "threads F S C O_filled"], weight: Float[Tensor, "O C taps"], taps: Taps
 ) -> Float[Tensor, "O C taps"]:
     """The gradient of a weight from that of its factors: the adjoint of ``hex_factors``."""
-    transform = _transform(taps, weight.shape[-1] // 7).to(parts.dtype).flatten(0, 1)
+    transform = _transform(taps, *_kind(weight)).to(parts.dtype).flatten(0, 1)
     by_factor = parts.sum(0)[..., : len(weight)].flatten(0, 1)
     return (transform.T @ by_factor.flatten(1)).view(-1, *by_factor.shape[1:]).permute(2, 1, 0)
 
 
-def _transform_size(depth: int) -> tuple[int, int]:
-    return (1 if depth == 1 else len(_LINE_TAPS)), len(_PLANE_TAPS) ** 2 - 2
+def _kind(weight: Tensor) -> tuple[int, bool]:
+    """Number of hypotheses that a weight spans, and whether its taps are summed directly."""
+    depth = weight.shape[-1] // 7
+    return depth, depth > 1 and max(weight.shape[:2]) <= DIRECT
+
+
+def _is_direct(factors: Tensor) -> bool:
+    return factors.shape[-3] == 7
+
+
+@lru_cache(maxsize=2)
+@torch.inference_mode(False)  # kept for training, too
+def _places(taps: Taps) -> Tensor:
+    """Which of nine places each tap is, ``(7,)``."""
+    flat = sum(taps, ())
+    return torch.tensor([flat.index(tap) for tap in range(7)], device="cpu")
 
 
 @lru_cache(maxsize=8)
 @torch.inference_mode(False)  # kept for training, too
-def _transform(taps: Taps, depth: int) -> Tensor:
+def _transform(taps: Taps, depth: int, direct: bool) -> Tensor:
     """From taps to factors, ``(planes, slots, taps)``, float64 on the CPU; without two slots that are always zero."""
 
     def table(rows: tuple[tuple[float, ...], ...]) -> Tensor:
@@ -178,6 +212,8 @@ def _transform(taps: Taps, depth: int) -> Tensor:
     # Every tap by itself as a planar kernel (7, 3, 3), of which the first and the last place are none.
     single = planar_kernel(torch.eye(7, dtype=torch.float64, device="cpu"), taps)
     slots = torch.einsum("ri,sj,tij->rst", plane, plane, single).flatten(0, 1)[1:-1]
+    if direct:
+        slots = torch.eye(7, dtype=torch.float64, device="cpu")
     return torch.einsum("kd,st->ksdt", line, slots).flatten(2)
 
 
@@ -203,7 +239,7 @@ class _HexConvolution(torch.autograd.Function):
         batch, depth, height, width, _ = given.shape
         size = (batch, depth, height - 2 * border, width - 2 * border, len(weight))
         result = given.new_empty(size)
-        convolve_rectangles(given, hex_factors(weight, taps), bias, result, border=border)
+        convolve_rectangles(given, hex_factors(weight, taps), bias, result, taps, border=border)
         ctx.save_for_backward(images, weight, bias)
         ctx.options = taps, border
         return _images(result, images)
@@ -223,11 +259,11 @@ class _HexConvolution(torch.autograd.Function):
         grad_images = grad_weight = None
         if wanted[0]:
             grad_given = given.new_zeros(given.shape)
-            gradient_of_given(upstream, hex_factors(weight, taps, adjoint=True), grad_given, border)
+            gradient_of_given(upstream, hex_factors(weight, taps, adjoint=True), grad_given, taps, border)
             grad_images = _images(grad_given, images)
         if wanted[1]:
             parts = zero_factor_gradients(weight)
-            add_gradient_of_weight(given, upstream, parts, border)
+            add_gradient_of_weight(given, upstream, parts, taps, border)
             grad_weight = hex_weight_gradient(parts, weight, taps)
         grad_bias = upstream.sum((0, 1, 2, 3)) if wanted[2] else None
         return grad_images, grad_weight, grad_bias, None, None

@@ -20,7 +20,9 @@ from sphericalvision.core import MissingCompilerError
 
 __all__ = ["native_at_hand", "native_operators"]
 
-SOURCES = [Path(__file__).with_name(name) for name in ("hex_convolution.cpp", "normalization.cpp")]
+SOURCES = [
+    Path(__file__).with_name(name) for name in ("hex_convolution.cpp", "hex_direct.cpp", "normalization.cpp")
+]
 HEADERS = [Path(__file__).with_name(name) for name in ("lanes.h", "volumes.h", "winograd_lines.h")]
 
 # What the processor has, as torch names it. Nothing else is asked for, so that machines may share a folder.

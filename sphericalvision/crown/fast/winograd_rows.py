@@ -28,7 +28,7 @@ __all__ = [
 
 ALL_TAPS = tuple(range(9))
 
-MIN_PLACES = 5000
+MIN_PLACES = 4000
 """Images of fewer places altogether are convolved with the whole kernel: small products are slow."""
 
 PARTS = 8

@@ -98,7 +98,9 @@ def test_parts_of_larger_tensors_are_convolved_and_written(generator: torch.Gene
     around = torch.randn(2, 9, 8, 11, 20, generator=generator)
     weight, bias = torch.randn(16, 20, 21, generator=generator) / 20, torch.randn(16, generator=generator)
     given, result = around[:, 1:7, 1:, 2:-1], torch.zeros(2, 8, 7, 10, 16)
-    convolve_rectangles(given, hex_factors(weight, COL_TAPS), bias, result[:, 1:7, :, 1:-1], rectify=True)
+    convolve_rectangles(
+        given, hex_factors(weight, COL_TAPS), bias, result[:, 1:7, :, 1:-1], COL_TAPS, rectify=True
+    )
     expected = direct(given.movedim(-1, 1), weight, bias, COL_TAPS).relu().movedim(1, -1)
     torch.testing.assert_close(result[:, 1:7, :, 1:-1], expected, atol=1e-5, rtol=1e-5)
     assert not result[:, [0, 7]].any()  # nothing else is written
@@ -107,9 +109,9 @@ def test_parts_of_larger_tensors_are_convolved_and_written(generator: torch.Gene
 
 @needs_compiler
 def test_operators_refuse_what_does_not_fit() -> None:
-    factors = hex_factors(torch.zeros(5, 8, 21), COL_TAPS)
-    given, result = torch.zeros(1, 6, 6, 6, 8), torch.zeros(1, 6, 6, 6, 5)
-    convolve_rectangles(given, factors, None, result)
+    factors = hex_factors(torch.zeros(5, 18, 21), COL_TAPS)
+    given, result = torch.zeros(1, 6, 6, 6, 18), torch.zeros(1, 6, 6, 6, 5)
+    convolve_rectangles(given, factors, None, result, COL_TAPS)
     for wrong in (
         (given.double(), factors, None, result),
         (given.movedim(-1, 1).contiguous().movedim(1, -1), factors, None, result),
@@ -121,7 +123,7 @@ def test_operators_refuse_what_does_not_fit() -> None:
         (given[0], factors, None, result),
     ):
         with pytest.raises(RuntimeError):
-            convolve_rectangles(*wrong)
+            convolve_rectangles(*wrong, COL_TAPS)
 
 
 class Spy:

@@ -16,15 +16,15 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, save_rig, seen_by
-from sphericalvision.data import ToSphere, make_scene, ray_depth, render_rig, write_image
+from sphericalvision.data import make_scene, ray_depth, render_rig, write_image
 from sphericalvision.data.augmentation.disturbances import CameraDisturbance, turned_poses
 from sphericalvision.data.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.data.scenes.recipes import kind_of
 from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, HELD_OUT_SEED
+from sphericalvision.deploy import Predictor
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import load_weights, pretrained
 from sphericalvision.recipes.app.rigs import make_corner_rig
-from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.sweep import index_from_inverse_depth
 
 RIG = make_corner_rig(image_size=(256, 256))
@@ -59,23 +59,27 @@ def write(folder: Path) -> None:
     save_rig(OFF, folder / "rig.yaml")
 
 
-@torch.no_grad()
 def measure(weights: str) -> None:
-    """Print MAE in percent of N at level 6, mean over the tested scenes, before and after."""
-    networks = [pretrained("refinedsweepnet").eval(), load_weights(weights).eval()]
-    tables, to_sphere = RigTables(networks[0]), ToSphere(6, antialias=True)
+    """Print MAE in percent of N at level 6, mean over the tested scenes: as shipped, compensated, and adapted."""
+    shipped, adapted = pretrained("refinedsweepnet"), load_weights(weights)
     for title, faults, rig in (("disturbed", FAULTS, OFF), ("clean", CameraDisturbance(), RIG)):
+        ways = {
+            "shipped, photometric=false": Predictor(rig, shipped, min_depth=NEAREST, photometric=False),
+            "shipped": Predictor(rig, shipped, min_depth=NEAREST),
+            "adapted": Predictor(rig, adapted, min_depth=NEAREST),
+        }
         errors = []
         for number in TESTED:
             images, truth, counts = frame(number, faults)
-            inputs = to_sphere.images(images, rig)[None], tables.of(rig), to_sphere.seen(rig)[None]
-            said = [network.predict(*inputs).index[0] for network in networks]
+            said = [predictor(images).index for predictor in ways.values()]
             errors.append([((index - truth).abs() * 100 / HYPOTHESES)[counts].mean() for index in said])
-        before, after = (torch.tensor(column) for column in zip(*errors, strict=True))
-        change = 100 * (after.mean() / before.mean() - 1)
-        better = int((after < before).sum())
-        print(f"{title}: {before.mean():.2f} before, {after.mean():.2f} after ({change:+.1f} %)", end="; ")
-        print(f"better in {better} of {len(TESTED)} scenes")
+        columns = torch.tensor(errors).T
+        for name, column in zip(ways, columns, strict=True):
+            better = int((column < columns[0]).sum())
+            change = 100 * (column.mean() / columns[0].mean() - 1)
+            print(
+                f"{title}, {name}: {column.mean():.2f} ({change:+.1f} %), better in {better} of {len(TESTED)} scenes"
+            )
 
 
 if __name__ == "__main__":

@@ -48,6 +48,7 @@ class Predict:
     min_depth: Positive | Literal["auto", "scene"]
     trained_radius: Positive
     antialias: bool
+    photometric: bool
     outputs: list[str] | None
     height: Count
     near: Positive | None

@@ -17,7 +17,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.data.seeded_scenes import NATURAL_MIN_DEPTH
 from sphericalvision.deploy.photographs import as_photographs
-from sphericalvision.deploy.predictor import check_number, nearest_in_frames, scaled_min_depth
+from sphericalvision.deploy.predictor import check_number, evened, nearest_in_frames, scaled_min_depth
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
@@ -101,6 +101,8 @@ class CaptureDataModule(SampleDataModule):
         max_angle_deg: half the field of view, where the calibration does not say it.
         min_depth: nearest hypothesis in metres; ``"auto"`` scales it with the rig, ``"scene"`` finds it in the images.
         trained_radius: rig radius that the network was trained with, metres.
+        photometric: whether differences in exposure and vignetting between the cameras are compensated, as in
+            ``sphericalvision-predict``; also those of the disturbances, so that what is left of them is learned.
         rendered: share of training samples that are rendered scenes.
         rendered_seed: of the first rendered scene.
         batch_size: samples in a batch: 1, as rigs differ.
@@ -126,6 +128,7 @@ class CaptureDataModule(SampleDataModule):
         max_angle_deg: HalfAngle | None = None,
         min_depth: Positive | Literal["auto", "scene"] = "auto",
         trained_radius: Positive = 0.2,
+        photometric: bool = True,
         rendered: Share = 0.5,
         rendered_seed: Number = 5_000_000,
         batch_size: int = 1,
@@ -143,6 +146,7 @@ class CaptureDataModule(SampleDataModule):
         self.num_frames, self.held_out_every = num_frames, held_out_every
         self.min_depth, self.trained_radius = min_depth, trained_radius
         self.rendered, self.rendered_seed = rendered, rendered_seed
+        self.photometric = photometric
         rig, mask_files = read_capture_rig(
             calibration or images, cameras, masks, translation_unit, max_angle_deg
         )
@@ -203,7 +207,10 @@ class CaptureDataModule(SampleDataModule):
         self.rig = rig.scaled(self.net.min_depth / self.near)
         teacher = _Teacher(self.net, self.rig)
         for name in track(self.names, "asking network and sweep", console=console):
-            self.taught[name] = teacher(name, photographs[name])
+            images = photographs[name]
+            if self.photometric:
+                images = _kept(evened(self.rig, _floats(images)))
+            self.taught[name] = teacher(name, images)
         self.grey = float(all(_is_grey(images) for images in photographs.values()))
 
     def _nearest(self, rig: CameraRig, photographs: dict[str, dict[str, Tensor]]) -> float:
@@ -231,8 +238,10 @@ class CaptureDataModule(SampleDataModule):
         grid = self.net.grid
         assert isinstance(grid, Icosphere)
         natural = _smaller(self.rig.scaled(NATURAL_MIN_DEPTH / self.net.min_depth))
-        scenes = Rehearsal(natural, self.net.level, grid.level, self.grey, 100_000, self.rendered_seed)
-        frames.disturbed = self.grey
+        scenes = Rehearsal(
+            natural, self.net.level, grid.level, self.grey, 100_000, self.rendered_seed, self.photometric
+        )
+        frames.disturbed, frames.photometric = self.grey, self.photometric
         return _Mixed(frames, scenes, self.rendered, self.net.min_depth / NATURAL_MIN_DEPTH)
 
 
@@ -286,6 +295,8 @@ class _Frames(Dataset[Sample]):
         self.to_sphere = ToSphere(level, 2, antialias=True)
         #: How often a disturbed frame is grey; None for frames as they are.
         self.disturbed: float | None = None
+        #: Whether differences between the cameras of disturbed frames are compensated.
+        self.photometric = False
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -297,6 +308,8 @@ class _Frames(Dataset[Sample]):
         if self.disturbed is not None:
             faulty = random_disturbance(max(self.disturbed, 0.2))({"images": images, "rig": rig})
             images, rig, more = faulty["images"], faulty["rig"], {}
+            if self.photometric:
+                images = evened(rig, images)
         return {
             "images": self.to_sphere.images(images, rig),
             "seen": self.to_sphere.seen(rig),

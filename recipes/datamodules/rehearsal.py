@@ -15,6 +15,7 @@ from sphericalvision.data.augmentation.disturbances import CameraDisturbance
 from sphericalvision.data.random_rig_scenes import SHARES
 from sphericalvision.data.scenes.carriers import CARRIERS, with_carrier
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
+from sphericalvision.deploy.predictor import evened
 from sphericalvision.icosphere import Icosphere
 
 __all__ = ["Rehearsal", "random_disturbance"]
@@ -60,6 +61,7 @@ class Rehearsal(Dataset[Sample]):
         grey: share of samples without colour.
         num_scenes: number of samples; what one shows is drawn, its disturbances from torch's global generator.
         first_seed: of scene 0.
+        photometric: whether differences between the cameras are compensated, as they are in use.
     """
 
     def __init__(
@@ -70,9 +72,11 @@ class Rehearsal(Dataset[Sample]):
         grey: float,
         num_scenes: int,
         first_seed: int = 5_000_000,
+        photometric: bool = False,
     ) -> None:
         assert first_seed + num_scenes <= HELD_OUT_SEED
         self.rig, self.grey, self.num_scenes, self.first_seed = rig, grey, num_scenes, first_seed
+        self.photometric = photometric
         self.to_sphere = ToSphere(level, depth_level, antialias=True)
         self.directions = Icosphere(depth_level).vertices
 
@@ -92,6 +96,8 @@ class Rehearsal(Dataset[Sample]):
         frame: Sample = {"images": render_rig(scene, self.rig, 1), "rig": self.rig}
         frame = random_disturbance(self.grey)(frame)
         rig = frame["rig"]
+        if self.photometric:
+            frame["images"] = evened(rig, frame["images"])
         return {
             "images": self.to_sphere.images(frame["images"], rig),
             "seen": self.to_sphere.seen(rig),

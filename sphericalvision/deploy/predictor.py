@@ -32,7 +32,7 @@ from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.sweep.hypotheses import check_hypotheses
 from sphericalvision.sweep.nearest_depth import nearest_depth
 
-__all__ = ["METHODS", "Predictor", "nearest_in_frames"]
+__all__ = ["METHODS", "Predictor", "evened", "nearest_in_frames"]
 
 METHODS = ("network", "semi_global")
 LEAST_LIGHT = 0.05
@@ -299,11 +299,10 @@ class Predictor:
         count = math.prod(first.shape[:-3])
         if not self._photometric or len(self._rig) < 2:
             return [None] * count
-        found = [
-            calibrate_photometry(self._rig, {name: images[frame] for name, images in flat.items()})
+        return [
+            uneven_light(self._rig, {name: images[frame] for name, images in flat.items()})
             for frame in range(count)
         ]
-        return [light if light.strength > LEAST_LIGHT else None for light in found]
 
     def _prepared(self, photographs: Mapping[str, Tensor] | None) -> _Ready:
         """Network and tables, made by the first call; others wait for it."""
@@ -357,6 +356,29 @@ def _evened(
             for name, image in even.items():
                 flat[name][frame] = image
     return {name: flat[name].view_as(image) for name, image in photographs.items()}
+
+
+def uneven_light(
+    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
+) -> PhotometricCalibration | None:
+    """Return how exposure and vignetting of a rig's cameras differ, None where the difference is negligible."""
+    found = calibrate_photometry(rig, images)
+    return found if found.strength > LEAST_LIGHT else None
+
+
+def evened(
+    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
+) -> dict[str, Float[Tensor, "*batch c _ _"]]:
+    """Return images without these differences.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> images = {"cam1": torch.full((3, 32, 32), 0.5), "cam2": torch.full((3, 32, 32), 0.49)}
+        >>> evened(ring_rig(2, image_size=(32, 32)), images)["cam2"] is images["cam2"]
+        True
+    """
+    light = uneven_light(rig, images)
+    return dict(images) if light is None else light.corrected(rig, images)
 
 
 def check_number(net: DepthNetwork, rig: CameraRig) -> None:

@@ -23,6 +23,9 @@ from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
 __all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of"]
 
+RARE = -4.0
+"""Logit of the sky before training."""
+
 
 class Candidates(NamedTuple):
     """Depths that a vertex may have.
@@ -47,11 +50,13 @@ class RefinedIndex(NamedTuple):
     Attributes:
         index: ``(B, V)``.
         confidence: ``(B, V)`` logit of 1 less the expected error, which counts from none to two hypotheses.
+        sky: ``(B, V)`` logit of there being nothing up to infinity.
         seen: ``(B, V)`` whether two cameras see the point.
     """
 
     index: Float[Tensor, "B V"]  # type: ignore[assignment]
     confidence: Float[Tensor, "B V"]
+    sky: Float[Tensor, "B V"]
     seen: Bool[Tensor, "B V"]
 
 
@@ -75,10 +80,10 @@ class CandidateRefinement(nn.Module):
         super().__init__()
         self.entry = HexConv2d(state + 4 * 4 + 7, width, bias=True)
         self.block = nn.Sequential(*(HexResidualBlock(width) for _ in range(blocks)))
-        self.exit = HexConv2d(width, 4 + 2, bias=True)
+        self.exit = HexConv2d(width, 4 + 3, bias=True)
         with torch.no_grad():
             self.exit.weight.zero_()
-            self.exit.bias.copy_(torch.tensor([3.0, 0, 0, 0, 0, 0]))  # type: ignore[union-attr]
+            self.exit.bias.copy_(torch.tensor([3.0, 0, 0, 0, 0, 0, RARE]))  # type: ignore[union-attr]
 
     def forward(
         self,
@@ -87,7 +92,7 @@ class CandidateRefinement(nn.Module):
         state: Float[Tensor, "B S V_coarse"],
         num_hypotheses: int,
     ) -> RefinedIndex:
-        """Return index, confidence and what is seen, ``(B, V)``.
+        """Return index, confidence, sky and what is seen, ``(B, V)``.
 
         Args:
             candidates: of ``candidates_of``.
@@ -110,11 +115,12 @@ class CandidateRefinement(nn.Module):
             spread[:, None] / 4,
         )
         values = self.block(self.entry(torch.cat((icosphere_upsample(state), *entries), 1)))
-        scores, correction, confidence = self.exit(F.relu(values)).split((4, 1, 1), 1)
+        scores, *others = self.exit(F.relu(values)).split((4, 1, 1, 1), 1)
+        correction, confidence, sky = (values.squeeze(1) for values in others)
         weights = scores.softmax(1)
-        chosen = ((weights * index).sum(1) + correction.squeeze(1)).clamp(0, num_hypotheses - 1)
+        chosen = ((weights * index).sum(1) + correction).clamp(0, num_hypotheses - 1)
         seen = cameras.gather(1, weights.argmax(1, keepdim=True)).squeeze(1) >= 2
-        return RefinedIndex(chosen, confidence.squeeze(1), seen)
+        return RefinedIndex(chosen, confidence, sky, seen)
 
 
 def candidates_of(fused: FusedLogits) -> Candidates:

@@ -180,7 +180,8 @@ class RefinedSweepNet(DepthNetwork):
         seen = check_seen(tables.sweep.seen if seen is None else seen, images)
         clues = self.clues(images, tables, seen)
         fused = self.fuse(clues, images, seen, tables.offsets)
-        index, confidence, both = self.refine(fused, images, seen, tables.offsets)
+        index, confidence, sky, both = self.refine(fused, images, seen, tables.offsets)
+        index = index.where(sky < 0, 0.0)  # nothing there: as far as can be
         scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
         return DepthEstimate(index * scale, confidence.sigmoid().where(both, 0.0), both)
 
@@ -267,7 +268,8 @@ class RefinedSweepNet(DepthNetwork):
         """Return a loss of the index at both levels, of the logits, and of the confidence.
 
         What fewer than two cameras see counts a quarter. The logits' share is the cross entropy of the two hypotheses
-        around the true index. The confidence learns 1 less the error of the index, in halves of hypotheses up to two.
+        around the true index. The confidence learns 1 less the error of the index, in halves of hypotheses up to two;
+        the sky, where the true index is 0: at infinity.
         """
         tables = rig if isinstance(rig, RefinedTables) else (None if fixed else self.tables(rig))
         if seen is None:
@@ -286,6 +288,7 @@ class RefinedSweepNet(DepthNetwork):
         entropy = _cross_entropy(fused.logits, coarse)
         sure = 1 - (refined.index.detach() - true).abs().clamp(max=DOUBTFUL) / DOUBTFUL
         doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
+        doubt += F.binary_cross_entropy_with_logits(refined.sky, (target <= 0).to(sure), reduction="none")
         return (
             loss(refined.index, true, valid, weights=both)
             + 0.4 * loss(two_modes(fused.logits)[0], coarse, coarse_valid, weights=known)

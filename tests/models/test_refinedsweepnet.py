@@ -103,6 +103,22 @@ def test_learns_and_leaves_the_prior_alone(net, frame):
     assert all(p.grad is not None and p.grad.any() for p in net.parameters() if p.requires_grad)
 
 
+def test_sky_is_infinitely_far(net, frame):
+    images, rig, seen, _ = frame
+    exit = net.refinement.exit
+    with torch.inference_mode():
+        assert (net.predict(images, rig, seen).index > 0).any()
+        exit.bias[6] = 4.0
+        assert (net.predict(images, rig, seen).index == 0).all()
+    exit.bias.requires_grad_(True)
+    valid, ways = torch.ones_like(frame[3], dtype=torch.bool), []
+    for true in (torch.zeros_like(frame[3]), torch.ones_like(frame[3])):
+        net.zero_grad()
+        net.training_loss(images, rig, seen, true, valid, depth_index_huber).backward()
+        ways.append(exit.bias.grad[6].item())
+    assert ways[0] < 0 < ways[1]  # surer where the truth is infinity, less sure elsewhere
+
+
 def test_modes_are_surfaces_not_their_mean():
     logits = torch.full((1, 31, 2), -20.0)
     logits[0, 6, 0], logits[0, 24, 0] = 1.0, 0.9

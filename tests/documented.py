@@ -98,8 +98,13 @@ def furnish(folder: Path) -> None:
     save_camera(lens, folder / "cam.yaml")
     trimesh.creation.box((6.0, 2.5, 5.0)).export(folder / "room.glb")
     for number in range(5):
-        write_image(capture / f"cam{number}/00001.png", torch.rand(3, *SIZE))
+        for frame in (1, 2):
+            write_image(capture / f"cam{number}/{frame:05d}.png", torch.rand(3, *SIZE))
         write_mask(capture / f"cam{number}/mask.png", torch.ones(SIZE, dtype=torch.bool))
+    save_rig(rig, folder / "c/rig.yaml")  # what docs/adapted_rig.py writes
+    for name in rig.names:
+        for frame in (0, 1):
+            write_image(folder / f"c/{name}/{frame:05d}.png", torch.rand(3, *SIZE))
     walk = folder / "walk"
     for number in range(5):
         write_image(walk / f"panoramas/{number}.png", torch.rand(3, 24, 48))
@@ -162,6 +167,8 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
     if recipe == "evaluate":
         # the network that ships is for images of level 6, and takes level 5 at least
         return [*data, "model.level=5", "device=cpu"]
+    if config.get("init_weights") == "refinedsweepnet":
+        return [*data, "model.level=5", *TRAINING]
     if recipe == "train":
         return [*data, *network_words(config.model), *TRAINING]
     return [*data, *STUDY, *study_words(config, cache)]

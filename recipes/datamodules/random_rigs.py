@@ -14,6 +14,8 @@ from torch.utils.data import Dataset
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
+from sphericalvision.data.augmentation.mirror import Mirror
+from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.data.cache import ArrayCache
 from sphericalvision.data.random_rig_scenes import RandomRigScenes
 from sphericalvision.icosphere import Icosphere
@@ -74,7 +76,7 @@ class RandomRigDataModule(SampleDataModule):
         train_seed: seed of the first training sample.
         val_seed: seed of the first validation sample.
         test_seed: seed of the first test sample.
-        augment: in training, turn the world by random multiples of 72 degrees.
+        augment: in training, turn the world by random multiples of 72 degrees, and mirror half of the samples.
         cache_dir: folder where samples are kept, and what a network computes of them before anything that is trained.
         batch_size: 1.
         num_workers: processes that prepare samples.
@@ -146,9 +148,11 @@ class RandomRigDataModule(SampleDataModule):
         self.depth_level = net.grid.level if depth_level is None else depth_level
 
     def dataset(self, split: str) -> Dataset[Sample]:
-        """Samples of one split, turned at random in "train"."""
+        """Samples of one split, turned and mirrored at random in "train"."""
         samples = self.plain(split)
-        return Augmented(samples, RotateFivefold()) if split == "train" and self.augment else samples
+        if split != "train" or not self.augment:
+            return samples
+        return Augmented(samples, Compose(Mirror(0.5), RotateFivefold()))
 
     def plain_train_dataset(self) -> Dataset[Sample]:
         """Training samples without augmentation."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal
@@ -66,6 +67,8 @@ class SceneDataModule(SampleDataModule):
         mesh_up: axis that points up in it, "y" (glTF) or "z".
         mesh_scale: metres in one unit of it.
         carrier: what carries the rig and is in view: "pole", "robot" or "vehicle"; nothing when not given.
+        tilts_deg: least and largest degrees by which the cameras look further down in training and validation, drawn
+            for each scene; see ``SceneDataset``. The rig as it is when not given, as in the test.
     """
 
     def __init__(
@@ -94,6 +97,7 @@ class SceneDataModule(SampleDataModule):
         mesh_up: Literal["y", "z"] = "y",
         mesh_scale: Positive = 1.0,
         carrier: str | None = None,
+        tilts_deg: Annotated[Sequence[float], Exactly(2)] | None = None,
     ) -> None:
         super().__init__(batch_size, num_workers, seed)
         self.rig, self.cache_dir, self.augment = rig, cache_dir, augment
@@ -109,6 +113,7 @@ class SceneDataModule(SampleDataModule):
         }
         self.entries = None if entries is None else tuple(entries)
         self.panorama_size = panorama_size
+        self.tilts = None if tilts_deg is None else tuple(math.radians(angle) for angle in tilts_deg)
         self.scenes = {
             "train": (num_train, train_seed),
             "val": (num_val, val_seed),
@@ -162,6 +167,7 @@ class SceneDataModule(SampleDataModule):
                 "data.panorama_size: turning by multiples of 72 degrees wants a width that is a multiple of 5, got "
                 f"{size[1]}; or set data.augment=false"
             )
+        chosen = self.options | {"tilts": None if split == "test" else self.tilts}
         return SceneDataset(
             number,
             self.rig,
@@ -169,7 +175,7 @@ class SceneDataModule(SampleDataModule):
             cache_dir=self.cache_dir,
             entries=entries,
             panorama=(int(size[0]), int(size[1])),
-            **{key: value for key, value in self.options.items() if value is not None},
+            **{key: value for key, value in chosen.items() if value is not None},
         )
 
     def prepare_data(self) -> None:

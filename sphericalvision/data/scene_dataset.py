@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -40,6 +41,10 @@ KEYS = (
 """The tensors of a sample that holds everything, in order."""
 
 
+TILT_SPREAD = math.radians(8)
+"""By which a camera may look further up or down than the others, where tilts are drawn, as in ``random_rig``."""
+
+
 class SceneDataset(Dataset[dict[str, Any]]):
     """Scenes of consecutive seeds, seen by a rig, with the entries that networks need for training.
 
@@ -74,6 +79,8 @@ class SceneDataset(Dataset[dict[str, Any]]):
         meshes: of which scenes are made in place of a kind; see ``seeded_scenes.mesh_files``.
         carrier: what carries the rig and is in view: "pole", "robot" or "vehicle".
         depth_level: of the icosphere that carries depth; two below ``level`` when not given.
+        tilts: least and largest radians by which all cameras look further down, drawn for each scene from its seed;
+            each camera then looks up to 8° further up or down. The rig as it is when not given.
 
     Raises:
         ArgumentError: an unknown entry or kind, none at all, level below 2, fewer than one scene, a seed below 0,
@@ -107,6 +114,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
         meshes: MeshFiles | None = None,
         carrier: str | None = None,
         depth_level: int | None = None,
+        tilts: tuple[float, float] | None = None,
     ) -> None:
         for name, value, least in (
             ("num_scenes", num_scenes, 1),
@@ -115,7 +123,11 @@ class SceneDataset(Dataset[dict[str, Any]]):
         ):
             if value < least:
                 raise ArgumentError(f"{name}: expected at least {least}, got {value}")
-        self.scenes = SeededScenes(rig, kind, min_depth, meshes, carrier)
+        if tilts is not None and (carrier is not None or not tilts[0] <= tilts[1]):
+            raise ArgumentError(
+                f"tilts: expected (least, largest) in radians and no carrier, got {tuple(tilts)} and {carrier}"
+            )
+        self.scenes, self.tilts = SeededScenes(rig, kind, min_depth, meshes, carrier), tilts
         self.entries = _checked_entries(entries, rig)
         self.num_scenes, self.rig, self.first_seed = num_scenes, rig, first_seed
         self.samples_per_pixel, self.min_depth, self.level = samples_per_pixel, min_depth, level
@@ -137,16 +149,27 @@ class SceneDataset(Dataset[dict[str, Any]]):
         if not -self.num_scenes <= index < self.num_scenes:
             raise IndexError(f"index {index} is outside a data set of {self.num_scenes} scenes")
         seed = self.first_seed + index % self.num_scenes
-        frame = self.scenes.name(seed)
+        frame, rig = self.scenes.name(seed), self.rig_of(seed)
         scene = functools.cache(lambda: self.scenes.make(seed))  # not made at all if the cache has everything
         sample: dict[str, Any] = {}
         if self._images is not None:
-            sample |= self._shown(self._images.get(frame, lambda: self._render(scene())))
+            sample |= self._shown(self._images.get(frame, lambda: self._render(scene(), rig)), rig)
         for key, cache in self._depths.items():
             inverse_depth = cache.get(frame, functools.partial(self._measure, scene, key))["inverse_depth"]
             sample[key] = inverse_depth
             sample[key.replace("inverse_depth", "valid")] = inverse_depth <= 1 / self.min_depth
-        return {key: sample[key] for key in KEYS if key in sample} | {"rig": self.rig, "frame": frame}
+        return {key: sample[key] for key in KEYS if key in sample} | {"rig": rig, "frame": frame}
+
+    def rig_of(self, seed: int) -> CameraRig:
+        """The rig that sees the scene of a seed."""
+        if self.tilts is None:
+            return self.rig
+        generator = torch.Generator().manual_seed(seed)
+        least, most = self.tilts
+        tilt = least + (most - least) * torch.rand((), generator=generator)
+        return self.rig.rotated(
+            tilt=tilt + TILT_SPREAD * (2 * torch.rand(len(self.rig), generator=generator) - 1)
+        )
 
     def is_cached(self, index: int) -> bool:
         """Whether all that was rendered for a sample lies in the cache; never without one."""
@@ -171,30 +194,30 @@ class SceneDataset(Dataset[dict[str, Any]]):
             )
         return wanted
 
-    def _shown(self, stored: dict[str, Tensor]) -> dict[str, Tensor]:
+    def _shown(self, stored: dict[str, Tensor], rig: CameraRig) -> dict[str, Tensor]:
         """The images that a sample holds, of those that are stored."""
         if self.stored == "sphere":
-            seen = self.to_sphere.seen(self.rig)
+            seen = self.to_sphere.seen(rig)
             return {"images": decode(stored["images"], seen), "seen": seen}
         shown = {}
         if "sphere" in self.entries:
             light = {name: ((image.float() - 1) / 254).clamp(min=0) for name, image in stored.items()}
             shown = {
-                "images": self.to_sphere.images(light, self.rig),
-                "seen": self.to_sphere.seen(self.rig),
+                "images": self.to_sphere.images(light, rig),
+                "seen": self.to_sphere.seen(rig),
             }
         if self._frame_seen is not None:
-            frames = torch.stack([stored[name] for name in self.rig.names])
+            frames = torch.stack([stored[name] for name in rig.names])
             shown |= {"fisheye": decode(frames, self._frame_seen), "fisheye_seen": self._frame_seen}
         return shown
 
-    def _render(self, scene: Scene | MeshScene) -> dict[str, Tensor]:
+    def _render(self, scene: Scene | MeshScene, rig: CameraRig) -> dict[str, Tensor]:
         """Images as bytes: by camera, or all on the icosphere."""
-        pictures = render_rig(scene, self.rig, self.samples_per_pixel)
+        pictures = render_rig(scene, rig, self.samples_per_pixel)
         if self.stored == "camera":
             return {name: encode(picture * 2 - 1) for name, picture in pictures.items()}
         directions, antialias = Icosphere(self.level).vertices, self.to_sphere.antialias
-        values, _ = self.rig.sample_sphere(pictures, directions, antialias=antialias)
+        values, _ = rig.sample_sphere(pictures, directions, antialias=antialias)
         return {"images": encode(values * 2 - 1)}
 
     def _measure(self, scene: Callable[[], Scene | MeshScene], key: str) -> dict[str, Tensor]:
@@ -203,6 +226,8 @@ class SceneDataset(Dataset[dict[str, Any]]):
 
     def _image_cache(self, root: Path | None) -> ArrayCache:
         numbers: tuple[object, ...] = (GENERATION, self.samples_per_pixel, self.min_depth)
+        if self.tilts is not None:
+            numbers = (*numbers, *(f"{tilt:.5g}" for tilt in self.tilts))
         holds: dict[str, Any]
         if self.stored == "camera":
             name = "fisheye"

@@ -409,6 +409,19 @@ def test_mistakes_are_told(failing: Callable[..., str], words: tuple[str, ...], 
     assert trainer.trained == ["icosweepnet/seed0"]
 
 
+def test_random_tilts_are_all_that_their_trainings_change() -> None:
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose("study", ["preset=random_tilts"])
+        models = [model for model in study_models(config) if model.is_trained]
+        trainings = {m.name: training_config(training_words(m, config)) for m in models}
+    assert list(trainings) == ["icosweepnet", "omnimvs", "icosweepnet_random", "omnimvs_random"]
+    for name in ("icosweepnet", "omnimvs"):
+        level, tilted = trainings[name], trainings[f"{name}_random"]
+        assert tilted.data.tilts_deg == [-15, 45]
+        tilted.data.tilts_deg = None
+        assert level == tilted
+
+
 @pytest.mark.parametrize("preset", ["small", "paper", "tiny"])
 def test_trainings_of_a_preset_differ_in_the_model_alone(preset: str) -> None:
     own = ("omnithings=/data/omnithings", "data.root=/data/omnihouse") if preset == "paper" else ()

@@ -7,12 +7,13 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from shutil import which
+from threading import Event
 from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras import CameraRig, PhotometricCalibration
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice
 from sphericalvision.deploy import Depth, Predictor
 from sphericalvision.recipes.app.captures import find_masks
@@ -234,9 +235,15 @@ def run(
         if frame.images is None or not wanted(frame.name):
             return Done(frame, None)
         start = time.perf_counter()
-        depth = (predictor if frame.rig is None else predictor.with_rig(frame.rig))(frame.images)
-        return Done(frame, depth, time.perf_counter() - start)
+        mine = predictor if frame.rig is None else predictor.with_rig(frame.rig)
+        depth = mine(frame.images)
+        took = time.perf_counter() - start
+        if not told.is_set():
+            told.set()
+            tell_light(mine.light(frame.images))
+        return Done(frame, depth, took)
 
+    told = Event()  # of the first frame alone
     frames = ahead(source.frames(selection, wanted), newest=source.live)
     began = time.perf_counter()
     with threads_kept() as threads:
@@ -281,6 +288,19 @@ def run(
             highlight=False,
         )
     return wrong
+
+
+def tell_light(light: PhotometricCalibration | None) -> None:
+    """Print what is compensated in the first frame; nothing if nothing is."""
+    if light is None:
+        return
+    exposure, falloff = light.exposure.mean(1).exp(), 1 - (-light.falloff.sum(1)).exp()
+    console.print(
+        f"photometric=true compensates exposures of {exposure.min():.2f} to {exposure.max():.2f} of the mean and "
+        f"lenses that lose up to {100 * falloff.max():.0f} % of the light at the edge (in the first frame)",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 def _number(left: set[str] | None) -> list[int]:

@@ -292,6 +292,14 @@ class Predictor:
                 frame.div_(light.light(ready.angles)).clamp_(0, 1)
         return values.mul_(2).sub_(ready.seen.unsqueeze(1).float())
 
+    def light(self, images: Mapping[str, Any]) -> PhotometricCalibration | None:
+        """Return what of exposure and vignetting is compensated in a frame, None where nothing is.
+
+        Args:
+            images: of one frame, as of a call.
+        """
+        return self._lights(self._photographs(images))[0]
+
     def _lights(self, photographs: Mapping[str, Tensor]) -> list[PhotometricCalibration | None]:
         """What is to be taken out of each frame, None where there is nothing to speak of."""
         first = next(iter(photographs.values()))

@@ -117,6 +117,24 @@ def test_the_nearest_hypothesis_is_found_in_the_images(run: Run, weights: Path, 
     assert 0.3 < nearest < truth
 
 
+def test_what_is_compensated_is_said(
+    run: Run, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = make_ring(4, radius=0.2, image_size=(96, 96))
+    pictures = render_rig(make_scene("room", seed=3), rig, 2)
+    for folder, factor in ((tmp_path / "even", 1.0), (tmp_path / "dark", 0.6)):
+        for number, picture in enumerate(pictures.values(), 1):
+            write_image(folder / f"cam{number}" / "00003.png", picture * (factor if number == 1 else 1.0))
+        rig.to_yaml(folder / "rig.yaml")
+    run("predict", *words(tmp_path / "even", weights, "out"), "outputs=[npz]")
+    assert "compensates" not in capsys.readouterr().out
+    run("predict", *words(tmp_path / "dark", weights, "out"), "outputs=[npz]")
+    least, most = re.findall(r"compensates exposures of (\S+) to (\S+) of", capsys.readouterr().out)[0]
+    assert abs(float(least) / float(most) - 0.6) < 0.06
+    run("predict", *words(tmp_path / "dark", weights, "out"), "outputs=[npz]", "photometric=false")
+    assert "compensates" not in capsys.readouterr().out
+
+
 def test_grey_images_are_read_as_three_equal_channels(
     run: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:

@@ -117,7 +117,7 @@ class NativeConvolution:
     def __init__(self, weight: Tensor, geometry: BlockPlaces, backward: bool = False) -> None:
         self.weight, self.geometry = weight, geometry
         self.factors = [hex_factors(weight, taps, adjoint=backward) for taps in TAPS]
-        self.parts = [zero_factor_gradients(weight) for _ in TAPS] if backward else []
+        self.parts = [zero_factor_gradients(weight, taps) for taps in TAPS] if backward else []
 
     def take(self, sample: Tensor, group: RectangleGroup) -> Tensor:
         """What it is given of values ``(N, V, C)``."""

@@ -112,7 +112,7 @@ def hex_factors(
 
     ``(1 or 6, 23 or 7, in, out)``, channels out filled up to a whole number of vectors.
     """
-    transform = _transform(taps, *_kind(weight)).to(weight.dtype)
+    transform = _to_factors(weight, taps)
     by_tap = weight.permute((2, 0, 1) if adjoint else (2, 1, 0))
     factors = (transform.flatten(0, 1) @ by_tap.flatten(1)).view(*transform.shape[:2], *by_tap.shape[1:])
     return F.pad(factors, (0, -factors.shape[-1] % LANES)).contiguous()
@@ -151,10 +151,11 @@ def gradient_of_given(
     native_operators().hex_convolve_backward_given(grad_result, factors, border, grad_given)
 
 
-def zero_factor_gradients(weight: Float[Tensor, "O C taps"]) -> Float[Tensor, "threads F S C O_filled"]:
+def zero_factor_gradients(
+    weight: Float[Tensor, "O C taps"], taps: Taps
+) -> Float[Tensor, "threads F S C O_filled"]:
     """Return zeros for ``add_gradient_of_weight``: a part for every thread, added up in the end in the same order."""
-    depth, direct = _kind(weight)
-    planes, slots = (1 if depth == 1 else len(_LINE_TAPS)), (7 if direct else len(_PLANE_TAPS) ** 2 - 2)
+    planes, slots, _ = _to_factors(weight, taps).shape
     out, channels, _ = weight.shape
     return weight.new_zeros(torch.get_num_threads(), planes, slots, channels, out + -out % LANES)
 
@@ -177,15 +178,16 @@ def hex_weight_gradient(
     parts: Float[Tensor, "threads F S C O_filled"], weight: Float[Tensor, "O C taps"], taps: Taps
 ) -> Float[Tensor, "O C taps"]:
     """The gradient of a weight from that of its factors: the adjoint of ``hex_factors``."""
-    transform = _transform(taps, *_kind(weight)).to(parts.dtype).flatten(0, 1)
+    transform = _to_factors(weight, taps).flatten(0, 1)
     by_factor = parts.sum(0)[..., : len(weight)].flatten(0, 1)
     return (transform.T @ by_factor.flatten(1)).view(-1, *by_factor.shape[1:]).permute(2, 1, 0)
 
 
-def _kind(weight: Tensor) -> tuple[int, bool]:
-    """Number of hypotheses that a weight spans, and whether its taps are summed directly."""
+def _to_factors(weight: Tensor, taps: Taps) -> Tensor:
+    """From taps to factors by the way that is faster for a weight, ``(planes, slots, taps)``, in its precision."""
     depth = weight.shape[-1] // 7
-    return depth, depth > 1 and max(weight.shape[:2]) <= DIRECT
+    direct = depth > 1 and max(weight.shape[:2]) <= DIRECT
+    return _transform(taps, depth, direct).to(weight.dtype)
 
 
 def _is_direct(factors: Tensor) -> bool:
@@ -262,7 +264,7 @@ class _HexConvolution(torch.autograd.Function):
             gradient_of_given(upstream, hex_factors(weight, taps, adjoint=True), grad_given, taps, border)
             grad_images = _images(grad_given, images)
         if wanted[1]:
-            parts = zero_factor_gradients(weight)
+            parts = zero_factor_gradients(weight, taps)
             add_gradient_of_weight(given, upstream, parts, taps, border)
             grad_weight = hex_weight_gradient(parts, weight, taps)
         grad_bias = upstream.sum((0, 1, 2, 3)) if wanted[2] else None

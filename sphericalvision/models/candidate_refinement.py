@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -21,7 +22,7 @@ from sphericalvision.models.hexunet import HexResidualBlock
 from sphericalvision.models.logit_fusion import FusedLogits, two_modes
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
-__all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of"]
+__all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of", "with_sky"]
 
 RARE = -4.0
 """Logit of the sky before training."""
@@ -163,3 +164,20 @@ def candidates_of(fused: FusedLogits) -> Candidates:
         spread = (probability * (tried - best[:, None]).abs()).sum(1)
         spread = (spread[:, one] + spread[:, other]) / 2
     return Candidates(index, (likely[0] + likely[1]) / 2, step, spread)
+
+
+def with_sky(weights: Mapping[str, Tensor], prefix: str = "") -> dict[str, Tensor]:
+    """Return weights of ``CandidateRefinement`` with an output for the sky, which those of version 0.2 do not have.
+
+    It is the one before training, which finds no sky. Weights that have one stay as they are.
+
+    Args:
+        weights: of ``state_dict``, of a refinement or of a network that has one.
+        prefix: of the refinement's names, such as ``"refinement."``.
+    """
+    result = dict(weights)
+    for name, rare in (("weight", 0.0), ("bias", RARE)):
+        key = f"{prefix}exit.{name}"
+        if key in result and len(result[key]) == 4 + 2:
+            result[key] = torch.cat((result[key], torch.full_like(result[key][:1], rare)))
+    return result

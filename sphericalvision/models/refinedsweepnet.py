@@ -15,7 +15,12 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, icosphere_upsample, icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.models.candidate_refinement import CandidateRefinement, RefinedIndex, candidates_of
+from sphericalvision.models.candidate_refinement import (
+    CandidateRefinement,
+    RefinedIndex,
+    candidates_of,
+    with_sky,
+)
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.logit_fusion import FusedLogits, LogitFusion, SweepClues, two_modes
 from sphericalvision.sweep import (
@@ -150,6 +155,11 @@ class RefinedSweepNet(DepthNetwork):
         net.prior.load_state_dict(prior.state_dict())
         net.prior.requires_grad_(False)
         return net
+
+    @classmethod
+    def updated_weights(cls, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return weights with an output for the sky, which those of version 0.2 do not have."""
+        return with_sky(weights, "refinement.")
 
     def tables(self, rig: CameraRig) -> RefinedTables:
         """Return where each camera sees every point that is tried, to be passed in place of the rig."""

@@ -7,6 +7,7 @@ import math
 
 import pytest
 import torch
+from torch import nn
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
@@ -14,10 +15,11 @@ from sphericalvision.data import ToSphere, make_scene, ray_depth, render_rig
 from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.losses import depth_index_huber
-from sphericalvision.models import IcoSweepNet, RefinedSweepNet
-from sphericalvision.models.candidate_refinement import candidates_of
+from sphericalvision.models import IcoSweepNet, RefinedSweepNet, save_weights
+from sphericalvision.models.candidate_refinement import RARE, candidates_of
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.models.logit_fusion import FusedLogits, two_modes
+from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.sweep import index_from_depth
 from sphericalvision.sweep.appearance_at_depth import appearance_at_depth
 
@@ -174,3 +176,27 @@ def test_refuses_levels_without_room_for_its_widths():
         RefinedSweepNet(level=4)
     with pytest.raises(ArgumentError, match="prior"):
         RefinedSweepNet.around(torch.nn.Identity())
+
+
+def test_weights_without_a_sky_find_none(net, frame, tmp_path):
+    images, rig, seen, _ = frame
+    last = net.refinement.exit
+    with torch.no_grad():
+        last.weight.normal_()
+        last.bias.normal_()
+        last.weight[6], last.bias[6] = 0, RARE
+    expected = net.predict(images, rig, seen)
+    last.weight, last.bias = (
+        nn.Parameter(tensor.detach()[:6].clone()) for tensor in (last.weight, last.bias)
+    )
+    old = save_weights(net, tmp_path / "old.safetensors")
+    checkpoint = {
+        "state_dict": {f"net.{name}": tensor for name, tensor in net.state_dict().items()},
+        "architecture": "refinedsweepnet",
+        "network_hyperparameters": net.hyperparameters,
+    }
+    torch.save(checkpoint, tmp_path / "old.ckpt")
+    for path in (old, tmp_path / "old.ckpt"):
+        read = read_network(path)
+        assert read.refinement.exit.bias.shape == (7,)
+        torch.testing.assert_close(read.predict(images, rig, seen), expected, rtol=0, atol=0)

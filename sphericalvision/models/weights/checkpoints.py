@@ -54,6 +54,7 @@ def read_network(source: str | Path | None = None) -> DepthNetwork:
         content = torch.load(path, map_location="cpu", weights_only=True)
         state = {key[4:]: value for key, value in content["state_dict"].items() if key.startswith("net.")}
         network = network_class(content["architecture"])
+        state = network.updated_weights(state)
         return made(network, content["network_hyperparameters"], state, path).eval()
     except FileFormatError:
         raise

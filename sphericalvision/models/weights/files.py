@@ -77,6 +77,7 @@ def load_weights(path: str | Path) -> DepthNetwork:
     except ArgumentError as error:
         raise FileFormatError(f"{path}: holds the weights of an unknown network: {error}") from error
     try:
+        state = network.updated_weights(state)
         return made(network, json.loads(metadata["hyperparameters"]), state, path).eval()
     except FileFormatError:
         raise

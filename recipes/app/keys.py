@@ -306,6 +306,7 @@ class BenchmarkOfMethods:
     panorama_rows: Annotated[int, AtLeast(2)]
     image_rows: Annotated[int, AtLeast(8)]
     samples_per_pixel: Count
+    photometric: bool
     cache_dir: str | None
     workers: Number
 

@@ -81,6 +81,19 @@ def test_tilted_tracks_compare_the_same_points() -> None:
     assert (truths[1].regions["shared"] <= truths[1].regions["all"]).all()
 
 
+def test_differences_between_cameras_are_compensated_for_all_methods_alike() -> None:
+    size = Size(level=3, panorama_rows=8, image_rows=96, samples_per_pixel=1)
+    clean, with_faults, without = (
+        render_frame(TRACKS[name], 0, size._replace(photometric=photometric)).images
+        for name, photometric in (("clean", True), ("exposure", False), ("exposure", True))
+    )
+    left, before = (
+        sum((images[name].mean() / clean[name].mean()).log().abs().item() for name in clean)
+        for images in (without, with_faults)
+    )
+    assert left < before / 2
+
+
 def test_a_masked_carrier_is_not_seen_and_disturbances_leave_truth_alone() -> None:
     plain, hidden = (render_frame(TRACKS[name], 0, TINY) for name in ("ugv", "ugv_masked"))
     assert not plain.rig.masks

@@ -21,6 +21,7 @@ from sphericalvision.data.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.data.scenes.recipes import kind_of, make_scene
 from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH, mesh_files
 from sphericalvision.data.seen import pixels_seen
+from sphericalvision.deploy.predictor import evened
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.study.benchmark.tracks import Track
 from sphericalvision.sphere import Equirectangular
@@ -29,19 +30,22 @@ __all__ = ["NATURAL_SIZE", "Frame", "Size", "render_frame"]
 
 
 class Size(NamedTuple):
-    """How fine frames are.
+    """How frames are made.
 
     Attributes:
         level: icosphere on which truth is dense.
         panorama_rows: of the panorama of true depth.
         image_rows: of fisheye images, None for the track's own.
         samples_per_pixel: rays.
+        photometric: whether differences in exposure and vignetting between the cameras are compensated, for all
+            methods alike, as ``sphericalvision-predict`` does.
     """
 
     level: int = 6
     panorama_rows: int = 320
     image_rows: int | None = None
     samples_per_pixel: int = 2
+    photometric: bool = True
 
 
 NATURAL_SIZE = Size()
@@ -52,7 +56,7 @@ class Frame(NamedTuple):
 
     Attributes:
         name: kind and seed of the scene.
-        images: camera name -> ``(3, h, w)`` in [0, 1], disturbed.
+        images: camera name -> ``(3, h, w)`` in [0, 1], disturbed, and compensated where ``Size`` says so.
         rig: as its calibration says, which may be wrong.
         free_rig: the same, its masks free of what carries the rig, whether methods are told of it or not: where two of
             its cameras see a point, the point counts.
@@ -102,18 +106,19 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
     seed = track.seed(number)
     recipe = track if size.image_rows is None else track.smaller(size.image_rows)
     rig = recipe.rig.make(seed)
-    scene, shown, body = _scene(track, rig, seed)
+    scene, in_view, body = _scene(track, rig, seed)
     name = track.frame_name(number)
-    images = _pictures(shown, rig, f"{name}-{track.carrier}" if body else name, size, cache)
+    images = _pictures(in_view, rig, f"{name}-{track.carrier}" if body else name, size, cache)
     masks = carrier_masks(body, rig) if body else {}
     told = CameraRig(rig.cameras, rig.world_from_camera, masks if track.masked else {})
     generator = torch.Generator().manual_seed(seed)
     disturbed = track.disturbance({"images": images, "rig": told}, generator)
+    shown = evened(disturbed["rig"], disturbed["images"]) if size.photometric else disturbed["images"]
     vertices = Icosphere(size.level).vertices
     around = Equirectangular(size.panorama_rows, 2 * size.panorama_rows).directions
     return Frame(
         name,
-        disturbed["images"],
+        shown,
         disturbed["rig"],
         CameraRig(rig.cameras, disturbed["rig"].world_from_camera, masks),
         ray_depth(scene, rig.center, vertices).reciprocal(),

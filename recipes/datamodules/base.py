@@ -117,8 +117,8 @@ class SampleDataModule(pl.LightningDataModule):
         self.samples_seen = 0
 
     def dataset(self, split: str) -> Dataset[Sample]:
-        """Samples of "train", "val" or "test", on the icosphere; augmented in "train"."""
-        raise NotImplementedError
+        """Samples of "train", "val" or "test", on the icosphere; augmented in "train". Every subclass implements it."""
+        raise NotImplementedError(f"{type(self).__name__}.dataset")
 
     def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples that suit a network, with ``more`` entries; what the configuration says stays.

@@ -15,7 +15,7 @@ from torch.utils.data import Dataset
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
-from sphericalvision.data.seeded_scenes import NATURAL_MIN_DEPTH
+from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.deploy.photographs import as_photographs
 from sphericalvision.deploy.predictor import check_number, evened, nearest_in_frames, scaled_min_depth
 from sphericalvision.icosphere import Icosphere
@@ -48,6 +48,8 @@ UNSURE, SURE = 0.5, 0.8
 """Confidence of the network below which it teaches nothing, and of the sweep from which that answers in its place."""
 MOST_ROWS, RENDERED_ROWS = 512, 256
 """Of images that are kept, finer than an icosphere of level 6; and of those that are rendered."""
+NUM_RENDERED = 100_000
+"""Scenes that training draws from."""
 COLORLESS = 0.01
 """Mean difference of colour channels, of the range [0, 1], below which a capture counts as grey."""
 
@@ -140,6 +142,11 @@ class CaptureDataModule(SampleDataModule):
                 f"data.batch_size: expected 1, as disturbed rigs differ, got {batch_size}; set "
                 "trainer.accumulate_grad_batches"
             )
+        if rendered_seed + NUM_RENDERED > HELD_OUT_SEED:
+            raise ArgumentError(
+                f"data.rendered_seed: seeds from {HELD_OUT_SEED} are held out for the benchmark, and {NUM_RENDERED} "
+                f"scenes follow this one; set {HELD_OUT_SEED - NUM_RENDERED} or less, got {rendered_seed}"
+            )
         super().__init__(batch_size, num_workers, seed)
         self.images, self.frame_names = images, frames
         self.selection = Selection(start, stop, every)
@@ -190,7 +197,8 @@ class CaptureDataModule(SampleDataModule):
         """Read the frames and let network and sweep say what they think, once."""
         if self.taught:
             return
-        assert self.net is not None
+        if self.net is None:
+            raise ArgumentError("data: a network teaches what is in a capture; call serve(net) before setup")
         photographs = {}
         for frame in track(
             self.source.frames(Selection(), lambda name: name in self.names),
@@ -239,7 +247,7 @@ class CaptureDataModule(SampleDataModule):
         assert isinstance(grid, Icosphere)
         natural = _smaller(self.rig.scaled(NATURAL_MIN_DEPTH / self.net.min_depth))
         scenes = Rehearsal(
-            natural, self.net.level, grid.level, self.grey, 100_000, self.rendered_seed, self.photometric
+            natural, self.net.level, grid.level, self.grey, NUM_RENDERED, self.rendered_seed, self.photometric
         )
         frames.disturbed, frames.photometric = self.grey, self.photometric
         return _Mixed(frames, scenes, self.rendered, self.net.min_depth / NATURAL_MIN_DEPTH)

@@ -10,6 +10,7 @@ import torch
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere, make_scene, ray_depth, render_rig
 from sphericalvision.data.augmentation.disturbances import CameraDisturbance
 from sphericalvision.data.random_rig_scenes import SHARES
@@ -62,6 +63,9 @@ class Rehearsal(Dataset[Sample]):
         num_scenes: number of samples; what one shows is drawn, its disturbances from torch's global generator.
         first_seed: of scene 0.
         photometric: whether differences between the cameras are compensated, as they are in use.
+
+    Raises:
+        ArgumentError: a seed is held out for the benchmark.
     """
 
     def __init__(
@@ -74,7 +78,11 @@ class Rehearsal(Dataset[Sample]):
         first_seed: int = 5_000_000,
         photometric: bool = False,
     ) -> None:
-        assert first_seed + num_scenes <= HELD_OUT_SEED
+        if first_seed + num_scenes > HELD_OUT_SEED:
+            raise ArgumentError(
+                f"first_seed: seeds from {HELD_OUT_SEED} are held out for the benchmark, and {num_scenes} scenes end "
+                f"at {first_seed + num_scenes - 1}; take {HELD_OUT_SEED - num_scenes} or less"
+            )
         self.rig, self.grey, self.num_scenes, self.first_seed = rig, grey, num_scenes, first_seed
         self.photometric = photometric
         self.to_sphere = ToSphere(level, depth_level, antialias=True)

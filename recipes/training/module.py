@@ -63,8 +63,8 @@ class TrainingModule(pl.LightningModule):
         self.save_hyperparameters({"network": type(net).__name__, **net.hyperparameters, "seed": seed})
 
     def initialize(self, weights: str | Path) -> None:
-        """Start from the parameters of another network."""
-        raise NotImplementedError
+        """Start from the parameters of another network; a subclass says which suit."""
+        raise NotImplementedError(f"{type(self).__name__}.initialize, which init_weights=... needs")
 
     def conclude(self, data: Any, values: dict[str, float], init_weights: str | None, folder: Path) -> None:
         """Say and write what there is to, once the best checkpoint is loaded and validated; most have nothing.

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_image
 from sphericalvision.models import load_weights
 from sphericalvision.recipes.datamodules.capture import CaptureDataModule
@@ -111,6 +112,13 @@ def test_a_rehearsed_scene_is_the_same_but_for_its_disturbances() -> None:
     torch.testing.assert_close(one["inverse_depth"], other["inverse_depth"])
     assert not torch.equal(one["images"], other["images"])
     torch.testing.assert_close(one["images"][:, 0], one["images"][:, 2], atol=0.3, rtol=0)
+
+
+def test_scenes_of_the_benchmark_are_not_rehearsed() -> None:
+    with pytest.raises(ArgumentError, match=r"first_seed: .* 9999998 or less"):
+        Rehearsal(KNOCKED, 3, 2, grey=1.0, num_scenes=2, first_seed=9_999_999)
+    with pytest.raises(ArgumentError, match=r"data\.rendered_seed: .* 9900000 or less"):
+        CaptureDataModule("nowhere", rendered_seed=9_900_001)
 
 
 @pytest.mark.slow

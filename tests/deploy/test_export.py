@@ -118,7 +118,9 @@ def test_the_default_network_at_its_level(tmp_path: Path) -> None:
     program = RigProgram(Predictor(rig, min_depth=0.55), height=160)
     images = torch.stack(list(render_rig(make_scene("room", seed=1), rig).values()))[None]
     path = export_onnx(export_program(program), tmp_path / "depth.onnx")
-    assert onnx_difference(path, program, images) < 1e-4
+    # Candidates are the best of few, so in some places the network makes much of rounding: noise of 1e-6 in the
+    # images changes them by 2e-4, too.
+    assert onnx_difference(path, program, images) < 1e-3
 
 
 class Bright(DepthNetwork):

@@ -66,6 +66,7 @@ from sphericalvision.cameras.models.thin_prism_fisheye import (
     unproject_thin_prism_fisheye,
 )
 from sphericalvision.cameras.models.unified import UnifiedCamera, project_unified, unproject_unified
+from sphericalvision.cameras.own_body import OwnBody, find_own_body
 from sphericalvision.cameras.photometric import PhotometricCalibration, calibrate_photometry
 from sphericalvision.cameras.refine import refine, refine_rig
 from sphericalvision.cameras.registry import register_camera
@@ -89,6 +90,7 @@ __all__ = [
     "FisheyeCamera",
     "KannalaBrandtCamera",
     "OCamCamera",
+    "OwnBody",
     "PhotometricCalibration",
     "PinholeCamera",
     "Projection",
@@ -107,6 +109,7 @@ __all__ = [
     "coverage",
     "depth_from_z",
     "field_of_view",
+    "find_own_body",
     "fit_inverse_polynomial",
     "from_kornia",
     "overlap",

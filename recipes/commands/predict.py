@@ -21,6 +21,7 @@ from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.prediction.frames import Frame, Selection, Source
 from sphericalvision.recipes.prediction.moving import open_moving
 from sphericalvision.recipes.prediction.outputs import Outputs, Settings, done_file
+from sphericalvision.recipes.prediction.own_body import AUTO, masked_by_itself
 from sphericalvision.recipes.prediction.sources import open_source, read_capture_rig, rig_for_images
 from sphericalvision.recipes.prediction.threads import Behind, ahead, side_by_side, threads_kept
 
@@ -29,7 +30,8 @@ __all__ = ["load_rig", "nearest_in", "open_capture", "predict", "predictor_for"]
 
 def load_rig(config: DictConfig) -> CameraRig:
     """Read the calibration, take the cameras asked for, and put the masks on."""
-    keys = (config.cameras, config.masks, config.translation_unit, config.max_angle_deg)
+    masks = None if config.masks == AUTO else config.masks
+    keys = (config.cameras, masks, config.translation_unit, config.max_angle_deg)
     return read_capture_rig(config.calibration, *keys)[0]
 
 
@@ -66,6 +68,8 @@ def open_capture(config: DictConfig) -> Source:
             raise ArgumentError(
                 f"{refused[0]}: with poses there is one camera, in metres; leave {refused[0]} out"
             )
+        if config.masks == AUTO:
+            raise ArgumentError("masks: auto is for rigs; with poses give an image, white where usable")
         moving = open_moving(
             config.calibration,
             config.images,
@@ -83,7 +87,7 @@ def open_capture(config: DictConfig) -> Source:
             )
         return moving
     rig = load_rig(config)
-    masks = () if config.masks is None else find_masks(config.masks, rig.names).values()
+    masks = () if config.masks in (None, AUTO) else find_masks(config.masks, rig.names).values()
     source = open_source(config.images, rig, config.frames, masks)
     sizes = source.sizes()
     source.rig = rig_for_images(rig, sizes)
@@ -112,6 +116,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     """
     check_choice("on_error", config.on_error, ("skip", "stop"))
     source = open_capture(config)
+    if config.masks == AUTO:
+        source.rig = masked_by_itself(source, folder)
     predictor = predictor_for(source.rig, config)
     before = _settings_before(folder) if config.skip_existing else {}
     if config.min_depth == "scene" and "min_depth" in before:

@@ -26,6 +26,7 @@ from sphericalvision.recipes.app.schema import AtLeast
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.rehearsal import Rehearsal, random_disturbance
 from sphericalvision.recipes.prediction.frames import Selection, Source
+from sphericalvision.recipes.prediction.own_body import AUTO, with_own_body_masked
 from sphericalvision.recipes.prediction.sources import (
     open_source,
     read_capture_rig,
@@ -98,7 +99,7 @@ class CaptureDataModule(SampleDataModule):
         num_frames: frames that are used, spread evenly.
         held_out_every: every fifth frame is kept to judge by.
         cameras: names of the cameras to use, in order.
-        masks: pattern of masks, white where usable.
+        masks: pattern of masks, white where usable; ``"auto"`` finds the body that carries the rig in the frames.
         translation_unit: of ``poses.txt``.
         max_angle_deg: half the field of view, where the calibration does not say it.
         min_depth: nearest hypothesis in metres; ``"auto"`` scales it with the rig, ``"scene"`` finds it in the images.
@@ -153,9 +154,9 @@ class CaptureDataModule(SampleDataModule):
         self.num_frames, self.held_out_every = num_frames, held_out_every
         self.min_depth, self.trained_radius = min_depth, trained_radius
         self.rendered, self.rendered_seed = rendered, rendered_seed
-        self.photometric = photometric
+        self.photometric, self.find_body = photometric, masks == AUTO
         rig, mask_files = read_capture_rig(
-            calibration or images, cameras, masks, translation_unit, max_angle_deg
+            calibration or images, cameras, None if self.find_body else masks, translation_unit, max_angle_deg
         )
         if len(rig) < 2:
             raise ArgumentError("data.cameras: expected two or more that see the same things, got one")
@@ -211,6 +212,8 @@ class CaptureDataModule(SampleDataModule):
             photographs[frame.name] = _kept(as_photographs(frame.images, self.source.rig))
         first = photographs[self.names[0]]
         rig = self.source.rig.resized({name: tuple(image.shape[-2:]) for name, image in first.items()})
+        if self.find_body:
+            rig = with_own_body_masked(rig, map(_floats, photographs.values()))
         self.near = self._nearest(rig, photographs)
         self.rig = rig.scaled(self.net.min_depth / self.near)
         teacher = _Teacher(self.net, self.rig)

@@ -159,6 +159,41 @@ def test_masked_pixels_have_no_influence(run: Run, capture: Path, weights: Path,
     np.testing.assert_allclose(after, before, atol=1e-5)
 
 
+def test_the_rigs_own_body_is_masked(
+    run: Run, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A dark plate that stands still in the pictures of one camera; a capture of few frames is not masked."""
+    rig, folder, drawn = ring_rig(4, image_size=(96, 96)), tmp_path / "moving", np.random.default_rng(0)
+    save_rig(rig, folder / "rig.yaml")
+    for frame in range(10):
+        for name in rig.names:
+            blurred = cv2.GaussianBlur(drawn.random((96, 96)), (0, 0), 3.0)
+            picture = torch.from_numpy(4 * (blurred - 0.5) + 0.5).float()[None]
+            if name == "cam2":
+                picture[:, 66:, 18:78] = 0.1
+            write_image(folder / name / f"{frame}.png", picture)
+    given = [f"calibration={folder}/rig.yaml", f"images={folder}/{{camera}}/{{frame}}.png", "height=32"]
+    run("predict", *given, f"checkpoint={weights}", "output=out", "masks=auto", "stop=1", "outputs=[npz]")
+    masks = {name: read_image(tmp_path / f"out/masks/{name}.png")[0] for name in rig.names}
+    assert not masks["cam2"][72:90, 30:66].any()
+    assert masks["cam2"][:54].all()
+    assert all(masks[name].all() for name in rig.names if name != "cam2")
+    told = capsys.readouterr().out
+    assert re.search(r"mask of cam2: 2\d\.\d % of its picture\n", told)
+    assert "mask of cam1: 0.0 % of its picture (no body was seen)" in told
+    run(
+        "predict",
+        *given,
+        f"checkpoint={weights}",
+        "output=few",
+        "masks=auto",
+        "frames=[1,2]",
+        "outputs=[npz]",
+    )
+    assert read_image(tmp_path / "few/masks/cam2.png").min() == 1
+    assert "2 different view(s) of 2 frame(s), at least 8 are needed" in capsys.readouterr().out
+
+
 def test_a_network_on_the_variance_takes_some_of_the_cameras(
     run: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:

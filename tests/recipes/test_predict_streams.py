@@ -18,6 +18,7 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.recipes.prediction.frames import Selection
+from sphericalvision.recipes.prediction.own_body import masked_by_itself
 from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
 from sphericalvision.recipes.prediction.threads import Behind, ahead, side_by_side, threads_kept
 from sphericalvision.recipes.prediction.videos import views_layout
@@ -105,7 +106,9 @@ def test_colours_of_videos_are_red_green_blue(tmp_path: Path) -> None:
     assert frame.images["cam2"][..., 2].mean() < 30
 
 
-def test_live_cameras_are_frames_without_an_end(capture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_live_cameras_are_frames_without_an_end(
+    capture: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Devices are videos that are opened by number."""
     opened = cv2.VideoCapture
 
@@ -115,6 +118,8 @@ def test_live_cameras_are_frames_without_an_end(capture: Path, monkeypatch: pyte
     monkeypatch.setattr(cv2, "VideoCapture", device)
     source = open_source("live:0,1,2,3", RIG)
     assert source.live
+    with pytest.raises(ArgumentError, match="masks: auto reads the frames before the first is predicted"):
+        masked_by_itself(source, tmp_path)
     assert source.names(Selection()) is None
     assert source.samples() == []
     frames = list(source.frames(Selection(0, 4, 2), lambda _: True))

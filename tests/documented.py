@@ -101,7 +101,8 @@ def furnish(folder: Path) -> None:
         for frame in (1, 2):
             write_image(capture / f"cam{number}/{frame:05d}.png", torch.rand(3, *SIZE))
         write_mask(capture / f"cam{number}/mask.png", torch.ones(SIZE, dtype=torch.bool))
-    save_rig(rig, folder / "c/rig.yaml")  # what docs/adapted_rig.py writes
+    for name in ("rig", "aligned"):  # what docs/adapted_rig.py and sphericalvision-align write
+        save_rig(rig, folder / f"c/{name}.yaml")
     for name in rig.names:
         for frame in (0, 1):
             write_image(folder / f"c/{name}/{frame:05d}.png", torch.rand(3, *SIZE))

@@ -23,8 +23,9 @@ Words = tuple[str, ...]
 
 @pytest.fixture
 def signals() -> Iterator[None]:
-    """Handlers as they were, afterwards."""
+    """Python's own handlers, left out where a background shell ignores Ctrl-C; as before afterwards."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

@@ -16,7 +16,7 @@ from sphericalvision.data.augmentation.disturbances import CameraDisturbance
 from sphericalvision.data.random_rig_scenes import SHARES
 from sphericalvision.data.scenes.carriers import CARRIERS, with_carrier
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
-from sphericalvision.deploy.predictor import evened
+from sphericalvision.deploy.compensation import evened
 from sphericalvision.icosphere import Icosphere
 
 __all__ = ["Rehearsal", "random_disturbance"]

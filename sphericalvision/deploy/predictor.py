@@ -16,12 +16,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, PhotometricCalibration, calibrate_photometry
+from sphericalvision.cameras import CameraRig, PhotometricCalibration
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_type
 from sphericalvision.crown.options import native_pays_at_once
 from sphericalvision.data.seen import pixels_seen
+from sphericalvision.deploy.compensation import evened_batch, uneven_light
 from sphericalvision.deploy.depth import Depth
 from sphericalvision.deploy.photographs import as_photographs
 from sphericalvision.geometry.directions import angle_from_axis
@@ -32,11 +33,9 @@ from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.sweep.hypotheses import check_hypotheses
 from sphericalvision.sweep.nearest_depth import nearest_depth
 
-__all__ = ["METHODS", "Predictor", "evened", "nearest_in_frames"]
+__all__ = ["METHODS", "Predictor", "nearest_in_frames"]
 
 METHODS = ("network", "semi_global")
-LEAST_LIGHT = 0.05
-"""Share of the light: cameras that differ by less are taken to be alike."""
 SCENE_LEVEL = 6
 """Icosphere level of the images that the nearest depth of a scene is looked for in."""
 
@@ -281,7 +280,7 @@ class Predictor:
         """``(*b, n, 3, V)`` on icospheres, or ``(*b, n, 3, h, w)``; 0 where nothing was seen."""
         lights = self._lights(photographs)
         if ready.net.images == "camera":
-            photographs = _evened(self._rig, photographs, lights)
+            photographs = evened_batch(self._rig, photographs, lights)
             stacked = torch.stack(list(photographs.values()), -4) * 2 - 1
             return stacked * ready.seen[:, None]
         looked = [look(image, 0) for look, image in zip(ready.lookups, photographs.values(), strict=True)]
@@ -351,42 +350,6 @@ class Predictor:
             raise ShapeError(f"images: {type(net).__name__} wants images of one size, got {sizes}")
         seen = torch.stack(list(pixels_seen(self._rig).values()))
         return _Ready(net, net.tables(self._rig), [], seen, torch.empty(0))
-
-
-def _evened(
-    rig: CameraRig, photographs: Mapping[str, Tensor], lights: list[PhotometricCalibration | None]
-) -> dict[str, Tensor]:
-    """Images ``(*b, 3, h, w)`` without what is to be taken out of each frame."""
-    flat = {name: image.reshape(-1, *image.shape[-3:]).clone() for name, image in photographs.items()}
-    for frame, light in enumerate(lights):
-        if light is not None:
-            even = light.corrected(rig, {name: images[frame] for name, images in flat.items()})
-            for name, image in even.items():
-                flat[name][frame] = image
-    return {name: flat[name].view_as(image) for name, image in photographs.items()}
-
-
-def uneven_light(
-    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
-) -> PhotometricCalibration | None:
-    """Return how exposure and vignetting of a rig's cameras differ, None where the difference is negligible."""
-    found = calibrate_photometry(rig, images)
-    return found if found.strength > LEAST_LIGHT else None
-
-
-def evened(
-    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
-) -> dict[str, Float[Tensor, "*batch c _ _"]]:
-    """Return images without these differences.
-
-    Examples:
-        >>> from sphericalvision.cameras import ring_rig
-        >>> images = {"cam1": torch.full((3, 32, 32), 0.5), "cam2": torch.full((3, 32, 32), 0.49)}
-        >>> evened(ring_rig(2, image_size=(32, 32)), images)["cam2"] is images["cam2"]
-        True
-    """
-    light = uneven_light(rig, images)
-    return dict(images) if light is None else light.corrected(rig, images)
 
 
 def check_number(net: DepthNetwork, rig: CameraRig) -> None:

@@ -21,7 +21,7 @@ from sphericalvision.data.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.data.scenes.recipes import kind_of, make_scene
 from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH, mesh_files
 from sphericalvision.data.seen import pixels_seen
-from sphericalvision.deploy.predictor import evened
+from sphericalvision.deploy.compensation import evened
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.study.benchmark.tracks import Track
 from sphericalvision.sphere import Equirectangular

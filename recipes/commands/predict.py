@@ -246,6 +246,7 @@ def run(
         took = time.perf_counter() - start
         if not told.is_set():
             told.set()
+            tell_noise(mine.noise(frame.images))
             tell_light(mine.light(frame.images))
         return Done(frame, depth, took)
 
@@ -294,6 +295,16 @@ def run(
             highlight=False,
         )
     return wrong
+
+
+def tell_noise(noise: Mapping[str, float]) -> None:
+    """Print how strong the noise is that is smoothed in the first frame; nothing if none is."""
+    if not any(noise.values()):
+        return
+    told = ", ".join(f"{100 * amount:.1f} % of {name}" for name, amount in noise.items() if amount)
+    console.print(
+        f"photometric=true smooths noise: {told} (in the first frame)", highlight=False, soft_wrap=True
+    )
 
 
 def tell_light(light: PhotometricCalibration | None) -> None:

@@ -16,7 +16,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
-from sphericalvision.deploy.compensation import evened
+from sphericalvision.deploy.compensation import compensated
 from sphericalvision.deploy.photographs import as_photographs
 from sphericalvision.deploy.predictor import check_number, nearest_in_frames, scaled_min_depth
 from sphericalvision.icosphere import Icosphere
@@ -105,7 +105,7 @@ class CaptureDataModule(SampleDataModule):
         max_angle_deg: half the field of view, where the calibration does not say it.
         min_depth: nearest hypothesis in metres; ``"auto"`` scales it with the rig, ``"scene"`` finds it in the images.
         trained_radius: rig radius that the network was trained with, metres.
-        photometric: whether differences in exposure and vignetting between the cameras are compensated, as in
+        photometric: whether noise is smoothed, and differences in exposure and vignetting are compensated, as in
             ``sphericalvision-predict``; also those of the disturbances, so that what is left of them is learned.
         rendered: share of training samples that are rendered scenes.
         rendered_seed: of the first rendered scene.
@@ -221,7 +221,7 @@ class CaptureDataModule(SampleDataModule):
         for name in track(self.names, "asking network and sweep", console=console):
             images = photographs[name]
             if self.photometric:
-                images = _kept(evened(self.rig, _floats(images)))
+                images = _kept(compensated(self.rig, _floats(images)))
             self.taught[name] = teacher(name, images)
         self.grey = float(all(_is_grey(images) for images in photographs.values()))
 
@@ -307,7 +307,7 @@ class _Frames(Dataset[Sample]):
         self.to_sphere = ToSphere(level, 2, antialias=True)
         #: How often a disturbed frame is grey; None for frames as they are.
         self.disturbed: float | None = None
-        #: Whether differences between the cameras of disturbed frames are compensated.
+        #: Whether noise of disturbed frames is smoothed, and differences between the cameras are compensated.
         self.photometric = False
 
     def __len__(self) -> int:
@@ -321,7 +321,7 @@ class _Frames(Dataset[Sample]):
             faulty = random_disturbance(max(self.disturbed, 0.2))({"images": images, "rig": rig})
             images, rig, more = faulty["images"], faulty["rig"], {}
             if self.photometric:
-                images = evened(rig, images)
+                images = compensated(rig, images)
         return {
             "images": self.to_sphere.images(images, rig),
             "seen": self.to_sphere.seen(rig),

@@ -16,7 +16,7 @@ from sphericalvision.data.augmentation.disturbances import CameraDisturbance
 from sphericalvision.data.random_rig_scenes import SHARES
 from sphericalvision.data.scenes.carriers import CARRIERS, with_carrier
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
-from sphericalvision.deploy.compensation import evened
+from sphericalvision.deploy.compensation import compensated
 from sphericalvision.icosphere import Icosphere
 
 __all__ = ["Rehearsal", "random_disturbance"]
@@ -62,7 +62,7 @@ class Rehearsal(Dataset[Sample]):
         grey: share of samples without colour.
         num_scenes: number of samples; what one shows is drawn, its disturbances from torch's global generator.
         first_seed: of scene 0.
-        photometric: whether differences between the cameras are compensated, as they are in use.
+        photometric: whether noise and differences between the cameras are compensated, as they are in use.
 
     Raises:
         ArgumentError: a seed is held out for the benchmark.
@@ -105,7 +105,7 @@ class Rehearsal(Dataset[Sample]):
         frame = random_disturbance(self.grey)(frame)
         rig = frame["rig"]
         if self.photometric:
-            frame["images"] = evened(rig, frame["images"])
+            frame["images"] = compensated(rig, frame["images"])
         return {
             "images": self.to_sphere.images(frame["images"], rig),
             "seen": self.to_sphere.seen(rig),

@@ -1,19 +1,129 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cameras did to their images, taken out before depth is estimated: differences in exposure and vignetting."""
+"""What cameras did to their images, taken out before depth is estimated: noise, exposure, vignetting."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from jaxtyping import Float
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, PhotometricCalibration, calibrate_photometry
 
-__all__ = ["evened", "evened_batch", "uneven_light"]
+__all__ = ["compensated", "denoised", "evened", "evened_batch", "noise_of", "uneven_light", "without_noise"]
 
 LEAST_LIGHT = 0.05
 """Share of the light: cameras that differ by less are taken to be alike."""
+LEAST_NOISE = 0.01
+"""Of the range [0, 1]: texture alone may look like less."""
+WINDOW, REACH, CONTRAST = 7, 2.0, 4.0
+"""Of the bilateral filter: pixels; deviation over places, pixels; and over colours, deviations of the noise."""
+DARKEST, BRIGHTEST = 0.02, 0.98
+"""Values beyond are clipped, or outside of the lens: no noise shows there."""
+MOST_SAMPLES = 250_000
+"""Values of an image that the noise is estimated from."""
+DIFFERENCE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+"""Of two Laplacians: 0 on slopes and along straight edges."""
+
+
+def compensated(
+    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
+) -> dict[str, Float[Tensor, "*batch c _ _"]]:
+    """Return images without noise, and without differences in exposure and vignetting."""
+    return evened(rig, without_noise(rig, images))
+
+
+def without_noise(
+    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
+) -> dict[str, Float[Tensor, "*batch c _ _"]]:
+    """Return the images of a rig, each ``denoised`` by what its mask leaves of it."""
+    return {name: denoised(image, rig.masks.get(name)) for name, image in images.items()}
+
+
+def denoised(
+    image: Float[Tensor, "*batch c h w"], usable: Bool[Tensor, "h w"] | None = None
+) -> Float[Tensor, "*batch c h w"]:
+    """Return an image with its noise smoothed by a bilateral filter, or as it is where there is little.
+
+    Args:
+        image: in [0, 1], of 1 or 3 channels.
+        usable: False where the image shows something else; that has no influence on the rest.
+
+    References:
+        Tomasi, Manduchi (1998), "Bilateral filtering for gray and color images".
+
+    Examples:
+        >>> clean = torch.full((3, 64, 64), 0.5)
+        >>> noisy = clean + 0.03 * torch.randn(3, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> bool((denoised(noisy) - clean).std() < 0.5 * (noisy - clean).std()), denoised(clean) is clean
+        (True, True)
+    """
+    frames = image.detach().reshape(-1, *image.shape[-3:])
+    inside = None if usable is None else _inside(usable)
+    found = [_denoised(frame, inside) for frame in frames]
+    if all(smooth is None for smooth in found):
+        return image
+    parts = [frame if smooth is None else smooth for frame, smooth in zip(frames, found, strict=True)]
+    return torch.stack(parts).view_as(image)
+
+
+def _denoised(image: Tensor, inside: np.ndarray | None) -> Tensor | None:
+    pixels = _pixels(image)
+    noise = _noise(pixels, inside)
+    if noise < LEAST_NOISE:
+        return None
+    smooth = np.atleast_3d(cv2.bilateralFilter(pixels, WINDOW, CONTRAST * noise, REACH))
+    if inside is not None:
+        smooth = np.where(inside[..., None], smooth, pixels)
+    return torch.from_numpy(smooth).movedim(-1, 0).to(image)
+
+
+def noise_of(image: Float[Tensor, "c h w"], usable: Bool[Tensor, "h w"] | None = None) -> float:
+    """Return the standard deviation of an image's noise, as far as one can tell it from texture.
+
+    It is what a filter leaves that answers neither to edges nor to shading; the median, as texture is not everywhere.
+
+    Args:
+        image: in [0, 1].
+        usable: as of ``denoised``.
+
+    References:
+        Immerkær (1996), "Fast noise variance estimation".
+
+    Examples:
+        >>> shade = torch.linspace(0.3, 0.7, 64).expand(3, 64, 64)
+        >>> noisy = shade + 0.03 * torch.randn(3, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> round(noise_of(shade), 3), round(noise_of(noisy), 2)
+        (0.0, 0.03)
+    """
+    return _noise(_pixels(image), None if usable is None else _inside(usable))
+
+
+def _pixels(image: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(image.detach().movedim(0, -1).float().cpu().numpy())
+
+
+def _inside(usable: Tensor) -> np.ndarray:
+    """Pixels of which the whole window is usable: True where the filter sees nothing else."""
+    kernel = np.ones((WINDOW, WINDOW), np.uint8)
+    return cv2.erode(usable.cpu().numpy().astype(np.uint8), kernel).astype(bool)
+
+
+def _noise(pixels: np.ndarray, inside: np.ndarray | None) -> float:
+    left = cv2.filter2D(pixels, -1, DIFFERENCE).reshape(pixels.shape)
+    step = max(1, round((left.size / MOST_SAMPLES) ** 0.5))
+    values, left = pixels[::step, ::step], left[::step, ::step]
+    shown = (values > DARKEST) & (values < BRIGHTEST)
+    if inside is not None:
+        shown &= inside[::step, ::step, None]
+    if not shown.any():
+        return 0.0
+    return float(np.median(np.abs(left[shown]))) / (
+        6 * 0.6745
+    )  # by the filter's norm; of a Gaussian's median
 
 
 def evened_batch(

@@ -22,7 +22,13 @@ from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_type
 from sphericalvision.crown.options import native_pays_at_once
 from sphericalvision.data.seen import pixels_seen
-from sphericalvision.deploy.compensation import evened_batch, uneven_light
+from sphericalvision.deploy.compensation import (
+    LEAST_NOISE,
+    evened_batch,
+    noise_of,
+    uneven_light,
+    without_noise,
+)
 from sphericalvision.deploy.depth import Depth
 from sphericalvision.deploy.photographs import as_photographs
 from sphericalvision.geometry.directions import angle_from_axis
@@ -71,8 +77,9 @@ class Predictor:
         antialias: whether images finer than the icosphere are averaged over the area between its vertices.
         native: whether to use faster operators in C++ on a CPU, which are compiled once; ``"auto"``: only if they have
             been compiled on this machine already.
-        photometric: whether to compensate differences in exposure and vignetting between the cameras before depth is
-            estimated, if they exceed 5 %. They are estimated from each frame (``cameras.calibrate_photometry``).
+        photometric: whether to smooth noise of more than 1 %, and to compensate differences in exposure and vignetting
+            between the cameras if they exceed 5 %, before depth is estimated. All are estimated from each frame
+            (``cameras.calibrate_photometry``).
         channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
         trained_radius: metres; radius of the rigs that the network was trained with, for ``min_depth=None``.
 
@@ -278,6 +285,8 @@ class Predictor:
 
     def _inputs(self, ready: _Ready, photographs: Mapping[str, Tensor]) -> Tensor:
         """``(*b, n, 3, V)`` on icospheres, or ``(*b, n, 3, h, w)``; 0 where nothing was seen."""
+        if self._photometric:
+            photographs = without_noise(self._rig, photographs)
         lights = self._lights(photographs)
         if ready.net.images == "camera":
             photographs = evened_batch(self._rig, photographs, lights)
@@ -298,6 +307,18 @@ class Predictor:
             images: of one frame, as of a call.
         """
         return self._lights(self._photographs(images))[0]
+
+    def noise(self, images: Mapping[str, Any]) -> dict[str, float]:
+        """Return camera name -> standard deviation of the noise that is smoothed in a frame, 0 where none is.
+
+        Args:
+            images: of one frame, as of a call.
+        """
+        if not self._photometric:
+            return dict.fromkeys(self._rig.names, 0.0)
+        masks = self._rig.masks
+        found = {n: noise_of(image, masks.get(n)) for n, image in self._photographs(images).items()}
+        return {name: noise if noise >= LEAST_NOISE else 0.0 for name, noise in found.items()}
 
     def _lights(self, photographs: Mapping[str, Tensor]) -> list[PhotometricCalibration | None]:
         """What is to be taken out of each frame, None where there is nothing to speak of."""

@@ -21,7 +21,7 @@ from sphericalvision.data.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.data.scenes.recipes import kind_of, make_scene
 from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH, mesh_files
 from sphericalvision.data.seen import pixels_seen
-from sphericalvision.deploy.compensation import evened
+from sphericalvision.deploy.compensation import compensated
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.study.benchmark.tracks import Track
 from sphericalvision.sphere import Equirectangular
@@ -37,7 +37,7 @@ class Size(NamedTuple):
         panorama_rows: of the panorama of true depth.
         image_rows: of fisheye images, None for the track's own.
         samples_per_pixel: rays.
-        photometric: whether differences in exposure and vignetting between the cameras are compensated, for all
+        photometric: whether noise is smoothed and differences in exposure and vignetting are compensated, for all
             methods alike, as ``sphericalvision-predict`` does.
     """
 
@@ -113,7 +113,7 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
     told = CameraRig(rig.cameras, rig.world_from_camera, masks if track.masked else {})
     generator = torch.Generator().manual_seed(seed)
     disturbed = track.disturbance({"images": images, "rig": told}, generator)
-    shown = evened(disturbed["rig"], disturbed["images"]) if size.photometric else disturbed["images"]
+    shown = compensated(disturbed["rig"], disturbed["images"]) if size.photometric else disturbed["images"]
     vertices = Icosphere(size.level).vertices
     around = Equirectangular(size.panorama_rows, 2 * size.panorama_rows).directions
     return Frame(

@@ -268,6 +268,7 @@ METHODS = [
     "benchmark.level=3",
     "benchmark.panorama_rows=8",
     "benchmark.image_rows=16",
+    "benchmark.align=false",
     "benchmark.samples_per_pixel=1",
     "benchmark.workers=0",
     "panel_height=40",

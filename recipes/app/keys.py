@@ -49,6 +49,7 @@ class Predict:
     trained_radius: Positive
     antialias: bool
     photometric: bool
+    align: bool
     outputs: list[str] | None
     height: Count
     near: Positive | None
@@ -307,6 +308,7 @@ class BenchmarkOfMethods:
     image_rows: Annotated[int, AtLeast(8)]
     samples_per_pixel: Count
     photometric: bool
+    align: bool
     cache_dir: str | None
     workers: Number
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sphericalvision.cameras import CameraRig, PhotometricCalibration
+from sphericalvision.cameras import CameraRig, PhotometricCalibration, save_rig
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice
 from sphericalvision.deploy import Depth, Predictor
 from sphericalvision.recipes.app.captures import find_masks
@@ -130,6 +131,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     _check_settings(config, before, folder)
     print_config(config, folder)
     selection = Selection(config.start, config.stop, config.every)
+    if config.align and config.poses is None:
+        align(source, predictor, folder)
     names = source.names(selection)
     near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
     many = "live" if names is None else f"{len(names)} frame(s)"
@@ -173,6 +176,26 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         number = "some" if names is None else f"{len(wrong)} of {len(names)}"
         raise FileFormatError(f"{number} frames were left out. The first: {wrong[0]}")
     return outputs.written
+
+
+def align(source: Source, predictor: Predictor, folder: Path) -> None:
+    """Turn the rig's cameras where three frames say so; the calibration goes to ``aligned.yaml`` in a folder."""
+    found = predictor.align([frame.images for frame in source.samples() if frame.images is not None])
+    if found is None:
+        return
+    turned = ", ".join(
+        f"{name} by {math.degrees(turn):.2f}°"
+        for name, turn in zip(found.rig.names, found.turns.norm(dim=-1).tolist(), strict=True)
+    )
+    before, after = found.agreement
+    source.rig = found.rig
+    save_rig(found.rig.to("cpu"), folder / "aligned.yaml")
+    console.print(
+        f"align=true turns {turned}: images agree better, {after:.3f} in place of {before:.3f} of 1. The calibration "
+        f"is in {folder / 'aligned.yaml'}",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 MOST_PATHS = 30

@@ -17,6 +17,7 @@ from sphericalvision.cameras.conversion.convert import convert, fit_inverse_poly
 from sphericalvision.cameras.conversion.straighten import straighten, straighten_rig
 from sphericalvision.cameras.coverage import coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, points_from_depth, z_from_depth
+from sphericalvision.cameras.direct_alignment import align_rig_direct
 from sphericalvision.cameras.field_of_view import field_of_view
 from sphericalvision.cameras.kornia_cameras import CameraModule, from_kornia, to_kornia
 from sphericalvision.cameras.matching import RayMatcher
@@ -103,6 +104,7 @@ __all__ = [
     "UnifiedCamera",
     "Unprojection",
     "align_rig",
+    "align_rig_direct",
     "calibrate_camera",
     "calibrate_photometry",
     "convert",

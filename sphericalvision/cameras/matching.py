@@ -15,11 +15,10 @@ from torch import Tensor
 
 from sphericalvision.cameras.align import RayMatches
 from sphericalvision.cameras.base import check_single
-from sphericalvision.cameras.field_of_view import focal_length_on_axis
-from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import Remap
 from sphericalvision.cameras.remapping.views import rotation_from_yaw_pitch_roll
+from sphericalvision.cameras.resolution import pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError
 
@@ -70,7 +69,7 @@ class RayMatcher:
             nfeatures=features, contrastThreshold=0.02
         )
         size = min(
-            _LARGEST, round(2 * math.tan(_FIELD / 2) * max(map(_pixels_a_radian, rig.cameras.values())))
+            _LARGEST, round(2 * math.tan(_FIELD / 2) * max(map(pixels_a_radian, rig.cameras.values())))
         )
         self.view = PinholeCamera.from_field_of_view((size, size), _FIELD, dtype=torch.float64)
         angles = torch.tensor(_VIEWS_DEG, dtype=torch.float64).deg2rad()
@@ -126,12 +125,6 @@ class RayMatcher:
         pixels = torch.tensor([point.pt for point in points], dtype=torch.float64)
         rays = self.view.unproject(pixels).directions @ camera_from_view.mT
         return _Features(rays.float(), descriptors)
-
-
-def _pixels_a_radian(camera: object) -> float:
-    if isinstance(camera, EquirectangularCamera):
-        return camera.image_size[1] / (2 * math.pi)
-    return float(focal_length_on_axis(camera).max())  # type: ignore[arg-type]
 
 
 def _inner(lookup: Remap) -> np.ndarray:

@@ -22,6 +22,7 @@ from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_type
 from sphericalvision.crown.options import native_pays_at_once
 from sphericalvision.data.seen import pixels_seen
+from sphericalvision.deploy.alignment import RigTurns, turned_rig
 from sphericalvision.deploy.compensation import (
     LEAST_NOISE,
     evened_batch,
@@ -236,6 +237,28 @@ class Predictor:
             self._min_depth = nearest_in_frames(photographs, self._rig, self._antialias)
             self._ready = self._scaled = None
             return self._min_depth
+
+    def align(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns | None:
+        """Turn cameras whose images disagree at the depth that the network estimates, and use that rig from now on.
+
+        Calibrations are seldom right for long: a knock of a degree doubles the error of depth. Orientations off by up
+        to a degree or two are found to some 0.05°, from one frame or a few. Small turns, and turns that two halves of
+        the image do not agree on, are left alone. Positions and intrinsics are not touched.
+
+        Args:
+            frames: of images by camera name, as the predictor is called with, one frame each; a second or two each.
+
+        Returns:
+            The turned rig, its turns, and how well images agreed before and after; None if the rig stays as it is.
+        """
+        if len(self._rig) < 2:
+            return None
+        depths = [self(images) for images in frames]
+        found = turned_rig(depths) if depths else None
+        if found is not None:
+            with self._lock:
+                self._rig, self._ready = found.rig, None
+        return found
 
     @torch.inference_mode()
     def __call__(self, images: Mapping[str, Any]) -> Depth:

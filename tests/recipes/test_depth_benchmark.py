@@ -29,7 +29,7 @@ from sphericalvision.recipes.study.benchmark.tracks import TRACKS, chosen_tracks
 from sphericalvision.sweep import DepthEstimate
 from tests.recipes.tiny import Run
 
-TINY = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1)
+TINY = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1, align=False)
 
 
 class Oracle(DepthNetwork):
@@ -82,7 +82,7 @@ def test_tilted_tracks_compare_the_same_points() -> None:
 
 
 def test_differences_between_cameras_are_compensated_for_all_methods_alike() -> None:
-    size = Size(level=3, panorama_rows=8, image_rows=96, samples_per_pixel=1)
+    size = Size(level=3, panorama_rows=8, image_rows=96, samples_per_pixel=1, align=False)
     clean, with_faults, without = (
         render_frame(TRACKS[name], 0, size._replace(photometric=photometric)).images
         for name, photometric in (("clean", True), ("exposure", False), ("exposure", True))
@@ -138,6 +138,7 @@ WORDS = (
     "benchmark.level=3",
     "benchmark.panorama_rows=8",
     "benchmark.image_rows=16",
+    "benchmark.align=false",
     "benchmark.samples_per_pixel=1",
     "benchmark.workers=0",
     "panel_height=20",

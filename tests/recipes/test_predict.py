@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ from omegaconf import OmegaConf
 
 from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.data import make_scene, ray_depth, render_rig
+from sphericalvision.data.augmentation.disturbances import CameraDisturbance
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import IcoSweepNet, save_weights
@@ -53,6 +55,7 @@ def words(capture: Path, weights: Path, output: str) -> list[str]:
         f"output={output}",
         "height=32",
         "device=cpu",
+        "align=false",
     ]
 
 
@@ -133,6 +136,35 @@ def test_what_is_compensated_is_said(
     assert abs(float(least) / float(most) - 0.6) < 0.06
     run("predict", *words(tmp_path / "dark", weights, "out"), "outputs=[npz]", "photometric=false")
     assert "compensates" not in capsys.readouterr().out
+
+
+def test_knocked_cameras_are_turned_and_it_is_said(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = make_ring(4, image_size=(256, 256))
+    pictures = render_rig(make_scene("room", seed=5), rig)
+    fault = CameraDisturbance(pose_error=math.radians(1))
+    wrong = fault({"images": pictures, "rig": rig}, torch.Generator().manual_seed(2))["rig"]
+    for number, picture in enumerate(pictures.values(), 1):
+        write_image(tmp_path / f"c/cam{number}/00003.png", picture)
+    common = [
+        f"images={tmp_path}/c/cam{{camera}}/{{frame:05d}}.png",
+        "checkpoint=icosweepnet-small",
+        "outputs=[npz]",
+    ]
+    for name, calibration in (("right", rig), ("wrong", wrong)):
+        calibration.to_yaml(tmp_path / f"{name}.yaml")
+        run("predict", f"calibration={tmp_path / name}.yaml", f"output={name}", *common)
+        said = capsys.readouterr().out
+        assert ("align=true turns cam1 by" in said) == (name == "wrong")
+        assert (tmp_path / name / "aligned.yaml").is_file() == (name == "wrong")
+    run("predict", f"calibration={tmp_path}/wrong.yaml", "output=off", *common, "align=false")
+    run("predict", f"calibration={tmp_path}/wrong/aligned.yaml", "output=again", *common, "align=false")
+    right, wrong, off, again = (
+        np.load(tmp_path / name / "00003_depth.npz")["index"] for name in ("right", "wrong", "off", "again")
+    )
+    np.testing.assert_allclose(again, wrong, atol=0.01)
+    assert np.abs(wrong - right).mean() < 0.4 * np.abs(off - right).mean()
 
 
 def test_grey_images_are_read_as_three_equal_channels(

@@ -155,7 +155,13 @@ def test_a_resized_capture_has_a_resized_rig() -> None:
 def test_a_video_becomes_a_video(
     run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [f"calibration={capture / 'rig.yaml'}", f"checkpoint={weights}", "height=32", "device=cpu"]
+    words = [
+        f"calibration={capture / 'rig.yaml'}",
+        f"checkpoint={weights}",
+        "height=32",
+        "device=cpu",
+        "align=false",
+    ]
     run("predict", *words, f"images={capture}/row.avi", "output=out", "every=3", "min_depth=scene")
     video = cv2.VideoCapture(str(tmp_path / "out/depth.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3

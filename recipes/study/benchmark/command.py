@@ -46,7 +46,9 @@ class Work(NamedTuple):
 def benchmark(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
     """Measure what is missing, write tables and pictures; returns the records by track and method."""
     node = config.benchmark
-    size = Size(node.level, node.panorama_rows, node.image_rows, node.samples_per_pixel, node.photometric)
+    size = Size(
+        node.level, node.panorama_rows, node.image_rows, node.samples_per_pixel, node.photometric, node.align
+    )
     cache = None if node.cache_dir is None else Path(node.cache_dir).absolute()
     words = tuple(str(word) for word in node.methods)
     work = Work(words, node.frames, folder, cache, size, config.panel_height)
@@ -96,6 +98,7 @@ def _track(track: Track, work: Work) -> None:
         **({"carrier": track.carrier} if track.carrier else {}),
         "rows": work.panel_rows,
         "photometric": work.size.photometric,
+        "align": work.size.align,
         "frames": min(work.frames, max(DRAWN) + 1),
     }
     place = work.folder / "pages" / f"{track.name}.png"

@@ -22,7 +22,9 @@ from sphericalvision.data.scenes.recipes import kind_of, make_scene
 from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH, mesh_files
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.deploy.compensation import compensated
+from sphericalvision.deploy.predictor import Predictor
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import DepthNetwork, pretrained
 from sphericalvision.recipes.study.benchmark.tracks import Track
 from sphericalvision.sphere import Equirectangular
 
@@ -39,6 +41,8 @@ class Size(NamedTuple):
         samples_per_pixel: rays.
         photometric: whether noise is smoothed and differences in exposure and vignetting are compensated, for all
             methods alike, as ``sphericalvision-predict`` does.
+        align: whether cameras are turned that are found to be turned from what methods are told, for all methods
+            alike, by the depth of the network that ships, as ``sphericalvision-predict`` does.
     """
 
     level: int = 6
@@ -46,6 +50,7 @@ class Size(NamedTuple):
     image_rows: int | None = None
     samples_per_pixel: int = 2
     photometric: bool = True
+    align: bool = True
 
 
 NATURAL_SIZE = Size()
@@ -99,7 +104,7 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
 
     Examples:
         >>> from sphericalvision.recipes.study.benchmark.tracks import TRACKS
-        >>> frame = render_frame(TRACKS["room"], 0, Size(level=3, panorama_rows=8, image_rows=16))
+        >>> frame = render_frame(TRACKS["room"], 0, Size(level=3, panorama_rows=8, image_rows=16, align=False))
         >>> frame.name, frame.on_sphere(3)[0].shape, frame.panorama.shape
         ('room-10000000', torch.Size([4, 3, 642]), torch.Size([8, 16]))
     """
@@ -119,7 +124,7 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
     return Frame(
         name,
         shown,
-        disturbed["rig"],
+        _aligned(disturbed["rig"], shown) if size.align else disturbed["rig"],
         CameraRig(rig.cameras, disturbed["rig"].world_from_camera, masks),
         ray_depth(scene, rig.center, vertices).reciprocal(),
         ray_depth(scene, rig.center, around).reciprocal(),
@@ -153,6 +158,18 @@ def _pictures(
         return {name: (255 * picture).round().byte() for name, picture in pictures.items()}
 
     return {key: image.float() / 255 for key, image in ArrayCache(folder).get(name, make).items()}
+
+
+def _aligned(rig: CameraRig, images: Mapping[str, Tensor]) -> CameraRig:
+    """The rig with cameras turned where its images ask for it."""
+    predictor = Predictor(rig, _aligner(), min_depth=NATURAL_MIN_DEPTH, photometric=False)
+    predictor.align([{name: image.clamp(0, 1) for name, image in images.items()}])
+    return predictor.rig
+
+
+@lru_cache(maxsize=1)
+def _aligner() -> DepthNetwork:
+    return pretrained()
 
 
 @lru_cache(maxsize=4)

@@ -47,7 +47,7 @@ def scores(
 
     Examples:
         >>> from sphericalvision.models import WinnerTakesAll
-        >>> small = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1)
+        >>> small = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1, align=False)
         >>> found = scores(WinnerTakesAll(3, 4), "room", frames=1, cache=None, size=small)
         >>> 0 < found["coarse"]["all"]["MAE"] < 100
         True

@@ -89,7 +89,8 @@ def align_rig_direct(
         expected: how far orientations may be off, radians.
 
     Raises:
-        ArgumentError: images of other cameras, one camera alone, or all cameras in one place.
+        ArgumentError: images of other cameras, one camera alone, all cameras in one place, or a number that is not
+            above 0.
         ShapeError: depth, weights or images do not fit each other.
 
     References:
@@ -115,6 +116,9 @@ def align_rig_direct(
         True
     """
     check_single(rig)
+    for name, value in (("pixel", pixel), ("blur", blur), ("iterations", iterations), ("expected", expected)):
+        if not value > 0:
+            raise ArgumentError(f"{name}: expected more than 0, got {value!r}")
     frames = _check(rig, images, directions, inverse_depth, weights)
     device = rig.world_from_camera.device
     directions = directions.to(device, torch.float32)
@@ -210,7 +214,7 @@ class _Problem:
         self, rig: CameraRig, views: list[_View], directions: Tensor, trust: Tensor, expected: float
     ) -> None:
         poses = rig.world_from_camera.double()
-        offsets = poses[:, :3, 3].mean(0) - poses[:, :3, 3]
+        offsets = rig.center.double() - poses[:, :3, 3]
         self.radius = float(offsets.norm(dim=-1).mean())
         if self.radius < 1e-6:
             raise ArgumentError(

@@ -142,6 +142,8 @@ def test_what_does_not_fit_is_told(rig: CameraRig, room: tuple[dict[str, Tensor]
         align_rig_direct(rig, images, DIRECTIONS, truth, truth[:7])
     with pytest.raises(ShapeError, match=r"images\['cam1'\]: expected shape \(2, c, 160, 160\)"):
         align_rig_direct(rig, images, DIRECTIONS, truth.expand(2, -1))
+    with pytest.raises(ArgumentError, match="iterations: expected more than 0, got 0"):
+        align_rig_direct(rig, images, DIRECTIONS, truth, iterations=0)
     with pytest.raises(ShapeError, match="directions"):
         align_rig_direct(rig, images, DIRECTIONS[None], truth)
     place = CameraRig(rig.cameras, rig.world_from_camera[:1].expand(4, -1, -1))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sphericalvision.cameras import CameraRig, PhotometricCalibration, save_rig
+from sphericalvision.cameras import CameraRig, PhotometricCalibration, read_rig, save_rig
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice
 from sphericalvision.deploy import Depth, Predictor
 from sphericalvision.recipes.app.captures import find_masks
@@ -129,10 +129,10 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         if predictor.min_depth is None:  # windows have rigs of their own, and share the depth
             predictor = predictor_for(source.rig, config)
     _check_settings(config, before, folder)
+    if config.align and config.poses is None:
+        predictor = aligned(source, predictor, folder, bool(before))
     print_config(config, folder)
     selection = Selection(config.start, config.stop, config.every)
-    if config.align and config.poses is None:
-        align(source, predictor, folder)
     names = source.names(selection)
     near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
     many = "live" if names is None else f"{len(names)} frame(s)"
@@ -178,24 +178,37 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     return outputs.written
 
 
-def align(source: Source, predictor: Predictor, folder: Path) -> None:
-    """Turn the rig's cameras where three frames say so; the calibration goes to ``aligned.yaml`` in a folder."""
-    found = predictor.align([frame.images for frame in source.samples() if frame.images is not None])
+def aligned(source: Source, predictor: Predictor, folder: Path, goes_on: bool) -> Predictor:
+    """Turn the rig's cameras where three frames say so; the calibration goes to ``aligned.yaml`` in a folder.
+
+    Whoever goes on with a prediction takes what is there.
+    """
+    kept = folder / "aligned.yaml"
+    if goes_on:
+        if not kept.is_file():
+            return predictor
+        source.rig = CameraRig(source.rig.cameras, read_rig(kept).world_from_camera, source.rig.masks)
+        return predictor.with_rig(source.rig)
+    samples = [frame.images for frame in source.samples() if frame.images is not None]
+    with console.status(f"comparing {len(samples)} frame(s) with the calibration"):
+        found = predictor.align(samples)
     if found is None:
-        return
+        return predictor
     turned = ", ".join(
         f"{name} by {math.degrees(turn):.2f}°"
         for name, turn in zip(found.rig.names, found.turns.norm(dim=-1).tolist(), strict=True)
     )
     before, after = found.agreement
-    source.rig = found.rig
-    save_rig(found.rig.to("cpu"), folder / "aligned.yaml")
+    source.rig = found.rig.to("cpu")
+    folder.mkdir(parents=True, exist_ok=True)
+    save_rig(source.rig, kept)
     console.print(
         f"align=true turns {turned}: images agree better, {after:.3f} in place of {before:.3f} of 1. The calibration "
-        f"is in {folder / 'aligned.yaml'}",
+        f"is in {kept}",
         highlight=False,
         soft_wrap=True,
     )
+    return predictor
 
 
 MOST_PATHS = 30

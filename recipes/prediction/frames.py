@@ -126,10 +126,11 @@ class Files:
         return [everything[position] for position in selection.positions(len(everything))]
 
     def samples(self) -> list[Frame]:
-        """The first, the middle and the last frame."""
-        frames = list(self.files.items())
-        chosen = sorted({0, len(frames) // 2, len(frames) - 1})
-        return [Frame(name, read_frame(files, self.rig)) for name, files in map(frames.__getitem__, chosen)]
+        """The first, the middle and the last frame, those of them that can be read."""
+        names = list(self.files)
+        chosen = {names[position] for position in (0, len(names) // 2, len(names) - 1)}
+        frames = self.frames(Selection(), chosen.__contains__)
+        return [frame for frame in frames if frame.images is not None]
 
     def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:
         """The frames chosen that are wanted; one that cannot be read has an error in place of images."""

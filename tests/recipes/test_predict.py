@@ -159,12 +159,24 @@ def test_knocked_cameras_are_turned_and_it_is_said(
         assert ("align=true turns cam1 by" in said) == (name == "wrong")
         assert (tmp_path / name / "aligned.yaml").is_file() == (name == "wrong")
     run("predict", f"calibration={tmp_path}/wrong.yaml", "output=off", *common, "align=false")
+    (tmp_path / "wrong/00003_depth.npz").unlink()
+    run("predict", f"calibration={tmp_path}/wrong.yaml", "output=wrong", *common, "skip_existing=true")
+    assert "align=true turns" not in capsys.readouterr().out
     run("predict", f"calibration={tmp_path}/wrong/aligned.yaml", "output=again", *common, "align=false")
     right, wrong, off, again = (
         np.load(tmp_path / name / "00003_depth.npz")["index"] for name in ("right", "wrong", "off", "again")
     )
     np.testing.assert_allclose(again, wrong, atol=0.01)
     assert np.abs(wrong - right).mean() < 0.4 * np.abs(off - right).mean()
+
+
+def test_frames_that_cannot_be_read_are_not_looked_at_for_the_calibration(
+    failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
+) -> None:
+    (capture / "cam2" / "00003.png").write_bytes(b"no image")
+    message = failing("predict", *words(capture, weights, "out"), "outputs=[npz]", "align=true")
+    assert "1 of 2 frames were left out" in message
+    assert (tmp_path / "out/00004_depth.npz").is_file()
 
 
 def test_grey_images_are_read_as_three_equal_channels(

@@ -37,7 +37,7 @@ def predictor() -> Predictor:
             if isinstance(part, torch.nn.modules.batchnorm._BatchNorm):
                 part.momentum = 1.0
         net.train()(torch.randn(2, 3, 3, 162), RIG)
-    return Predictor(RIG, net.eval(), min_depth=0.5)
+    return Predictor(RIG, net.eval(), min_depth=0.5, photometric=False)
 
 
 def test_a_program_is_its_predictor() -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,11 +13,12 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sphericalvision.cameras import CameraRig, PhotometricCalibration, read_rig, save_rig
+from sphericalvision.cameras import CameraRig, PhotometricCalibration
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice
 from sphericalvision.deploy import Depth, Predictor
 from sphericalvision.recipes.app.captures import find_masks
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
+from sphericalvision.recipes.prediction.aligned import aligned
 from sphericalvision.recipes.prediction.frames import Frame, Selection, Source
 from sphericalvision.recipes.prediction.moving import open_moving
 from sphericalvision.recipes.prediction.outputs import Outputs, Settings, done_file
@@ -176,39 +176,6 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         number = "some" if names is None else f"{len(wrong)} of {len(names)}"
         raise FileFormatError(f"{number} frames were left out. The first: {wrong[0]}")
     return outputs.written
-
-
-def aligned(source: Source, predictor: Predictor, folder: Path, goes_on: bool) -> Predictor:
-    """Turn the rig's cameras where three frames say so; the calibration goes to ``aligned.yaml`` in a folder.
-
-    Whoever goes on with a prediction takes what is there.
-    """
-    kept = folder / "aligned.yaml"
-    if goes_on:
-        if not kept.is_file():
-            return predictor
-        source.rig = CameraRig(source.rig.cameras, read_rig(kept).world_from_camera, source.rig.masks)
-        return predictor.with_rig(source.rig)
-    samples = [frame.images for frame in source.samples() if frame.images is not None]
-    with console.status(f"comparing {len(samples)} frame(s) with the calibration"):
-        found = predictor.align(samples)
-    if found is None:
-        return predictor
-    turned = ", ".join(
-        f"{name} by {math.degrees(turn):.2f}°"
-        for name, turn in zip(found.rig.names, found.turns.norm(dim=-1).tolist(), strict=True)
-    )
-    before, after = found.agreement
-    source.rig = found.rig.to("cpu")
-    folder.mkdir(parents=True, exist_ok=True)
-    save_rig(source.rig, kept)
-    console.print(
-        f"align=true turns {turned}: images agree better, {after:.3f} in place of {before:.3f} of 1. The calibration "
-        f"is in {kept}",
-        highlight=False,
-        soft_wrap=True,
-    )
-    return predictor
 
 
 MOST_PATHS = 30

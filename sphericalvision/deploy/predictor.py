@@ -241,9 +241,9 @@ class Predictor:
     def align(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns | None:
         """Turn cameras whose images disagree at the depth that the network estimates, and use that rig from now on.
 
-        Calibrations are seldom right for long: a knock of a degree doubles the error of depth. Orientations off by up
-        to a degree or two are found to some 0.05°, from one frame or a few. Small turns, and turns that two halves of
-        the image do not agree on, are left alone. Positions and intrinsics are not touched.
+        Calibrations are seldom right for long: orientations wrong by a degree double the error of depth. They are found
+        to about a tenth of a degree, from one frame or a few. Small turns, and turns that two halves of all directions
+        do not agree on, are left alone. Positions and intrinsics are not touched.
 
         Args:
             frames: of images by camera name, as the predictor is called with, one frame each; a second or two each.

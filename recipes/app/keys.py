@@ -187,6 +187,10 @@ class Evaluate:
     checkpoint: Text | None
     split: Literal["train", "val", "test"]
     baselines: bool
+    masks: Literal["auto"] | None
+    photometric: bool
+    align: bool
+    min_confidence: Share
     device: Device
     native: bool
     seed: Number

@@ -3,19 +3,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
 
-from sphericalvision.core import check_choice
+from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.fingerprint import rig_fingerprint
+from sphericalvision.cameras.own_body import MOST
+from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
 from sphericalvision.recipes.datamodules.base import SampleDataModule
-from sphericalvision.recipes.evaluation.inputs import VertexEstimator
+from sphericalvision.recipes.evaluation.inputs import PredictorEstimator, VertexEstimator, photographs_of
 from sphericalvision.recipes.evaluation.tables import (
     Estimator,
     Row,
@@ -26,8 +32,13 @@ from sphericalvision.recipes.evaluation.tables import (
     semi_global_estimator,
     sweep_estimator,
 )
+from sphericalvision.recipes.prediction.own_body import AUTO, with_own_body_masked
 
 __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
+
+
+SCENE: Literal["scene"] = "scene"
+"""``model.min_depth``: found in each frame."""
 
 
 class Evaluation(NamedTuple):
@@ -35,6 +46,10 @@ class Evaluation(NamedTuple):
 
     net: DepthNetwork
     data: SampleDataModule
+    min_depth: float | Literal["scene"]
+    """Nearest hypothesis in metres that the network is used with; errors are in hypotheses from ``net.min_depth``."""
+    as_used: bool
+    """Whether the images of the cameras are wanted, as more is done to them than to look them up."""
 
 
 def instantiate_evaluation(config: DictConfig) -> Evaluation:
@@ -45,24 +60,49 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     """
     level = config.model.level
     net = load_network(config.checkpoint, native=config.native)
-    net = net.with_changes(level=level if net.images == "sphere" else None, min_depth=config.model.min_depth)
+    near = config.model.min_depth
+    if isinstance(near, str):
+        check_choice("model.min_depth", near, (SCENE,))
+    net = net.with_changes(
+        level=level if net.images == "sphere" else None, min_depth=None if near == SCENE else near
+    )
     OmegaConf.update(config, "model.level", net.level if net.images == "sphere" else level or 5)
     OmegaConf.update(config, "model.min_depth", net.min_depth)
     data: SampleDataModule = build(config.data, "data")
-    data.serve(net, "sphere" if config.baselines else "depth", depth_level=config.model.level - 2)
-    return Evaluation(net.to(choose_device(config.device)), data)
+    as_used = bool(near == SCENE or config.photometric or config.align or config.masks)
+    more = ["sphere" if config.baselines else "depth", *(["fisheye"] if as_used else [])]
+    data.serve(net, *more, depth_level=config.model.level - 2)
+    if as_used and "fisheye" not in (getattr(data, "entries", None) or ()):
+        raise ArgumentError(
+            f"data: masks, photometric, align and model.min_depth=scene want the images of the cameras (the entry "
+            f"'fisheye'), which samples of {type(data).__name__} do not hold; take other data, or leave them out"
+        )
+    device = choose_device(config.device)
+    return Evaluation(net.to(device), data, SCENE if near == SCENE else net.min_depth, as_used)
 
 
 def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
     """Evaluate as ``config`` says; the table goes to ``folder`` as ``metrics.md``, ``.json`` and ``.csv``."""
     check_choice("split", config.split, ("train", "val", "test"))
     torch.manual_seed(config.seed)
-    net, data = instantiate_evaluation(config)
+    evaluation = instantiate_evaluation(config)
+    net, data = evaluation.net, evaluation.data
     print_config(config, folder)
     data.render(config.split)
     frames = data.plain_train_dataset() if config.split == "train" else data.dataset(config.split)
     name = type(net).__name__ if config.checkpoint is None else Path(config.checkpoint).stem
-    estimator = VertexEstimator(net)
+    estimator = VertexEstimator(net, config.min_confidence)
+    if evaluation.as_used:
+        masks = _masks(config, data.loader(frames))
+        estimator = PredictorEstimator(
+            net,
+            config.min_confidence,
+            evaluation.min_depth,
+            config.photometric,
+            config.align,
+            lambda rig: CameraRig(rig.cameras, rig.world_from_camera, masks or rig.masks),
+            config.native,
+        )
     within = estimator.reaches(Icosphere(config.model.level - 2, device=net.device).vertices)
     estimators: dict[str, Estimator] = {name: estimator}
     if config.baselines:
@@ -78,3 +118,20 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
         print(f"Warning: {sentence}")
     print(f"Saved in {folder}")
     return rows
+
+
+def _masks(config: DictConfig, batches: Iterable[dict[str, Any]]) -> Mapping[str, Tensor]:
+    """Masks of the rig's own body, found in up to fifty frames; none where they are not asked for.
+
+    Raises:
+        ArgumentError: the frames are of several rigs.
+    """
+    if config.masks != AUTO:
+        return {}
+    frames = list(islice((frame for batch in batches for frame in photographs_of(batch)), MOST))
+    rig = frames[0][0]
+    if any(rig_fingerprint(other) != rig_fingerprint(rig) for other, _ in frames):
+        raise ArgumentError(
+            "masks: auto finds a body that stands still in the frames of one rig, and these have several"
+        )
+    return with_own_body_masked(rig, (images for _, images in frames)).masks

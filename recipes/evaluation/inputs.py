@@ -3,17 +3,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Callable
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
+from sphericalvision.cameras import CameraRig
+from sphericalvision.deploy import Predictor
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.datamodules.entries import images_of
 from sphericalvision.recipes.training.rig_tables import RigTables
 
-__all__ = ["VertexEstimator"]
+__all__ = ["PredictorEstimator", "VertexEstimator", "photographs_of"]
+
+Sample = dict[str, Any]
 
 
 class VertexEstimator:
@@ -23,21 +29,82 @@ class VertexEstimator:
 
     Args:
         net: the network.
+        min_confidence: where the network is less confident, the index is NaN.
     """
 
-    def __init__(self, net: DepthNetwork) -> None:
-        self.net, self.tables = net, RigTables(net)
+    def __init__(self, net: DepthNetwork, min_confidence: float = 0.0) -> None:
+        self.net, self.min_confidence = net, min_confidence
+        self.tables = RigTables(net)
 
-    def __call__(self, batch: dict[str, Any]) -> Tensor:
-        images, seen = images_of(batch, self.net)
-        index: Tensor = self.net(images, self.tables.of(batch["rig"]), seen)
+    def __call__(self, batch: Sample) -> Tensor:
+        index, confidence = self._estimate(batch)
         number = batch["inverse_depth"].shape[-1]
-        if index.shape[1:] == (number,):
+        index = self._at_vertices(index, number)
+        if self.min_confidence == 0:
             return index
-        vertices = Icosphere(level_from_num_vertices(number), device=index.device).vertices
-        return self.net.index_at(index, vertices)[0]
+        return index.where(self._at_vertices(confidence, number) >= self.min_confidence, math.nan)
 
     def reaches(self, directions: Tensor) -> Tensor:
         """Where the network says anything, ``(V,)`` of directions ``(V, 3)``."""
         nothing = torch.zeros(1, *self.net.grid.shape, device=self.net.device)
         return self.net.index_at(nothing, directions)[1]
+
+    def _estimate(self, batch: Sample) -> tuple[Tensor, Tensor]:
+        """Index and confidence on the network's grid, ``(B, *grid)``."""
+        images, seen = images_of(batch, self.net)
+        estimate = self.net.predict(images, self.tables.of(batch["rig"]), seen)
+        return estimate.index, estimate.confidence
+
+    def _at_vertices(self, values: Tensor, number: int) -> Tensor:
+        if values.shape[1:] == (number,):
+            return values
+        vertices = Icosphere(level_from_num_vertices(number), device=values.device).vertices
+        return self.net.index_at(values, vertices)[0]
+
+
+class PredictorEstimator(VertexEstimator):
+    """The same by way of a ``Predictor``: from the images of the cameras, as in use.
+
+    Args:
+        net: the network; errors are in its hypotheses, whichever the predictor takes.
+        min_confidence: as of ``VertexEstimator``.
+        min_depth: nearest hypothesis in metres; ``"scene"`` finds it in each frame.
+        photometric: whether noise is smoothed, and exposure and vignetting are compensated, in each frame.
+        align: whether cameras are turned that each frame shows to be turned.
+        masked: gives a rig masks, before it is used.
+        native: whether to use operators in C++ on a CPU.
+    """
+
+    def __init__(
+        self,
+        net: DepthNetwork,
+        min_confidence: float = 0.0,
+        min_depth: float | Literal["scene"] = "scene",
+        photometric: bool = True,
+        align: bool = False,
+        masked: Callable[[CameraRig], CameraRig] = lambda rig: rig,
+        native: bool = False,
+    ) -> None:
+        super().__init__(net, min_confidence)
+        self.align, self.masked = align, masked
+        self.options: dict[str, Any] = {"min_depth": min_depth, "photometric": photometric, "native": native}
+
+    def _estimate(self, batch: Sample) -> tuple[Tensor, Tensor]:
+        answers = [self._frame(*frame) for frame in photographs_of(batch)]
+        index, confidence = (torch.stack(values) for values in zip(*answers, strict=True))
+        return index, confidence
+
+    def _frame(self, rig: CameraRig, images: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        predictor = Predictor(self.masked(rig), self.net, **self.options)
+        if self.align:
+            predictor.align([images])
+        depth = predictor(images)
+        nearer = self.net.min_depth / depth.min_depth  # the same inverse depth has another index
+        return (depth.index * nearer).clamp(max=self.net.num_hypotheses - 1), depth.confidence
+
+
+def photographs_of(batch: Sample) -> list[tuple[CameraRig, dict[str, Tensor]]]:
+    """The rig and the images by camera of each frame of a batch, in [0, 1], black where lenses show nothing."""
+    light = ((batch["fisheye"] + 1) / 2).clamp(0, 1) * batch["fisheye_seen"].unsqueeze(2)
+    rigs = [batch["rig"].select(frame) for frame in range(len(light))]
+    return [(rig, dict(zip(rig.names, images, strict=True))) for rig, images in zip(rigs, light, strict=True)]

@@ -35,7 +35,7 @@ __all__ = [
 
 Batch = dict[str, Any]
 Estimator = Callable[[Batch], Tensor]
-"""Takes a batch, gives the hypothesis index ``(B, V)``."""
+"""Takes a batch, gives the hypothesis index ``(B, V)``, NaN where it does not say."""
 
 
 class Row(NamedTuple):
@@ -59,19 +59,30 @@ def evaluate(
 ) -> list[Row]:
     """Errors of several estimators on the same batches, in the hypotheses of ``net``; shows its progress.
 
-    ``within`` ``(V,)`` leaves out all points where it is False.
+    ``within`` ``(V,)`` leaves out all points where it is False. Where an estimator leaves out points, the column "kept"
+    says how many percent of them it kept.
     """
     device = net.device
     number = net.num_hypotheses
     metrics = {name: DepthIndexError(number).to(device) for name in estimators}
+    kept: dict[str, list[Tensor]] = {name: [] for name in estimators}
     for batch in _progress(loader, "evaluating"):
         batch = {key: value.to(device) if hasattr(value, "to") else value for key, value in batch.items()}
         target = index_target(batch, net)
         valid = batch["valid"] if within is None else batch["valid"] & within.to(device)
         for name, estimator in estimators.items():
-            metrics[name].update(estimator(batch), target, valid)
+            index = estimator(batch)
+            said = valid & ~index.isnan()
+            metrics[name].update(index, target, said)
+            kept[name] += [*(100 * said.sum(-1) / valid.sum(-1))]
+    shares = {name: float(torch.stack(values).nanmean()) for name, values in kept.items() if values}
+    partial = any(share < 100 for share in shares.values())
     return [
-        Row(name, {key: float(value) for key, value in metric.compute().items()})
+        Row(
+            name,
+            {key: float(value) for key, value in metric.compute().items()}
+            | ({"kept": shares[name]} if partial else {}),
+        )
         for name, metric in metrics.items()
     ]
 

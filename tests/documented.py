@@ -236,7 +236,7 @@ def listed(words: list[str]) -> str:
 def network_words(model: DictConfig) -> list[str]:
     """A narrow network of the same kind."""
     target = str(model._target_).rpartition(".")[2]
-    if target in ("SphereClassifier", "SphereSegmenter"):
+    if target.endswith(("Classifier", "Segmenter")):
         return ["model.level=3", "model.width=2"]
     if target == "around":  # RefinedSweepNet.around, with the prior that ships
         return ["model.level=3", "model.widths=[4,4]", "model.blocks=1"]

@@ -180,7 +180,8 @@ class RandomRigDataModule(SampleDataModule):
 
 def fingerprint(net: DepthNetwork) -> str:
     """Eight letters for the parts of a network that are not trained."""
-    fixed = [f"{type(net).__name__} {net.hyperparameters}".encode()]
+    shape = {key: value for key, value in net.hyperparameters.items() if key in (net.fixed_by or (key,))}
+    fixed = [f"{type(net).__name__} {shape}".encode()]
     fixed += [
         name.encode() + parameter.detach().cpu().numpy().tobytes()
         for name, parameter in net.named_parameters()

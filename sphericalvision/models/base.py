@@ -84,6 +84,8 @@ class DepthNetwork(RemembersArguments):
     grid: Icosphere | Equirectangular
     level: int
     image_channels: tuple[int, ...] = (3,)
+    fixed_by: ClassVar[tuple[str, ...] | None] = None
+    """Hyper-parameters that ``fixed_inputs`` depend on, if they do not depend on all."""
 
     def __init__(
         self, num_hypotheses: int, min_depth: float, num_cameras: int, any_cameras: bool = False

@@ -112,6 +112,8 @@ class RefinedSweepNet(DepthNetwork):
         torch.Size([1, 10242])
     """
 
+    fixed_by = ("level", "min_depth", "inner_hypotheses", "prior")
+
     def __init__(
         self,
         level: int = 6,

@@ -110,8 +110,16 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
         estimators |= constant_estimators(data.loader(data.plain_train_dataset()), net)
         estimators["photo-consistency sweep"] = sweep_estimator(net)
         estimators["semi-global sweep"] = semi_global_estimator(net)
+        if evaluation.as_used or config.min_confidence > 0:
+            print(
+                f"baselines see the images as they are, everywhere; the options of use are those of {name} alone"
+            )
     with torch.inference_mode():
         rows = evaluate(estimators, data.loader(frames), net, within)
+    if rows[0].values.get("kept") == 0:
+        raise ArgumentError(
+            f"min_confidence: {name} is nowhere as confident as {config.min_confidence:g}; set less"
+        )
     print_rows(f"{config.split}, level {config.model.level}, percent of N = {net.num_hypotheses}", rows)
     save_rows(folder / "metrics", rows)
     for sentence in data.left_out():

@@ -133,3 +133,13 @@ def test_samples_without_images_of_cameras_are_refused_before_anything_is_render
     with pytest.raises(SystemExit):
         run("evaluate", "data=random_rigs", "photometric=true", "output=none")
     assert "samples of RandomRigDataModule do not hold" in capsys.readouterr().err
+
+
+def test_no_table_is_written_where_nothing_is_confident_enough(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = "checkpoint=icosweepnet-small", "model.level=4", "device=cpu", *TINY_SCENES
+    with pytest.raises(SystemExit):
+        run("evaluate", *words, "min_confidence=1.0", "output=none")
+    assert "min_confidence: icosweepnet-small is nowhere as confident as 1" in capsys.readouterr().err
+    assert not (tmp_path / "none/metrics.json").exists()

@@ -8,16 +8,10 @@ from pathlib import Path
 import torch
 
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet
+from sphericalvision.models.refinedsweepnet import PRIOR
 from sphericalvision.recipes.datamodules.random_rigs import RandomRigDataModule, fingerprint
 
 LEVEL = 4
-PRIOR = {
-    "feature_channels": 4,
-    "norm": "instance",
-    "aggregation": "variance",
-    "feature_coarsening": 1,
-    "volume_channels": 2,
-}
 
 
 def network(widths: tuple[int, ...] = (4, 4), level: int = LEVEL, seed: int = 0) -> RefinedSweepNet:

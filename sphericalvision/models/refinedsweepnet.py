@@ -136,11 +136,12 @@ class RefinedSweepNet(DepthNetwork):
         self.register_buffer("up", -icosphere_vertices(level - 1)[:, 1], persistent=False)
 
     @classmethod
-    def around(cls, prior: IcoSweepNet, **hyperparameters: Any) -> Self:
-        """Return a network to be trained around a trained prior, whose weights stay as they are.
+    def around(cls, prior: IcoSweepNet, train_prior: bool = False, **hyperparameters: Any) -> Self:
+        """Return a network to be trained around a trained prior, whose weights stay as they are unless told otherwise.
 
         Args:
             prior: for instance ``pretrained("icosweepnet-small")``.
+            train_prior: whether the prior learns, too, at about twice the cost of a step.
             hyperparameters: of the class, but ``prior``.
 
         Examples:
@@ -155,7 +156,7 @@ class RefinedSweepNet(DepthNetwork):
         shape = {name: value for name, value in prior.hyperparameters.items() if name not in scales}
         net = cls(**hyperparameters, prior=shape)
         net.prior.load_state_dict(prior.state_dict())
-        net.prior.requires_grad_(False)
+        net.prior.requires_grad_(train_prior)
         return net
 
     @classmethod
@@ -204,14 +205,27 @@ class RefinedSweepNet(DepthNetwork):
         seen: Bool[Tensor, "B n V_image"],
     ) -> SweepClues:
         """Return what geometry and the prior say. Only the prior has weights here."""
+        geometry = self._geometry(images, tables.sweep, seen)
+        return SweepClues(*geometry, self._prior(images, tables.prior, seen))
+
+    def _geometry(
+        self, images: Tensor, tables: SemiGlobalTables, seen: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The first four of ``SweepClues``."""
         with torch.no_grad():
-            evidence, cost = semi_global_costs(images, tables.sweep.sweep, seen)
+            evidence, cost = semi_global_costs(images, tables.sweep, seen)
         mean, best, cameras = evidence.unbind(1)
         places = torch.linspace(0, cameras.shape[1] - 1, 4, device=images.device).round().long()
-        swept = self.prior.sweep(self.prior.extract_features(images), tables.prior, seen)
-        prior = self.prior.regularizer(self.prior.aggregation(swept))
-        cost = cost - cost.amin(1, keepdim=True)
-        return SweepClues(cost, best, mean[:, ::2], cameras[:, places], prior)
+        return cost - cost.amin(1, keepdim=True), best, mean[:, ::2], cameras[:, places]
+
+    def _prior(self, images: Tensor, tables: SweepTables, seen: Tensor) -> Tensor:
+        """Scores ``(B, N, V)`` of the prior."""
+        swept = self.prior.sweep(self.prior.extract_features(images), tables, seen)
+        return self.prior.regularizer(self.prior.aggregation(swept))  # type: ignore[no-any-return]
+
+    @property
+    def _prior_learns(self) -> bool:
+        return any(parameter.requires_grad for parameter in self.prior.parameters())
 
     def fuse(
         self,
@@ -254,18 +268,20 @@ class RefinedSweepNet(DepthNetwork):
         rig: CameraRig | RefinedTables,
         seen: Bool[Tensor, "B n V_image"] | None = None,
     ) -> dict[str, Shaped[Tensor, "B ..."]]:
-        """Return the clues in a form to be kept, a byte a number: they do not change while the prior does not."""
+        """Return the clues in a form to be kept, a byte a number; without those of a prior that learns."""
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
         with torch.no_grad():
             seen = check_seen(tables.sweep.seen if seen is None else seen, images)
-            cost, best, mean, cameras, prior = self.clues(images, tables, seen)
-        return {
-            "cost": _bytes(cost / COST_RANGE),
-            "best": _bytes(best),
-            "mean": _bytes((mean + 1) / 2),
-            "cameras": cameras.to(torch.uint8),
-            "prior": prior.half(),
-        }
+            cost, best, mean, cameras = self._geometry(images, tables.sweep, seen)
+            kept = {
+                "cost": _bytes(cost / COST_RANGE),
+                "best": _bytes(best),
+                "mean": _bytes((mean + 1) / 2),
+                "cameras": cameras.to(torch.uint8),
+            }
+            if not self._prior_learns:
+                kept["prior"] = self._prior(images, tables.prior, seen).half()
+        return kept
 
     def training_loss(
         self,
@@ -288,7 +304,14 @@ class RefinedSweepNet(DepthNetwork):
             seen = self.tables(rig).sweep.seen if tables is None else tables.sweep.seen
         seen = check_seen(seen, images)
         offsets = rig.center[..., None, :] - rig.positions if tables is None else tables.offsets
-        clues = self.clues(images, tables, seen) if tables is not None else _from_bytes(fixed)  # type: ignore[arg-type]
+        if tables is not None:
+            clues = self.clues(images, tables, seen)
+        else:
+            assert fixed is not None
+            prior = (
+                self._prior(images, self.prior.tables(rig), seen) if self._prior_learns else fixed["prior"]
+            )
+            clues = _from_bytes(fixed, prior)
         fused = self.fuse(clues, images, seen, offsets)
         refined = self.refine(fused, images, seen, offsets)
         scale = (self.inner_hypotheses - 1) / (self.num_hypotheses - 1)
@@ -323,6 +346,6 @@ def _bytes(values: Tensor) -> Tensor:
     return (values * 255).round().clamp(0, 255).to(torch.uint8)
 
 
-def _from_bytes(fixed: Mapping[str, Tensor]) -> SweepClues:
+def _from_bytes(fixed: Mapping[str, Tensor], prior: Tensor) -> SweepClues:
     cost, best, mean = (fixed[name].float() / 255 for name in ("cost", "best", "mean"))
-    return SweepClues(cost * COST_RANGE, best, mean * 2 - 1, fixed["cameras"].float(), fixed["prior"].float())
+    return SweepClues(cost * COST_RANGE, best, mean * 2 - 1, fixed["cameras"].float(), prior.float())

@@ -105,6 +105,24 @@ def test_learns_and_leaves_the_prior_alone(net, frame):
     assert all(p.grad is not None and p.grad.any() for p in net.parameters() if p.requires_grad)
 
 
+def test_prior_learns_where_it_is_told_to(net, frame):
+    images, rig, seen, true = frame
+    shape = {"level": LEVEL, "widths": (8, 8, 8), "blocks": (1, 1, 2)}
+    learning = RefinedSweepNet.around(net.prior, train_prior=True, **shape)
+    learning.load_state_dict(net.state_dict())
+    fixed = learning.fixed_inputs(images, rig, seen)
+    assert set(fixed) == set(net.fixed_inputs(images, rig, seen)) - {"prior"}
+    arguments = (images, rig, seen, true.clamp(max=15), true <= 15, depth_index_huber)
+    computed = learning.training_loss(*arguments)
+    kept = learning.training_loss(*arguments, fixed=fixed)
+    assert abs(computed - kept) < 0.02 * computed
+    kept.backward()
+    assert all(p.grad is not None and p.grad.any() for p in learning.prior.features.parameters())
+    # Its own clues, not those that another prior left beside the sample.
+    others = {**fixed, "prior": torch.zeros_like(net.fixed_inputs(images, rig, seen)["prior"])}
+    assert torch.equal(learning.training_loss(*arguments, fixed=others), kept)
+
+
 def test_sky_is_infinitely_far(net, frame):
     images, rig, seen, _ = frame
     exit = net.refinement.exit

@@ -20,7 +20,7 @@ from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from sphericalvision.recipes.study.benchmark import command as benchmark_command
-from sphericalvision.recipes.study.benchmark import methods
+from sphericalvision.recipes.study.benchmark import methods, running
 from sphericalvision.recipes.study.benchmark.frames import Frame, Size, render_frame
 from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPTH, Method, make_method
 from sphericalvision.recipes.study.benchmark.running import run_track
@@ -128,6 +128,19 @@ def test_weights_change_the_identity_of_a_method_and_its_records(tmp_path: Path)
     assert again[track.frame_name(0)]["seconds"] != first[track.frame_name(0)]["seconds"]
     with pytest.raises(FileNotFoundError, match="nowhere"):
         make_method("nowhere.safetensors")
+
+
+def test_another_aligner_changes_all_records(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    method, track = Method("sweep", SemiGlobalSweep(3, 4)), TRACKS["room"]
+    keys = []
+    for penalty in (0.3, 0.4):
+        monkeypatch.setattr(running, "aligner", lambda p=penalty: SemiGlobalSweep(3, 4, small_penalty=p))
+        for align in (True, False):
+            running._aligner_identity.cache_clear()
+            keys.append(running.record_of(track, method, tmp_path, TINY._replace(align=align)).key)
+    running._aligner_identity.cache_clear()
+    assert keys[0] != keys[2]
+    assert keys[1] == keys[3]
 
 
 WORDS = (

@@ -28,7 +28,7 @@ from sphericalvision.models import DepthNetwork, pretrained
 from sphericalvision.recipes.study.benchmark.tracks import Track
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["NATURAL_SIZE", "Frame", "Size", "render_frame"]
+__all__ = ["NATURAL_SIZE", "Frame", "Size", "aligner", "render_frame"]
 
 
 class Size(NamedTuple):
@@ -162,13 +162,14 @@ def _pictures(
 
 def _aligned(rig: CameraRig, images: Mapping[str, Tensor]) -> CameraRig:
     """The rig with cameras turned where its images ask for it."""
-    predictor = Predictor(rig, _aligner(), min_depth=NATURAL_MIN_DEPTH, photometric=False)
+    predictor = Predictor(rig, aligner(), min_depth=NATURAL_MIN_DEPTH, photometric=False)
     predictor.align([{name: image.clamp(0, 1) for name, image in images.items()}])
     return predictor.rig
 
 
 @lru_cache(maxsize=1)
-def _aligner() -> DepthNetwork:
+def aligner() -> DepthNetwork:
+    """The network by whose depth cameras are turned."""
     return pretrained()
 
 

@@ -32,6 +32,7 @@ __all__ = [
     "Cost",
     "Method",
     "Said",
+    "identity_of",
     "make_method",
     "make_methods",
 ]
@@ -106,10 +107,7 @@ class Method:
     @property
     def identity(self) -> str:
         """Characters that change whenever its answers may: class, hyper-parameters, weights."""
-        digest = sha256(repr((type(self.net).__name__, self.net.hyperparameters)).encode())
-        for key, tensor in self.net.state_dict().items():
-            digest.update(key.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
-        return digest.hexdigest()[:16]
+        return identity_of(self.net)
 
     @torch.no_grad()
     def __call__(self, frame: Frame) -> Said:
@@ -203,3 +201,11 @@ def make_methods(words: Sequence[str], level: int, constant: Path | None = None)
     if not names:
         raise ArgumentError("benchmark.methods: expected at least one, got none")
     return [make_method(word, level, constant) for word in words]
+
+
+def identity_of(net: DepthNetwork) -> str:
+    """Characters that change with a network's class, hyper-parameters and weights."""
+    digest = sha256(repr((type(net).__name__, net.hyperparameters)).encode())
+    for key, tensor in net.state_dict().items():
+        digest.update(key.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]

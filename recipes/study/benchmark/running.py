@@ -5,14 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.study.benchmark.frames import NATURAL_SIZE, Size, render_frame
-from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPTH, Method
+from sphericalvision.recipes.study.benchmark.frames import NATURAL_SIZE, Size, aligner, render_frame
+from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPTH, Method, identity_of
 from sphericalvision.recipes.study.benchmark.records import Record
 from sphericalvision.recipes.study.benchmark.scoring import FrameTruth, score
 from sphericalvision.recipes.study.benchmark.summary import mean_scores
@@ -67,6 +68,8 @@ def record_of(track: Track, method: Method, folder: Path | None, size: Size) -> 
         "hypotheses": HYPOTHESES,
         "min_depth": MIN_DEPTH,
     }
+    if size.align:
+        key["aligner"] = _aligner_identity()
     if track.carrier is not None:
         key["truth"] = "without the carrier"
     return Record(folder, track.name, method.name, key)
@@ -102,6 +105,11 @@ def run_track(
                 cost = method.cost(frame)._asdict() if record.cost is None else None
                 record.add(name, found, cost)
     return records
+
+
+@lru_cache(maxsize=1)
+def _aligner_identity() -> str:
+    return identity_of(aligner())
 
 
 @contextmanager

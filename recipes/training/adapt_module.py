@@ -23,6 +23,8 @@ RESULT = "adapted.safetensors"
 class AdaptModule(DepthModule):
     """As ``DepthModule``, for captures: validated is the photo-consistency of frames that were held out.
 
+    All weights learn, those of the prior of a ``RefinedSweepNet``, too.
+
     At the end ``adapted.safetensors`` in the folder of the run holds the best weights if they are more
     photo-consistent than those that training started from, and these if not.
 
@@ -53,6 +55,7 @@ class AdaptModule(DepthModule):
         seed: int = 0,
         native: bool = False,
     ) -> None:
+        net.requires_grad_(True)
         super().__init__(net, loss, optimizer, scheduler, monitor, mode, recompute, seed, native)
         self.shares: list[float] = []
 

@@ -11,9 +11,10 @@ import torch
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_image
-from sphericalvision.models import load_weights
+from sphericalvision.models import IcoSweepNet, RefinedSweepNet, load_weights
 from sphericalvision.recipes.datamodules.capture import CaptureDataModule
 from sphericalvision.recipes.datamodules.rehearsal import Rehearsal
+from sphericalvision.recipes.training.adapt_module import AdaptModule
 from tests.recipes.knocked_capture import KNOCKED, write_knocked_capture
 from tests.recipes.tiny import Run
 
@@ -34,6 +35,12 @@ CALIBRATED = "data.calibration=c/rig.yaml"
 def same(one: Path, other: Path) -> bool:
     states = [load_weights(path).state_dict() for path in (one, other)]
     return all(torch.equal(states[0][name], states[1][name]) for name in states[1])
+
+
+def test_the_prior_learns_along() -> None:
+    net = RefinedSweepNet.around(IcoSweepNet(5, aggregation="variance", feature_channels=2))
+    AdaptModule(net, loss=None, optimizer=None, scheduler=None)
+    assert all(parameter.requires_grad for parameter in net.prior.parameters())
 
 
 @pytest.mark.slow

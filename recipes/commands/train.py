@@ -21,6 +21,7 @@ from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.next_steps import evaluate_command, resume_command
 from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.evaluation.tables import Row, print_rows, save_rows
+from sphericalvision.recipes.training.best_checkpoint import best_checkpoint
 from sphericalvision.recipes.training.checkpoint_io import WeightsBesideCheckpoint
 from sphericalvision.recipes.training.module import TrainingModule
 from sphericalvision.recipes.training.resuming import changed_settings, check_resume, resume_path
@@ -122,8 +123,7 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
             print(f"\nStopped at step {trainer.global_step}. Go on with:\n{resume_command(last)}", flush=True)
         raise SystemExit(exit_status(trainer, stopped)) from None
     trainer.save_checkpoint(last)
-    best_path = getattr(trainer.checkpoint_callback, "best_model_path", "")
-    best = Path(best_path or last)
+    best = best_checkpoint(trainer, module, data, last)
     trainer.validate(module, data, ckpt_path=best, weights_only=True, verbose=False)
     values = logged_values(trainer, module, "val")
     report(f"validation ({module.unit})", folder / "validation", trainer, values)

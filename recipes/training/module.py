@@ -60,6 +60,8 @@ class TrainingModule(pl.LightningModule):
         self.loss = loss
         self.make_optimizer, self.make_scheduler = optimizer, scheduler
         self.monitor, self.mode, self.seed = monitor, mode, seed
+        #: The step after which validation ran last, while training.
+        self.validated_step = -1
         self.save_hyperparameters({"network": type(net).__name__, **net.hyperparameters, "seed": seed})
 
     def initialize(self, weights: str | Path) -> None:
@@ -89,6 +91,11 @@ class TrainingModule(pl.LightningModule):
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
         """Seed what is drawn at random inside the step from its number alone."""
         torch.manual_seed(self.seed * 1_000_003 + self.global_step)
+
+    def on_validation_end(self) -> None:
+        """Note which state has been validated."""
+        if self.trainer.state.fn == "fit" and not self.trainer.sanity_checking:
+            self.validated_step = self.trainer.global_step
 
     def configure_optimizers(self) -> Any:
         """The optimiser, with the schedule stepped at every iteration."""

@@ -99,6 +99,22 @@ def test_weights_beside_a_checkpoint_are_those_inside(trained: Any) -> None:
     assert all(torch.equal(beside[name], inside[name]) for name in beside)
 
 
+def test_the_last_state_may_be_the_best_though_no_validation_falls_on_it(
+    run: Run, tmp_path: Path, tiny_training: Words
+) -> None:
+    """Of the states after steps 2 and 3, one has the smaller error and the other the greater."""
+    best_is_last = []
+    for mode in ("min", "max"):
+        words = "trainer.max_steps=3", "trainer.val_check_interval=2", f"task.mode={mode}", f"output={mode}"
+        run("train", *tiny_training, *words)
+        folder = tmp_path / mode / "checkpoints"
+        best, last = (state(folder / f"{name}.ckpt") for name in ("best", "last"))
+        best_is_last.append(all(torch.equal(best[name], last[name]) for name in last))
+        beside = load_weights(folder / "best.safetensors").state_dict()
+        assert all(torch.equal(value, best[f"net.{name}"]) for name, value in beside.items())
+    assert sorted(best_is_last) == [False, True]
+
+
 def test_of_averaged_weights_both_files_hold_the_average(
     run: Run, tmp_path: Path, tiny_training: Words
 ) -> None:

@@ -18,6 +18,7 @@ from sphericalvision.data.augmentation.mirror import Mirror
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.data.cache import ArrayCache
 from sphericalvision.data.random_rig_scenes import RandomRigScenes
+from sphericalvision.deploy.compensation import compensated
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share, Text
@@ -70,6 +71,7 @@ class RandomRigDataModule(SampleDataModule):
         disturbed: share of samples with faults of cameras.
         image_size: height and width of the cameras.
         samples_per_pixel: rays per pixel.
+        photometric: smooth noise and compensate exposure and vignetting, as ``Predictor`` does.
         num_train: number of training samples.
         num_val: number of validation samples.
         num_test: number of test samples.
@@ -92,6 +94,7 @@ class RandomRigDataModule(SampleDataModule):
         disturbed: Share = 0.5,
         image_size: Annotated[Sequence[Count], Exactly(2)] = (256, 256),
         samples_per_pixel: Count = 1,
+        photometric: bool = True,
         num_train: Count = 4000,
         num_val: Count = 28,
         num_test: Count = 56,
@@ -117,6 +120,7 @@ class RandomRigDataModule(SampleDataModule):
             "disturbed": disturbed,
             "image_size": (int(image_size[0]), int(image_size[1])),
             "samples_per_pixel": samples_per_pixel,
+            "prepare": compensated if photometric else None,
         }
         self.augment, self.cache_dir = augment, cache_dir
         self.scenes = {

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.augmentation.disturbances import CameraDisturbance
+from sphericalvision.data.augmentation.disturbances import DISPLAY, CameraDisturbance
 from sphericalvision.data.augmentation.random_rigs import random_rig
 from sphericalvision.data.augmentation.transforms import ToSphere
 from sphericalvision.data.cache import ArrayCache, decode, encode
@@ -39,13 +39,18 @@ SHARES = {
     "polished": 0.08,
 }
 
+CARRIED, MASKED = 0.35, 0.35
+"""Share of rigs that see what carries them, and share of these whose masks say so."""
+TOO_BRIGHT, LEAST_STOPS, MOST_STOPS = 0.3, 0.3, 2.5
+"""Share of samples that are too bright in all cameras, and by how much: bright walls have no texture then."""
+
 
 class RandomRigScenes(Dataset[dict[str, Any]]):
     """Samples for a network that is to serve any rig: scene, rig and disturbances follow from the seed.
 
     Two fifths of the rigs are level rings of four fisheyes, the common case; the others are ``random_rig``. Half of the
-    samples are disturbed as by cheap cameras (``CameraDisturbance``), with poses off by up to 0.4°; every seventh rig
-    stands on something that it sees, which is masked or not.
+    samples are disturbed as by cheap cameras (``CameraDisturbance``), with poses off by up to 0.4°. Three tenths are
+    too bright, by up to 2.5 stops. A third of the rigs stand on something that they see, which is mostly not masked.
 
     Args:
         num_scenes: number of samples.
@@ -57,6 +62,8 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
         disturbed: share of samples that are disturbed.
         image_size: (height, width) of the cameras.
         samples_per_pixel: rays through each pixel.
+        prepare: makes of a rig and its photographs, camera name -> ``(3, h, w)`` in [0, 1], those that are used, as the
+            network will have them in use (``deploy.Predictor`` takes out noise and differences in light).
         cache_dir: folder where samples are kept, images as bytes; rendered each time when not given.
 
     Returns:
@@ -87,6 +94,7 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
         disturbed: float = 0.5,
         image_size: tuple[int, int] = (256, 256),
         samples_per_pixel: int = 1,
+        prepare: Callable[[CameraRig, Mapping[str, Tensor]], Mapping[str, Tensor]] | None = None,
         cache_dir: str | os.PathLike[str] | None = None,
     ) -> None:
         if num_scenes < 1 or first_seed < 0 or first_seed + num_scenes > HELD_OUT_SEED:
@@ -102,9 +110,12 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
         self.depth_level = self.level if depth_level is None else check_level(depth_level)
         self.level_rigs, self.disturbed = level_rigs, disturbed
         self.image_size, self.samples_per_pixel = (int(image_size[0]), int(image_size[1])), samples_per_pixel
+        self.prepare = prepare
         self.directions = Icosphere(self.depth_level).vertices
         numbers = (GENERATION, self.level, self.depth_level, *self.image_size, samples_per_pixel)
         choices = (level_rigs, disturbed, *(f"{kind}{share:g}" for kind, share in self.shares.items()))
+        prepared = prepare and f"{prepare.__module__}.{prepare.__name__}"
+        choices = (*choices, CARRIED, MASKED, TOO_BRIGHT, LEAST_STOPS, MOST_STOPS, prepared)
         #: Stands for everything that a seed's sample depends on; the folder's name in the cache.
         self.name = f"random_rigs-{'-'.join(map(str, numbers))}-{_digest(choices)}"
         self.cache = ArrayCache(None if cache_dir is None else Path(cache_dir) / self.name)
@@ -151,6 +162,12 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
         turned: CameraRig = only_poses({"images": images, "rig": rig}, _generator(seed, 4))["rig"]
         return turned
 
+    def gain(self, seed: int) -> float:
+        """Factor on the values of all pictures of a seed, which makes some samples too bright."""
+        happens, amount = torch.rand(2, generator=_generator(seed, 5)).tolist()
+        stops = LEAST_STOPS + (MOST_STOPS - LEAST_STOPS) * amount if happens < TOO_BRIGHT else 0.0
+        return float(2 ** (stops / DISPLAY))
+
     def disturbance(self, seed: int) -> CameraDisturbance:
         """What is wrong with the cameras of a seed."""
         generator = _generator(seed, 2)
@@ -169,7 +186,7 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
             blur=sometimes(0.4, 1.0),
             exposure=sometimes(0.7, 0.7),
             white_balance=sometimes(0.5, 0.25),
-            noise=sometimes(0.6, 0.03),
+            noise=sometimes(0.75, 0.035),
             pose_error=math.radians(sometimes(0.6, 0.4)),
         )
 
@@ -180,18 +197,22 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
         depth = ray_depth(scene, rig.center, self.directions)
         masks: dict[str, Tensor] = {}
         generator = _generator(seed, 3)
-        if torch.rand((), generator=generator) < 1 / 7:
+        if torch.rand((), generator=generator) < CARRIED:
             carrier = CARRIERS[int(torch.randint(len(CARRIERS), (), generator=generator))]
             carried = with_carrier(scene, carrier, rig, seed)
             scene = carried.scene
-            if torch.rand((), generator=generator) < 0.5:
+            if torch.rand((), generator=generator) < MASKED:
                 masks = carrier_masks(carried.body, rig)
-        pictures: dict[str, Tensor] = render_rig(scene, rig, self.samples_per_pixel)
+        pictures: Mapping[str, Tensor] = render_rig(scene, rig, self.samples_per_pixel)
+        gain = self.gain(seed)
         faults = self.disturbance(seed)
         pictures = {
-            name: faults.image(picture, rig.cameras[name], generator) for name, picture in pictures.items()
+            name: faults.image((gain * picture).clamp(max=1), rig.cameras[name], generator)
+            for name, picture in pictures.items()
         }
         told = CameraRig(told.cameras, told.world_from_camera, masks=masks)
+        if self.prepare is not None:
+            pictures = self.prepare(told, pictures)
         to_sphere = ToSphere(self.level, self.depth_level)
         seen = to_sphere.seen(told)
         images = encode(to_sphere.images(pictures, told))

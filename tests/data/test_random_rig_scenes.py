@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import pytest
 import torch
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.data.augmentation.disturbances import DISPLAY
 from sphericalvision.data.random_rig_scenes import SHARES, RandomRigScenes
-from sphericalvision.data.scenes.recipes import make_scene, ray_depth
+from sphericalvision.data.scenes.recipes import make_scene, ray_depth, render_rig
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED
 from sphericalvision.icosphere import Icosphere
 
@@ -51,6 +53,39 @@ def test_rigs_and_scenes_are_of_all_kinds():
     assert {len(rig) for rig in rigs} == {2, 3, 4, 5, 6}
     off = [not torch.equal(scenes.rig(k).world_from_camera, rigs[k].world_from_camera) for k in range(60)]
     assert 0.1 < sum(off) / 60 < 0.6
+
+
+def test_some_samples_are_too_bright():
+    scenes = RandomRigScenes(300, **SMALL, disturbed=0.0)
+    stops = torch.tensor([DISPLAY * math.log2(scenes.gain(seed)) for seed in range(300)])
+    bright = stops > 0
+    assert 0.2 < bright.float().mean() < 0.4
+    assert stops[bright].min() >= 0.3 - 1e-6
+    assert stops.max() <= 2.5 + 1e-6
+    brightest = int(stops.argmax())
+    usual = render_rig(
+        make_scene(scenes.frame(brightest).rpartition("-")[0], brightest), scenes.true_rig(brightest)
+    )
+    shown = scenes[brightest]["images"]
+    assert (shown.where(shown > -1, 0).mean() + 1) / 2 > torch.stack(list(usual.values())).mean()
+
+
+def test_photographs_are_prepared_as_in_use(tmp_path):
+    given = []
+
+    def darkened(rig, images):
+        given.append((rig, images))
+        return {name: image / 2 for name, image in images.items()}
+
+    plain, dark = RandomRigScenes(2, 40, **SMALL), RandomRigScenes(2, 40, **SMALL, prepare=darkened)
+    assert plain.name != dark.name
+    seen = plain[0]["seen"][:, None]
+    torch.testing.assert_close(
+        dark[0]["images"] + 1, ((plain[0]["images"] + 1) / 2).where(seen, 1), atol=0.02, rtol=0
+    )
+    ((rig, images),) = given
+    assert torch.equal(rig.world_from_camera, plain[0]["rig"].world_from_camera)
+    assert set(images) == set(rig.names)
 
 
 def test_seeds_of_the_benchmark_and_unknown_kinds_are_refused():

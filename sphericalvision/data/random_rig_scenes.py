@@ -20,8 +20,10 @@ from sphericalvision.data.augmentation.disturbances import DISPLAY, CameraDistur
 from sphericalvision.data.augmentation.random_rigs import random_rig
 from sphericalvision.data.augmentation.transforms import ToSphere
 from sphericalvision.data.cache import ArrayCache, decode, encode
+from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.carriers import CARRIERS, carrier_masks, with_carrier
-from sphericalvision.data.scenes.recipes import SCENE_KINDS, make_scene, ray_depth, render_rig
+from sphericalvision.data.scenes.recipes import SCENE_KINDS, exposed, make_scene, ray_depth, render_rig
+from sphericalvision.data.scenes.skies import under_another_sky, unlit
 from sphericalvision.data.seeded_scenes import GENERATION, HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
@@ -43,6 +45,8 @@ CARRIED, MASKED = 0.35, 0.35
 """Share of rigs that see what carries them, and share of these whose masks say so."""
 TOO_BRIGHT, LEAST_STOPS, MOST_STOPS = 0.3, 0.3, 2.5
 """Share of samples that are too bright in all cameras, and by how much: bright walls have no texture then."""
+OTHER_SKY, UNLIT = 0.6, 0.12
+"""Share of scenes under a sky of any other colour, or with clouds; and share of those without lamps."""
 
 
 class RandomRigScenes(Dataset[dict[str, Any]]):
@@ -51,6 +55,8 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
     Two fifths of the rigs are level rings of four fisheyes, the common case; the others are ``random_rig``. Half of the
     samples are disturbed as by cheap cameras (``CameraDisturbance``), with poses off by up to 0.4°. Three tenths are
     too bright, by up to 2.5 stops. A third of the rigs stand on something that they see, which is mostly not masked.
+    Three fifths of the scenes are under a sky that is not theirs, black, white, of any colour or cloudy, and one in
+    eight has no lamps: so meshes and photographs of other people look.
 
     Args:
         num_scenes: number of samples.
@@ -115,7 +121,7 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
         numbers = (GENERATION, self.level, self.depth_level, *self.image_size, samples_per_pixel)
         choices = (level_rigs, disturbed, *(f"{kind}{share:g}" for kind, share in self.shares.items()))
         prepared = prepare and f"{prepare.__module__}.{prepare.__name__}"
-        choices = (*choices, CARRIED, MASKED, TOO_BRIGHT, LEAST_STOPS, MOST_STOPS, prepared)
+        choices = (*choices, CARRIED, MASKED, TOO_BRIGHT, LEAST_STOPS, MOST_STOPS, OTHER_SKY, UNLIT, prepared)
         #: Stands for everything that a seed's sample depends on; the folder's name in the cache.
         self.name = f"random_rigs-{'-'.join(map(str, numbers))}-{_digest(choices)}"
         self.cache = ArrayCache(None if cache_dir is None else Path(cache_dir) / self.name)
@@ -168,6 +174,15 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
         stops = LEAST_STOPS + (MOST_STOPS - LEAST_STOPS) * amount if happens < TOO_BRIGHT else 0.0
         return float(2 ** (stops / DISPLAY))
 
+    def scene(self, seed: int) -> Scene:
+        """The scene of a seed, now and then without lamps, mostly under another sky."""
+        scene = make_scene(self.frame(seed).rpartition("-")[0], seed)
+        generator = _generator(seed, 6)
+        dull, skies = torch.rand(2, generator=generator).tolist()
+        if dull < UNLIT:
+            scene = exposed(unlit(scene), 0.45)
+        return under_another_sky(scene, generator) if skies < OTHER_SKY else scene
+
     def disturbance(self, seed: int) -> CameraDisturbance:
         """What is wrong with the cameras of a seed."""
         generator = _generator(seed, 2)
@@ -191,9 +206,7 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
         )
 
     def _stored(self, seed: int) -> dict[str, Tensor]:
-        kind = self.frame(seed).rpartition("-")[0]
-        rig, told = self.true_rig(seed), self.rig(seed)
-        scene = make_scene(kind, seed)
+        rig, told, scene = self.true_rig(seed), self.rig(seed), self.scene(seed)
         depth = ray_depth(scene, rig.center, self.directions)
         masks: dict[str, Tensor] = {}
         generator = _generator(seed, 3)

@@ -12,7 +12,7 @@ import torch
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.augmentation.disturbances import DISPLAY
 from sphericalvision.data.random_rig_scenes import SHARES, RandomRigScenes
-from sphericalvision.data.scenes.recipes import make_scene, ray_depth, render_rig
+from sphericalvision.data.scenes.recipes import make_scene, ray_depth, render_directions, render_rig
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED
 from sphericalvision.icosphere import Icosphere
 
@@ -53,6 +53,22 @@ def test_rigs_and_scenes_are_of_all_kinds():
     assert {len(rig) for rig in rigs} == {2, 3, 4, 5, 6}
     off = [not torch.equal(scenes.rig(k).world_from_camera, rigs[k].world_from_camera) for k in range(60)]
     assert 0.1 < sum(off) / 60 < 0.6
+
+
+def test_scenes_have_other_skies_and_some_no_lamps():
+    scenes = RandomRigScenes(60, **SMALL, shares={"bare": 1.0})
+    own = [make_scene("bare", seed) for seed in range(60)]
+    others = [scenes.scene(seed) for seed in range(60)]
+    under = [not torch.equal(a.background, b.background) for a, b in zip(own, others, strict=True)]
+    assert 0.4 < sum(under) / 60 < 0.8
+    dull = [len(scene.lamps.position) == 0 for scene in others]
+    assert 0.03 < sum(dull) / 60 < 0.3
+    assert all(len(scene.lamps.position) for scene in own)
+    for scene, other, without in zip(own, others, dull, strict=True):
+        directions = Icosphere(3).vertices
+        assert torch.equal(*(ray_depth(x, torch.zeros(3), directions) for x in (scene, other)))
+        seen = render_directions(other, torch.zeros(3), directions)
+        assert 0.2 < seen.mean() < 0.8, "too dark or too bright" + " without lamps" * without
 
 
 def test_some_samples_are_too_bright():

@@ -41,10 +41,46 @@ def depths(kind: str, directions: Tensor) -> Tensor:
 
 def test_mixtures_take_turns() -> None:
     assert [kind_of("mixed", seed) for seed in range(4)] == ["room", "floating"] * 2
-    assert [kind_of("all", seed) for seed in range(len(SCENE_KINDS))] == list(SCENE_KINDS)
+    assert [kind_of("all", seed) for seed in range(8)] == [*SCENE_KINDS[:7], "room"]
+    assert SCENE_KINDS[7:] == ("skies",)
     assert kind_of("hall", 3) == "hall"
-    with pytest.raises(ArgumentError, match="'outdoors', 'mixed', 'all'"):
+    with pytest.raises(ArgumentError, match="'outdoors', 'skies', 'mixed', 'all'"):
         kind_of("street", 0)
+
+
+def test_skies_are_those_of_outdoors_in_other_colours_at_the_same_depth() -> None:
+    high, low = around(1.2), around(-0.6)
+    seen = {}
+    for seed in range(30):
+        plain, other = make_scene("outdoors", seed), make_scene("skies", seed)
+        assert torch.equal(ray_depth(plain, ORIGIN, high), ray_depth(other, ORIGIN, high))
+        assert torch.equal(render_directions(plain, ORIGIN, low), render_directions(other, ORIGIN, low))
+        sky = render_directions(other, ORIGIN, UP[None])
+        kind = (
+            "clouds"
+            if len(other.clouds)
+            else "black"
+            if sky.amax() == 0
+            else "white"
+            if sky.amin() > 0.9
+            else "any"
+        )
+        seen.setdefault(kind, []).append(sky)
+    assert set(seen) == {"clouds", "black", "white", "any"}
+    hues = torch.stack(seen["any"]).flatten(1)
+    assert (hues[:, 0] > hues[:, 2]).any()
+    assert (hues[:, 0] < hues[:, 2]).any()
+
+
+def test_clouds_cover_part_of_the_sky_and_stay_where_they_are() -> None:
+    scene = next(s for s in (make_scene("skies", seed) for seed in range(30)) if len(s.clouds))
+    high = around(1.0)
+    seen = render_directions(scene, ORIGIN, high)
+    assert seen.std(-1 if seen.shape[0] == 3 else 0).amax() > 0.02
+    moved = render_directions(scene, torch.tensor([0.3, 0.0, 0.0]), high)
+    assert ((moved - seen).abs() < 1e-6).float().mean() > 0.8
+    assert torch.equal(scene.scaled(2.0).transformed(translation=torch.ones(3)).clouds, scene.clouds)
+    assert torch.equal(scene.to("cpu").clouds, scene.clouds)
 
 
 def test_the_sky_is_infinitely_far_and_the_ground_reaches_the_horizon() -> None:

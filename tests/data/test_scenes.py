@@ -76,12 +76,12 @@ def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: s
     scene = make_scene(kind, seed)
     depth = ray_depth(scene, ORIGIN, EquirectangularCamera((64, 128)).unproject(_pixels(64, 128)).directions)
     assert depth.min() >= 0.6 - 1e-4
-    assert depth.isfinite().float().mean() > (0.5 if kind == "outdoors" else 0.95)
+    assert depth.isfinite().float().mean() > (0.5 if kind in ("outdoors", "skies") else 0.95)
     assert depth.min() < 2
     assert depth[depth.isfinite()].max() > 2.0
 
 
-@pytest.mark.parametrize("kind", SCENE_KINDS)
+@pytest.mark.parametrize("kind", [kind for kind in SCENE_KINDS if kind != "skies"])  # those may be white
 def test_pictures_are_neither_dark_nor_washed_out(kind: str) -> None:
     directions = torch.nn.functional.normalize(torch.randn(2000, 3), dim=-1)
     pictures = torch.stack(

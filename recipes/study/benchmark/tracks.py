@@ -106,7 +106,7 @@ class Track:
 
 
 def _scenes() -> list[Track]:
-    kinds = ("room", "floating", "mixed", "hall", "corridor", "bare", "polished", "outdoors")
+    kinds = ("room", "floating", "mixed", "hall", "corridor", "bare", "polished", "outdoors", "skies")
     return [Track(kind, "scenes", kind) for kind in kinds]
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
+from sphericalvision.data.rendering.sky import sky_light
 
 if TYPE_CHECKING:
     import trimesh
@@ -149,8 +150,7 @@ class MeshScene:
     def light(self, origin: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Linear colours ``(n, 3)`` along rays ``(n, 3)`` from a point; the background where nothing is hit."""
         distance, face = self.trace(origin, directions)
-        up = (0.5 - 2 * directions[:, 1:2]).clamp(0, 1)
-        color = self.background[1].lerp(self.background[0], up).clone()
+        color = sky_light(self.background, torch.zeros(0, 5), directions.T).T.contiguous()
         hit = (face >= 0) & distance.isfinite()
         points = origin.double() + distance[hit, None].double() * directions[hit].double()
         values = self._interpolated(points, face[hit])

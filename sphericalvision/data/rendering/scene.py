@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple, TypeVar
 
 import torch
@@ -86,6 +86,7 @@ class Scene:
         ambient: ``(3,)`` light from everywhere.
         background: ``(2, 3)`` colours above and below the horizon where rays hit nothing.
         exposure: scalar that multiplies all light before it becomes a picture.
+        clouds: ``(K, 5)`` waves of clouds before the background (see ``sky_light``); none by default.
 
     Examples:
         >>> from sphericalvision.data import make_scene
@@ -100,6 +101,7 @@ class Scene:
     ambient: Tensor
     background: Tensor
     exposure: Tensor
+    clouds: Tensor = field(default_factory=lambda: torch.zeros(0, 5))
 
     @property
     def device(self) -> torch.device:
@@ -115,6 +117,7 @@ class Scene:
             ambient=self.ambient.to(device),
             background=self.background.to(device),
             exposure=self.exposure.to(device),
+            clouds=self.clouds.to(device),
         )
 
     def transformed(

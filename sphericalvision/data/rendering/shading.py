@@ -12,6 +12,7 @@ from torch import Tensor
 from sphericalvision.data.rendering.ray_packets import RAYS, RayPackets, packed
 from sphericalvision.data.rendering.raycast import blocked, first_hits
 from sphericalvision.data.rendering.scene import Scene
+from sphericalvision.data.rendering.sky import sky_light
 from sphericalvision.data.rendering.surfaces import normals_and_uv
 from sphericalvision.data.rendering.textures import TextureBank, texture_bank
 
@@ -113,9 +114,7 @@ def radiance(scene: Scene, table: SurfaceTable, rays: RayPackets, spread: Tensor
     light = light.view_as(position)
     if bool(met.all()):
         return light
-    up = (0.5 - 2 * rays.direction[1]).clamp(0, 1)
-    above, below = scene.background[:, :, None, None]
-    return torch.where(met, light, torch.lerp(below, above, up))
+    return torch.where(met, light, sky_light(scene.background, scene.clouds, rays.direction))
 
 
 def _reflected(position: Tensor, ray: Tensor, normal: Tensor) -> RayPackets:

@@ -36,6 +36,7 @@ from sphericalvision.data.scenes.halls import random_hall
 from sphericalvision.data.scenes.outdoors import random_outdoor_place
 from sphericalvision.data.scenes.polished_rooms import random_polished_room
 from sphericalvision.data.scenes.rooms import random_room
+from sphericalvision.data.scenes.skies import under_another_sky
 
 __all__ = [
     "SCENE_KINDS",
@@ -59,10 +60,11 @@ RECIPES: dict[str, Callable[[torch.Generator, float], Scene]] = {
     "bare": random_bare_room,
     "polished": random_polished_room,
     "outdoors": random_outdoor_place,
+    "skies": random_outdoor_place,
 }
 SCENE_KINDS = tuple(RECIPES)
-#: Kinds that take turns from seed to seed, by the name of the mixture.
-MIXTURES = {"mixed": ("room", "floating"), "all": SCENE_KINDS}
+#: Kinds that take turns from seed to seed, by the name of the mixture; "skies" is "outdoors" once more.
+MIXTURES = {"mixed": ("room", "floating"), "all": tuple(kind for kind in SCENE_KINDS if kind != "skies")}
 
 
 def kind_of(kind: str, seed: int) -> str:
@@ -70,7 +72,7 @@ def kind_of(kind: str, seed: int) -> str:
 
     Args:
         kind: of ``make_scene``; or ``"mixed"``: rooms for even seeds, floating objects for odd ones; or ``"all"``: all
-            kinds of ``make_scene`` in turn.
+            kinds of ``make_scene`` but ``"skies"`` in turn.
         seed: of the scene.
 
     Raises:
@@ -98,8 +100,9 @@ def make_scene(
 
     Args:
         kind: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects in mid-air in front of a distant shell),
-            ``"hall"``, ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a reflecting floor) or ``"outdoors"``
-            (ground below an infinitely distant sky).
+            ``"hall"``, ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a reflecting floor) ``"outdoors"``
+            (ground below an infinitely distant sky), or ``"skies"`` (the same below a sky that is black, white, of any
+            colour or cloudy).
         seed: the same seed makes the same scene.
         device: where the scene lives; the CPU by default.
         center: ``(3,)`` where the rig's centre is, metres; the origin by default.
@@ -131,15 +134,17 @@ def make_scene(
     scene = scene.transformed(torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]))
     brightness = 0.38 + 0.17 * torch.rand((), generator=generator).item()
     scene = (
-        _expose(scene, brightness)
+        exposed(scene, brightness)
         .scaled(scale)
         .transformed(translation=center.cpu().float() if center is not None else None)
     )
+    if kind == "skies":
+        scene = under_another_sky(scene, generator)
     return scene if device is None else scene.to(device)
 
 
-def _expose(scene: Scene, brightness: float, probes: int = 1000) -> Scene:
-    """Choose the exposure at which the view from the origin has the given mean brightness on a display."""
+def exposed(scene: Scene, brightness: float, probes: int = 1000) -> Scene:
+    """The scene at the exposure at which the view from the origin has the given mean brightness on a display."""
     k = torch.arange(probes) + 0.5
     height, angle = 1 - 2 * k / probes, k * math.pi * (3 - 5**0.5)
     across = (1 - height.square()).sqrt()

@@ -23,7 +23,7 @@ from sphericalvision.models import (
     pretrained,
     save_weights,
 )
-from sphericalvision.models.weights import available_weights
+from sphericalvision.models.weights import available_weights, filling
 
 Writer = Callable[..., Path]
 
@@ -125,6 +125,14 @@ def test_damaged_hyper_parameters_cost_nothing(tmp_path: Path, value: str) -> No
     save_file(state, path, metadata)
     with pytest.raises(FileFormatError, match=r"do not fit|cannot build"):
         load_weights(path)
+
+
+def test_a_network_may_have_much_that_is_not_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is then made twice, once without numbers, and loads all the same."""
+    net = small_net()
+    path = save_weights(net, tmp_path / "net.safetensors")
+    monkeypatch.setattr(filling, "SPARE", -1)
+    assert same_weights(load_weights(path), net)
 
 
 def test_reference_checkpoint(write_checkpoint: Writer) -> None:

@@ -58,8 +58,15 @@ def test_reading_the_command_line_imports_nothing_heavy(command: str) -> None:
     assert imported(program).isdisjoint(HEAVY)
 
 
+BLURS_WITH = ("kornia", "torch._dynamo", "torch._inductor", "sympy", "torch.fx.experimental.symbolic_shapes")
+"""What aligning cameras needs: kornia, and what comes along with it."""
+
+
 @pytest.mark.slow
-def test_one_frame_is_predicted_without_what_it_does_not_need(weights: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("align", [False, True])
+def test_one_frame_is_predicted_without_what_it_does_not_need(
+    weights: Path, tmp_path: Path, align: bool
+) -> None:
     """Not only what the files import: what the work does, from the calibration to the point cloud."""
     rig = make_ring(image_size=(32, 32))
     rig.to_yaml(tmp_path / "rig.yaml")
@@ -72,11 +79,13 @@ def test_one_frame_is_predicted_without_what_it_does_not_need(weights: Path, tmp
         f"checkpoint={weights}",
         "output=out",
         "height=16",
+        f"align={str(align).lower()}",
     ]
     program = f"import os, sys; os.chdir({str(tmp_path)!r}); sys.argv = {words}\n"
     modules = imported(program + "from sphericalvision.recipes.predict import main; main()")
     assert (tmp_path / "out/points.ply").is_file()
-    assert modules.isdisjoint((*COMMANDS["predict"], "sympy", "torch.fx.experimental.symbolic_shapes"))
+    needless = {*COMMANDS["predict"], *BLURS_WITH} - ({*BLURS_WITH} if align else set())
+    assert modules.isdisjoint(needless)
 
 
 def test_rooms_of_the_package_are_there_after_a_bare_import() -> None:

@@ -9,12 +9,18 @@ from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
+from torch.overrides import TorchFunctionMode
 
 from sphericalvision.core import FileFormatError
 
 __all__ = ["filled", "made"]
 
 Network = TypeVar("Network", bound=nn.Module)
+
+FACTORIES = (torch.empty, torch.zeros, torch.ones, torch.rand, torch.randn)
+"""What weights are made with."""
+SPARE = 10_000_000
+"""Numbers, 40 MB, that a network may allocate beside the weights."""
 
 
 def made(
@@ -25,22 +31,36 @@ def made(
 ) -> Network:
     """Return a network with the hyper-parameters and the weights of a file.
 
-    Where the hyper-parameters ask for other weights than there are, nothing is allocated: a damaged number could ask
-    for any amount of memory.
+    Where the hyper-parameters ask for far more weights than there are, nothing of that is allocated: a damaged number
+    could ask for any amount of memory.
 
     Raises:
         FileFormatError: as ``filled`` does. Whatever ``network`` raises of hyper-parameters passes.
     """
+    try:
+        with _AtMost(sum(tensor.numel() for tensor in state.values()) + SPARE):
+            net = network(**hyperparameters)
+    except _TooManyError:
+        _check_outline(network, hyperparameters, state, source)
+        net = network(**hyperparameters)  # it is right: much of it is not weights
+    return filled(net, state, source)
+
+
+def _check_outline(
+    network: Callable[..., nn.Module],
+    hyperparameters: Mapping[str, Any],
+    state: Mapping[str, Tensor],
+    source: str | Path,
+) -> None:
+    """Check shapes without any numbers; not always, as for this torch imports all that it traces with: seconds."""
     try:
         with torch.device("meta"):
             outline = network(**hyperparameters)
     except (
         Exception
     ):  # a network that cannot be made without its numbers; made for real it says what is wrong
-        outline = None
-    if outline is not None:
-        _check_fits(outline, state, source)
-    return filled(network(**hyperparameters), state, source)
+        return
+    _check_fits(outline, state, source)
 
 
 def filled(net: Network, state: Mapping[str, Tensor], source: str | Path) -> Network:
@@ -59,6 +79,26 @@ def filled(net: Network, state: Mapping[str, Tensor], source: str | Path) -> Net
         )
     net.load_state_dict(dict(state))
     return net
+
+
+class _TooManyError(Exception):
+    """A network asks for many more numbers than its file has."""
+
+
+class _AtMost(TorchFunctionMode):
+    """Within it, ``torch.empty`` and the like, of which weights are made, give so many numbers in all, and no more."""
+
+    def __init__(self, numbers: int) -> None:
+        super().__init__()
+        self.left = numbers
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        if func in FACTORIES:
+            size = (kwargs or {}).get("size", args)
+            self.left -= torch.empty(*size, device="meta").numel()
+            if self.left < 0:
+                raise _TooManyError
+        return func(*args, **(kwargs or {}))
 
 
 def _check_fits(net: nn.Module, state: Mapping[str, Tensor], source: str | Path) -> None:

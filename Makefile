@@ -6,7 +6,9 @@ SHELL  := /bin/bash
 .DEFAULT_GOAL := help
 
 BIN := $(VENV)/bin
-# Bytecode is compiled at the first import of what is used, which is far less than what is installed.
+# Bytecode is compiled at the first import of what is used, which is far less than what is installed. It is kept, beside
+# the files, whatever the caller prefers: tests start hundreds of programs, each of which would compile all of torch.
+unexport PYTHONDONTWRITEBYTECODE
 PIP := PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install \
        --no-compile --progress-bar off -c constraints.txt
 # Of what pip says keep the lines that tell progress. Errors go to stderr and are always shown.

@@ -306,6 +306,7 @@ class BenchmarkOfMethods:
     methods: list[str]
     tracks: list[str]
     frames: Count
+    first_frame: Number
     meshes: list[str]
     level: Annotated[int, AtLeast(3)]
     panorama_rows: Annotated[int, AtLeast(2)]

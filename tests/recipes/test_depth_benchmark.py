@@ -122,10 +122,14 @@ def test_weights_change_the_identity_of_a_method_and_its_records(tmp_path: Path)
     one, two = (Method("sweep", SemiGlobalSweep(3, 4, small_penalty=p)) for p in (0.3, 0.4))
     assert one.identity != two.identity
     track = TRACKS["room"]
-    first = run_track(track, [one], 1, tmp_path, None, TINY)["sweep"].scores
-    assert run_track(track, [one], 1, tmp_path, None, TINY)["sweep"].scores == first  # its seconds, too
-    again = run_track(track, [two], 1, tmp_path, None, TINY)["sweep"].scores
+    first = run_track(track, [one], range(1), tmp_path, None, TINY)["sweep"].scores
+    same = run_track(track, [one], range(1), tmp_path, None, TINY)["sweep"].scores
+    assert same == first  # its seconds, too
+    again = run_track(track, [two], range(1), tmp_path, None, TINY)["sweep"].scores
     assert again[track.frame_name(0)]["seconds"] != first[track.frame_name(0)]["seconds"]
+    run_track(track, [two], range(1, 2), tmp_path, None, TINY)
+    assert list(running.record_of(track, two, tmp_path, TINY).drawn()) == [0, 1]
+    assert list(run_track(track, [one], range(1, 2), tmp_path, None, TINY)["sweep"].drawn()) == [1]
     with pytest.raises(FileNotFoundError, match="nowhere"):
         make_method("nowhere.safetensors")
 
@@ -200,6 +204,22 @@ def test_it_is_killed_and_goes_on(
     assert (tmp_path / "out/benchmark.md").read_text() == first
 
 
+def test_it_takes_other_frames_and_keeps_both(run: Run, tmp_path: Path, scene_cache: str) -> None:
+    words = (*WORDS, f"benchmark.cache_dir={scene_cache}", "benchmark.tracks=[room]", "benchmark.frames=1")
+    words = (*words, "benchmark.methods=[semi-global-sweep]")
+    told, pages = [], []
+    run("study", *words, "benchmark.frames=2")
+    for first in (0, 1, 0):  # of the records that frames=2 leaves only the first is drawn
+        run("study", *words, f"benchmark.first_frame={first}")
+        told.append(json.loads((tmp_path / "out/benchmark.json").read_text())["room"]["semi-global-sweep"])
+        pages.append((tmp_path / "out/pages/room.png").read_bytes())
+    kept = json.loads((tmp_path / "out/records/room/semi-global-sweep.json").read_text())["frames"]
+    assert list(kept) == [TRACKS["room"].frame_name(number) for number in (0, 1)]
+    assert [said["means"]["fine"] for said in told[:2]] == [score["fine"] for score in kept.values()]
+    assert told[0] == told[2] != told[1]
+    assert pages[0] == pages[2] != pages[1]
+
+
 @pytest.fixture(scope="session")
 def scene_cache(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(tmp_path_factory.mktemp("benchmark_scenes"))
@@ -210,6 +230,7 @@ def test_what_does_not_fit_is_told(failing: Callable[..., str]) -> None:
     assert "given twice" in failing("study", *WORDS, "benchmark.methods=[constant,constant]")
     assert "at least one" in failing("study", *WORDS, "benchmark.methods=[]")
     assert "benchmark.frames" in failing("study", *WORDS, "benchmark.frames=0")
+    assert "benchmark.first_frame" in failing("study", *WORDS, "benchmark.first_frame=-1")
 
 
 @pytest.mark.slow

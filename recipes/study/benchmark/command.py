@@ -23,7 +23,7 @@ from sphericalvision.recipes.study.benchmark.methods import Method, make_methods
 from sphericalvision.recipes.study.benchmark.pictures import page
 from sphericalvision.recipes.study.benchmark.records import Record
 from sphericalvision.recipes.study.benchmark.report import report
-from sphericalvision.recipes.study.benchmark.running import DRAWN, record_of, run_track
+from sphericalvision.recipes.study.benchmark.running import drawn_of, record_of, run_track
 from sphericalvision.recipes.study.benchmark.summary import interval_of
 from sphericalvision.recipes.study.benchmark.tables import Measured
 from sphericalvision.recipes.study.benchmark.tracks import Track, chosen_tracks
@@ -36,7 +36,7 @@ class Work(NamedTuple):
     """All that a process needs to know, besides the track."""
 
     methods: tuple[str, ...]
-    frames: int
+    frames: range
     folder: Path
     cache: Path | None
     size: Size
@@ -51,15 +51,16 @@ def benchmark(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
     )
     cache = None if node.cache_dir is None else Path(node.cache_dir).absolute()
     words = tuple(str(word) for word in node.methods)
-    work = Work(words, node.frames, folder, cache, size, config.panel_height)
+    frames = range(node.first_frame, node.first_frame + node.frames)
+    work = Work(words, frames, folder, cache, size, config.panel_height)
     tracks = chosen_tracks([str(word) for word in node.tracks], [str(mesh) for mesh in node.meshes])
     methods = _methods(words, size.level, folder)
     names = [method.name for method in methods]
     console.print(f"{len(tracks)} tracks, {node.frames} scenes each, {len(names)} methods", highlight=False)
     results: dict[str, dict[str, Record]] = {track.name: {} for track in tracks}
     for track in _run(tracks, work, node.workers):
-        frames = [track.frame_name(number) for number in range(node.frames)]
-        done = {method.name: record_of(track, method, folder, size).only(frames) for method in methods}
+        said = [track.frame_name(number) for number in frames]
+        done = {method.name: record_of(track, method, folder, size).only(said) for method in methods}
         results[track.name] = done
         shown = (f"{k} {interval_of(r.scores, 'coarse', 'all', 'MAE').mean:.2f}" for k, r in done.items())
         console.print(f"{track.name}: MAE {', '.join(shown)}", highlight=False)
@@ -99,13 +100,13 @@ def _track(track: Track, work: Work) -> None:
         "rows": work.panel_rows,
         "photometric": work.size.photometric,
         "align": work.size.align,
-        "frames": min(work.frames, max(DRAWN) + 1),
+        "frames": drawn_of(work.frames),
     }
     place = work.folder / "pages" / f"{track.name}.png"
     said = place.with_suffix(".json")
     if not place.is_file() or not said.is_file() or json.loads(said.read_text()) != key:
         frames = {}
-        for number in (number for number in DRAWN if number < work.frames):
+        for number in drawn_of(work.frames):
             estimates = {name: record.drawn()[number] for name, record in records.items()}
             frame = render_frame(track, number, work.size, work.cache)
             frames[frame.name] = (frame, estimates)

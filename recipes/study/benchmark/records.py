@@ -57,6 +57,11 @@ class Record:
         if self.path is not None:
             write_json(self.path, {"key": self.key, "cost": self.cost, "frames": self.scores})
 
+    def has(self, frame: str, drawn: int | None = None) -> bool:
+        """Whether a frame's scores are there, and the estimate of the one that is ``drawn``, by its number."""
+        pictured = drawn is None or self.path is None or drawn in self.drawn()
+        return frame in self.scores and pictured
+
     def only(self, frames: Iterable[str]) -> Record:
         """This record with the scores of these frames alone, to be read; the file stays as it is."""
         self.scores = {frame: self.scores[frame] for frame in frames if frame in self.scores}
@@ -72,8 +77,8 @@ class Record:
                 np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
 
     def drawn(self) -> dict[int, Tensor]:
-        """The estimates ``(V,)`` of the frames that are drawn, by number; none before a score is kept."""
-        path = None if self.path is None else self.path.with_suffix(".npz")
+        """The estimates ``(V,)`` of the frames that are drawn, by number; without a score those are of another key."""
+        path = self.path.with_suffix(".npz") if self.path is not None and self.scores else None
         if path is None or not path.is_file():
             return {}
         with np.load(path) as stored:

@@ -19,11 +19,16 @@ from sphericalvision.recipes.study.benchmark.scoring import FrameTruth, score
 from sphericalvision.recipes.study.benchmark.summary import mean_scores
 from sphericalvision.recipes.study.benchmark.tracks import TRACKS, Track
 
-__all__ = ["DRAWN", "one_thread", "record_of", "run_track", "scores"]
+__all__ = ["drawn_of", "one_thread", "record_of", "run_track", "scores"]
 
 
 DRAWN = (0, 3, 4)
-"""Frames that are drawn; where kinds of scenes take turns a corridor, a place outdoors and a room."""
+"""Places among the frames of those that are drawn; where kinds of scenes take turns a corridor, outdoors and a room."""
+
+
+def drawn_of(frames: range) -> list[int]:
+    """Return the numbers of the frames that are drawn."""
+    return [frames[place] for place in DRAWN if place < len(frames)]
 
 
 def scores(
@@ -56,7 +61,7 @@ def scores(
     chosen = TRACKS[track] if isinstance(track, str) else track
     method = Method("network", network)
     folder = None if cache is None else Path(cache)
-    return mean_scores(run_track(chosen, [method], frames, None, folder, size)["network"].scores)
+    return mean_scores(run_track(chosen, [method], range(frames), None, folder, size)["network"].scores)
 
 
 def record_of(track: Track, method: Method, folder: Path | None, size: Size) -> Record:
@@ -78,21 +83,24 @@ def record_of(track: Track, method: Method, folder: Path | None, size: Size) -> 
 def run_track(
     track: Track,
     methods: Sequence[Method],
-    frames: int,
+    frames: range,
     folder: Path | None,
     cache: Path | None = None,
     size: Size = NATURAL_SIZE,
 ) -> Mapping[str, Record]:
-    """Score methods on the first ``frames`` frames of a track, those that are not in ``folder`` yet.
+    """Score methods on frames of a track, by their numbers, those that are not in ``folder`` yet.
 
     Returns:
         Method's name -> its record.
     """
     records = {method.name: record_of(track, method, folder, size) for method in methods}
     with one_thread():
-        for number in range(frames):
+        for number in frames:
             name = track.frame_name(number)
-            missing = [method for method in methods if name not in records[method.name].scores]
+            drawn = number in drawn_of(frames)
+            missing = [
+                method for method in methods if not records[method.name].has(name, number if drawn else None)
+            ]
             if not missing:
                 continue
             frame = render_frame(track, number, size, cache)
@@ -100,7 +108,7 @@ def run_track(
             for method in missing:
                 said, record = method(frame), records[method.name]
                 found = {"seconds": said.seconds, **score(method.net, said, truth)}
-                if number in DRAWN:
+                if drawn:
                     record.draw(number, truth.index_of(method.net, said.estimate.index))
                 cost = method.cost(frame)._asdict() if record.cost is None else None
                 record.add(name, found, cost)

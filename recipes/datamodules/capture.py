@@ -17,8 +17,9 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.deploy.compensation import compensated
+from sphericalvision.deploy.nearest import nearest_in_frames, scaled_min_depth
 from sphericalvision.deploy.photographs import as_photographs
-from sphericalvision.deploy.predictor import check_number, nearest_in_frames, scaled_min_depth
+from sphericalvision.deploy.predictor import check_number
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console

@@ -72,6 +72,14 @@ def test_skies_are_those_of_outdoors_in_other_colours_at_the_same_depth() -> Non
     assert (hues[:, 0] < hues[:, 2]).any()
 
 
+def test_a_scene_without_anything_that_casts_a_shadow_is_lit() -> None:
+    scene = make_scene("bare", seed=0)
+    shadowless = replace(scene.primitives, casts_shadow=torch.zeros_like(scene.primitives.casts_shadow))
+    assert len(shadowless.shadow_casters) == 0
+    seen = render_directions(replace(scene, primitives=shadowless), ORIGIN, around(0.3))
+    assert (seen >= render_directions(scene, ORIGIN, around(0.3)) - 1e-5).all()
+
+
 def test_clouds_cover_part_of_the_sky_and_stay_where_they_are() -> None:
     scene = next(s for s in (make_scene("skies", seed) for seed in range(30)) if len(s.clouds))
     high = around(1.0)

@@ -172,6 +172,8 @@ def blocked(primitives: Primitives, rays: RayPackets, limit: Tensor, own: Tensor
         limit: ``(b, RAYS)`` in lengths of the directions.
         own: ``(b,)`` one row for each packet that it is known not to meet, or -1.
     """
+    if not len(primitives):  # of a scene in which nothing casts a shadow
+        return torch.zeros_like(limit, dtype=torch.bool)
     most = torch.full_like(limit, -1)  # of the lengths that rays share with primitives
     for pairs, enter, leave in _intersections(
         primitives, rays, candidate_pairs(primitives, rays, limit, own)

@@ -30,6 +30,7 @@ SCENES = {
     "polished": 0,
     "outdoors": 1,
     "skies": 2,
+    "patchwork": 5,
 }
 YAWS = (0, 90, 180, 270)
 

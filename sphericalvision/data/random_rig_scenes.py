@@ -32,13 +32,14 @@ __all__ = ["SHARES", "RandomRigScenes"]
 
 #: How often each kind of scene comes.
 SHARES = {
-    "room": 0.27,
-    "floating": 0.23,
-    "outdoors": 0.12,
-    "hall": 0.1,
-    "corridor": 0.1,
-    "bare": 0.1,
-    "polished": 0.08,
+    "room": 0.22,
+    "floating": 0.19,
+    "patchwork": 0.18,
+    "outdoors": 0.11,
+    "hall": 0.08,
+    "corridor": 0.08,
+    "bare": 0.08,
+    "polished": 0.06,
 }
 
 CARRIED, MASKED = 0.35, 0.35

@@ -42,9 +42,9 @@ def depths(kind: str, directions: Tensor) -> Tensor:
 def test_mixtures_take_turns() -> None:
     assert [kind_of("mixed", seed) for seed in range(4)] == ["room", "floating"] * 2
     assert [kind_of("all", seed) for seed in range(8)] == [*SCENE_KINDS[:7], "room"]
-    assert SCENE_KINDS[7:] == ("skies",)
+    assert SCENE_KINDS[7:] == ("skies", "patchwork")
     assert kind_of("hall", 3) == "hall"
-    with pytest.raises(ArgumentError, match="'outdoors', 'skies', 'mixed', 'all'"):
+    with pytest.raises(ArgumentError, match="'skies', 'patchwork', 'mixed', 'all'"):
         kind_of("street", 0)
 
 
@@ -70,6 +70,17 @@ def test_skies_are_those_of_outdoors_in_other_colours_at_the_same_depth() -> Non
     hues = torch.stack(seen["any"]).flatten(1)
     assert (hues[:, 0] > hues[:, 2]).any()
     assert (hues[:, 0] < hues[:, 2]).any()
+
+
+def test_patchworks_are_open_or_closed_and_seen_from_any_height() -> None:
+    down = torch.stack([ray_depth(make_scene("patchwork", k), ORIGIN, DOWN[None]) for k in range(60)])
+    up = torch.stack([ray_depth(make_scene("patchwork", k), ORIGIN, UP[None]) for k in range(60)])
+    assert 0.25 < up.isinf().float().mean() < 0.55
+    assert down.min() >= 0.6
+    assert (down < 0.9).any()
+    assert (down > 3).any()
+    lamps = [len(make_scene("patchwork", k).lamps.position) for k in range(60)]
+    assert set(lamps) == {0, 1, 2}
 
 
 def test_a_scene_without_anything_that_casts_a_shadow_is_lit() -> None:

@@ -13,7 +13,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.augmentation.disturbances import CameraDisturbance
 from sphericalvision.data.augmentation.random_rigs import random_rig
-from sphericalvision.data.scenes.recipes import kind_of
+from sphericalvision.data.scenes.recipes import SCENE_KINDS, kind_of
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, mesh_files
 from sphericalvision.recipes.app.rigs import make_corner_rig, make_panorama_ring, make_ring
 
@@ -106,7 +106,7 @@ class Track:
 
 
 def _scenes() -> list[Track]:
-    kinds = ("room", "floating", "mixed", "hall", "corridor", "bare", "polished", "outdoors", "skies")
+    kinds = ("room", "floating", "mixed", *SCENE_KINDS[2:])
     return [Track(kind, "scenes", kind) for kind in kinds]
 
 

@@ -34,6 +34,7 @@ from sphericalvision.data.scenes.corridors import random_corridor
 from sphericalvision.data.scenes.floating import random_floating_objects
 from sphericalvision.data.scenes.halls import random_hall
 from sphericalvision.data.scenes.outdoors import random_outdoor_place
+from sphericalvision.data.scenes.patchwork import random_patchwork
 from sphericalvision.data.scenes.polished_rooms import random_polished_room
 from sphericalvision.data.scenes.rooms import random_room
 from sphericalvision.data.scenes.skies import under_another_sky
@@ -61,10 +62,11 @@ RECIPES: dict[str, Callable[[torch.Generator, float], Scene]] = {
     "polished": random_polished_room,
     "outdoors": random_outdoor_place,
     "skies": random_outdoor_place,
+    "patchwork": random_patchwork,
 }
 SCENE_KINDS = tuple(RECIPES)
-#: Kinds that take turns from seed to seed, by the name of the mixture; "skies" is "outdoors" once more.
-MIXTURES = {"mixed": ("room", "floating"), "all": tuple(kind for kind in SCENE_KINDS if kind != "skies")}
+#: Kinds that take turns from seed to seed, by the name of the mixture; the last two are not as natural as the others.
+MIXTURES = {"mixed": ("room", "floating"), "all": SCENE_KINDS[:-2]}
 
 
 def kind_of(kind: str, seed: int) -> str:
@@ -72,7 +74,7 @@ def kind_of(kind: str, seed: int) -> str:
 
     Args:
         kind: of ``make_scene``; or ``"mixed"``: rooms for even seeds, floating objects for odd ones; or ``"all"``: all
-            kinds of ``make_scene`` but ``"skies"`` in turn.
+            kinds of ``make_scene`` but ``"skies"`` and ``"patchwork"`` in turn.
         seed: of the scene.
 
     Raises:
@@ -101,8 +103,8 @@ def make_scene(
     Args:
         kind: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects in mid-air in front of a distant shell),
             ``"hall"``, ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a reflecting floor) ``"outdoors"``
-            (ground below an infinitely distant sky), or ``"skies"`` (the same below a sky that is black, white, of any
-            colour or cloudy).
+            (ground below an infinitely distant sky), ``"skies"`` (the same below a sky that is black, white, of any
+            colour or cloudy), or ``"patchwork"`` (plain shapes under arbitrary pictures, seen from any height).
         seed: the same seed makes the same scene.
         device: where the scene lives; the CPU by default.
         center: ``(3,)`` where the rig's centre is, metres; the origin by default.

@@ -39,14 +39,14 @@ class DepthNode(Node):
         level = self.declare_parameter(
             "level", 5
         ).value  # of the icosphere: 6 is finer, at three times the cost
-        near = self.declare_parameter("min_depth", 0.0).value  # metres; 0: found in the first images
+        near = self.declare_parameter("min_depth", 0.0).value  # metres; 0: as the first images ask for
         tolerance = self.declare_parameter("tolerance", 0.02).value  # seconds between images of one moment
         self.rows = self.declare_parameter("rows", 160).value  # of the panorama
         self.min_confidence = self.declare_parameter("min_confidence", 0.5).value  # of points
         self.frame_id = self.declare_parameter("frame_id", "rig").value
         rig = read_rig(calibration)
         self.names = rig.names
-        self.predictor = Predictor(rig, level=level, min_depth=near or "scene")
+        self.predictor = Predictor(rig, level=level, min_depth=near or "auto")
         self.depth = self.create_publisher(Image, "depth", 1)
         self.points = self.create_publisher(PointCloud2, "points", 1)
         inputs = [

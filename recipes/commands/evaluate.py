@@ -37,8 +37,8 @@ from sphericalvision.recipes.prediction.own_body import AUTO, with_own_body_mask
 __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
 
 
-SCENE: Literal["scene"] = "scene"
-"""``model.min_depth``: found in each frame."""
+FOUND = ("auto", "scene")
+"""``model.min_depth``: found in each frame, as ``Predictor`` finds it."""
 
 
 class Evaluation(NamedTuple):
@@ -46,7 +46,7 @@ class Evaluation(NamedTuple):
 
     net: DepthNetwork
     data: SampleDataModule
-    min_depth: float | Literal["scene"]
+    min_depth: float | Literal["auto", "scene"]
     """Nearest hypothesis in metres that the network is used with; errors are in hypotheses from ``net.min_depth``."""
     as_used: bool
     """Whether the images of the cameras are wanted, as more is done to them than to look them up."""
@@ -61,24 +61,24 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     level = config.model.level
     net = load_network(config.checkpoint, native=config.native)
     near = config.model.min_depth
+    found: Literal["auto", "scene"] | None = None
     if isinstance(near, str):
-        check_choice("model.min_depth", near, (SCENE,))
-    net = net.with_changes(
-        level=level if net.images == "sphere" else None, min_depth=None if near == SCENE else near
-    )
+        check_choice("model.min_depth", near, FOUND)
+        found, near = near, None  # type: ignore[assignment]
+    net = net.with_changes(level=level if net.images == "sphere" else None, min_depth=near)
     OmegaConf.update(config, "model.level", net.level if net.images == "sphere" else level or 5)
     OmegaConf.update(config, "model.min_depth", net.min_depth)
     data: SampleDataModule = build(config.data, "data")
-    as_used = bool(near == SCENE or config.photometric or config.align or config.masks)
+    as_used = bool(found or config.photometric or config.align or config.masks)
     more = ["sphere" if config.baselines else "depth", *(["fisheye"] if as_used else [])]
     data.serve(net, *more, depth_level=config.model.level - 2)
     if as_used and "fisheye" not in (getattr(data, "entries", None) or ()):
         raise ArgumentError(
-            f"data: masks, photometric, align and model.min_depth=scene want the images of the cameras (the entry "
-            f"'fisheye'), which samples of {type(data).__name__} do not hold; take other data, or leave them out"
+            f"data: masks, photometric, align and model.min_depth=auto or scene want the images of the cameras (the "
+            f"entry 'fisheye'), which samples of {type(data).__name__} do not hold; take other data, or leave them out"
         )
     device = choose_device(config.device)
-    return Evaluation(net.to(device), data, SCENE if near == SCENE else net.min_depth, as_used)
+    return Evaluation(net.to(device), data, found or net.min_depth, as_used)
 
 
 def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:

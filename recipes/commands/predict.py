@@ -50,7 +50,7 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
         rig,
         config.checkpoint,
         method=config.method,
-        min_depth=None if config.min_depth == "auto" else config.min_depth,
+        min_depth=config.min_depth,
         level=config.level,
         num_hypotheses=config.num_hypotheses,
         device=choose_device(config.device),
@@ -121,10 +121,10 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         source.rig = masked_by_itself(source, folder)
     predictor = predictor_for(source.rig, config)
     before = _settings_before(folder) if config.skip_existing else {}
-    if config.min_depth == "scene" and "min_depth" in before:
+    if predictor.min_depth is None and "min_depth" in before:
         config.min_depth = before["min_depth"]
         predictor = predictor_for(source.rig, config)
-    if config.min_depth == "scene" and (samples := source.samples()):
+    if predictor.min_depth is None and (samples := source.samples()):
         config.min_depth = round(nearest_in(samples, predictor), 3)
         if predictor.min_depth is None:  # windows have rigs of their own, and share the depth
             predictor = predictor_for(source.rig, config)

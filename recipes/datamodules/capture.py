@@ -17,7 +17,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.deploy.compensation import compensated
-from sphericalvision.deploy.nearest import nearest_in_frames, scaled_min_depth
+from sphericalvision.deploy.nearest import nearest_hypothesis
 from sphericalvision.deploy.photographs import as_photographs
 from sphericalvision.deploy.predictor import check_number
 from sphericalvision.icosphere import Icosphere
@@ -104,7 +104,7 @@ class CaptureDataModule(SampleDataModule):
         masks: pattern of masks, white where usable; ``"auto"`` finds the body that carries the rig in the frames.
         translation_unit: of ``poses.txt``.
         max_angle_deg: half the field of view, where the calibration does not say it.
-        min_depth: nearest hypothesis in metres; ``"auto"`` scales it with the rig, ``"scene"`` finds it in the images.
+        min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``.
         trained_radius: rig radius that the network was trained with, metres.
         photometric: whether noise is smoothed, and differences in exposure and vignetting are compensated, as in
             ``sphericalvision-predict``; also those of the disturbances, so that what is left of them is learned.
@@ -228,12 +228,10 @@ class CaptureDataModule(SampleDataModule):
 
     def _nearest(self, rig: CameraRig, photographs: dict[str, dict[str, Tensor]]) -> float:
         assert self.net is not None
-        if self.min_depth == "auto":
-            return scaled_min_depth(self.net, rig, self.trained_radius)
-        if self.min_depth == "scene":
-            some = spread_evenly(self.names, 3)
-            return nearest_in_frames([_floats(photographs[name]) for name in some], rig)
-        return float(self.min_depth)
+        nearest = nearest_hypothesis(self.min_depth, self.net, rig, self.trained_radius)
+        if nearest.metres is not None:
+            return nearest.metres
+        return nearest.in_frames([_floats(photographs[name]) for name in spread_evenly(self.names, 3)], rig)
 
     @property
     def start_share(self) -> float:

@@ -68,7 +68,7 @@ class PredictorEstimator(VertexEstimator):
     Args:
         net: the network; errors are in its hypotheses, whichever the predictor takes.
         min_confidence: as of ``VertexEstimator``.
-        min_depth: nearest hypothesis in metres; ``"scene"`` finds it in each frame.
+        min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``, of each frame.
         photometric: whether noise is smoothed, and exposure and vignetting are compensated, in each frame.
         align: whether cameras are turned that each frame shows to be turned.
         masked: gives a rig masks, before it is used.
@@ -79,7 +79,7 @@ class PredictorEstimator(VertexEstimator):
         self,
         net: DepthNetwork,
         min_confidence: float = 0.0,
-        min_depth: float | Literal["scene"] = "scene",
+        min_depth: float | Literal["auto", "scene"] = "auto",
         photometric: bool = True,
         align: bool = False,
         masked: Callable[[CameraRig], CameraRig] = lambda rig: rig,

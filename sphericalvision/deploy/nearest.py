@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -17,10 +17,82 @@ from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sweep.nearest_depth import nearest_depth
 
-__all__ = ["SCENE_LEVEL", "check_places", "checked_min_depth", "nearest_in_frames", "scaled_min_depth"]
+__all__ = [
+    "SCENE_LEVEL",
+    "NearestHypothesis",
+    "check_places",
+    "nearest_hypothesis",
+    "nearest_in_frames",
+    "scaled_min_depth",
+]
 
 SCENE_LEVEL = 6
 """Icosphere level of the images that the nearest depth of a scene is looked for in."""
+FAR_OFF = 4.0
+"""Factor by which the nearest hypothesis of a scene differs from that of a training, if hypotheses are to follow it.
+
+What is found in images is between half and twice the right one, and in one of fifty scenes much farther.
+"""
+LARGEST = 2.0
+"""Radii, in those of the usual rig, up to which rigs were in a training with rigs of many."""
+
+
+class NearestHypothesis(NamedTuple):
+    """Where hypotheses begin.
+
+    Attributes:
+        metres: where that is known without images.
+        usual: metres, where to begin if a scene is neither much nearer nor much farther.
+    """
+
+    metres: float | None
+    usual: float | None = None
+
+    def in_frames(
+        self,
+        frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]],
+        rig: CameraRig,
+        antialias: bool = True,
+    ) -> float:
+        """Return metres for what a few frames show; arguments as of ``nearest_in_frames``."""
+        found = nearest_in_frames(frames, rig, antialias)
+        if self.usual is None or not found / FAR_OFF <= self.usual <= found * FAR_OFF:
+            return found
+        return self.usual
+
+
+def nearest_hypothesis(
+    min_depth: float | Literal["auto", "scene"] | None,
+    net: DepthNetwork,
+    rig: CameraRig,
+    trained_radius: float = 0.2,
+    trained: bool = True,
+) -> NearestHypothesis:
+    """Return where hypotheses begin.
+
+    Args:
+        min_depth: metres; ``"scene"``: found in images; ``None``: as the network was trained, scaled with the rig if it
+            is larger than those of the training, or if they all were of one radius; ``"auto"``: as ``None``, but found
+            in images where nothing was trained, or where they show a scene four times nearer or farther than those
+            that a network for rigs of many radii was trained with.
+        net: the network.
+        rig: unbatched.
+        trained_radius: metres; radius of the rigs of the training.
+        trained: whether the network, not a method without training in its place, is to estimate.
+
+    Raises:
+        ArgumentError: for anything else, and for cameras in one place, unless metres are given.
+    """
+    follows = net.min_depth_follows if trained else "scene"
+    if min_depth not in ("auto", "scene", None):
+        return NearestHypothesis(checked_min_depth(min_depth))
+    check_places(rig)
+    if min_depth == "scene" or (min_depth == "auto" and follows == "scene"):
+        return NearestHypothesis(None)
+    if follows != "training":
+        return NearestHypothesis(scaled_min_depth(net, rig, trained_radius))
+    usual = max(net.min_depth, scaled_min_depth(net, rig, LARGEST * trained_radius))
+    return NearestHypothesis(usual) if min_depth is None else NearestHypothesis(None, usual)
 
 
 def nearest_in_frames(
@@ -54,7 +126,8 @@ def scaled_min_depth(net: DepthNetwork, rig: CameraRig, trained_radius: float = 
     """Return the nearest hypothesis in metres that a network was trained with, scaled as the rig is.
 
     Scaling a rig and everything around it changes no image. A network that was trained with one ring of cameras serves
-    any larger or smaller rig once its nearest hypothesis is scaled alike.
+    any larger or smaller rig once its nearest hypothesis is scaled alike. One that was trained with rings of all sizes
+    needs no scaling.
 
     Raises:
         ArgumentError: all cameras are in one place, so there is no size to scale by.
@@ -89,6 +162,6 @@ def checked_min_depth(min_depth: Any) -> float:
         or not 0 < min_depth < float("inf")
     ):
         raise ArgumentError(
-            f"min_depth: expected a positive number of metres, 'scene' or None (as trained), got {min_depth!r}"
+            f"min_depth: expected a positive number of metres, 'auto', 'scene' or None (as trained), got {min_depth!r}"
         )
     return float(min_depth)

@@ -33,10 +33,9 @@ from sphericalvision.deploy.compensation import (
 from sphericalvision.deploy.depth import Depth
 from sphericalvision.deploy.nearest import (
     SCENE_LEVEL,
+    NearestHypothesis,
     check_places,
-    checked_min_depth,
-    nearest_in_frames,
-    scaled_min_depth,
+    nearest_hypothesis,
 )
 from sphericalvision.deploy.photographs import as_photographs
 from sphericalvision.geometry.directions import angle_from_axis
@@ -74,8 +73,11 @@ class Predictor:
         weights: a name of ``models.available_weights()``, a weights file, or a network; by default the best one that
             ships.
         method: ``"network"``, or ``"semi_global"``: a sweep without training at the level of the network.
-        min_depth: nearest hypothesis in metres; ``"scene"`` estimates it from the first images (one to three seconds,
-            once); ``None`` is the value of the training, scaled with the rig.
+        min_depth: nearest hypothesis in metres. ``"scene"`` estimates it from the first images, once, which takes one
+            to three seconds. ``None`` is that of the training, scaled with the rig if the network was trained with rigs
+            of one radius (``net.min_depth_follows``). ``"auto"`` is that, too, unless the network was trained with rigs
+            of many radii and the first images show a scene four times nearer or farther; without training it is
+            ``"scene"``.
         level: icosphere level of the images; by default that of the training. One level less is four times as fast.
         num_hypotheses: N; by default that of the training.
         device: where to compute; by default the device of the network, which is the CPU if it was read from weights.
@@ -86,7 +88,7 @@ class Predictor:
             between the cameras if they exceed 5 %, before depth is estimated. All are estimated from each frame
             (``cameras.calibrate_photometry``).
         channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
-        trained_radius: metres; radius of the rigs that the network was trained with, for ``min_depth=None``.
+        trained_radius: metres; radius of the rigs that the network was trained with.
 
     Raises:
         ArgumentError: the network is for another number of cameras, or an argument makes no sense.
@@ -109,7 +111,7 @@ class Predictor:
         weights: str | Path | DepthNetwork | None = None,
         *,
         method: Literal["network", "semi_global"] = "network",
-        min_depth: float | Literal["scene"] | None = "scene",
+        min_depth: float | Literal["auto", "scene"] | None = "auto",
         level: int | None = None,
         num_hypotheses: int | None = None,
         device: torch.device | str | None = None,
@@ -150,13 +152,10 @@ class Predictor:
             native = self._device.type == "cpu" and native_pays_at_once(net)
         self._net, self._native = net, native
         self._method, self._level, self._num_hypotheses = method, level, num_hypotheses
-        self._min_depth: float | None = None
-        if min_depth is None:
-            self._min_depth = scaled_min_depth(net, rig, trained_radius)
-        elif min_depth != "scene":
-            self._min_depth = checked_min_depth(min_depth)
-        else:
-            check_places(rig)
+        self._nearest: NearestHypothesis = nearest_hypothesis(
+            min_depth, net, rig, trained_radius, method == "network"
+        )
+        self._min_depth = self._nearest.metres
 
     @property
     def device(self) -> torch.device:
@@ -183,11 +182,11 @@ class Predictor:
         """The network at the scale of the rig.
 
         Raises:
-            ArgumentError: the scale is not known before the first images came (``min_depth="scene"``).
+            ArgumentError: the scale is not known before the first images came (``min_depth="auto"`` or ``"scene"``).
         """
         if self._ready is None and self._min_depth is None:
             raise ArgumentError(
-                "network: min_depth='scene' is found in the first images; call the predictor, or its find_min_depth"
+                "network: min_depth is found in the first images; call the predictor or its find_min_depth"
             )
         return self._prepared(None).net
 
@@ -233,12 +232,14 @@ class Predictor:
     def find_min_depth(self, frames: Iterable[Mapping[str, Any]]) -> float:
         """Find the nearest depth in metres worth trying in a few frames, and use it from now on.
 
+        With ``min_depth="auto"`` that is the depth of the training where the scene is not far nearer or farther.
+
         Args:
             frames: of images by camera name, as the predictor is called with, one frame each.
         """
         photographs = [self._photographs(images) for images in frames]
         with self._lock:
-            self._min_depth = nearest_in_frames(photographs, self._rig, self._antialias)
+            self._min_depth = self._nearest.in_frames(photographs, self._rig, self._antialias)
             self._ready = self._scaled = None
             return self._min_depth
 
@@ -367,7 +368,9 @@ class Predictor:
         with self._lock:
             if self._ready is None:
                 if self._min_depth is None and photographs is not None:
-                    self._min_depth = nearest_in_frames(frames_of(photographs), self._rig, self._antialias)
+                    self._min_depth = self._nearest.in_frames(
+                        frames_of(photographs), self._rig, self._antialias
+                    )
                 self._ready = self._made()
             return self._ready
 

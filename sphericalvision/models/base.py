@@ -52,6 +52,10 @@ class DepthNetwork(RemembersArguments):
         grid: where the result lies: an ``Icosphere``, or a panorama.
         level: of the icospheres that hold the images; only where ``images`` is ``"sphere"``.
         image_channels: numbers of channels that images may have, 3 unless a subclass says otherwise.
+        min_depth_follows: what the nearest hypothesis should be in use: ``"rig"``, that of the training scaled with the
+            rig's radius, as a network needs that was trained with rigs of one radius; ``"training"``, that of the
+            training, if rigs of many radii were in it; ``"scene"``, a little nearer than the nearest surface, where
+            nothing was trained.
 
     Raises:
         ArgumentError: fewer than two hypotheses or less than one camera, or a depth that is not positive.
@@ -84,6 +88,7 @@ class DepthNetwork(RemembersArguments):
     grid: Icosphere | Equirectangular
     level: int
     image_channels: tuple[int, ...] = (3,)
+    min_depth_follows: ClassVar[Literal["rig", "training", "scene"]] = "rig"
     fixed_by: ClassVar[tuple[str, ...] | None] = None
     """Hyper-parameters that ``fixed_inputs`` depend on, if they do not depend on all."""
 

@@ -112,6 +112,7 @@ class RefinedSweepNet(DepthNetwork):
         torch.Size([1, 10242])
     """
 
+    min_depth_follows = "training"
     fixed_by = ("level", "min_depth", "inner_hypotheses", "prior")
 
     def __init__(

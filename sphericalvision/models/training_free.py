@@ -23,6 +23,8 @@ __all__ = ["SemiGlobalSweep", "WinnerTakesAll"]
 class _SweepWithoutTraining(DepthNetwork):
     """A network whose answer follows from the images alone, for any number of cameras."""
 
+    min_depth_follows = "scene"
+
     def __init__(self, level: int, num_hypotheses: int, min_depth: float, depth_coarsening: int) -> None:
         super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
         if not 0 <= depth_coarsening <= check_level(level):

@@ -184,6 +184,32 @@ def test_the_nearest_depth_is_found_scaled_or_given(images: Images) -> None:
     assert Predictor(small, net, min_depth=2).min_depth == 2.0
 
 
+class _Anywhere(SemiGlobalSweep):
+    """Stands for a network that was trained with rigs of many radii."""
+
+    min_depth_follows = "training"
+
+
+def test_trained_with_rigs_of_many_radii_the_nearest_depth_stays_unless_the_scene_is_of_another_size() -> (
+    None
+):
+    net = _Anywhere(4, 8, min_depth=0.55)
+    rig = ring_rig(4, radius=0.1, image_size=(96, 96))
+    room = render_rig(make_scene("room", seed=3), rig, 2)
+    assert Predictor(rig, net, min_depth=None).min_depth == 0.55
+    assert Predictor(rig, net).find_min_depth([room]) == 0.55
+    assert Predictor(rig, net, min_depth="scene").find_min_depth([room]) != 0.55
+    large, small = (
+        render_rig(make_scene("room", seed=3, scale=scale), rig.scaled(k), 2)
+        for scale, k in ((8.0, 8.0), (0.1, 0.1))
+    )
+    for k, frame in ((8.0, large), (0.1, small)):
+        found = Predictor(rig.scaled(k), net).find_min_depth([frame])
+        assert found == pytest.approx(0.55 * k, rel=0.6)
+    # A rig larger than any of the training: the surfaces that it sees are as far away as it is large.
+    assert Predictor(rig.scaled(8), net, min_depth=None).min_depth == pytest.approx(0.55 * 0.8 / 0.4)
+
+
 def test_panorama_and_cameras_show_the_surface(rig: CameraRig, images: Images) -> None:
     """With the true index in place of an estimate, every camera's depth is what a ray caster says."""
     scene = make_scene("room", seed=1)

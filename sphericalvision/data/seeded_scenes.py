@@ -26,6 +26,8 @@ GENERATION = 2
 HELD_OUT_SEED = 10_000_000
 #: Least depth, and free space around the rig, of scenes at their natural scale (metres).
 NATURAL_MIN_DEPTH, CLEAR_RADIUS = 0.55, 0.6
+#: Raised when a seed finds another place in a mesh than before, so that nothing kept of the old one is taken for it.
+PLACES = 2
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def _read(path: Path, up: str, scale: float) -> MeshScene:
 
 @lru_cache(maxsize=64)
 def _digest(path: Path, up: str, scale: float) -> str:
-    return sha256(path.read_bytes() + repr((up, scale)).encode()).hexdigest()[:8]
+    return sha256(path.read_bytes() + repr((up, scale, PLACES)).encode()).hexdigest()[:8]
 
 
 @dataclass(frozen=True)

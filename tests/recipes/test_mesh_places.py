@@ -61,6 +61,16 @@ def test_places_are_free_and_repeatable() -> None:
         free_place(ROOM, 0, clear_radius=2.0)
 
 
+def test_places_are_above_ground_where_there_is_any() -> None:
+    """An open square has as much room beneath it as above; two walls in the air have no ground."""
+    ground = trimesh.creation.box((40.0, 0.1, 40.0))
+    tower = trimesh.creation.box((1.0, 30.0, 1.0))  # reaches as far down as up
+    for seed in range(10):
+        assert free_place(MeshScene(ground + tower), seed).place[1] < -0.6
+    walls = [trimesh.creation.box((0.1, 6.0, 12.0)).apply_translation((x, 0, 0)) for x in (-1.5, 1.5)]
+    assert free_place(MeshScene(walls[0] + walls[1]), 0).place[0].abs() < 0.9
+
+
 @pytest.fixture(scope="module")
 def glb(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("meshes") / "objects.glb"

@@ -18,6 +18,8 @@ __all__ = ["PlacedMesh", "free_place"]
 TRIES = 500
 #: Share of all directions in which something must be, for a place to count as inside of what was scanned.
 ENCLOSED = 0.4
+#: Share of the directions more than 30° down in which something must be, for a place to count as above ground.
+GROUNDED = 0.9
 
 
 class PlacedMesh(MeshScene):
@@ -71,7 +73,9 @@ def free_place(
     """A place in a mesh, drawn at random, that is free around it and has something on enough sides.
 
     Places are drawn evenly from the box that bounds the mesh; the first is taken that has no triangle nearer than
-    ``clear_radius`` in any of 642 directions and hits one in two of five. The yaw is drawn as well.
+    ``clear_radius`` in any of 642 directions, hits one in two of five, and in nine of ten of those that look more than
+    30° down: a rig stands above ground, not under it or beside the mesh. Where no place drawn has ground, as among
+    objects alone, the first that has the other two is taken. The yaw is drawn as well.
 
     Args:
         mesh: y down, metres.
@@ -86,15 +90,22 @@ def free_place(
     vertices = torch.from_numpy(mesh.vertices).float()
     low, high = vertices.amin(0), vertices.amax(0)
     directions = Icosphere(3).vertices
-    nearest = 0.0
+    down = directions[:, 1] > 0.5
+    nearest, groundless = 0.0, None
     for _ in range(TRIES):
         place = low + (high - low) * torch.rand(3, generator=generator)
         yaw = 2 * math.pi * torch.rand((), generator=generator).item()
         distance, _ = mesh.trace(place, directions)
         clear = distance.min().item()
-        if clear >= clear_radius and distance.isfinite().float().mean() >= ENCLOSED:
-            return PlacedMesh(mesh, place, yaw, center)
+        met = distance.isfinite().float()
+        if clear >= clear_radius and met.mean() >= ENCLOSED:
+            placed = PlacedMesh(mesh, place, yaw, center)
+            if met[down].mean() >= GROUNDED:
+                return placed
+            groundless = groundless or placed
         nearest = max(nearest, clear if math.isfinite(clear) else 0.0)
+    if groundless is not None:
+        return groundless
     size = " x ".join(f"{side:.2f}" for side in (high - low).tolist())
     raise ArgumentError(
         f"mesh: no place for a rig with {clear_radius:.2f} m of free space around it, {nearest:.2f} m was the most; "

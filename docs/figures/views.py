@@ -31,6 +31,7 @@ SCENES = {
     "outdoors": 1,
     "skies": 2,
     "patchwork": 5,
+    "rough": 4,
 }
 YAWS = (0, 90, 180, 270)
 

@@ -32,13 +32,14 @@ __all__ = ["SHARES", "RandomRigScenes"]
 
 #: How often each kind of scene comes.
 SHARES = {
-    "room": 0.22,
-    "floating": 0.19,
-    "patchwork": 0.18,
-    "outdoors": 0.11,
-    "hall": 0.08,
-    "corridor": 0.08,
-    "bare": 0.08,
+    "room": 0.2,
+    "floating": 0.18,
+    "patchwork": 0.16,
+    "rough": 0.12,
+    "outdoors": 0.1,
+    "hall": 0.06,
+    "corridor": 0.06,
+    "bare": 0.06,
     "polished": 0.06,
 }
 

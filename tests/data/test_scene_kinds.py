@@ -42,9 +42,9 @@ def depths(kind: str, directions: Tensor) -> Tensor:
 def test_mixtures_take_turns() -> None:
     assert [kind_of("mixed", seed) for seed in range(4)] == ["room", "floating"] * 2
     assert [kind_of("all", seed) for seed in range(8)] == [*SCENE_KINDS[:7], "room"]
-    assert SCENE_KINDS[7:] == ("skies", "patchwork")
+    assert SCENE_KINDS[7:] == ("skies", "patchwork", "rough")
     assert kind_of("hall", 3) == "hall"
-    with pytest.raises(ArgumentError, match="'skies', 'patchwork', 'mixed', 'all'"):
+    with pytest.raises(ArgumentError, match="'skies', 'patchwork', 'rough', 'mixed', 'all'"):
         kind_of("street", 0)
 
 
@@ -81,6 +81,21 @@ def test_patchworks_are_open_or_closed_and_seen_from_any_height() -> None:
     assert (down > 3).any()
     lamps = [len(make_scene("patchwork", k).lamps.position) for k in range(60)]
     assert set(lamps) == {0, 1, 2}
+
+
+def test_rough_places_are_caves_and_slopes_without_anything_level_or_upright() -> None:
+    scenes = [make_scene("rough", seed) for seed in range(40)]
+    below, above = (
+        torch.stack([ray_depth(scene, ORIGIN, around(elevation, 90)) for scene in scenes])
+        for elevation in (-1.0, 1.0)
+    )
+    assert 0.2 < above.isinf().any(1).float().mean() < 0.6
+    assert below.isfinite().all()
+    assert torch.minimum(below, above).min() >= 0.6
+    # A level floor without anything on it would be equally far in all directions of one elevation.
+    uneven = below.quantile(0.9, 1) / below.quantile(0.1, 1)
+    assert uneven.median() > 1.3
+    assert {len(scene.lamps.position) for scene in scenes} == {0, 1, 2}
 
 
 def test_a_scene_without_anything_that_casts_a_shadow_is_lit() -> None:

@@ -13,7 +13,7 @@ from sphericalvision.data.scenes.furniture import footprint_radius, place
 from sphericalvision.data.scenes.palette import Palette
 from sphericalvision.data.scenes.rooms import Room, wall_piece
 
-__all__ = ["random_patchwork"]
+__all__ = ["LAMPLESS", "any_picture", "lamps_near", "random_patchwork"]
 
 OPEN = 0.4
 """Share of places without walls and ceiling."""
@@ -51,7 +51,7 @@ def random_patchwork(generator: torch.Generator, clear_radius: float = 0.6) -> S
     if is_open:
         for _ in range(palette.integer(0, 8)):
             _block(spot, plain)
-    lamps = [] if lampless else _lamps(spot, is_open)
+    lamps = [] if lampless else lamps_near(palette, clear_radius, spot.floor - spot.ceiling, is_open)
     return Scene(
         primitives=pack(spot.parts),
         materials=pack_materials(palette.materials),
@@ -62,10 +62,16 @@ def random_patchwork(generator: torch.Generator, clear_radius: float = 0.6) -> S
     )
 
 
-def _lamps(spot: Room, is_open: bool) -> list[Lamp]:
-    """The sun; or one or two lamps near the rig, as the corners of a room may be anywhere."""
-    palette = spot.palette
-    power, near = 0.5 * (spot.floor - spot.ceiling) ** 2, 0.8 * spot.clear
+def lamps_near(palette: Palette, clear: float, height: float, is_open: bool) -> list[Lamp]:
+    """One or two lamps near the rig, as the corners of a place may be anywhere, and the sun where it is open.
+
+    Args:
+        palette: source of every random choice.
+        clear: metres around the rig that are free.
+        height: of the place, metres; the lamps' power suits it.
+        is_open: to the sky.
+    """
+    power, near = 0.5 * height**2, 0.8 * clear
     lamps = []
     for _ in range(palette.integer(1, 2)):
         x, y, z = (palette.uniform(-near, near) for _ in range(3))
@@ -78,7 +84,7 @@ def _lamps(spot: Room, is_open: bool) -> list[Lamp]:
     return [Lamp(sun, (light, light, light), reach=1.0)]
 
 
-def _surface(palette: Palette, plain: float, size: float) -> int:
+def any_picture(palette: Palette, plain: float, size: float) -> int:
     """A plain colour, a photograph or a pattern, repeated up to six times over ``size`` metres."""
     if palette.chance(plain):
         return palette.patterned(("noise",), palette.uniform(0.5, 3.0), palette.choose((0.0, 0.05, 0.3)))
@@ -95,20 +101,20 @@ def _shell(spot: Room, is_open: bool, plain: float) -> None:
     x, z, wide, deep = (x0 + x1) / 2, (z0 + z1) / 2, (x1 - x0) / 2, (z1 - z0) / 2
     flat = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
     tiled = palette.log_uniform(0.7, 8.0) if is_open else 2 * max(wide, deep)
-    ground = _surface(palette, 0.3 * plain if is_open else plain, tiled)
+    ground = any_picture(palette, 0.3 * plain if is_open else plain, tiled)
     level = Part(
         "rectangle", (x, spot.floor, z), (wide, deep, 1.0), ground, rotation=flat, casts_shadow=False
     )
     spot.parts.append(level)
     if is_open:
         return
-    above = _surface(palette, max(plain, 0.4), tiled)
+    above = any_picture(palette, max(plain, 0.4), tiled)
     spot.parts.append(
         Part("rectangle", (x, spot.ceiling, z), (wide, deep, 1.0), above, rotation=flat, casts_shadow=False)
     )
-    alike = _surface(palette, plain, 2 * max(wide, deep))
+    alike = any_picture(palette, plain, 2 * max(wide, deep))
     for yaw, wx, wz, start, end in spot.sides():
-        material = alike if palette.chance(0.5) else _surface(palette, plain, end - start)
+        material = alike if palette.chance(0.5) else any_picture(palette, plain, end - start)
         extent = (start, end, spot.ceiling, spot.floor)
         spot.parts += wall_piece(material, yaw, wx, wz, extent, casts=False)
 
@@ -132,7 +138,7 @@ def _thing(spot: Room, far: float, plain: float) -> None:
     y = spot.floor - half[1]
     if palette.chance(0.3):
         y = palette.uniform(spot.ceiling + half[1], y)
-    material = _surface(palette, plain, 2 * max(half[0], half[1]))
+    material = any_picture(palette, plain, 2 * max(half[0], half[1]))
     tipped = palette.rotation() if palette.chance(0.2) else None
     yaw = palette.uniform(0, math.pi)
     spot.add([Part(shape, (x, y, z), half, material, yaw=yaw, rotation=tipped)])
@@ -142,7 +148,7 @@ def _block(spot: Room, plain: float) -> None:
     """A block as large as a house."""
     palette = spot.palette
     wide, high, deep = (palette.uniform(1.0, 5.0) for _ in range(3))
-    parts = [Part("box", (0.0, -high, 0.0), (wide, high, deep), _surface(palette, plain, 2 * wide))]
+    parts = [Part("box", (0.0, -high, 0.0), (wide, high, deep), any_picture(palette, plain, 2 * wide))]
     away, turn = palette.log_uniform(4.0, 40.0) + footprint_radius(parts), palette.uniform(0, 2 * math.pi)
     where = (away * math.sin(turn), spot.floor, away * math.cos(turn))
     spot.add(place(parts, *where, palette.uniform(0, math.pi)))

@@ -37,6 +37,7 @@ from sphericalvision.data.scenes.outdoors import random_outdoor_place
 from sphericalvision.data.scenes.patchwork import random_patchwork
 from sphericalvision.data.scenes.polished_rooms import random_polished_room
 from sphericalvision.data.scenes.rooms import random_room
+from sphericalvision.data.scenes.rough import random_rough_place
 from sphericalvision.data.scenes.skies import under_another_sky
 
 __all__ = [
@@ -63,10 +64,11 @@ RECIPES: dict[str, Callable[[torch.Generator, float], Scene]] = {
     "outdoors": random_outdoor_place,
     "skies": random_outdoor_place,
     "patchwork": random_patchwork,
+    "rough": random_rough_place,
 }
 SCENE_KINDS = tuple(RECIPES)
-#: Kinds that take turns from seed to seed, by the name of the mixture; the last two are not as natural as the others.
-MIXTURES = {"mixed": ("room", "floating"), "all": SCENE_KINDS[:-2]}
+#: Kinds that take turns from seed to seed, by the name of the mixture; the last three are not as natural as the others.
+MIXTURES = {"mixed": ("room", "floating"), "all": SCENE_KINDS[:-3]}
 
 
 def kind_of(kind: str, seed: int) -> str:
@@ -74,7 +76,7 @@ def kind_of(kind: str, seed: int) -> str:
 
     Args:
         kind: of ``make_scene``; or ``"mixed"``: rooms for even seeds, floating objects for odd ones; or ``"all"``: all
-            kinds of ``make_scene`` but ``"skies"`` and ``"patchwork"`` in turn.
+            kinds of ``make_scene`` but ``"skies"``, ``"patchwork"`` and ``"rough"`` in turn.
         seed: of the scene.
 
     Raises:
@@ -104,7 +106,8 @@ def make_scene(
         kind: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects in mid-air in front of a distant shell),
             ``"hall"``, ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a reflecting floor) ``"outdoors"``
             (ground below an infinitely distant sky), ``"skies"`` (the same below a sky that is black, white, of any
-            colour or cloudy), or ``"patchwork"`` (plain shapes under arbitrary pictures, seen from any height).
+            colour or cloudy), ``"patchwork"`` (plain shapes under arbitrary pictures, seen from any height), or
+            ``"rough"`` (caves and slopes under such pictures, nothing level or upright).
         seed: the same seed makes the same scene.
         device: where the scene lives; the CPU by default.
         center: ``(3,)`` where the rig's centre is, metres; the origin by default.

@@ -32,6 +32,7 @@ SCENES = {
     "skies": 2,
     "patchwork": 5,
     "rough": 4,
+    "glazed": 3,
 }
 YAWS = (0, 90, 180, 270)
 

@@ -32,11 +32,12 @@ __all__ = ["SHARES", "RandomRigScenes"]
 
 #: How often each kind of scene comes.
 SHARES = {
-    "room": 0.2,
+    "room": 0.16,
     "floating": 0.18,
-    "patchwork": 0.16,
-    "rough": 0.12,
-    "outdoors": 0.1,
+    "patchwork": 0.14,
+    "rough": 0.1,
+    "glazed": 0.1,
+    "outdoors": 0.08,
     "hall": 0.06,
     "corridor": 0.06,
     "bare": 0.06,
@@ -88,7 +89,7 @@ class RandomRigScenes(Dataset[dict[str, Any]]):
     Examples:
         >>> sample = RandomRigScenes(1, level=3, image_size=(24, 24))[0]
         >>> sample["images"].shape[1:], sample["inverse_depth"].shape, sample["frame"]
-        (torch.Size([3, 642]), torch.Size([642]), 'patchwork-00000000')
+        (torch.Size([3, 642]), torch.Size([642]), 'rough-00000000')
     """
 
     def __init__(

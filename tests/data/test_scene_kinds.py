@@ -42,9 +42,9 @@ def depths(kind: str, directions: Tensor) -> Tensor:
 def test_mixtures_take_turns() -> None:
     assert [kind_of("mixed", seed) for seed in range(4)] == ["room", "floating"] * 2
     assert [kind_of("all", seed) for seed in range(8)] == [*SCENE_KINDS[:7], "room"]
-    assert SCENE_KINDS[7:] == ("skies", "patchwork", "rough")
+    assert SCENE_KINDS[7:] == ("skies", "patchwork", "rough", "glazed")
     assert kind_of("hall", 3) == "hall"
-    with pytest.raises(ArgumentError, match="'skies', 'patchwork', 'rough', 'mixed', 'all'"):
+    with pytest.raises(ArgumentError, match="'skies', 'patchwork', 'rough', 'glazed', 'mixed', 'all'"):
         kind_of("street", 0)
 
 
@@ -96,6 +96,19 @@ def test_rough_places_are_caves_and_slopes_without_anything_level_or_upright() -
     uneven = below.quantile(0.9, 1) / below.quantile(0.1, 1)
     assert uneven.median() > 1.3
     assert {len(scene.lamps.position) for scene in scenes} == {0, 1, 2}
+
+
+def test_glazed_rooms_are_closed_above_and_below_and_open_to_the_sky_at_their_sides() -> None:
+    scenes = [make_scene("glazed", seed) for seed in range(40)]
+    for vertical in (UP, DOWN):
+        assert max(ray_depth(scene, ORIGIN, vertical[None]).item() for scene in scenes) < 3.6
+    level = torch.stack([ray_depth(scene, ORIGIN, around(0.1)) for scene in scenes])
+    assert level.min() >= 0.6
+    beyond = (level > 6 * 2**0.5 + 1e-3).float().mean(1)  # no corner of the room is as far
+    assert (beyond > 0).float().mean() > 0.85
+    assert beyond.max() > 0.3
+    assert 0.5 < level.isinf().any(1).float().mean() < 1.0
+    assert len({tuple(scene.background.flatten().tolist()) for scene in scenes}) > 20
 
 
 def test_a_scene_without_anything_that_casts_a_shadow_is_lit() -> None:

@@ -76,9 +76,8 @@ def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: s
     scene = make_scene(kind, seed)
     depth = ray_depth(scene, ORIGIN, EquirectangularCamera((64, 128)).unproject(_pixels(64, 128)).directions)
     assert depth.min() >= 0.6 - 1e-4
-    assert depth.isfinite().float().mean() > (
-        0.5 if kind in ("outdoors", "skies", "patchwork", "rough") else 0.95
-    )
+    least = {"outdoors": 0.5, "skies": 0.5, "patchwork": 0.5, "rough": 0.5, "glazed": 0.7}.get(kind, 0.95)
+    assert depth.isfinite().float().mean() > least
     assert depth.min() < 2
     assert depth[depth.isfinite()].max() > 2.0
 

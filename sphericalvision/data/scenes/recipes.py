@@ -32,6 +32,7 @@ from sphericalvision.data.rendering.scene import Scene
 from sphericalvision.data.scenes.bare_rooms import random_bare_room
 from sphericalvision.data.scenes.corridors import random_corridor
 from sphericalvision.data.scenes.floating import random_floating_objects
+from sphericalvision.data.scenes.glazed import random_glazed_room
 from sphericalvision.data.scenes.halls import random_hall
 from sphericalvision.data.scenes.outdoors import random_outdoor_place
 from sphericalvision.data.scenes.patchwork import random_patchwork
@@ -65,10 +66,11 @@ RECIPES: dict[str, Callable[[torch.Generator, float], Scene]] = {
     "skies": random_outdoor_place,
     "patchwork": random_patchwork,
     "rough": random_rough_place,
+    "glazed": random_glazed_room,
 }
 SCENE_KINDS = tuple(RECIPES)
-#: Kinds that take turns from seed to seed, by the name of the mixture; the last three are not as natural as the others.
-MIXTURES = {"mixed": ("room", "floating"), "all": SCENE_KINDS[:-3]}
+#: Kinds that take turns from seed to seed, by the name of the mixture; the last four come in no other than their own.
+MIXTURES = {"mixed": ("room", "floating"), "all": SCENE_KINDS[:-4]}
 
 
 def kind_of(kind: str, seed: int) -> str:
@@ -76,7 +78,7 @@ def kind_of(kind: str, seed: int) -> str:
 
     Args:
         kind: of ``make_scene``; or ``"mixed"``: rooms for even seeds, floating objects for odd ones; or ``"all"``: all
-            kinds of ``make_scene`` but ``"skies"``, ``"patchwork"`` and ``"rough"`` in turn.
+            kinds of ``make_scene`` but ``"skies"``, ``"patchwork"``, ``"rough"`` and ``"glazed"`` in turn.
         seed: of the scene.
 
     Raises:
@@ -106,8 +108,9 @@ def make_scene(
         kind: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects in mid-air in front of a distant shell),
             ``"hall"``, ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a reflecting floor) ``"outdoors"``
             (ground below an infinitely distant sky), ``"skies"`` (the same below a sky that is black, white, of any
-            colour or cloudy), ``"patchwork"`` (plain shapes under arbitrary pictures, seen from any height), or
-            ``"rough"`` (caves and slopes under such pictures, nothing level or upright).
+            colour or cloudy), ``"patchwork"`` (plain shapes under arbitrary pictures, seen from any height),
+            ``"rough"`` (caves and slopes under such pictures, nothing level or upright), or ``"glazed"`` (a room with
+            windows to all sides, before such skies).
         seed: the same seed makes the same scene.
         device: where the scene lives; the CPU by default.
         center: ``(3,)`` where the rig's centre is, metres; the origin by default.
@@ -143,7 +146,7 @@ def make_scene(
         .scaled(scale)
         .transformed(translation=center.cpu().float() if center is not None else None)
     )
-    if kind == "skies":
+    if kind in ("skies", "glazed"):
         scene = under_another_sky(scene, generator)
     return scene if device is None else scene.to(device)
 

@@ -24,6 +24,7 @@ __all__ = [
     "Opening",
     "Room",
     "add_door",
+    "add_frame",
     "add_window",
     "build_shell",
     "decorate",
@@ -195,7 +196,7 @@ def build_shell(room: Room, openings: dict[int, Opening], skip: int | None = Non
             room.parts += labelled(wall_piece(material, yaw, x, z, piece, casts=True), "wall")
 
 
-def _add_frame(room: Room, side: int, opening: Opening, material: int, name: str) -> None:
+def add_frame(room: Room, side: int, opening: Opening, material: int, name: str) -> None:
     """A frame around an opening."""
     yaw, x, z, _, _ = room.sides()[side]
     first, last, upper, lower = opening
@@ -213,7 +214,7 @@ def add_door(room: Room, side: int, opening: Opening) -> None:
     yaw, x, z, _, _ = room.sides()[side]
     first, last, upper, lower = opening
     material = palette.wood() if palette.chance(0.5) else palette.paint()
-    _add_frame(room, side, opening, material, "door")
+    add_frame(room, side, opening, material, "door")
     half = ((last - first) / 2 - 0.02, (lower - upper) / 2 - 0.02, 0.02)
     leaf = [Part("box", (half[0], 0.0, 0.0), half, palette.any_surface(1.5))]
     swung = place(leaf, first + 0.04, (upper + lower) / 2, 0.0, -palette.uniform(0.7, 2.0))
@@ -241,7 +242,7 @@ def add_window(room: Room, side: int, opening: Opening) -> None:
     yaw, x, z, _, _ = room.sides()[side]
     first, last, upper, lower = opening
     material = palette.paint()
-    _add_frame(room, side, opening, material, "window")
+    add_frame(room, side, opening, material, "window")
     along, down = (first + last) / 2, (upper + lower) / 2
     bars = [
         Part("box", (along, down, 0.0), (0.02, (lower - upper) / 2, 0.02), material),

@@ -53,6 +53,8 @@ PRIOR = {
 COST_RANGE = 2.5
 DOUBTFUL = 2.0
 """Hypotheses: an answer that is expected to be as far off deserves no confidence."""
+RARE_SKY, MOST = 0.05, 4.0
+"""Sky on a smaller share of the sphere counts in the training as if it were as large, but at most as many times."""
 
 
 class RefinedTables(NamedTuple):
@@ -298,7 +300,7 @@ class RefinedSweepNet(DepthNetwork):
 
         What fewer than two cameras see counts a quarter. The logits' share is the cross entropy of the two hypotheses
         around the true index. The confidence learns 1 less the error of the index, in halves of hypotheses up to two;
-        the sky, where the true index is 0: at infinity.
+        the sky, where the true index is 0: at infinity. Where there is little of it, behind windows, it counts more.
         """
         tables = rig if isinstance(rig, RefinedTables) else (None if fixed else self.tables(rig))
         if seen is None:
@@ -324,7 +326,10 @@ class RefinedSweepNet(DepthNetwork):
         entropy = _cross_entropy(fused.logits, coarse)
         sure = 1 - (refined.index.detach() - true).abs().clamp(max=DOUBTFUL) / DOUBTFUL
         doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
-        doubt += F.binary_cross_entropy_with_logits(refined.sky, (target <= 0).to(sure), reduction="none")
+        sky = (target <= 0) & valid
+        rarity = (RARE_SKY / sky.float().mean(-1, keepdim=True).clamp(min=1e-6)).clamp(1, MOST)
+        found = F.binary_cross_entropy_with_logits(refined.sky, sky.to(sure), reduction="none")
+        doubt += found * torch.where(sky, rarity, 1.0)
         return (
             loss(refined.index, true, valid, weights=both)
             + 0.4 * loss(two_modes(fused.logits)[0], coarse, coarse_valid, weights=known)

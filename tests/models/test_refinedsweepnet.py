@@ -139,6 +139,19 @@ def test_sky_is_infinitely_far(net, frame):
     assert ways[0] < 0 < ways[1]  # surer where the truth is infinity, less sure elsewhere
 
 
+@pytest.mark.parametrize(("share", "times"), [(0.5, 1.0), (0.05, 1.0), (0.025, 2.0), (0.01, 4.0)])
+def test_little_sky_counts_more(net, frame, share, times):
+    images, rig, seen, _ = frame
+    bias = net.refinement.exit.bias.requires_grad_(True)
+    true = torch.ones_like(frame[3])
+    number = round(share * true.shape[-1])
+    true[:, :number] = 0.0
+    net.training_loss(images, rig, seen, true, true >= 0, depth_index_huber).backward()
+    missed, found = torch.sigmoid(torch.tensor([-RARE, RARE])).tolist()  # the same everywhere before training
+    expected = (found * (true.shape[-1] - number) - times * missed * number) * 0.1 / true.shape[-1]
+    assert bias.grad[6].item() == pytest.approx(expected, rel=0.05)
+
+
 def test_modes_are_surfaces_not_their_mean():
     logits = torch.full((1, 31, 2), -20.0)
     logits[0, 6, 0], logits[0, 24, 0] = 1.0, 0.9

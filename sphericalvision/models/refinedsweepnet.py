@@ -53,6 +53,8 @@ PRIOR = {
 COST_RANGE = 2.5
 DOUBTFUL = 2.0
 """Hypotheses: an answer that is expected to be as far off deserves no confidence."""
+FARTHEST = 0.06
+"""Index of the farthest surface, 250 times as far as the nearest hypothesis; no rig tells that from infinity."""
 RARE_SKY, MOST = 0.05, 4.0
 """Sky on a smaller share of the sphere counts in the training as if it were as large, but at most as many times."""
 
@@ -197,7 +199,8 @@ class RefinedSweepNet(DepthNetwork):
         clues = self.clues(images, tables, seen)
         fused = self.fuse(clues, images, seen, tables.offsets)
         index, confidence, sky, both = self.refine(fused, images, seen, tables.offsets)
-        index = index.where(sky < 0, 0.0)  # nothing there: as far as can be
+        # Nothing there: as far as can be. What is there is not: an index of nearly 0 is a depth of kilometres.
+        index = index.clamp(min=FARTHEST).where(sky < 0, 0.0)
         scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
         return DepthEstimate(index * scale, confidence.sigmoid().where(both, 0.0), both)
 

@@ -19,6 +19,7 @@ from sphericalvision.models import IcoSweepNet, RefinedSweepNet, save_weights
 from sphericalvision.models.candidate_refinement import RARE, candidates_of
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.models.logit_fusion import FusedLogits, two_modes
+from sphericalvision.models.refinedsweepnet import FARTHEST
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.sweep import index_from_depth
 from sphericalvision.sweep.appearance_at_depth import appearance_at_depth
@@ -130,6 +131,9 @@ def test_sky_is_infinitely_far(net, frame):
         assert (net.predict(images, rig, seen).index > 0).any()
         exit.bias[6] = 4.0
         assert (net.predict(images, rig, seen).index == 0).all()
+        exit.bias[:] = torch.tensor([9.0, 0, 0, 0, -99, 0, RARE])
+        surface = net.predict(images, rig, seen).index  # 99 hypotheses less, but not sky
+        torch.testing.assert_close(surface, torch.full_like(surface, FARTHEST))
     exit.bias.requires_grad_(True)
     valid, ways = torch.ones_like(frame[3], dtype=torch.bool), []
     for true in (torch.zeros_like(frame[3]), torch.ones_like(frame[3])):

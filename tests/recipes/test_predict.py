@@ -266,7 +266,9 @@ def test_photo_consistency_is_printed_and_kept(
     assert all(0 < share < 1 for share in shares)
     assert f"photo-consistency: {sum(shares) / len(shares):.3f} of" in capsys.readouterr().out
     run("predict", *sweep, "skip_existing=true", "stop=1")
-    assert list(read_shares(tmp_path / "out" / "consistency.csv").values()) == pytest.approx(shares)
+    # one frame gets all threads, two share them: sums are rounded otherwise, and the table has four digits
+    again = list(read_shares(tmp_path / "out" / "consistency.csv").values())
+    assert again == pytest.approx(shares, abs=5e-4)
 
 
 def test_prediction_goes_on_where_it_stopped(

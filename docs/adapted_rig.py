@@ -17,16 +17,17 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, find_own_body, read_rig, save_rig, seen_by
-from sphericalvision.data import make_scene, ray_depth, read_image, render_rig, write_image
-from sphericalvision.data.augmentation.disturbances import CameraDisturbance, turned_poses
-from sphericalvision.data.scenes.carriers import carrier_masks, with_carrier
-from sphericalvision.data.scenes.recipes import kind_of
-from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, HELD_OUT_SEED
-from sphericalvision.deploy import Predictor
+from sphericalvision.cameras import CameraRig, read_rig, save_rig, seen_by
+from sphericalvision.capture import Predictor, find_own_body
+from sphericalvision.data import read_image, write_image
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import load_weights, pretrained
 from sphericalvision.recipes.app.rigs import make_corner_rig
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.scenes.carriers import carrier_masks, with_carrier
+from sphericalvision.scenes.disturbances import CameraDisturbance, turned_poses
+from sphericalvision.scenes.recipes import kind_of
+from sphericalvision.scenes.seeded_scenes import CLEAR_RADIUS, HELD_OUT_SEED
 from sphericalvision.sweep import index_from_inverse_depth
 
 RIG = make_corner_rig(image_size=(256, 256))

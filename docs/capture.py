@@ -18,11 +18,11 @@ from torch import Tensor
 
 from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, PinholeCamera
-from sphericalvision.data import make_scene, render_rig
-from sphericalvision.data.augmentation.disturbances import CameraDisturbance
-from sphericalvision.data.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle, transform_points
 from sphericalvision.recipes.app.rigs import make_corner_rig
+from sphericalvision.scenes import make_scene, render_rig
+from sphericalvision.scenes.carriers import carrier_masks, with_carrier
+from sphericalvision.scenes.disturbances import CameraDisturbance
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz import depth_to_color, rgb_panorama
 from sphericalvision.viz.color import fade, near_end

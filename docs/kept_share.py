@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.data import SceneDataset
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import DepthNetwork, pretrained
+from sphericalvision.scenes import SceneDataset
 from sphericalvision.sweep import index_from_inverse_depth, semi_global_sweep
 
 NUM_HYPOTHESES, MIN_DEPTH = 16, 0.55

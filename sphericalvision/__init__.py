@@ -7,12 +7,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sphericalvision.deploy import Predictor as Predictor
+    from sphericalvision.capture import Predictor as Predictor
 
 __version__ = "0.2.0"
 
 _ROOMS = (
     "cameras",
+    "capture",
     "core",
     "crown",
     "data",
@@ -23,6 +24,7 @@ _ROOMS = (
     "losses",
     "metrics",
     "models",
+    "scenes",
     "sphere",
     "sweep",
     "viz",
@@ -30,7 +32,7 @@ _ROOMS = (
 """Packages that are imported when they are first asked for: ``sphericalvision.cameras`` after a bare import."""
 
 
-_NAMES = {"Predictor": "deploy"}
+_NAMES = {"Predictor": "capture"}
 """Names that the package itself offers, and the room that each comes from."""
 
 

@@ -61,7 +61,7 @@ class ArgumentTypeError(ArgumentError, TypeError):
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
-        >>> from sphericalvision.data import make_scene, render_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
         >>> render_rig(make_scene("room"), "rig.yaml")
         Traceback (most recent call last):
         sphericalvision.core.ArgumentTypeError: rig: expected a CameraRig, got 'rig.yaml'; ring_rig makes one, read_rig

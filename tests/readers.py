@@ -25,8 +25,6 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
-from sphericalvision.data import read_mesh_scene
-from sphericalvision.data.cache import ArrayCache
 from sphericalvision.data.omnistereo.files import read_min_depth
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth, write_ground_truth
 from sphericalvision.io.images import read_image, read_mask, read_pages, write_mask
@@ -40,6 +38,8 @@ from sphericalvision.models import (
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.digits.module import ClassificationModule
 from sphericalvision.recipes.training.resuming import stored_network
+from sphericalvision.scenes import read_mesh_scene
+from sphericalvision.scenes.cache import ArrayCache
 from tests.cameras.calibration_samples import RIGHT_OF_FIRST, flat, mei
 from tests.cameras.test_damaged_files import TEXTS, read_everything
 from tests.cameras.test_survey_files import CALIBRATION, CHUNK

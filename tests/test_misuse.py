@@ -42,6 +42,7 @@ from sphericalvision.cameras import (
     save_rig,
     undistorted_camera,
 )
+from sphericalvision.capture import Predictor
 from sphericalvision.core import ArgumentTypeError, SphericalVisionError
 from sphericalvision.crown import (
     Crown,
@@ -60,15 +61,7 @@ from sphericalvision.crown import (
     from_crown,
     to_crown,
 )
-from sphericalvision.data import (
-    Compose,
-    collate_samples,
-    make_scene,
-    random_rotations,
-    render_directions,
-    render_rig,
-)
-from sphericalvision.deploy import Predictor
+from sphericalvision.data import Compose, collate_samples, random_rotations
 from sphericalvision.geometry import (
     angle_from_axis,
     bilinear_sample,
@@ -83,6 +76,7 @@ from sphericalvision.icosphere import Icosphere, icosphere_pool, level_from_num_
 from sphericalvision.losses import depth_index_huber, solid_angle_cross_entropy, solid_angle_mean
 from sphericalvision.metrics import DepthError, DepthIndexError, SolidAngleMean, angular_error
 from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep, pretrained
+from sphericalvision.scenes import make_scene, render_directions, render_rig
 from sphericalvision.sphere import (
     Equirectangular,
     SphereConv2d,

@@ -73,6 +73,7 @@ def in_wheel(path: Path) -> str:
         ("sphericalvision", "**/*.safetensors"),
         ("sphericalvision", "**/*.md"),
         ("sphericalvision", "py.typed"),
+        ("sphericalvision", "**/*.pyi"),
         ("sphericalvision", "**/*.cpp"),
     ],
 )
@@ -90,7 +91,20 @@ def test_wheel_holds_the_licence_and_no_tests(wheel: set[str]) -> None:
 
 def test_wheel_holds_nothing_else(wheel: set[str]) -> None:
     """Code, configs, weights and their cards; no caches, outputs, keys or notes that lay about."""
-    known = (".py", ".yaml", ".safetensors", ".md", ".cpp", ".h", ".html", ".js", ".css", ".json", "py.typed")
+    known = (
+        ".py",
+        ".pyi",
+        ".yaml",
+        ".safetensors",
+        ".md",
+        ".cpp",
+        ".h",
+        ".html",
+        ".js",
+        ".css",
+        ".json",
+        "py.typed",
+    )
     strange = [name for name in wheel if ".dist-info/" not in name and not name.endswith(known)]
     assert not strange
     in_tree = {

@@ -18,6 +18,7 @@ INVENTORY = Path(__file__).with_name("public_api.txt")
 
 PACKAGES = (
     "sphericalvision.cameras",
+    "sphericalvision.capture",
     "sphericalvision.core",
     "sphericalvision.crown",
     "sphericalvision.data",
@@ -27,6 +28,7 @@ PACKAGES = (
     "sphericalvision.losses",
     "sphericalvision.metrics",
     "sphericalvision.models",
+    "sphericalvision.scenes",
     "sphericalvision.sphere",
     "sphericalvision.sweep",
     "sphericalvision.viz",

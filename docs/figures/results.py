@@ -13,9 +13,10 @@ from torch import Tensor
 
 from figures import MARK, bare_axes, new_figure, to_html
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.data import ToSphere, make_scene, ray_depth, render_rig
+from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import pretrained
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular, resample
 from sphericalvision.sweep import index_from_depth
 from sphericalvision.viz import rgb_panorama

@@ -16,7 +16,7 @@ from sphericalvision.cameras import (
     perspective_views,
     remap,
 )
-from sphericalvision.data import make_scene, ray_depth, render_camera
+from sphericalvision.scenes import make_scene, ray_depth, render_camera
 from sphericalvision.sphere import Equirectangular, resample
 
 __all__ = ["panorama_views", "resampling_modes", "scenes"]

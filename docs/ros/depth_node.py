@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 
 from sphericalvision import Predictor
 from sphericalvision.cameras import read_rig
-from sphericalvision.deploy import Depth
+from sphericalvision.capture import Depth
 
 CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}
 FIELDS = ("x", "y", "z", "rgb")

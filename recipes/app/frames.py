@@ -10,9 +10,9 @@ from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.scenes.recipes import kind_of, make_scene, ray_depth, render_rig
-from sphericalvision.data.seeded_scenes import NATURAL_MIN_DEPTH, MeshFiles, SeededScenes
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes.recipes import kind_of, make_scene, ray_depth, render_rig
+from sphericalvision.scenes.seeded_scenes import NATURAL_MIN_DEPTH, MeshFiles, SeededScenes
 from sphericalvision.sphere import Equirectangular
 
 __all__ = ["RenderedFrames", "SceneDepths"]

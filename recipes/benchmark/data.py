@@ -16,12 +16,12 @@ from omegaconf import DictConfig
 from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.data import SceneDataset
 from sphericalvision.data.collate import collate_samples
-from sphericalvision.data.scenes.recipes import SCENE_KINDS, make_scene, render_rig
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.benchmark.measuring import Comparison
+from sphericalvision.scenes import SceneDataset
+from sphericalvision.scenes.recipes import SCENE_KINDS, make_scene, render_rig
 from sphericalvision.sweep import index_from_inverse_depth
 
 __all__ = ["comparisons"]

@@ -14,14 +14,14 @@ import torch
 from omegaconf import DictConfig
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.data import make_scene, render_rig
-from sphericalvision.deploy import Predictor
+from sphericalvision.capture import Predictor
+from sphericalvision.capture.outputs import Outputs, Settings
+from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.threads import side_by_side, threads_kept
+from sphericalvision.capture.sources.videos import Videos
 from sphericalvision.recipes.benchmark.measuring import Comparison
 from sphericalvision.recipes.commands.predict import MOST_WORKERS, run
-from sphericalvision.recipes.prediction.frames import Selection
-from sphericalvision.recipes.prediction.outputs import Outputs, Settings
-from sphericalvision.recipes.prediction.threads import side_by_side, threads_kept
-from sphericalvision.recipes.prediction.videos import Videos
+from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["comparisons"]
 

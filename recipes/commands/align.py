@@ -11,16 +11,17 @@ from typing import Any
 from omegaconf import DictConfig
 from rich.progress import track
 
-from sphericalvision.cameras import CameraRig, RayMatcher, RayMatches, align_rig, save_rig
-from sphericalvision.cameras.align import AlignedRig
+from sphericalvision.cameras import CameraRig, save_rig
 from sphericalvision.cameras.calibration import RIG_FORMATS
+from sphericalvision.capture import RayMatcher, RayMatches, align_rig
+from sphericalvision.capture.calibrating.align import AlignedRig
+from sphericalvision.capture.checks import pose_agreement
+from sphericalvision.capture.photographs import as_photographs
+from sphericalvision.capture.sources.captures import find_masks
+from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.deploy.checks import pose_agreement
-from sphericalvision.deploy.photographs import as_photographs
-from sphericalvision.recipes.app.captures import find_masks
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.commands.predict import load_rig
-from sphericalvision.recipes.prediction.frames import Selection
 from sphericalvision.recipes.prediction.sources import open_source, rig_for_images, spread_evenly
 
 __all__ = ["align"]

@@ -14,10 +14,11 @@ import torch
 from omegaconf import DictConfig
 from torch import Tensor
 
-from sphericalvision.cameras import calibrate_camera, field_of_view, save_camera
+from sphericalvision.cameras import field_of_view, save_camera
 from sphericalvision.cameras.calibration import CAMERA_FORMATS
-from sphericalvision.cameras.refine import RefinedCamera
 from sphericalvision.cameras.registry import camera_model_names
+from sphericalvision.capture import calibrate_camera
+from sphericalvision.capture.calibrating.refine import RefinedCamera
 from sphericalvision.core import ArgumentError, MissingFileError, check_choice
 from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.cli import console, print_table

@@ -14,9 +14,10 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.capture import Predictor
+from sphericalvision.capture.outputs import Settings, Views, save_views
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere, collate_samples
-from sphericalvision.deploy import Predictor
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import load_network
@@ -31,7 +32,6 @@ from sphericalvision.recipes.evaluation.tables import (
     save_rows,
     sweep_estimator,
 )
-from sphericalvision.recipes.prediction.outputs import Settings, Views, save_views
 from sphericalvision.sweep import index_from_inverse_depth
 from sphericalvision.viz import depth_panorama, error_panorama, sheet
 from sphericalvision.viz.figure import strip

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
-from sphericalvision.cameras.own_body import MOST
+from sphericalvision.capture.preparation.own_body import MOST
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork

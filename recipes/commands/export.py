@@ -11,10 +11,8 @@ from omegaconf import DictConfig
 from safetensors.torch import save_file
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data import make_scene, render_rig
-from sphericalvision.deploy import Predictor
-from sphericalvision.deploy.export import (
+from sphericalvision.capture import Predictor
+from sphericalvision.capture.export import (
     INPUTS,
     OPSET,
     TABLES,
@@ -26,9 +24,11 @@ from sphericalvision.deploy.export import (
     onnx_size,
     rig_tables,
 )
+from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.io.files import atomic_write
 from sphericalvision.recipes.app.cli import console, print_config
 from sphericalvision.recipes.app.rigs import rig_from_file
+from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["export"]
 

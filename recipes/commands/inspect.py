@@ -13,11 +13,11 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
+from sphericalvision.capture.sources.captures import find_capture, find_masks, read_frame
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import read_image, write_image
-from sphericalvision.recipes.app.captures import find_capture, find_masks, read_frame
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.rigs import radians, read_calibration
 from sphericalvision.viz import angle_map, coverage_panorama, rig_picture

@@ -13,18 +13,18 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sphericalvision.cameras import CameraRig, PhotometricCalibration
+from sphericalvision.cameras import CameraRig
+from sphericalvision.capture import Depth, PhotometricCalibration, Predictor
+from sphericalvision.capture.outputs import Outputs, Settings, done_file
+from sphericalvision.capture.sources.captures import find_masks
+from sphericalvision.capture.sources.frames import Frame, Selection, Source
+from sphericalvision.capture.sources.threads import Behind, ahead, side_by_side, threads_kept
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice
-from sphericalvision.deploy import Depth, Predictor
-from sphericalvision.recipes.app.captures import find_masks
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.prediction.aligned import aligned
-from sphericalvision.recipes.prediction.frames import Frame, Selection, Source
 from sphericalvision.recipes.prediction.moving import open_moving
-from sphericalvision.recipes.prediction.outputs import Outputs, Settings, done_file
 from sphericalvision.recipes.prediction.own_body import AUTO, masked_by_itself
 from sphericalvision.recipes.prediction.sources import open_source, read_capture_rig, rig_for_images
-from sphericalvision.recipes.prediction.threads import Behind, ahead, side_by_side, threads_kept
 
 __all__ = ["load_rig", "nearest_in", "open_capture", "predict", "predictor_for"]
 

@@ -15,7 +15,6 @@ from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.data.omnistereo.files import RELEASES
-from sphericalvision.data.seeded_scenes import MeshFiles, mesh_files
 from sphericalvision.recipes.app.cli import build, console, print_config
 from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.rendered_sets import (
@@ -24,6 +23,7 @@ from sphericalvision.recipes.app.rendered_sets import (
     missing_frames,
     settings_of,
 )
+from sphericalvision.scenes.seeded_scenes import MeshFiles, mesh_files
 
 __all__ = ["render"]
 

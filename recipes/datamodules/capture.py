@@ -13,13 +13,13 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.capture.photographs import as_photographs
+from sphericalvision.capture.predictor import check_number
+from sphericalvision.capture.preparation.compensation import compensated
+from sphericalvision.capture.preparation.nearest import nearest_hypothesis
+from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
-from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
-from sphericalvision.deploy.compensation import compensated
-from sphericalvision.deploy.nearest import nearest_hypothesis
-from sphericalvision.deploy.photographs import as_photographs
-from sphericalvision.deploy.predictor import check_number
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
@@ -27,7 +27,6 @@ from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Number, P
 from sphericalvision.recipes.app.schema import AtLeast
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.rehearsal import Rehearsal, random_disturbance
-from sphericalvision.recipes.prediction.frames import Selection, Source
 from sphericalvision.recipes.prediction.own_body import AUTO, with_own_body_masked
 from sphericalvision.recipes.prediction.sources import (
     open_source,
@@ -36,6 +35,7 @@ from sphericalvision.recipes.prediction.sources import (
     spread_evenly,
 )
 from sphericalvision.recipes.training.rig_tables import RigTables
+from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.sweep import (
     correlation_evidence,
     inverse_depth_from_index,

@@ -12,19 +12,19 @@ import torch
 from rich.progress import track
 from torch.utils.data import Dataset
 
+from sphericalvision.capture.preparation.compensation import compensated
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
 from sphericalvision.data.augmentation.mirror import Mirror
 from sphericalvision.data.augmentation.transforms import Compose
-from sphericalvision.data.cache import ArrayCache
-from sphericalvision.data.random_rig_scenes import RandomRigScenes
-from sphericalvision.deploy.compensation import compensated
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share, Text
 from sphericalvision.recipes.app.schema import Exactly
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.scenes import Augmented
+from sphericalvision.scenes.cache import ArrayCache
+from sphericalvision.scenes.random_rig_scenes import RandomRigScenes
 
 __all__ = ["RandomRigDataModule"]
 

@@ -10,14 +10,15 @@ import torch
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.capture.preparation.compensation import compensated
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import ToSphere, make_scene, ray_depth, render_rig
-from sphericalvision.data.augmentation.disturbances import CameraDisturbance
-from sphericalvision.data.random_rig_scenes import SHARES
-from sphericalvision.data.scenes.carriers import CARRIERS, with_carrier
-from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
-from sphericalvision.deploy.compensation import compensated
+from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.scenes.carriers import CARRIERS, with_carrier
+from sphericalvision.scenes.disturbances import CameraDisturbance
+from sphericalvision.scenes.random_rig_scenes import SHARES
+from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 
 __all__ = ["Rehearsal", "random_disturbance"]
 

@@ -14,14 +14,15 @@ from torch.utils.data import DataLoader, Dataset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import RotateFivefold, SceneDataset
+from sphericalvision.data import RotateFivefold
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
-from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, mesh_files
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Text
 from sphericalvision.recipes.app.schema import Exactly, NotEmpty
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import Wanted
+from sphericalvision.scenes import SceneDataset
+from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, mesh_files
 
 __all__ = ["Augmented", "SceneDataModule"]
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.deploy import Predictor
+from sphericalvision.capture import Predictor
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.datamodules.entries import images_of

@@ -7,9 +7,9 @@ import math
 from pathlib import Path
 
 from sphericalvision.cameras import CameraRig, read_rig, save_rig
-from sphericalvision.deploy import Predictor
+from sphericalvision.capture import Predictor
+from sphericalvision.capture.sources.frames import Source
 from sphericalvision.recipes.app.cli import console
-from sphericalvision.recipes.prediction.frames import Source
 
 __all__ = ["aligned"]
 

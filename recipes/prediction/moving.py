@@ -10,10 +10,10 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, Trajectory, read_camera, read_trajectory
+from sphericalvision.capture.sources.frames import Frame, Selection, Source
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.rigs import keys_named, radians
-from sphericalvision.recipes.prediction.frames import Frame, Selection, Source
 from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
 
 __all__ = ["NAME", "PANORAMA", "Moving", "open_moving"]

@@ -8,12 +8,13 @@ from pathlib import Path
 
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, find_own_body
-from sphericalvision.cameras.own_body import MOST
+from sphericalvision.cameras import CameraRig
+from sphericalvision.capture import find_own_body
+from sphericalvision.capture.photographs import as_photographs
+from sphericalvision.capture.preparation.own_body import MOST
+from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.core import ArgumentError
-from sphericalvision.deploy.photographs import as_photographs
 from sphericalvision.io.images import write_mask
-from sphericalvision.recipes.prediction.frames import Selection, Source
 from sphericalvision.recipes.prediction.sources import spread_evenly
 
 __all__ = ["AUTO", "masked_by_itself", "with_own_body_masked"]

@@ -10,12 +10,12 @@ from pathlib import Path
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.capture.sources.captures import find_capture, find_masks
+from sphericalvision.capture.sources.frames import Files, Source
+from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_image
-from sphericalvision.recipes.app.captures import find_capture, find_masks
 from sphericalvision.recipes.app.rigs import rig_from_file
-from sphericalvision.recipes.prediction.frames import Files, Source
-from sphericalvision.recipes.prediction.videos import VIDEO_SUFFIXES, Videos
 
 __all__ = ["open_source", "read_capture_rig", "rig_for_images", "spread_evenly"]
 

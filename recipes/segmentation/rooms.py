@@ -12,9 +12,10 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from sphericalvision.core import check_choice
-from sphericalvision.data import make_scene, random_rotations, ray_labels, render_directions
-from sphericalvision.data.cache import ArrayCache
+from sphericalvision.data import random_rotations
 from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.scenes import make_scene, ray_labels, render_directions
+from sphericalvision.scenes.cache import ArrayCache
 from sphericalvision.sphere import SphereGrid
 
 __all__ = ["ORIENTATIONS", "LabelledRooms", "orientation_rotation"]

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Camera models that work on directions, beyond 180° where the lens does, rigs of them, and calibration files."""
 
+from importlib import import_module
+from typing import Any
+
 from sphericalvision.cameras import sphere_images as _sphere_images  # noqa: F401  # CameraRig.sample_sphere
-from sphericalvision.cameras.align import RayMatches, align_rig
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.calibrate import calibrate_camera
 from sphericalvision.cameras.calibration import (
     read_camera,
     read_cameras,
@@ -17,10 +18,8 @@ from sphericalvision.cameras.conversion.convert import convert, fit_inverse_poly
 from sphericalvision.cameras.conversion.straighten import straighten, straighten_rig
 from sphericalvision.cameras.coverage import coverage, overlap, seen_by
 from sphericalvision.cameras.depth import depth_from_z, points_from_depth, z_from_depth
-from sphericalvision.cameras.direct_alignment import align_rig_direct
 from sphericalvision.cameras.field_of_view import field_of_view
 from sphericalvision.cameras.kornia_cameras import CameraModule, from_kornia, to_kornia
-from sphericalvision.cameras.matching import RayMatcher
 from sphericalvision.cameras.models.angle_polynomial import (
     AnglePolynomialCamera,
     project_angle_polynomial,
@@ -67,9 +66,6 @@ from sphericalvision.cameras.models.thin_prism_fisheye import (
     unproject_thin_prism_fisheye,
 )
 from sphericalvision.cameras.models.unified import UnifiedCamera, project_unified, unproject_unified
-from sphericalvision.cameras.own_body import OwnBody, find_own_body
-from sphericalvision.cameras.photometric import PhotometricCalibration, calibrate_photometry
-from sphericalvision.cameras.refine import refine, refine_rig
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.cameras.remapping.remap import Remap, remap, remap_mask
 from sphericalvision.cameras.remapping.undistort import undistort, undistorted_camera
@@ -91,27 +87,18 @@ __all__ = [
     "FisheyeCamera",
     "KannalaBrandtCamera",
     "OCamCamera",
-    "OwnBody",
-    "PhotometricCalibration",
     "PinholeCamera",
     "Projection",
     "RadialPolynomialCamera",
-    "RayMatcher",
-    "RayMatches",
     "Remap",
     "ThinPrismFisheyeCamera",
     "Trajectory",
     "UnifiedCamera",
     "Unprojection",
-    "align_rig",
-    "align_rig_direct",
-    "calibrate_camera",
-    "calibrate_photometry",
     "convert",
     "coverage",
     "depth_from_z",
     "field_of_view",
-    "find_own_body",
     "fit_inverse_polynomial",
     "from_kornia",
     "overlap",
@@ -135,8 +122,6 @@ __all__ = [
     "read_cameras",
     "read_rig",
     "read_trajectory",
-    "refine",
-    "refine_rig",
     "register_camera",
     "remap",
     "remap_mask",
@@ -165,3 +150,24 @@ __all__ = [
     "unproject_unified",
     "z_from_depth",
 ]
+
+_MOVED = (
+    "OwnBody",
+    "PhotometricCalibration",
+    "RayMatcher",
+    "RayMatches",
+    "align_rig",
+    "align_rig_direct",
+    "calibrate_camera",
+    "calibrate_photometry",
+    "find_own_body",
+    "refine",
+    "refine_rig",
+)
+"""Names that are in ``sphericalvision.capture`` since, and may still be asked for here."""
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MOVED:
+        return getattr(import_module("sphericalvision.capture"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

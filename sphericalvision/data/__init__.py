@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes that are rendered, data sets on disk, and transforms of their samples."""
 
+from importlib import import_module
+from typing import Any
+
 from sphericalvision.data.augmentation.fivefold import RotateFivefold
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.rotate_fisheye import RotateFisheye
@@ -10,26 +13,10 @@ from sphericalvision.data.augmentation.transforms import Compose, RandomShift, S
 from sphericalvision.data.collate import collate_samples
 from sphericalvision.data.omnistereo.dataset import OmniStereoDataset
 from sphericalvision.data.omnistereo.writer import write_omnistereo
-from sphericalvision.data.rendering.mesh_scene import MeshScene, read_mesh_scene
-from sphericalvision.data.rendering.render import ray_labels
-from sphericalvision.data.rendering.to_mesh import mesh_from_scene
-from sphericalvision.data.scene_dataset import FisheyeSceneDataset, SceneDataset
-from sphericalvision.data.scenes.labels import SURFACE_LABELS
-from sphericalvision.data.scenes.recipes import (
-    Scene,
-    make_scene,
-    ray_depth,
-    render_camera,
-    render_directions,
-    render_rig,
-)
 from sphericalvision.io.images import read_image, write_image
 
 __all__ = [
-    "SURFACE_LABELS",
     "Compose",
-    "FisheyeSceneDataset",
-    "MeshScene",
     "OmniStereoDataset",
     "PhotometricAugmentation",
     "RandomShift",
@@ -37,21 +24,34 @@ __all__ = [
     "RandomYaw",
     "RotateFisheye",
     "RotateFivefold",
-    "Scene",
-    "SceneDataset",
     "ShuffleCameras",
     "ToSphere",
     "collate_samples",
+    "random_rotations",
+    "read_image",
+    "write_image",
+    "write_omnistereo",
+]
+
+_MOVED = (
+    "FisheyeSceneDataset",
+    "MeshScene",
+    "SURFACE_LABELS",
+    "Scene",
+    "SceneDataset",
     "make_scene",
     "mesh_from_scene",
-    "random_rotations",
     "ray_depth",
     "ray_labels",
-    "read_image",
     "read_mesh_scene",
     "render_camera",
     "render_directions",
     "render_rig",
-    "write_image",
-    "write_omnistereo",
-]
+)
+"""Names that are in ``sphericalvision.scenes`` since, and may still be asked for here."""
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MOVED:
+        return getattr(import_module("sphericalvision.scenes"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network and a rig as one thing to call, and what becomes of its answers outside of training."""
+"""The old name of ``sphericalvision.capture``."""
 
-from sphericalvision.deploy.depth import Depth, DepthImage
-from sphericalvision.deploy.predictor import Predictor
+from sphericalvision.capture import Depth, DepthImage, Predictor
 
 __all__ = ["Depth", "DepthImage", "Predictor"]

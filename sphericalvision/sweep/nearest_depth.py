@@ -54,7 +54,8 @@ def nearest_depth(
     Examples:
         >>> import math
         >>> from sphericalvision.cameras import ring_rig
-        >>> from sphericalvision.data import ToSphere, make_scene, render_rig
+        >>> from sphericalvision.data import ToSphere
+        >>> from sphericalvision.scenes import make_scene, render_rig
         >>> rig = ring_rig(4, 0.05, (64, 64))
         >>> images = ToSphere(4).images(render_rig(make_scene("hall", seed=1), rig), rig)[None]
         >>> nearest_depth(images, rig) > 0.3  # a sweep of this rig would begin at 0.06 m

@@ -23,10 +23,10 @@ from sphericalvision.cameras import (
     from_kornia,
     perspective_views,
     points_from_depth,
-    refine,
     remap,
     to_kornia,
 )
+from sphericalvision.capture import refine
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import transform_from_axis_angle, transform_points
 from tests.laws.cameras import MODELS

@@ -13,15 +13,8 @@ import torch
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data import (
-    Compose,
-    OmniStereoDataset,
-    RotateFisheye,
-    ToSphere,
-    make_scene,
-    render_rig,
-    write_omnistereo,
-)
+from sphericalvision.data import Compose, OmniStereoDataset, RotateFisheye, ToSphere, write_omnistereo
+from sphericalvision.scenes import make_scene, render_rig
 
 TILT = math.radians(35)
 Sample = dict[str, Any]

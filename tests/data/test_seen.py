@@ -15,7 +15,6 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.data import (
     Compose,
-    FisheyeSceneDataset,
     OmniStereoDataset,
     PhotometricAugmentation,
     RandomShift,
@@ -23,7 +22,6 @@ from sphericalvision.data import (
     RandomYaw,
     RotateFisheye,
     RotateFivefold,
-    SceneDataset,
     ShuffleCameras,
     ToSphere,
     collate_samples,
@@ -32,6 +30,7 @@ from sphericalvision.data import (
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere
 from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes import FisheyeSceneDataset, SceneDataset
 
 LEVEL = 4
 Sample = dict[str, Any]

@@ -12,15 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data import (
-    RandomSphereRotation,
-    RandomYaw,
-    make_scene,
-    random_rotations,
-    ray_depth,
-    render_directions,
-    render_rig,
-)
+from sphericalvision.data import RandomSphereRotation, RandomYaw, random_rotations
 from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.data.augmentation.sphere_rotation import (
     num_yaw_steps,
@@ -29,6 +21,7 @@ from sphericalvision.data.augmentation.sphere_rotation import (
     yaw_rotation,
 )
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes import make_scene, ray_depth, render_directions, render_rig
 from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
 
 GRIDS = [

@@ -11,7 +11,7 @@ from torch import nn
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import ToSphere, make_scene, ray_depth, render_rig
+from sphericalvision.data import ToSphere
 from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.losses import depth_index_huber
@@ -21,6 +21,7 @@ from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.models.logit_fusion import FusedLogits, two_modes
 from sphericalvision.models.refinedsweepnet import FARTHEST
 from sphericalvision.models.weights.checkpoints import read_network
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep import index_from_depth
 from sphericalvision.sweep.appearance_at_depth import appearance_at_depth
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig, save_rig
-from sphericalvision.data import make_scene, render_rig, write_image
+from sphericalvision.data import write_image
 from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["FRAMES", "KNOCKED", "true_rig", "write_knocked_capture"]
 

@@ -15,7 +15,6 @@ from hydra import compose, initialize_config_module
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.crown import to_crown
-from sphericalvision.data.scenes.recipes import SCENE_KINDS
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.benchmark import alone as bench_alone
 from sphericalvision.recipes.benchmark import cameras as bench_cameras
@@ -25,6 +24,7 @@ from sphericalvision.recipes.benchmark.measuring import BF16, Comparison, Measur
 from sphericalvision.recipes.benchmark.network import comparisons
 from sphericalvision.recipes.benchmark.plain_setup import plain_charts, plain_sweep_tables
 from sphericalvision.recipes.benchmark.processes import seconds_per_sample
+from sphericalvision.scenes.recipes import SCENE_KINDS
 from sphericalvision.sweep import SphereSweep
 
 TINY = [

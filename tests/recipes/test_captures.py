@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from sphericalvision.capture.sources.captures import find_capture, find_masks
 from sphericalvision.core import ArgumentError, MissingFileError
-from sphericalvision.recipes.app.captures import find_capture, find_masks
 
 NAMES = ["cam1", "cam2", "cam3"]
 

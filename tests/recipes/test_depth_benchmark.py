@@ -14,7 +14,6 @@ import pytest
 import torch
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.seeded_scenes import HELD_OUT_SEED
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
@@ -26,6 +25,7 @@ from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPT
 from sphericalvision.recipes.study.benchmark.running import run_track
 from sphericalvision.recipes.study.benchmark.scoring import FrameTruth, score
 from sphericalvision.recipes.study.benchmark.tracks import TRACKS, chosen_tracks
+from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED
 from sphericalvision.sweep import DepthEstimate
 from tests.recipes.tiny import Run
 

@@ -13,12 +13,13 @@ import torch
 from torch import nn
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.data import SceneDataset, collate_samples
+from sphericalvision.data import collate_samples
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.base import DepthEstimate
 from sphericalvision.recipes.evaluation.inputs import PredictorEstimator, VertexEstimator
 from sphericalvision.recipes.evaluation.tables import evaluate
+from sphericalvision.scenes import SceneDataset
 from tests.recipes.tiny import TINY_SCENES, Run
 
 NET = SemiGlobalSweep(4, 16, 0.55, depth_coarsening=2)

@@ -18,8 +18,8 @@ import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig, save_rig
-from sphericalvision.data import make_scene, render_rig
 from sphericalvision.io.images import read_image, write_image
+from sphericalvision.scenes import make_scene, render_rig
 from tests.recipes.conftest import run_recipe
 from tests.recipes.tiny import TINY_TRAINING
 

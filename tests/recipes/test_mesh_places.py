@@ -14,7 +14,10 @@ trimesh = pytest.importorskip("trimesh")
 
 from sphericalvision.cameras import EquirectangularCamera, ring_rig  # noqa: E402
 from sphericalvision.core import ArgumentError, MissingFileError  # noqa: E402
-from sphericalvision.data import (  # noqa: E402
+from sphericalvision.icosphere import Icosphere  # noqa: E402
+from sphericalvision.io.images import read_image  # noqa: E402
+from sphericalvision.recipes.datamodules.scenes import SceneDataModule  # noqa: E402
+from sphericalvision.scenes import (  # noqa: E402
     MeshScene,
     SceneDataset,
     make_scene,
@@ -22,11 +25,8 @@ from sphericalvision.data import (  # noqa: E402
     ray_depth,
     render_camera,
 )
-from sphericalvision.data.rendering.mesh_places import PlacedMesh, free_place  # noqa: E402
-from sphericalvision.data.seeded_scenes import mesh_files  # noqa: E402
-from sphericalvision.icosphere import Icosphere  # noqa: E402
-from sphericalvision.io.images import read_image  # noqa: E402
-from sphericalvision.recipes.datamodules.scenes import SceneDataModule  # noqa: E402
+from sphericalvision.scenes.rendering.mesh_places import PlacedMesh, free_place  # noqa: E402
+from sphericalvision.scenes.seeded_scenes import mesh_files  # noqa: E402
 from tests.recipes.tiny import Run  # noqa: E402
 
 HALF = torch.tensor([3.0, 1.5, 4.0])

@@ -16,13 +16,13 @@ import trimesh
 from omegaconf import OmegaConf
 
 from sphericalvision.cameras import ring_rig, save_rig
-from sphericalvision.data import make_scene, ray_depth, render_rig
-from sphericalvision.data.augmentation.disturbances import CameraDisturbance
+from sphericalvision.capture.outputs import read_shares
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.rigs import make_ring
-from sphericalvision.recipes.prediction.outputs import read_shares
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.scenes.disturbances import CameraDisturbance
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run
 

@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from sphericalvision.cameras import EquirectangularCamera, read_trajectory
+from sphericalvision.capture import Predictor
+from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.core import ArgumentError
-from sphericalvision.deploy import Predictor
 from sphericalvision.io.images import read_image, write_image
-from sphericalvision.recipes.prediction.frames import Selection
 from sphericalvision.recipes.prediction.moving import open_moving
 from tests.recipes.tiny import Run
 

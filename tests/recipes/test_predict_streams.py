@@ -15,13 +15,13 @@ import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.threads import Behind, ahead, side_by_side, threads_kept
+from sphericalvision.capture.sources.videos import views_layout
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image, write_image
-from sphericalvision.recipes.prediction.frames import Selection
 from sphericalvision.recipes.prediction.own_body import masked_by_itself
 from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
-from sphericalvision.recipes.prediction.threads import Behind, ahead, side_by_side, threads_kept
-from sphericalvision.recipes.prediction.videos import views_layout
 from tests.recipes.tiny import Run
 
 SIZE = (32, 40)

@@ -12,11 +12,11 @@ import torch
 import trimesh
 
 from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture import Depth
+from sphericalvision.capture.outputs import OUTPUTS, Outputs, Settings, Views, save_views
 from sphericalvision.core import ArgumentError
-from sphericalvision.deploy import Depth
 from sphericalvision.io.images import read_image
 from sphericalvision.models import WinnerTakesAll
-from sphericalvision.recipes.prediction.outputs import OUTPUTS, Outputs, Settings, Views, save_views
 
 
 def ball(rig: CameraRig) -> Depth:

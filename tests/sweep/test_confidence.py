@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.data import SceneDataset
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes import SceneDataset
 from sphericalvision.sweep import index_from_inverse_depth, semi_global_sweep
 from sphericalvision.sweep.confidence import sweep_confidence
 

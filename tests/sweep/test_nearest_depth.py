@@ -7,8 +7,9 @@ import pytest
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import ToSphere, make_scene, ray_depth, render_rig
+from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep.nearest_depth import nearest_depth
 
 

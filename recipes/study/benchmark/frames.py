@@ -13,19 +13,20 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
-from sphericalvision.data import MeshScene, ToSphere, ray_depth, render_directions, render_rig
-from sphericalvision.data.cache import ArrayCache
-from sphericalvision.data.rendering.primitives import Primitives
-from sphericalvision.data.rendering.scene import Scene
-from sphericalvision.data.scenes.carriers import carrier_masks, with_carrier
-from sphericalvision.data.scenes.recipes import kind_of, make_scene
-from sphericalvision.data.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH, mesh_files
+from sphericalvision.capture.predictor import Predictor
+from sphericalvision.capture.preparation.compensation import compensated
+from sphericalvision.data import ToSphere
 from sphericalvision.data.seen import pixels_seen
-from sphericalvision.deploy.compensation import compensated
-from sphericalvision.deploy.predictor import Predictor
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
 from sphericalvision.recipes.study.benchmark.tracks import Track
+from sphericalvision.scenes import MeshScene, ray_depth, render_directions, render_rig
+from sphericalvision.scenes.cache import ArrayCache
+from sphericalvision.scenes.carriers import carrier_masks, with_carrier
+from sphericalvision.scenes.recipes import kind_of, make_scene
+from sphericalvision.scenes.rendering.primitives import Primitives
+from sphericalvision.scenes.rendering.scene import Scene
+from sphericalvision.scenes.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH, mesh_files
 from sphericalvision.sphere import Equirectangular
 
 __all__ = ["NATURAL_SIZE", "Frame", "Size", "aligner", "render_frame"]

@@ -14,15 +14,15 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, reference_kernels
-from sphericalvision.data import make_scene, ray_depth
-from sphericalvision.data.scenes.recipes import kind_of
-from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import atomic_write
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.study.benchmark.frames import Frame
 from sphericalvision.recipes.training.rig_tables import RigTables
+from sphericalvision.scenes import make_scene, ray_depth
+from sphericalvision.scenes.recipes import kind_of
+from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth
 
 __all__ = [

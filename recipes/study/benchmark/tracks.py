@@ -11,11 +11,11 @@ import torch
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data.augmentation.disturbances import CameraDisturbance
-from sphericalvision.data.augmentation.random_rigs import random_rig
-from sphericalvision.data.scenes.recipes import SCENE_KINDS, kind_of
-from sphericalvision.data.seeded_scenes import HELD_OUT_SEED, mesh_files
 from sphericalvision.recipes.app.rigs import make_corner_rig, make_panorama_ring, make_ring
+from sphericalvision.scenes.disturbances import CameraDisturbance
+from sphericalvision.scenes.random_rigs import random_rig
+from sphericalvision.scenes.recipes import SCENE_KINDS, kind_of
+from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, mesh_files
 
 __all__ = ["GROUPS", "TRACKS", "RigRecipe", "Track", "chosen_tracks"]
 

@@ -77,7 +77,7 @@ class ToSphere:
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
-        >>> from sphericalvision.data import make_scene, render_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
         >>> rig = ring_rig(3, image_size=(24, 24))
         >>> ToSphere(3).images(render_rig(make_scene("room"), rig), rig).shape
         torch.Size([3, 3, 642])

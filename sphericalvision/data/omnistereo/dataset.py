@@ -80,7 +80,8 @@ class OmniStereoDataset(Dataset[Sample]):
     Examples:
         >>> import torch
         >>> from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
-        >>> from sphericalvision.data import make_scene, render_rig, write_omnistereo
+        >>> from sphericalvision.data import write_omnistereo
+        >>> from sphericalvision.scenes import make_scene, render_rig
         >>> rig = CameraRig([EquirectangularCamera((8, 16))] * 2, ring_rig(2).world_from_camera)
         >>> images = render_rig(make_scene("room"), rig)
         >>> frame = {"frame": 1, "images": images, "inverse_depth": torch.ones(16, 32)}

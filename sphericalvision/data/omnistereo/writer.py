@@ -69,7 +69,7 @@ def write_omnistereo(
 
     Examples:
         >>> from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
-        >>> from sphericalvision.data import make_scene, render_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
         >>> rig = CameraRig([EquirectangularCamera((8, 16))] * 2, ring_rig(2).world_from_camera)
         >>> images = render_rig(make_scene("room"), rig)
         >>> frame = {"frame": 1, "images": images, "inverse_depth": torch.ones(16, 32)}

@@ -1,0 +1,18 @@
+from .calibrating.align import RayMatches as RayMatches
+from .calibrating.align import align_rig as align_rig
+from .calibrating.calibrate import calibrate_camera as calibrate_camera
+from .calibrating.direct_alignment import align_rig_direct as align_rig_direct
+from .calibrating.matching import RayMatcher as RayMatcher
+from .calibrating.refine import refine as refine
+from .calibrating.refine import refine_rig as refine_rig
+from .depth import Depth as Depth
+from .depth import DepthImage as DepthImage
+from .predictor import Predictor as Predictor
+from .preparation.own_body import OwnBody as OwnBody
+from .preparation.own_body import find_own_body as find_own_body
+from .preparation.photometric import (
+    PhotometricCalibration as PhotometricCalibration,
+)
+from .preparation.photometric import (
+    calibrate_photometry as calibrate_photometry,
+)

@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Orientations of a rig's cameras from brightness alone: images must agree where depth is about known.
+
+Where ``align_rig`` needs a few hundred matched features, of several frames, this compares all directions of one frame.
+What is compared are images without shading: a band of spatial frequencies, over its local contrast. Neither exposure
+nor vignetting remain, which would pull cameras towards each other's shade.
+
+Convention:
+    ``turns`` are rotation vectors in the world, as of ``align_rig``: a camera that looks along d by the calibration
+    looks along ``exp(turn) @ d`` in truth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, check_single
+from sphericalvision.cameras.resolution import pixels_a_radian
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry import transform_from_axis_angle
+
+__all__ = ["DirectAlignment", "align_rig_direct"]
+
+_BAND = 4.0
+"""How much wider the mean is that is taken away, and the contrast that is divided by, than the blur."""
+_CONTRAST = 0.02
+"""Of the range [0, 1]: weaker texture is noise, and is not raised to the contrast of the rest."""
+_NEAREST = 0.9
+"""Of the rig's radius over depth: nothing is sought within the rig."""
+_STIFFNESS = 20.0
+"""An expected turn counts as many directions that disagree as they typically do: neighbours are not independent."""
+_HOLD = 0.005
+"""Of the mean curvature in depth: holds depth to what it was said to be, where there is no texture."""
+_SURE = math.radians(0.05)
+"""Turns below are no turns when it comes to which cameras are right."""
+
+
+class DirectAlignment(NamedTuple):
+    """A rig with better orientations, and how well images agree."""
+
+    rig: CameraRig
+    turns: Float[Tensor, "n 3"]
+    """By how much each camera was turned, radians."""
+    agreement: tuple[float, float]
+    """0 to 1, of all pairs of cameras in all directions, before and after."""
+
+
+def align_rig_direct(
+    rig: CameraRig,
+    images: Mapping[str, Float[Tensor, "*frames c _ _"]],
+    directions: Float[Tensor, "V 3"],
+    inverse_depth: Float[Tensor, "*frames V"],
+    weights: Float[Tensor, "*frames V"] | None = None,
+    *,
+    pixel: float = math.radians(0.9),
+    blur: float = 1.0,
+    iterations: int = 5,
+    expected: float = math.radians(0.5),
+) -> DirectAlignment:
+    """The rig with orientations for which images agree; positions and intrinsics do not change.
+
+    Gauss-Newton steps on the orientations of all cameras and the depth of all directions at once, of which depth is
+    eliminated (Schur complement); robust against what is hidden, and held by ``expected``. Each direction has a depth
+    of its own, without regard to its neighbours, which serves the turns and is not worth keeping. Turning all cameras
+    together changes nothing but where the world's axes point, so most cameras are taken to be right: the mean turn is
+    zero, where cameras that turned far hardly count.
+
+    Orientations may be off by a pixel or two of those compared. For better ones call it again with the rig that it
+    found, and a smaller ``blur`` or ``pixel``.
+
+    Args:
+        rig: a single rig, of which orientations are about right.
+        images: camera name -> ``([F,] c, h, w)`` in [0, 1], of one frame or several.
+        directions: unit vectors in the world, such as an icosphere's vertices.
+        inverse_depth: 1/m from the rig's centre, as a network estimates it with the rig as it is.
+        weights: how much directions count, such as the confidence of depth; all alike when not given.
+        pixel: radians; images that are finer are averaged to this.
+        blur: standard deviation in pixels, of what is left of the image at least.
+        iterations: Gauss-Newton steps.
+        expected: how far orientations may be off, radians.
+
+    Raises:
+        ArgumentError: images of other cameras, one camera alone, all cameras in one place, or a number that is not
+            above 0.
+        ShapeError: depth, weights or images do not fit each other.
+
+    References:
+        Engel, Koltun, Cremers (2018), "Direct sparse odometry", of which this is the windowed optimisation with dense
+        points and known positions; Triggs et al. (2000), "Bundle adjustment: a modern synthesis", section 6.1;
+        Geman, McClure (1987) for the robust weight.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.geometry import transform_from_axis_angle
+        >>> from sphericalvision.scenes import make_scene, ray_depth, render_rig
+        >>> from sphericalvision.icosphere import icosphere_vertices
+        >>> rig, scene = ring_rig(4, image_size=(128, 128)), make_scene("floating", seed=2)
+        >>> directions = icosphere_vertices(5)
+        >>> inverse_depth = ray_depth(scene, rig.center, directions).reciprocal()
+        >>> poses = rig.world_from_camera.clone()
+        >>> poses[2] = poses[2] @ transform_from_axis_angle(torch.tensor([0.0, 0.01, 0.0]), torch.zeros(3))
+        >>> wrong = CameraRig(rig.cameras, poses)
+        >>> found = align_rig_direct(wrong, render_rig(scene, rig), directions, inverse_depth)
+        >>> bool(0.007 < found.turns[2].norm() < 0.013)  # radians; it was 0.01
+        True
+        >>> found.agreement[1] > found.agreement[0]
+        True
+    """
+    check_single(rig)
+    for name, value in (("pixel", pixel), ("blur", blur), ("iterations", iterations), ("expected", expected)):
+        if not value > 0:
+            raise ArgumentError(f"{name}: expected more than 0, got {value!r}")
+    frames = _check(rig, images, directions, inverse_depth, weights)
+    device = rig.world_from_camera.device
+    directions = directions.to(device, torch.float32)
+    count = math.prod(frames)
+    depth = inverse_depth.detach().to(device, torch.float32).reshape(count, -1)
+    trust = (
+        torch.ones_like(depth)
+        if weights is None
+        else weights.detach().to(device, torch.float32).reshape(count, -1)
+    )
+    views = [
+        _View(
+            camera,
+            images[name].to(device, torch.float32).reshape(count, *images[name].shape[-3:]),
+            rig.masks.get(name),
+            pixel,
+            blur,
+        )
+        for name, camera in rig.cameras.items()
+    ]
+    with torch.no_grad():
+        problem = _Problem(rig, views, directions, trust, expected)
+        turns, agreement = problem.solve(depth * problem.radius, iterations)
+    poses = rig.world_from_camera.clone()
+    poses[:, :3, :3] = (_rotations(turns) @ poses[:, :3, :3].double()).to(poses)
+    return DirectAlignment(
+        CameraRig(rig.cameras, poses, rig.masks),
+        turns.to(poses),
+        agreement,
+    )
+
+
+class _Samples(NamedTuple):
+    """What a camera shows in directions of the world."""
+
+    values: Tensor
+    """``(F, c, V)``"""
+    valid: Tensor
+    """``(F, V)``"""
+    by_turn: Tensor
+    """``(F, c, V, 3)`` by its rotation vector in the world."""
+    by_depth: Tensor
+    """``(F, c, V)`` by the parallax, radius over depth."""
+
+
+class _View:
+    """One camera's images ready to be compared: coarse, without shading, over their contrast."""
+
+    def __init__(
+        self, camera: Camera, images: Tensor, mask: Tensor | None, pixel: float, blur: float
+    ) -> None:
+        from kornia.filters import gaussian_blur2d  # a second to import
+
+        self.camera = camera
+        fine = pixels_a_radian(camera)
+        self.shrink = max(1, int(pixel * fine))
+        self.pixel = self.shrink / fine
+        usable = camera.unproject(camera.pixel_grid()).valid
+        if mask is not None:
+            usable = usable & mask
+        shown = usable.to(images)[None, None]
+        images, self.shown = images * shown, shown
+        if self.shrink > 1:
+            images, self.shown = (F.avg_pool2d(x, self.shrink, ceil_mode=True) for x in (images, shown))
+
+        def mean(values: Tensor, sigma: float) -> Tensor:
+            size = 2 * math.ceil(3 * sigma) + 1
+            both = [
+                gaussian_blur2d(x, (size, size), (sigma, sigma), "constant") for x in (values, self.shown)
+            ]
+            return both[0] / both[1].clamp(min=1e-3)
+
+        # the images are already multiplied with what is shown, so both means leave out the rest
+        band = (mean(images, blur) - mean(images, _BAND * blur)) * self.shown
+        contrast = mean(band.square().sum(1, keepdim=True), _BAND * blur)
+        self.images = band / (contrast + _CONTRAST**2).sqrt()
+
+    def look(self, rays: Tensor) -> tuple[Tensor, Tensor]:
+        """Values ``(F, c, V)`` and validity ``(F, V)`` of rays ``(F, V, 3)`` in the camera's frame."""
+        pixels, valid = self.camera.project(rays)
+        height, width = self.images.shape[-2:]
+        size = pixels.new_tensor([width, height])
+        places = ((pixels + 0.5) / self.shrink * 2 / size - 1).unsqueeze(1)
+        values = F.grid_sample(self.images, places, align_corners=False).squeeze(2)
+        shown = F.grid_sample(self.shown.expand(len(rays), -1, -1, -1), places, align_corners=False)
+        return values, valid & (shown[:, 0, 0] > 0.99)
+
+
+class _Problem:
+    """The least-squares problem of a rig: turns of cameras (n, 3) and parallaxes of directions (F, V)."""
+
+    def __init__(
+        self, rig: CameraRig, views: list[_View], directions: Tensor, trust: Tensor, expected: float
+    ) -> None:
+        poses = rig.world_from_camera.double()
+        offsets = rig.center.double() - poses[:, :3, 3]
+        self.radius = float(offsets.norm(dim=-1).mean())
+        if self.radius < 1e-6:
+            raise ArgumentError(
+                "rig: all its cameras are in one place, so that there is no depth to agree on"
+            )
+        self.offsets = (offsets / self.radius).to(directions)
+        self.rotations = poses[:, :3, :3]
+        self.views, self.directions, self.trust, self.expected = views, directions, trust, expected
+
+    def solve(self, parallax: Tensor, iterations: int) -> tuple[Tensor, tuple[float, float]]:
+        """Turns, and how well images agreed before and after."""
+        turns = torch.zeros(len(self.views), 3, dtype=torch.float64, device=parallax.device)
+        start = parallax = parallax.clamp(0, _NEAREST)
+        agreements = []
+        for _ in range(iterations):
+            samples = [self._samples(place, turns, parallax) for place in range(len(self.views))]
+            agreements.append(self._agreement(samples))
+            step, deeper = self._step(samples, turns, parallax - start)
+            turns, parallax = turns + step, (parallax + deeper).clamp(0, _NEAREST)
+        last = [self._samples(place, turns, parallax) for place in range(len(self.views))]
+        return turns, (agreements[0], self._agreement(last))
+
+    def _samples(self, place: int, turns: Tensor, parallax: Tensor) -> _Samples:
+        view, offset = self.views[place], self.offsets[place]
+        rays = self.directions + parallax.unsqueeze(-1) * offset
+        length = rays.norm(dim=-1, keepdim=True)
+        rays = rays / length
+        world_from_camera = (_rotations(turns)[place] @ self.rotations[place]).to(rays)
+        values, valid = view.look(rays @ world_from_camera)
+        small = 0.3 * view.pixel
+        by_turn, by_depth = (
+            torch.zeros_like(values).unsqueeze(-1).repeat(1, 1, 1, 3),
+            torch.zeros_like(values),
+        )
+        for tangent, across in _tangents(rays):
+            slopes = [view.look((rays + sign * small * tangent) @ world_from_camera)[0] for sign in (1, -1)]
+            slope = (slopes[0] - slopes[1]) / (2 * small)
+            by_turn += slope.unsqueeze(-1) * across.unsqueeze(1)
+            by_depth += slope * ((tangent @ offset) / length.squeeze(-1)).unsqueeze(1)
+        return _Samples(values, valid, by_turn, by_depth)
+
+    def _pairs(self, samples: list[_Samples]) -> Iterator[tuple[int, int, Tensor, Tensor, Tensor]]:
+        """Places of two cameras, their difference ``(F, c, V)``, its square and its weight ``(F, V)``."""
+        for one, other in combinations(range(len(samples)), 2):
+            difference = samples[one].values - samples[other].values
+            square = difference.square().sum(1)
+            both = self.trust * (samples[one].valid & samples[other].valid)
+            yield one, other, difference, square, both
+
+    def _agreement(self, samples: list[_Samples]) -> float:
+        pairs = [
+            (float((both / (1 + square)).sum()), float(both.sum()))
+            for *_, square, both in self._pairs(samples)
+        ]
+        return sum(pair[0] for pair in pairs) / max(sum(pair[1] for pair in pairs), 1e-9)
+
+    def _step(self, samples: list[_Samples], turns: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
+        """Changes of turns and parallaxes."""
+        size = 3 * len(samples)
+        curve = turns.new_zeros(size, size)
+        slope = turns.new_zeros(size)
+        depth_curve, depth_slope = torch.zeros_like(self.trust), torch.zeros_like(self.trust)
+        mixed = self.trust.new_zeros(*self.trust.shape, size)
+        typical = []
+        for one, other, difference, square, both in self._pairs(samples):
+            weight = both / (1 + square).square()
+            columns = torch.cat((samples[one].by_turn, -samples[other].by_turn), -1)
+            weighted = columns * weight[:, None, :, None]
+            places = torch.tensor(
+                [3 * one, 3 * one + 1, 3 * one + 2, 3 * other, 3 * other + 1, 3 * other + 2]
+            )
+            places = places.to(curve.device)
+            curve[places[:, None], places] += torch.einsum("fcva,fcvb->ab", weighted, columns).double()
+            slope[places] += torch.einsum("fcva,fcv->a", weighted, difference).double()
+            by_depth = samples[one].by_depth - samples[other].by_depth
+            mixed[..., places] += torch.einsum("fcva,fcv->fva", weighted, by_depth)
+            depth_curve += (by_depth.square().sum(1)) * weight
+            depth_slope += (by_depth * difference).sum(1) * weight
+            typical.append(square[both > 0])
+        hold = _HOLD * depth_curve.mean() + 1e-9
+        depth_curve, depth_slope = depth_curve + hold, depth_slope + hold * moved
+        curve -= torch.einsum("fva,fvb,fv->ab", mixed, mixed, 1 / depth_curve).double()
+        slope -= torch.einsum("fva,fv->a", mixed, depth_slope / depth_curve).double()
+
+        at, eye = turns.flatten(), torch.eye(size, dtype=torch.float64, device=turns.device)
+        squares = torch.cat(typical)
+        noise = max(float(squares.median()) if len(squares) else 0.0, 0.01)
+        held = eye * (_STIFFNESS * noise / self.expected**2)
+        away = turns.square().sum(-1)
+        right = 1 / (1 + away / max(float(away.median()), _SURE**2))
+        mean = _mean(right)
+        gauge = mean.mT @ mean * float(curve.diagonal().mean().clamp(min=1e-9)) * size
+        step = torch.linalg.solve(curve + held + gauge, -(slope + held @ at + gauge @ at))
+        deeper = -(depth_slope + mixed @ step.to(mixed)) / depth_curve
+        return step.view_as(turns), deeper
+
+
+def _mean(right: Tensor) -> Tensor:
+    """``(3, 3 n)``: what takes turns of cameras, one after the other, to their weighted mean."""
+    eye = torch.eye(3, dtype=right.dtype, device=right.device)
+    return torch.cat([share * eye for share in right / right.sum()], 1)
+
+
+def _tangents(rays: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+    """Two unit tangents of rays ``(F, V, 3)``, each with what a camera's turn moves along it: ``turn @ across``."""
+    axis = torch.zeros_like(rays)
+    axis.scatter_(-1, rays.abs().argmin(-1, keepdim=True), 1.0)
+    first = F.normalize(torch.linalg.cross(axis, rays, dim=-1), dim=-1)
+    for tangent in (first, torch.linalg.cross(rays, first, dim=-1)):
+        yield tangent, torch.linalg.cross(tangent, rays, dim=-1)
+
+
+def _rotations(turns: Tensor) -> Tensor:
+    return transform_from_axis_angle(turns, torch.zeros_like(turns))[..., :3, :3]
+
+
+def _check(
+    rig: CameraRig,
+    images: Mapping[str, Tensor],
+    directions: Tensor,
+    inverse_depth: Tensor,
+    weights: Tensor | None,
+) -> tuple[int, ...]:
+    """The frames' dimensions."""
+    if len(rig) < 2:
+        raise ArgumentError("rig: expected two or more cameras that see the same things, got one")
+    if set(images) != set(rig.names):
+        raise ArgumentError(
+            f"images: expected one for each of {', '.join(rig.names)}, got {', '.join(map(str, images))}"
+        )
+    if directions.ndim != 2 or directions.shape[-1] != 3:
+        raise ShapeError(f"directions: expected shape (V, 3), got {tuple(directions.shape)}")
+    number = len(directions)
+    if inverse_depth.ndim not in (1, 2) or inverse_depth.shape[-1] != number:
+        raise ShapeError(f"inverse_depth: expected shape ([F,] {number}), got {tuple(inverse_depth.shape)}")
+    if weights is not None and weights.shape != inverse_depth.shape:
+        raise ShapeError(
+            f"weights: expected shape {tuple(inverse_depth.shape)}, as inverse_depth, got {tuple(weights.shape)}"
+        )
+    frames = tuple(inverse_depth.shape[:-1])
+    for name, image in images.items():
+        size = rig.cameras[name].image_size
+        if (
+            image.ndim != 3 + len(frames)
+            or tuple(image.shape[: len(frames)]) != frames
+            or tuple(image.shape[-2:]) != size
+        ):
+            before = "".join(f"{frame}, " for frame in frames)
+            raise ShapeError(
+                f"images[{name!r}]: expected shape ({before}c, {size[0]}, {size[1]}), got {tuple(image.shape)}"
+            )
+    return frames

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is probably wrong with a capture, and how good its depth is, told without truth: the images are asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
+from sphericalvision.capture.depth import Depth
+from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.icosphere.topology import check_level
+from sphericalvision.sweep import photo_consistency_share, semi_global_sweep, semi_global_tables
+
+__all__ = [
+    "PhotoConsistency",
+    "capture_warnings",
+    "hypotheses_warning",
+    "overlap_warning",
+    "pose_agreement",
+    "poses_warning",
+]
+
+LEVEL, HYPOTHESES = 5, 24
+"""Of the quick sweeps that compare poses."""
+ENOUGH_SEEN = 0.9
+FAR, SURE = 4.0, 0.5
+"""How many times the nearest depth the nearest surface may be away; the confidence from which an answer counts."""
+JUDGED_WITH = 16
+"""Hypotheses that depth maps are judged with."""
+CLEARLY = 1.25
+"""How much better the images must agree with the inverse poses."""
+
+
+def capture_warnings(depth: Depth) -> list[str]:
+    """Return sentences about a frame that say what is probably wrong and what to do; none where all is well.
+
+    Looked at are how much of the sphere two cameras see, how many hypotheses lie nearer than anything, and whether the
+    images agree better when the poses are taken the other way round, as camera-from-world.
+
+    Args:
+        depth: of one frame.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
+        >>> from sphericalvision.capture import Predictor
+        >>> rig = ring_rig(4, image_size=(64, 64)).subset([0, 2])  # they look away from each other
+        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5)
+        >>> len(capture_warnings(predictor(render_rig(make_scene("room", seed=1), rig))))
+        1
+    """
+    found = (overlap_warning(depth), hypotheses_warning(depth), poses_warning(depth))
+    return [sentence for sentence in found if sentence is not None]
+
+
+def overlap_warning(depth: Depth) -> str | None:
+    """Return what to say if two cameras see little of the sphere."""
+    areas = depth.network.grid.solid_angles
+    share = float((areas * depth.seen).sum()) / (4 * math.pi)
+    if share >= ENOUGH_SEEN:
+        return None
+    return (
+        f"Two cameras see {100 * share:.0f} % of all directions at the depth estimated; elsewhere depth is a guess. "
+        "If the cameras overlap more than that, their fields of view (max_angle) or masks are too narrow."
+    )
+
+
+def hypotheses_warning(depth: Depth) -> str | None:
+    """Return what to say if most hypotheses lie nearer than anything that was found."""
+    counted = depth.seen & (depth.confidence > SURE)
+    if counted.float().mean() < 0.2:
+        return None
+    nearest = float(depth.depth[counted].float().quantile(0.01))
+    if nearest <= FAR * depth.min_depth:
+        return None
+    return (
+        f"Nothing is nearer than about {nearest:.2f} m: {100 * (1 - depth.min_depth / nearest):.0f} % of the "
+        f"hypotheses are wasted between that and min_depth = {depth.min_depth:.2f} m; min_depth=scene finds better."
+    )
+
+
+def poses_warning(depth: Depth) -> str | None:
+    """Return what to say if the images agree better with the poses taken as camera-from-world."""
+    inverse = CameraRig(depth.rig.cameras, depth.rig.camera_from_world, depth.rig.masks)
+    # Poses of a ring that looks outwards are all in one place when inverted: then they are right as they are.
+    if min(float(depth.rig.radius), float(inverse.radius)) < 1e-6:
+        return None
+    given, other = (pose_agreement(depth.images, rig) for rig in (depth.rig, inverse))
+    if other <= CLEARLY * given + 0.02:
+        return None
+    return (
+        f"The images agree better ({other:.2f} instead of {given:.2f} of 1) when the poses are inverted: the "
+        "calibration seems to hold camera-from-world where world-from-camera is expected. "
+        "CameraRig(rig.cameras, rig.camera_from_world) is the other way round."
+    )
+
+
+@torch.inference_mode()
+def pose_agreement(images: Mapping[str, Float[Tensor, "3 _ _"]], rig: CameraRig) -> float:
+    """Return how well images agree with poses, 0 to 1: the mean confidence of a quick sweep without training.
+
+    Args:
+        images: camera name -> ``(3, h, w)`` in [0, 1].
+        rig: unbatched, not all cameras in one place.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
+        >>> rig = ring_rig(3, image_size=(64, 64))
+        >>> images = render_rig(make_scene("room", seed=1), rig)
+        >>> swapped = images | {"cam1": images["cam2"], "cam2": images["cam1"]}
+        >>> pose_agreement(images, rig) > 1.2 * pose_agreement(swapped, rig)
+        True
+    """
+    lookups = _lookups(rig, LEVEL)
+    seen = torch.stack([look.seen for look in lookups])
+    on_sphere = _on_sphere(images, rig, lookups)
+    nearest = 1.2 * float((rig.positions - rig.center).norm(dim=-1).max())
+    estimate = semi_global_sweep(on_sphere, rig, HYPOTHESES, nearest, level=LEVEL - 1, substeps=1, seen=seen)
+    return float((estimate.confidence * estimate.seen).sum() / estimate.seen.sum().clamp(min=1))
+
+
+class PhotoConsistency:
+    """How far the images of a rig agree at a depth map, as a share of what they could: ``photo_consistency_share``.
+
+    What follows from the rig is made at the first call and kept. Depth of any network is judged with the same images
+    and hypotheses, so methods may be compared.
+
+    Args:
+        level: icosphere level of the images; cameras are compared one level coarser.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
+        >>> from sphericalvision.capture import Predictor
+        >>> rig = ring_rig(4, image_size=(64, 64))
+        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.55)
+        >>> 0.5 < PhotoConsistency()(predictor(render_rig(make_scene("room", seed=1), rig))) < 1
+        True
+    """
+
+    def __init__(self, level: int = 6) -> None:
+        self.level = check_level(level)
+        self._made_for: tuple[CameraRig, float] | None = None
+
+    @torch.inference_mode()
+    def __call__(self, depth: Depth) -> float:
+        """Return the share of one frame, 0 to 1.
+
+        Args:
+            depth: of one frame, with its images.
+        """
+        rig, near = depth.rig, depth.min_depth
+        if self._made_for is None or self._made_for[0] is not rig or self._made_for[1] != near:
+            self._lookups = _lookups(rig, self.level)
+            self._tables = semi_global_tables(rig, JUDGED_WITH, near, self.level)
+            self._made_for = rig, near
+        images = _on_sphere(depth.images, rig, self._lookups)
+        seen = torch.stack([look.seen for look in self._lookups])
+        vertices = icosphere_vertices(self.level - 1, torch.float32, images.device)
+        index, _ = depth.network.index_at(depth.index[None].float(), vertices)
+        index = index * ((JUDGED_WITH - 1) / (depth.network.num_hypotheses - 1))
+        return float(photo_consistency_share(index, images, self._tables, JUDGED_WITH, near, seen))
+
+
+def _lookups(rig: CameraRig, level: int) -> list[SphereLookup]:
+    vertices = icosphere_vertices(level, torch.float32, rig.world_from_camera.device)
+    return sphere_lookups(rig, vertices.to(rig.world_from_camera), antialias=True)
+
+
+def _on_sphere(images: Mapping[str, Tensor], rig: CameraRig, lookups: list[SphereLookup]) -> Tensor:
+    """``(1, n, 3, V)`` in [-1, 1], 0 where nothing was seen."""
+    values = [
+        look(images[name].float(), 0) * 2 - look.seen.float()
+        for name, look in zip(rig.names, lookups, strict=True)
+    ]
+    return torch.stack(values)[None]

@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A network with the tables of a rig inside, as a program that runs without this package: torch.export and ONNX."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Shaped
+from torch import Tensor, nn
+from torch.func import functional_call
+from torch.fx import GraphModule, Interpreter, Node
+from torch.utils import _pytree
+
+from sphericalvision.cameras.sphere_images import SphereLookup
+from sphericalvision.capture.predictor import Predictor
+from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, compact_kernels
+from sphericalvision.io.files import atomic_write
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.sweep import inverse_depth_from_index
+
+__all__ = [
+    "INPUTS",
+    "TABLES",
+    "RigProgram",
+    "compile_program",
+    "example_images",
+    "export_onnx",
+    "export_program",
+    "onnx_difference",
+    "onnx_size",
+    "rig_tables",
+    "with_constants_folded",
+]
+
+INPUTS = ("camera", "sphere")
+TABLES = ("inside", "inputs")
+OPSET = 20
+LOOKUPS = {torch.ops.aten.index_select.default: 2, torch.ops.aten.embedding.default: 1}
+"""Operation -> which of its arguments says what is looked up; both take 32 bits."""
+CONVOLUTIONS = tuple(getattr(torch.ops.aten, f"conv{dims}d").default for dims in (1, 2, 3))
+
+
+class RigProgram(nn.Module):
+    """A network and a rig as a module of tensors alone, which can be exported.
+
+    Args:
+        predictor: whose nearest depth is known.
+        inputs: ``"camera"`` for images ``(B, n, 3, h, w)`` in [0, 1] as the cameras take them, or ``"sphere"`` for
+            ``(B, n, 3, V)`` in [-1, 1] on icospheres, as ``Predictor.inputs`` makes them.
+        height: rows of a panorama that the answer is given on; on the network's own grid when not given.
+        tables: ``"inside"``, the rig is a part of the program; or ``"inputs"``, it is called with images and
+            ``rig_tables``, those of this rig or of another one with as many cameras.
+
+    Raises:
+        ArgumentError: the images of the cameras differ in size, or the network does not take images on icospheres.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> predictor = Predictor(ring_rig(3, image_size=(16, 16)), method="semi_global", level=3, min_depth=0.5)
+        >>> program = RigProgram(predictor, height=8)
+        >>> inverse_depth, confidence, seen = program(torch.rand(1, 3, 3, 16, 16))
+        >>> inverse_depth.shape
+        torch.Size([1, 8, 16])
+    """
+
+    seen: Tensor
+    rays: Tensor
+
+    def __init__(
+        self, predictor: Predictor, inputs: str = "camera", height: int | None = None, tables: str = "inside"
+    ) -> None:
+        super().__init__()
+        check_choice("inputs", inputs, INPUTS)
+        check_choice("tables", tables, TABLES)
+        self.net, self.inputs, self.tables = predictor.network, inputs, tables
+        self.shape: tuple[int, int] | None = None
+        lookups, of_network, seen = predictor.tables
+        if inputs == "sphere" and self.net.images != "sphere":
+            raise ArgumentError(
+                f"inputs: {type(self.net).__name__} takes images of cameras, not of icospheres"
+            )
+        sizes = sorted({camera.image_size for camera in predictor.rig.cameras.values()})
+        if inputs == "camera" and len(sizes) > 1:
+            raise ArgumentError(
+                f"inputs: expected cameras with images of one size, got {sizes}; export inputs=sphere"
+            )
+        self.image_size, self.num_cameras = sizes[0], len(predictor.rig)
+        self.lookups = lookups if inputs == "camera" else []
+        # So that their tables are of this module.
+        self.places = nn.ModuleList(look.places for look in self.lookups)
+        self.register_buffer("seen", seen)
+        leaves, self.structure = _pytree.tree_flatten(of_network)
+        self.leaves = [None if isinstance(leaf, Tensor) else leaf for leaf in leaves]
+        for number, leaf in enumerate(leaves):
+            if isinstance(leaf, Tensor):
+                self.register_buffer(f"table{number}", leaf.contiguous())
+        if height is not None:
+            view = Equirectangular(height, 2 * height, device=seen.device)
+            self.shape = view.shape
+            self.register_buffer("rays", view.directions.reshape(-1, 3).clone())
+
+    def forward(
+        self, images: Float[Tensor, "B n 3 *size"], tables: dict[str, Tensor] | None = None
+    ) -> tuple[Float[Tensor, " B *grid"], Float[Tensor, " B *grid"], Bool[Tensor, " B *grid"]]:
+        """Return inverse depth in 1/m, confidence, and what two cameras saw, ``(B, *grid)`` each.
+
+        Args:
+            images: as ``inputs`` has them.
+            tables: of ``rig_tables``, in the place of those inside.
+        """
+        if tables is not None:
+            return functional_call(self, tables, (images,))  # type: ignore[no-any-return]
+        if self.inputs == "camera":
+            images = self._on_grid(images)
+        leaves = [getattr(self, f"table{k}") if leaf is None else leaf for k, leaf in enumerate(self.leaves)]
+        index, confidence, seen = self.net.predict(
+            images, _pytree.tree_unflatten(leaves, self.structure), self.seen
+        )
+        inverse_depth = inverse_depth_from_index(index.float(), self.net.num_hypotheses, self.net.min_depth)
+        if self.shape is None:
+            return inverse_depth, confidence, seen
+        shape = (images.shape[0], *self.shape)
+        together = torch.stack((inverse_depth, confidence, seen.to(inverse_depth))).flatten(0, 1)
+        values, reached = self.net.index_at(together, self.rays)
+        inverse_depth, confidence, both = values.unflatten(0, (3, -1)).unbind()
+        return (
+            inverse_depth.where(reached, float("nan")).view(shape),
+            confidence.view(shape),
+            ((both > 0.5) & reached).view(shape),
+        )
+
+    def _on_grid(self, images: Tensor) -> Tensor:
+        """Images of cameras as the network takes them."""
+        seen = self.seen.unsqueeze(1)
+        if not self.lookups:
+            return (images * 2 - 1) * seen
+        values = [look(images[:, number], 0) for number, look in enumerate(self.lookups)]
+        return torch.stack(values, 1) * 2 - seen.to(images)
+
+
+def rig_tables(program: RigProgram, like: RigProgram | None = None) -> dict[str, Shaped[Tensor, " ..."]]:
+    """Return by name all that a program knows of its rig: the inputs, besides images, of one with ``tables="inputs"``.
+
+    Args:
+        program: of a rig.
+        like: the program that is to be called with these tables; they are checked to fit.
+
+    Raises:
+        ArgumentError: that program was made for other sizes: number of cameras, level, or size of the images.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> def program(radius, tables="inside"):
+        ...     rig = ring_rig(3, radius=radius, image_size=(16, 16))
+        ...     return RigProgram(Predictor(rig, method="semi_global", level=3, min_depth=0.5), "sphere", None, tables)
+        >>> one, other = program(0.2, "inputs"), program(0.1)
+        >>> images = example_images(one)
+        >>> torch.equal(one(images, rig_tables(other, like=one))[0], other(images)[0])
+        True
+    """
+    tables = {
+        name: table
+        for name, table in program.named_buffers()
+        if name != "rays" and not name.startswith("net.")
+    }
+    if like is not None:
+        given, expected = (_layout(rig_tables(one), one.lookups) for one in (program, like))
+        if given != expected:
+            name = next(name for name in {**expected, **given} if given.get(name) != expected.get(name))
+            raise ArgumentError(
+                f"program: its table {name} is {given.get(name)}, expected {expected.get(name)}; programs share tables "
+                "of as many cameras, images of one size, about the same angle a pixel, and one level"
+            )
+    return tables
+
+
+def _layout(tables: Mapping[str, Tensor], lookups: Sequence[SphereLookup]) -> dict[str, str]:
+    layout = {name: f"{table.dtype} {tuple(table.shape)}" for name, table in tables.items()}
+    return layout | {f"shrinking of camera {k}": str(look.shrink) for k, look in enumerate(lookups)}
+
+
+def example_images(program: RigProgram, batch: int = 1) -> Float[Tensor, "B n 3 *size"]:
+    """Return random images of the shape and range that a program takes."""
+    if program.inputs == "sphere":
+        shape: tuple[int, ...] = program.seen.shape[1:]
+        return 2 * torch.rand(batch, program.num_cameras, 3, *shape, device=program.seen.device) - 1
+    return torch.rand(batch, program.num_cameras, 3, *program.image_size, device=program.seen.device)
+
+
+@torch.no_grad()
+def export_program(
+    program: RigProgram, path: str | Path | None = None, batch: int | None = 1
+) -> torch.export.ExportedProgram:
+    """Return a program as ``torch.export`` has it, and write it to a ``.pt2`` file, which torch runs by itself.
+
+    All that follows from level and rig is computed now and is constant in the program.
+
+    Args:
+        program: what to export.
+        path: of the file; none is written when not given.
+        batch: B of the images, or None for a program that takes any number of them.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> predictor = Predictor(ring_rig(3, image_size=(16, 16)), method="semi_global", level=3, min_depth=0.5)
+        >>> program = RigProgram(predictor, "sphere")
+        >>> images = example_images(program)
+        >>> torch.allclose(export_program(program).module()(images)[0], program(images)[0], atol=1e-5)
+        True
+    """
+    inputs: tuple[Any, ...] = (example_images(program.eval(), batch or 2),)
+    shapes: tuple[Any, ...] = ({} if batch else {0: torch.export.Dim("batch", min=1)},)
+    if program.tables == "inputs":
+        tables = rig_tables(program)
+        inputs, shapes = (*inputs, tables), (*shapes, dict.fromkeys(tables))
+    with warnings.catch_warnings(), compact_kernels():
+        warnings.simplefilter("ignore")
+        program(*inputs)  # makes the tables of icospheres, which are constants then
+        traced: Any = torch.export.export(program, inputs, dynamic_shapes=shapes, strict=False).module()
+        folded = with_constants_folded(traced, *inputs)
+        exported = torch.export.export(folded, inputs, dynamic_shapes=shapes, strict=False)
+    if path is not None:
+        with atomic_write(path) as temporary:
+            torch.export.save(exported, temporary)
+    return exported
+
+
+def compile_program(exported: torch.export.ExportedProgram, path: str | Path) -> Path:
+    """Compile an exported program to machine code, which libtorch runs from C++ and torch from Python.
+
+    The ``.pt2`` file is for this kind of processor and this version of torch: ``torch._inductor.aoti_load_package`` in
+    Python, ``AOTIModelPackageLoader`` in C++.
+
+    Args:
+        exported: of ``export_program``.
+        path: of the file, which ends in ``.pt2``.
+
+    Raises:
+        ArgumentError: another ending.
+        MissingCompilerError: there is no C++ compiler on this machine.
+    """
+    from torch._inductor import aoti_compile_and_package
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    path = Path(path)
+    if path.suffix != ".pt2":
+        raise ArgumentError(f"path: expected a name that ends in .pt2, got {path.name!r}")
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            made = aoti_compile_and_package(exported, package_path=str(Path(folder) / path.name))
+        except InvalidCxxCompiler:
+            raise MissingCompilerError(
+                "compiled: needs a C++ compiler, g++ or clang++ (CXX names another); formats=[pt2,onnx] need none"
+            ) from None
+        Path(made).replace(path)
+    return path
+
+
+def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Path:
+    """Write an exported program as an ONNX file with the outputs of ``RigProgram``.
+
+    Its inputs are ``images`` and, where the program has them, the tables: ``rig.`` and their names.
+
+    Raises:
+        ArgumentError: the packages for it are missing; ``pip install sphericalvision[onnx]``.
+    """
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise ArgumentError(f"onnx: needs {error.name}: pip install 'sphericalvision[onnx]'") from None
+    names = ["inverse_depth", "confidence", "seen"]
+    inputs, _ = exported.example_inputs
+    with warnings.catch_warnings(), atomic_write(path) as temporary:
+        warnings.simplefilter("ignore")
+        # The optimiser of the converter does not end on programs of this size; runtimes optimise what they load.
+        converted = torch.onnx.export(
+            exported,
+            dynamo=True,
+            optimize=False,
+            verbose=False,
+            opset_version=OPSET,
+            input_names=["images", *(f"rig.{name}" for tables in inputs[1:] for name in tables)],
+            output_names=names,
+        )
+        assert converted is not None
+        converted.save(temporary)
+    return Path(path)
+
+
+def onnx_difference(path: str | Path, program: RigProgram, images: Float[Tensor, "B n 3 *size"]) -> float:
+    """Return by how much the inverse depth of an ONNX file by onnxruntime differs from a program's at most, in 1/m."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    tables = rig_tables(program) if program.tables == "inputs" else {}
+    inputs = {"images": images, **{f"rig.{name}": table for name, table in tables.items()}}
+    arrays = {node.name: inputs[node.name].cpu().numpy() for node in session.get_inputs()}
+    found = torch.from_numpy(session.run(["inverse_depth"], arrays)[0])
+    with torch.no_grad():
+        expected = program(images)[0].cpu()
+    return float((found - expected).nan_to_num().abs().max())
+
+
+def onnx_size(path: str | Path) -> tuple[int, int]:
+    """Return how many operations an ONNX file has, those inside of loops counted once, and its size in bytes."""
+    import onnx
+
+    def count(graph: Any) -> int:
+        inside = [
+            attribute.g for node in graph.node for attribute in node.attribute if attribute.HasField("g")
+        ]
+        return sum(node.op_type != "Constant" for node in graph.node) + sum(map(count, inside))
+
+    model = onnx.load(path, load_external_data=False)
+    return count(model.graph) + sum(len(function.node) for function in model.functions), Path(
+        path
+    ).stat().st_size
+
+
+def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
+    """Return a traced module in which everything that does not depend on its inputs is a constant.
+
+    Index arithmetic of icospheres makes up most of a network's graph, and none of it depends on images.
+    """
+    known: dict[Node, Any] = {}
+
+    class Remembering(Interpreter):
+        def run_node(self, n: Node) -> Any:
+            value = super().run_node(n)
+            if n.op == "get_attr" or (n.op == "call_function" and all(a in known for a in n.all_input_nodes)):
+                known[n] = value
+            return value
+
+    Remembering(traced).run(*inputs)
+    for number, node in enumerate(list(traced.graph.nodes)):
+        if node.op != "call_function":
+            continue
+        if node.target in CONVOLUTIONS and node.args[2:3] in ((), (None,)):
+            # Converters write a bias of zeros in a way that onnxruntime refuses.
+            weight = known[node.args[1]]  # type: ignore[index]
+            traced.register_buffer(f"bias{number}", weight.new_zeros(len(weight)))
+            with traced.graph.inserting_before(node):
+                bias = traced.graph.get_attr(f"bias{number}")
+            node.args = (*node.args[:2], bias, *node.args[3:])
+        if "assert" in str(node.target):
+            traced.graph.erase_node(node)
+        elif isinstance(known.get(node), Tensor) and any(user not in known for user in node.users):
+            name = f"constant{number}"
+            kept = known[node].detach().clone()
+            traced.register_buffer(name, kept.int() if _only_places(node) else kept)
+            with traced.graph.inserting_before(node):
+                constant = traced.graph.get_attr(name)
+            known[constant] = known[node]
+            node.replace_all_uses_with(constant)
+    traced.graph.eliminate_dead_code()
+    traced.recompile()
+    return traced
+
+
+def _only_places(node: Node) -> bool:
+    """Whether a constant only says what to look up, for which 32 bits do: half the size of large tables."""
+    return node.meta["val"].dtype == torch.int64 and all(
+        user.target in LOOKUPS
+        and [k for k, argument in enumerate(user.args) if argument is node] == [LOOKUPS[user.target]]
+        for user in node.users
+    )

@@ -1,0 +1,347 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that depth becomes: pictures, point clouds and arrays of each frame, a video and a table of all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from sphericalvision.capture import Depth, DepthImage
+from sphericalvision.capture.checks import PhotoConsistency, hypotheses_warning, poses_warning
+from sphericalvision.capture.pictures import depth_picture, near_end_of
+from sphericalvision.capture.rerun_log import RerunLog
+from sphericalvision.capture.viewer import Timeline, save_viewer
+from sphericalvision.core import FileFormatError, check_choice
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.files import atomic_write, write_bytes
+from sphericalvision.io.images import write_image
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.viz.color import colorize
+from sphericalvision.viz.figure import add_scale_bar
+from sphericalvision.viz.panorama import rgb_panorama
+from sphericalvision.viz.pointcloud import save_point_cloud
+
+__all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
+
+OUTPUTS = (
+    "depth",
+    "confidence",
+    "cloud",
+    "glb",
+    "viewer",
+    "npz",
+    "video",
+    "timeline",
+    "rerun",
+    "consistency",
+)
+SHARES_HEADER = "frame,photo_consistency"
+FILES = {
+    "depth": "depth.png",
+    "confidence": "confidence.png",
+    "cloud": "points.ply",
+    "glb": "points.glb",
+    "viewer": "viewer.html",
+    "npz": "depth.npz",
+}
+"""Output -> what the name of its file for a frame ends with; the last one chosen tells that a frame is done."""
+COLOURED = ("depth", "viewer", "video", "timeline")
+"""Outputs that show depth in colours."""
+
+
+class Settings(NamedTuple):
+    """How results are written.
+
+    Attributes:
+        outputs: of ``OUTPUTS``.
+        height: rows of panoramas.
+        min_confidence: below which there are no points.
+        voxel: side of the cubes of which each keeps one point, metres.
+        rate: frames a second of the video.
+        near: metres, the red end of depth pictures; found in the first frame when not given.
+        go_on: whether video and table of consistency begin with the frames that are there.
+    """
+
+    outputs: Sequence[str]
+    height: int = 320
+    min_confidence: float = 0.0
+    voxel: float | None = None
+    rate: float = 10.0
+    near: float | None = None
+    go_on: bool = False
+
+
+class Views:
+    """Panoramas of one frame, each computed when something first wants it.
+
+    Args:
+        depth: of the frame.
+        height: rows of the panoramas.
+        near: metres, the red end of depth pictures; found in this frame when not given.
+    """
+
+    def __init__(self, depth: Depth, height: int, near: float | None = None) -> None:
+        self.depth, self.height = depth, height
+        self.near = near_end_of(depth) if near is None else near
+
+    @cached_property
+    def panorama(self) -> DepthImage:
+        """Depth, confidence and what was seen."""
+        return DepthImage(*(values.cpu() for values in self.depth.panorama(self.height)))
+
+    @cached_property
+    def colors(self) -> tuple[Tensor, Tensor]:
+        """Colours ``(3, h, w)``, and where there are any."""
+        images = {name: image.cpu() for name, image in self.depth.images.items()}
+        return rgb_panorama(self.depth.rig.to("cpu"), images, self.height, self.panorama.depth)
+
+    @cached_property
+    def depth_picture(self) -> npt.NDArray[Any]:
+        """Depth in colours with a scale, greyer where it is less sure, grey where fewer than two cameras look."""
+        return depth_picture(self.panorama, self.near)
+
+    @property
+    def share_seen(self) -> float:
+        """Share of the sphere, by solid angle, that two cameras see at the depth estimated."""
+        areas = _areas(self.depth.network.grid)
+        return float((areas * self.depth.seen).sum()) / (4 * math.pi)
+
+
+@lru_cache(maxsize=4)
+@torch.inference_mode(False)
+def _areas(grid: Icosphere | Equirectangular) -> Tensor:
+    """Solid angles of a grid, which frames share."""
+    return grid.solid_angles
+
+
+def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> list[Path]:
+    """Write the files of one frame, their names after ``prefix``; returns the paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    if "depth" in settings.outputs:
+        write_image(folder / f"{prefix}color.png", views.colors[0])
+        write_image(folder / f"{prefix}depth.png", views.depth_picture)
+        written += [folder / f"{prefix}color.png", folder / f"{prefix}depth.png"]
+    if "confidence" in settings.outputs:
+        sure = views.panorama.confidence.where(views.panorama.seen, math.nan)
+        ticks = [(k / 4, f"{k / 4:g}") for k in range(5)]
+        picture = add_scale_bar(colorize(sure.numpy(), "viridis"), "viridis", ticks, "confidence")
+        write_image(folder / f"{prefix}confidence.png", picture)
+        written.append(folder / f"{prefix}confidence.png")
+    clouds = [kind for kind in ("cloud", "glb") if kind in settings.outputs]
+    if clouds:
+        cloud = views.depth.points(settings.min_confidence, voxel=settings.voxel)
+        for kind in clouds if len(cloud.points) else ():
+            # .glb has y up and looks along -z, which viewers of it rely on.
+            points = cloud.points * cloud.points.new_tensor([1, -1, -1] if kind == "glb" else [1, 1, 1])
+            path = folder / f"{prefix}{FILES[kind]}"
+            written.append(save_point_cloud(path, points, cloud.colors, cloud.normals))
+    if "viewer" in settings.outputs:
+        title = f"depth all around {prefix.rstrip('_')}".strip()
+        path = save_viewer(folder / f"{prefix}viewer.html", views.depth, settings.height, title, views.near)
+        written.append(path)
+    if "npz" in settings.outputs:
+        path = folder / f"{prefix}depth.npz"
+        with atomic_write(path) as temporary:
+            np.savez_compressed(temporary, **arrays_of(views))
+        written.append(path)
+    return written
+
+
+def arrays_of(views: Views) -> dict[str, Any]:
+    """What ``depth.npz`` holds: the answer on the network's grid, and the panorama of depth."""
+    depth, panorama = views.depth, views.panorama
+    arrays = {
+        "index": depth.index.flatten(),
+        "inverse_depth": depth.inverse_depth.flatten(),
+        "depth": depth.depth.flatten(),
+        "confidence": depth.confidence.flatten(),
+        "seen": depth.seen.flatten(),
+        "directions": depth.directions.reshape(-1, 3),
+        "depth_panorama": panorama.depth,
+        "confidence_panorama": panorama.confidence.half(),
+        "matched_panorama": panorama.seen,
+        "center": depth.rig.center,
+    }
+    return {key: value.cpu().numpy() for key, value in arrays.items()}
+
+
+def read_shares(path: Path) -> dict[str, float]:
+    """Photo-consistency by frame, of a table whose last line may be torn; nothing if there is none."""
+    shares: dict[str, float] = {}
+    for line in path.read_text().split("\n")[1:-1] if path.is_file() else ():
+        frame, _, share = line.rpartition(",")
+        with suppress(ValueError):
+            shares[frame] = float(share)
+    return shares
+
+
+class Outputs:
+    """Writes frame after frame, and what is made of all of them.
+
+    Args:
+        folder: of the results.
+        settings: how.
+
+    Attributes:
+        written: files so far.
+        shares: of the sphere that two cameras see, frame by frame.
+        warnings: what is probably wrong, told from the first frame.
+        consistency: photo-consistency of each frame, for the output of that name.
+
+    Raises:
+        ArgumentError: an unknown output.
+    """
+
+    def __init__(self, folder: Path, settings: Settings) -> None:
+        for output in settings.outputs:
+            check_choice("outputs", output, OUTPUTS)
+        self.folder, self.settings = folder, settings
+        self.written: list[Path] = []
+        self.shares: list[float] = []
+        self.near = settings.near
+        self.warnings: list[str] = []
+        self._video: _Video | None = None
+        self._timeline: Timeline | None = None
+        self._recording: RerunLog | None = None
+        self._number = 0
+        self._judge = PhotoConsistency()
+        self._table = folder / "consistency.csv"
+        self.consistency: dict[str, float] = read_shares(self._table) if settings.go_on else {}
+        if "consistency" in settings.outputs:
+            self._write_shares()
+
+    @property
+    def follows_first_frame(self) -> bool:
+        """Whether pictures have colours that the first frame decides."""
+        return self.near is None and any(output in COLOURED for output in self.settings.outputs)
+
+    def begin(self, depth: Depth) -> None:
+        """Take the colours of all pictures from this frame, if it is the first."""
+        if self.near is None:
+            self.near = near_end_of(depth)
+
+    def write(self, frame: str, depth: Depth) -> None:
+        """Write what there is to write of a frame."""
+        self.begin(depth)
+        with torch.inference_mode():
+            views = Views(depth, self.settings.height, self.near)
+            if not self.shares:
+                self._warn(depth)
+            self.shares.append(views.share_seen)
+            if "video" in self.settings.outputs:
+                if self._video is None:
+                    self._video = _Video(self.folder, self.settings.rate, self.settings.go_on)
+                    self.written.append(self._video.path)
+                self._video.write(views)
+            if "timeline" in self.settings.outputs:
+                if self._timeline is None:
+                    title = f"depth all around: {self.folder.name}"
+                    self._timeline = Timeline(self.settings.height, title, self.near)
+                self._timeline.add(frame, depth)
+            if "rerun" in self.settings.outputs:
+                if self._recording is None:
+                    self._recording = RerunLog(self.folder / "depth.rrd", self.settings.height)
+                self._recording.add(self._number, depth)
+            if "consistency" in self.settings.outputs:
+                self.consistency[frame] = self._judge(depth)
+                with self._table.open("a") as table:  # what is there when the process is killed is read again
+                    table.write(f"{frame},{self.consistency[frame]:.4f}\n")
+            self._number += 1
+            self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
+
+    def _warn(self, depth: Depth) -> None:
+        """Say what is probably wrong, told from the first frame."""
+        for warning in (hypotheses_warning(depth), poses_warning(depth)):
+            if warning is not None:
+                self.warnings.append(warning)
+
+    def close(self) -> None:
+        """Finish what is made of all frames."""
+        if self._video is not None:
+            self._video.close()
+        if self._timeline is not None:
+            self.written.append(self._timeline.save(self.folder / "timeline.html"))
+        if self._recording is not None:
+            self._recording.close()
+            self.written.append(self._recording.path)
+        if "consistency" in self.settings.outputs:
+            self._write_shares()
+            self.written.append(self._table)
+
+    def _write_shares(self) -> None:
+        lines = [f"{frame},{share:.4f}" for frame, share in self.consistency.items()]
+        write_bytes(self._table, "\n".join([SHARES_HEADER, *lines, ""]).encode())
+
+
+class _Video:
+    """A video of colours above depth, which is there once it is whole.
+
+    It is called ``depth.mp4``, or by the first of ``depth_2.mp4``, ... that is free. With ``go_on`` it begins with the
+    frames of the ``depth.mp4`` that is there, whose place it takes.
+    """
+
+    def __init__(self, folder: Path, rate: float, go_on: bool = False) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        names = ("depth.mp4" if number == 1 else f"depth_{number}.mp4" for number in range(1, 10**6))
+        self.path = next(folder / name for name in names if go_on or not (folder / name).exists())
+        self.rate = rate
+        self._whole = ExitStack()
+        self._temporary = self._whole.enter_context(atomic_write(self.path))
+        self._writer: cv2.VideoWriter | None = None
+
+    def write(self, views: Views) -> None:
+        """Add a frame."""
+        colors = (views.colors[0].clamp(0, 1) * 255).round().byte().movedim(0, -1).numpy()
+        depth = views.depth_picture
+        side = (depth.shape[1] - colors.shape[1]) // 2  # the scale may be wider than a small panorama
+        colors = np.pad(
+            colors, ((0, 0), (side, depth.shape[1] - colors.shape[1] - side), (0, 0)), constant_values=255
+        )
+        picture = np.concatenate((colors, depth))
+        picture = np.pad(picture, [(0, size % 2) for size in picture.shape[:2]] + [(0, 0)], mode="edge")
+        if self._writer is None:
+            self._writer = self._opened((picture.shape[1], picture.shape[0]))
+        self._writer.write(cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2BGR))
+
+    def close(self) -> None:
+        """Finish the file and give it its name."""
+        if self._writer is not None:
+            self._writer.release()
+            self._whole.close()
+
+    def _opened(self, size: tuple[int, int]) -> cv2.VideoWriter:
+        """A writer, with the frames of the video that is there, if they are as large."""
+        writer = cv2.VideoWriter(str(self._temporary), cv2.VideoWriter.fourcc(*"mp4v"), self.rate, size)
+        if not writer.isOpened():
+            self._temporary.unlink(missing_ok=True)
+            raise FileFormatError(
+                f"{self.path}: this OpenCV writes no MPEG-4 videos; leave video out of outputs"
+            )
+        if self.path.is_file():
+            before = cv2.VideoCapture(str(self.path))
+            while (frame := before.read()[1]) is not None and frame.shape[1::-1] == size:
+                writer.write(frame)
+            before.release()
+        return writer
+
+
+def prefix_of(frame: str) -> str:
+    """What the names of a frame's files begin with."""
+    return f"{frame}_" if frame else ""
+
+
+def done_file(folder: Path, frame: str, outputs: Sequence[str]) -> Path | None:
+    """The file that is there once a frame is done; None where frames leave no files, or may leave none."""
+    sure = [FILES[output] for output in FILES if output in outputs and output not in ("cloud", "glb")]
+    return folder / f"{prefix_of(frame)}{sure[-1]}" if sure else None

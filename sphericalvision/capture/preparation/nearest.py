@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nearest hypothesis that a network is used with: given, as trained, or found in images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.sphere_images import sphere_lookups
+from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.models import DepthNetwork
+from sphericalvision.sweep.nearest_depth import nearest_depth
+
+__all__ = [
+    "SCENE_LEVEL",
+    "NearestHypothesis",
+    "check_places",
+    "nearest_hypothesis",
+    "nearest_in_frames",
+    "scaled_min_depth",
+]
+
+SCENE_LEVEL = 6
+"""Icosphere level of the images that the nearest depth of a scene is looked for in."""
+FAR_OFF = 4.0
+"""Factor by which the nearest hypothesis of a scene differs from that of a training, if hypotheses are to follow it.
+
+What is found in images is between half and twice the right one, and in one of fifty scenes much farther.
+"""
+LARGEST = 2.0
+"""Radii, in those of the usual rig, up to which rigs were in a training with rigs of many."""
+
+
+class NearestHypothesis(NamedTuple):
+    """Where hypotheses begin.
+
+    Attributes:
+        metres: where that is known without images.
+        usual: metres, where to begin if a scene is neither much nearer nor much farther.
+    """
+
+    metres: float | None
+    usual: float | None = None
+
+    def in_frames(
+        self,
+        frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]],
+        rig: CameraRig,
+        antialias: bool = True,
+    ) -> float:
+        """Return metres for what a few frames show; arguments as of ``nearest_in_frames``."""
+        found = nearest_in_frames(frames, rig, antialias)
+        if self.usual is None or not found / FAR_OFF <= self.usual <= found * FAR_OFF:
+            return found
+        return self.usual
+
+
+def nearest_hypothesis(
+    min_depth: float | Literal["auto", "scene"] | None,
+    net: DepthNetwork,
+    rig: CameraRig,
+    trained_radius: float = 0.2,
+    trained: bool = True,
+) -> NearestHypothesis:
+    """Return where hypotheses begin.
+
+    Args:
+        min_depth: metres; ``"scene"``: found in images; ``None``: as the network was trained, scaled with the rig if it
+            is larger than those of the training, or if they all were of one radius; ``"auto"``: as ``None``, but found
+            in images where nothing was trained, or where they show a scene four times nearer or farther than those
+            that a network for rigs of many radii was trained with.
+        net: the network.
+        rig: unbatched.
+        trained_radius: metres; radius of the rigs of the training.
+        trained: whether the network, not a method without training in its place, is to estimate.
+
+    Raises:
+        ArgumentError: for anything else, and for cameras in one place, unless metres are given.
+    """
+    follows = net.min_depth_follows if trained else "scene"
+    if min_depth not in ("auto", "scene", None):
+        return NearestHypothesis(checked_min_depth(min_depth))
+    check_places(rig)
+    if min_depth == "scene" or (min_depth == "auto" and follows == "scene"):
+        return NearestHypothesis(None)
+    if follows != "training":
+        return NearestHypothesis(scaled_min_depth(net, rig, trained_radius))
+    usual = max(net.min_depth, scaled_min_depth(net, rig, LARGEST * trained_radius))
+    return NearestHypothesis(usual) if min_depth is None else NearestHypothesis(None, usual)
+
+
+def nearest_in_frames(
+    frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]], rig: CameraRig, antialias: bool = True
+) -> float:
+    """Return the nearest depth in metres that suits what a few frames show, from quick sweeps.
+
+    Args:
+        frames: camera name -> ``(3, h, w)`` in [0, 1].
+        rig: unbatched.
+        antialias: as of ``Predictor``.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
+        >>> rig = ring_rig(3, radius=0.05, image_size=(32, 32))
+        >>> nearest_in_frames([render_rig(make_scene("hall", seed=1), rig)], rig) > 0.06
+        True
+    """
+    vertices = icosphere_vertices(SCENE_LEVEL, torch.float32, rig.world_from_camera.device)
+    lookups = sphere_lookups(rig, vertices.to(rig.world_from_camera), antialias)
+    seen = torch.stack([look.seen for look in lookups])
+    images = [
+        torch.stack([look(frame[name], 0) for name, look in zip(rig.names, lookups, strict=True)])
+        for frame in frames
+    ]
+    return nearest_depth(torch.stack(images).mul_(2).sub_(seen.unsqueeze(1).float()), rig, seen)
+
+
+def scaled_min_depth(net: DepthNetwork, rig: CameraRig, trained_radius: float = 0.2) -> float:
+    """Return the nearest hypothesis in metres that a network was trained with, scaled as the rig is.
+
+    Scaling a rig and everything around it changes no image. A network that was trained with one ring of cameras serves
+    any larger or smaller rig once its nearest hypothesis is scaled alike. One that was trained with rings of all sizes
+    needs no scaling.
+
+    Raises:
+        ArgumentError: all cameras are in one place, so there is no size to scale by.
+    """
+    radius = float(rig.radius)
+    check_places(rig)
+    return net.min_depth * radius / float(trained_radius)
+
+
+def check_places(rig: CameraRig) -> None:
+    """Raise ``ArgumentError`` if all cameras are in one place; poses that are inverted may be why."""
+    if float(rig.radius) > 1e-6:
+        return
+    other = float(CameraRig(rig.cameras, rig.camera_from_world).radius)
+    hint = (
+        f". Inverted, the poses have a radius of {other:.3f} m: the calibration seems to hold camera-from-world; "
+        "CameraRig(rig.cameras, rig.camera_from_world) is the other way round"
+        if other > 1e-6
+        else ""
+    )
+    raise ArgumentError(
+        f"rig: it has all its cameras in one place ({', '.join(rig.names)}), which gives neither parallax nor a scale; "
+        f"correct the poses, or for a network of a single camera give metres, min_depth=0.55{hint}"
+    )
+
+
+def checked_min_depth(min_depth: Any) -> float:
+    """Return metres, or raise ``ArgumentError`` for what is no positive number."""
+    if (
+        isinstance(min_depth, bool)
+        or not isinstance(min_depth, int | float)
+        or not 0 < min_depth < float("inf")
+    ):
+        raise ArgumentError(
+            f"min_depth: expected a positive number of metres, 'auto', 'scene' or None (as trained), got {min_depth!r}"
+        )
+    return float(min_depth)

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exposure and vignetting of a rig's cameras from what they see together.
+
+Convention:
+    Values are those of images in [0, 1] as they are displayed. A camera shows ``value * light``; ``light`` is a factor
+    for each channel that falls off with the angle from the optical axis:
+    ``log light = exposure - (c1 a² + c2 a⁴)``, a = angle / ``edge``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sphericalvision.cameras.base import check_single
+from sphericalvision.cameras.conversion.fit import cap
+from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry.directions import angle_from_axis
+
+__all__ = ["PhotometricCalibration", "calibrate_photometry"]
+
+_POINTS = 2000
+_DISTANCES = (10.0, 30.0, 100.0)
+"""Of the points where cameras are compared, in radii of the rig: those of a table, a room, a hall."""
+_DARKEST, _BRIGHTEST = 0.04, 0.97
+"""Values beyond are noise, or cut off."""
+_ROUNDS = 8
+_HOLD_EXPOSURE, _HOLD_FALLOFF, _HOLD_ALIKE = 1e-3, 1e-3, 0.02
+"""Weights, in shares of all equations, of: no change of exposure; no vignetting; the same lens in all cameras."""
+
+
+class PhotometricCalibration(NamedTuple):
+    """By how much each camera of a rig is brighter or darker than the others, and where.
+
+    Attributes:
+        exposure: ``(n, c)`` logarithm of each camera's factor on each channel; their mean is about 0.
+        falloff: ``(n, 2)`` c1 and c2 of the module's convention; 0 for panoramas, which have no lens.
+        edge: ``(n,)`` radians, largest angle from the axis that a camera sees.
+        residual: typical size of the remaining differences, of the logarithm of values.
+
+    Examples:
+        >>> lens = PhotometricCalibration(torch.zeros(1, 3), torch.tensor([[0.5, 0.0]]), torch.tensor([1.6]), 0.0)
+        >>> round(lens.strength, 2)  # at the edge 39 % of the values are lost
+        0.39
+    """
+
+    exposure: Float[Tensor, "n c"]
+    falloff: Float[Tensor, "n 2"]
+    edge: Float[Tensor, " n"]
+    residual: float
+
+    @property
+    def strength(self) -> float:
+        """Largest deviation of ``light`` from 1 at the axes and edges of the cameras."""
+        places = torch.stack((torch.zeros_like(self.edge), self.edge), -1)
+        return float((self.light(places) - 1).abs().max())
+
+    def light(self, angles: Float[Tensor, " n *points"]) -> Float[Tensor, "n c *points"]:
+        """Factors ``(n, c, *points)`` on what cameras show at ``angles`` ``(n, *points)`` from their axes, radians.
+
+        Examples:
+            >>> found = PhotometricCalibration(torch.zeros(1, 3), torch.tensor([[0.5, 0.0]]), torch.tensor([1.6]), 0.0)
+            >>> found.light(torch.tensor([[0.0, 1.6]]))[0, 0]
+            tensor([1.0000, 0.6065])
+        """
+        count = angles.ndim - 1
+        first, second, edge = (
+            values.reshape(-1, *[1] * count) for values in (*self.falloff.unbind(-1), self.edge)
+        )
+        squared = (angles / edge).clamp(max=1).square()
+        lost = first * squared + second * squared.square()
+        exposure = self.exposure.reshape(*self.exposure.shape, *[1] * count)
+        return (exposure - lost.unsqueeze(1)).exp()
+
+    def corrected(
+        self, rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
+    ) -> dict[str, Float[Tensor, "*batch c _ _"]]:
+        """Return the images that cameras of the same exposure would take through lenses without vignetting.
+
+        Args:
+            rig: of the calibration.
+            images: camera name -> ``(*b, c, h, w)`` in [0, 1].
+
+        Examples:
+            >>> from sphericalvision.cameras import ring_rig
+            >>> rig = ring_rig(2, image_size=(32, 32))
+            >>> images = {"cam1": torch.full((3, 32, 32), 0.5), "cam2": torch.full((3, 32, 32), 0.4)}
+            >>> even = calibrate_photometry(rig, images).corrected(rig, images)
+            >>> [round(image.mean().item(), 2) for image in even.values()]
+            [0.45, 0.45]
+        """
+        even = {}
+        for place, (name, camera) in enumerate(rig.cameras.items()):
+            directions = camera.unproject(camera.pixel_grid()).directions
+            angles = angle_from_axis(directions).nan_to_num(math.pi)
+            here = slice(place, place + 1)
+            one = PhotometricCalibration(
+                self.exposure[here], self.falloff[here], self.edge[here], self.residual
+            )
+            even[name] = (images[name] / one.light(angles[None])[0].to(images[name])).clamp(0, 1)
+        return even
+
+
+def calibrate_photometry(
+    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]], depth: float | None = None
+) -> PhotometricCalibration:
+    """Estimate exposure and vignetting of each camera from images taken at the same time; one frame is enough.
+
+    Two cameras that see the same point should show the same value. The difference of the logarithms of their values is
+    linear in the unknowns, which robust linear least squares finds. Points much nearer or farther than ``depth`` do not
+    correspond and become outliers. The lenses are assumed to be similar. Cameras that share no view are left as they
+    are.
+
+    Args:
+        rig: a single rig.
+        images: camera name -> ``(*b, c, h, w)`` in [0, 1], as they are displayed; a batch of frames counts as one.
+        depth: metres, from the rig's centre to where cameras are compared; when not given, that of 10, 30 and 100 radii
+            of the rig at which they agree best.
+
+    Raises:
+        ArgumentError: images are not those of the rig's cameras, or ``depth`` is not positive.
+        ShapeError: an image has another size than its camera.
+
+    References:
+        Goldman (2010), "Vignette and exposure calibration and compensation"; Holland, Welsch (1977), "Robust
+        regression using iteratively reweighted least-squares", for the weights (Cauchy's).
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.scenes.disturbances import vignetted
+        >>> rig = ring_rig(4, image_size=(64, 64))
+        >>> grey = torch.full((3, 64, 64), 0.5)
+        >>> images = {name: vignetted(grey, camera, loss=0.5) for name, camera in rig.cameras.items()}
+        >>> found = calibrate_photometry(rig, images)
+        >>> shown = found.light(found.edge[:, None])[:, 0, 0]  # at the edge: half of the light, on a display
+        >>> [round(share.item(), 2) for share in shown], round(0.5 ** (1 / 2.2), 2)
+        ([0.73, 0.73, 0.73, 0.73], 0.73)
+    """
+    check_single(rig)
+    if depth is not None and not depth > 0:
+        raise ArgumentError(f"depth: expected metres above 0, got {depth!r}")
+    if set(images) != set(rig.cameras):
+        raise ArgumentError(
+            f"images: expected one for each of {', '.join(rig.names)}, got {', '.join(map(str, images))}"
+        )
+    for name, camera in rig.cameras.items():
+        if images[name].ndim < 3 or tuple(images[name].shape[-2:]) != camera.image_size:
+            raise ShapeError(
+                f"images[{name!r}]: expected shape (*b, c, {camera.image_size[0]}, {camera.image_size[1]}) as "
+                f"calibrated, got {tuple(images[name].shape)}"
+            )
+    views = [_View(rig, name, images[name]) for name in rig.names]
+    edge = torch.stack([view.edge for view in views])
+    radius = float(rig.radius)
+    distances = [far * radius for far in _DISTANCES] if depth is None else [depth]
+    found = [_compared(rig, views, 1 / far if far > 0 else 0.0) for far in distances]
+    exposure, falloff, residual = min(found, key=lambda answer: answer[2])
+    return PhotometricCalibration(exposure.to(edge), falloff.to(edge), edge, residual)
+
+
+class _View:
+    """The images of one camera, black outside its field of view."""
+
+    def __init__(self, rig: CameraRig, name: str, image: Tensor) -> None:
+        camera = rig.cameras[name]
+        directions, inside = camera.unproject(camera.pixel_grid())
+        self.edge = angle_from_axis(directions).where(inside, 0.0).amax()
+        self.has_lens = not isinstance(camera, EquirectangularCamera)
+        if name in rig.masks:
+            inside = inside & rig.masks[name].bool()
+        self.inside = inside[None].to(image)
+        self.frames = image.reshape(-1, *image.shape[-3:]) * self.inside
+
+    def shown(self, look: SphereLookup) -> tuple[Tensor, Tensor]:
+        """Logarithms of values ``(c, b V)``, and which are usable ``(b V,)``: not at the border of the view."""
+        share = look(self.inside, 0)
+        found = look(self.frames, 0) / share.clamp(min=0.5)
+        good = look.seen & (share[0] > 0.99) & (found.amin(1) > _DARKEST) & (found.amax(1) < _BRIGHTEST)
+        return found.clamp(min=_DARKEST).log().movedim(1, 0).flatten(1), good.flatten()
+
+    def basis(self, angles: Tensor) -> Tensor:
+        """The two terms ``(V, 2)`` of the falloff."""
+        squared = (angles / self.edge).clamp(max=1).square() * self.has_lens
+        return torch.stack((squared, squared.square()), -1)
+
+
+def _compared(rig: CameraRig, views: list[_View], inverse_depth: float) -> tuple[Tensor, Tensor, float]:
+    """Exposure, falloff and residual with all points at one inverse depth, 1/m."""
+    directions = cap(math.pi, _POINTS, next(iter(rig.cameras.values()))).to(rig.world_from_camera)
+    lookups = sphere_lookups(rig, directions, antialias=True, inverse_depth=inverse_depth)
+    rays = directions + inverse_depth * (rig.center - rig.positions)[:, None].to(directions)
+    angles = angle_from_axis(rays @ rig.world_from_camera[:, :3, :3])
+    shown = [view.shown(look) for view, look in zip(views, lookups, strict=True)]
+    basis = torch.stack([view.basis(angle) for view, angle in zip(views, angles, strict=True)])
+    values, usable = (torch.stack(parts) for parts in zip(*shown, strict=True))
+    return _solve(values, usable, basis)
+
+
+def _solve(
+    values: Float[Tensor, "n c m"], usable: Bool[Tensor, "n m"], basis: Float[Tensor, "n V 2"]
+) -> tuple[Tensor, Tensor, float]:
+    """Exposure ``(n, c)``, falloff ``(n, 2)`` and residual, by weighted least squares, weighted anew each round."""
+    number, channels, count = values.shape
+    basis = basis.repeat(1, count // basis.shape[1], 1).double()
+    size = number * channels + 2 * number
+    rows, differences = [], []
+    for one in range(number):
+        for other in range(one):
+            both = (usable[one] & usable[other]).nonzero()[:, 0]
+            for channel in range(channels):
+                row = basis.new_zeros(len(both), size)
+                for camera, sign in ((one, 1.0), (other, -1.0)):
+                    row[:, camera * channels + channel] = sign
+                    first = number * channels + 2 * camera
+                    row[:, first : first + 2] = -sign * basis[camera, both]
+                rows.append(row)
+                differences.append((values[one, channel, both] - values[other, channel, both]).double())
+    if not rows or not sum(map(len, rows)):
+        return values.new_zeros(number, channels), values.new_zeros(number, 2), 0.0
+    matrix, difference = torch.cat(rows), torch.cat(differences)
+    hold = _held(number, channels, basis).mul(len(matrix) / size)
+    found, scale = basis.new_zeros(size), 0.3
+    for _ in range(_ROUNDS):
+        relative = (difference - matrix @ found) / scale
+        weights = 1 / (1 + relative.square())
+        normal = matrix.mT @ (weights[:, None] * matrix) + hold * weights.mean()
+        found = torch.linalg.solve(normal, matrix.mT @ (weights * difference))
+        scale = max(0.01, 1.4826 * float((difference - matrix @ found).abs().median()))
+    exposure, falloff = found.split((number * channels, 2 * number))
+    return exposure.view(number, channels), falloff.view(number, 2), scale
+
+
+def _held(number: int, channels: int, like: Tensor) -> Tensor:
+    """The regularisation, as a quadratic form: it decides where the images do not."""
+    size = number * channels
+    hold = torch.zeros(size + 2 * number, size + 2 * number, dtype=like.dtype, device=like.device)
+    hold.diagonal()[:size] = _HOLD_EXPOSURE
+    hold.diagonal()[size:] = _HOLD_FALLOFF
+    alike = torch.eye(number, dtype=like.dtype, device=like.device) - 1 / number
+    for term in range(2):
+        hold[size + term :: 2, size + term :: 2] += _HOLD_ALIKE * alike
+    return hold

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames as a recording of Rerun: cameras, images, depth and points on a time line (``pip install rerun-sdk``)."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sphericalvision.capture.depth import Depth
+from sphericalvision.core import ArgumentError
+from sphericalvision.io.files import atomic_write
+from sphericalvision.viz.panorama import rgb_panorama
+
+__all__ = ["RerunLog"]
+
+
+class RerunLog:
+    """Writes frame after frame into a file that ``rerun FILE.rrd`` shows.
+
+    ``world`` has x right, y down, z forward. In it are ``world/<camera>`` with pose and ``image``, and
+    ``world/points``; beside it the panoramas ``color``, ``depth`` (metres) and ``confidence``.
+
+    Args:
+        path: of the recording; it appears when the log is closed.
+        height: rows of the panoramas.
+
+    Raises:
+        ArgumentError: Rerun is not installed.
+
+    References:
+        https://rerun.io/docs
+
+    Examples:
+        >>> with RerunLog("rooms.rrd") as log:  # doctest: +SKIP
+        ...     log.add(0, predictor(images))
+    """
+
+    def __init__(self, path: str | Path, height: int = 256) -> None:
+        self._rerun = _rerun()
+        self.path, self.height = Path(path), height
+        self._writing = atomic_write(self.path)
+        self._stream = self._rerun.RecordingStream("sphericalvision")
+        self._stream.save(self._writing.__enter__())
+        self._stream.log("world", self._rerun.ViewCoordinates.RDF, static=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+    @torch.inference_mode()
+    def add(self, number: int, depth: Depth) -> None:
+        """Write one frame at a place of the time line ``frame``."""
+        rr, stream = self._rerun, self._stream
+        stream.set_time("frame", sequence=number)
+        rig = depth.rig.to("cpu")
+        images = {name: image.cpu() for name, image in depth.images.items()}
+        for name, pose in zip(rig.names, rig.world_from_camera.float().numpy(), strict=True):
+            stream.log(f"world/{name}", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+            stream.log(f"world/{name}/image", rr.Image(_pixels(images[name])).compress())
+        panorama = depth.panorama(self.height)
+        colors, _ = rgb_panorama(rig, images, self.height, panorama.depth.cpu())
+        stream.log("color", rr.Image(_pixels(colors)).compress())
+        stream.log("depth", rr.DepthImage(panorama.measured.nan_to_num(0.0).cpu().numpy(), meter=1.0))
+        sure = panorama.confidence.where(panorama.seen, 0.0)
+        stream.log("confidence", rr.Image((255 * sure.clamp(0, 1)).round().byte().cpu().numpy()))
+        cloud = depth.points()
+        shades = (255 * cloud.colors.clamp(0, 1)).round().byte().cpu().numpy()
+        stream.log("world/points", rr.Points3D(cloud.points.cpu().numpy(), colors=shades))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._stream.disconnect()
+        self._writing.__exit__(None, None, None)
+
+
+def _pixels(image: Tensor) -> np.ndarray[Any, Any]:
+    """uint8 ``(h, w, 3)`` of ``(3, h, w)`` in [0, 1]."""
+    return (255 * image.clamp(0, 1)).round().byte().movedim(0, -1).numpy()  # type: ignore[no-any-return]
+
+
+def _rerun() -> ModuleType:
+    try:
+        return import_module("rerun")
+    except ImportError:
+        raise ArgumentError("rerun: not installed; pip install 'sphericalvision[rerun]'") from None

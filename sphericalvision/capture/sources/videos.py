@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of video files and live cameras, by OpenCV: one for each camera, or one with the views side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.capture.sources.frames import Frame, Selection
+from sphericalvision.core import ArgumentError, FileFormatError
+
+__all__ = ["VIDEO_SUFFIXES", "Videos", "split_views", "views_layout"]
+
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+Picture = npt.NDArray[Any]
+Opened = dict[str, cv2.VideoCapture]
+
+
+class Videos:
+    """Frames of videos or live cameras.
+
+    Args:
+        files: camera name -> file or index of a device; or under the name ``""`` one that has all views.
+        rig: its cameras say how views lie side by side.
+
+    Raises:
+        FileFormatError: OpenCV cannot open or decode one of them.
+    """
+
+    def __init__(self, files: Mapping[str, Path | int], rig: CameraRig) -> None:
+        self.files, self.rig = dict(files), rig
+        self.live = isinstance(next(iter(self.files.values())), int)
+        with ExitStack() as stack:
+            videos = self._open(stack)
+            self.rate = next(iter(videos.values())).get(cv2.CAP_PROP_FPS) or 0.0
+            counts = [int(video.get(cv2.CAP_PROP_FRAME_COUNT)) for video in videos.values()]
+            self._sizes = {
+                name: (int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(video.get(cv2.CAP_PROP_FRAME_WIDTH)))
+                for name, video in videos.items()
+            }
+        self.num_frames = None if self.live or min(counts) <= 0 else min(counts)
+
+    def sizes(self) -> dict[str, tuple[int, int]]:
+        """Camera name -> (height, width) of its images."""
+        if "" not in self._sizes:
+            return self._sizes
+        rows, columns = views_layout(self._sizes[""], self.rig)
+        height, width = self._sizes[""]
+        return dict.fromkeys(self.rig.names, (height // rows, width // columns))
+
+    def names(self, selection: Selection) -> list[str] | None:
+        """Names of the frames chosen; None where nobody knows how many there are."""
+        if self.num_frames is None:
+            return None
+        return [_name(number) for number in selection.positions(self.num_frames)]
+
+    def samples(self) -> list[Frame]:
+        """The first, the middle and the last frame; none of live cameras."""
+        if self.live:
+            return []
+        last = (self.num_frames or 1) - 1
+        found = []
+        with ExitStack() as stack:
+            videos = self._open(stack)
+            for number in sorted({0, last // 2, max(last - 1, 0)}):
+                for video in videos.values():
+                    video.set(cv2.CAP_PROP_POS_FRAMES, number)
+                images = {name: video.read()[1] for name, video in videos.items()}
+                if all(image is not None for image in images.values()):
+                    found.append(Frame(_name(number), self._by_camera(images)))
+        return found
+
+    def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:
+        """The frames chosen, one after the other; what is not wanted is passed over without being decoded."""
+        with ExitStack() as stack:
+            videos = self._open(stack)
+            number = -1
+            while selection.stop is None or number + 1 < selection.stop:
+                number += 1
+                grabbed = [video.grab() for video in videos.values()]
+                if not all(grabbed):
+                    return
+                if number not in selection or not wanted(_name(number)):
+                    continue
+                images = {name: video.retrieve()[1] for name, video in videos.items()}
+                broken = [str(self.files[name]) for name, image in images.items() if image is None]
+                if broken:
+                    yield Frame(
+                        _name(number), None, FileFormatError(f"{broken[0]}: frame {number} is damaged")
+                    )
+                    continue
+                yield Frame(_name(number), self._by_camera(images))
+
+    def _by_camera(self, images: Mapping[str, Picture]) -> dict[str, Picture]:
+        rgb = {name: cv2.cvtColor(image, cv2.COLOR_BGR2RGB) for name, image in images.items()}
+        return split_views(rgb[""], self.rig) if "" in rgb else rgb
+
+    def _open(self, stack: ExitStack) -> Opened:
+        videos = {}
+        for name, file in self.files.items():
+            video = cv2.VideoCapture(file if isinstance(file, int) else str(file))
+            stack.callback(video.release)
+            if not video.isOpened():
+                what = f"camera {file} of this machine" if isinstance(file, int) else str(file)
+                raise FileFormatError(
+                    f"{what}: OpenCV cannot open it; is it there, free, and of a codec that OpenCV was built with?"
+                )
+            videos[name] = video
+        return videos
+
+
+def split_views(image: Picture, rig: CameraRig) -> dict[str, Picture]:
+    """Cut a picture with the views of all cameras in rows and columns, in the order of the rig.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> views = split_views(np.zeros((16, 80, 3), np.uint8), ring_rig(4, image_size=(16, 20)))
+        >>> list(views), views["cam4"].shape
+        (['cam1', 'cam2', 'cam3', 'cam4'], (16, 20, 3))
+    """
+    rows, columns = views_layout((image.shape[0], image.shape[1]), rig)
+    strips = [view for row in np.split(image, rows, 0) for view in np.split(row, columns, 1)]
+    return dict(zip(rig.names, strips, strict=True))
+
+
+def views_layout(size: Sequence[int], rig: CameraRig) -> tuple[int, int]:
+    """Rows and columns in which n views fill a picture, told by the shape of the cameras' images.
+
+    Raises:
+        ArgumentError: no arrangement has views of that shape.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> views_layout((32, 40), ring_rig(4, image_size=(16, 20)))
+        (2, 2)
+    """
+    number = len(rig)
+    expected = {camera.image_size for camera in rig.cameras.values()}
+    for rows in range(1, number + 1):
+        columns = number // rows
+        if rows * columns == number and size[0] % rows == 0 and size[1] % columns == 0:
+            height, width = size[0] // rows, size[1] // columns
+            if all(abs(height * w - width * h) <= 0.01 * height * w for h, w in expected):
+                return rows, columns
+    shapes = " or ".join(f"{width} x {height}" for height, width in sorted(expected))
+    raise ArgumentError(
+        f"images: a picture of {size[1]} x {size[0]} (width x height) does not hold {number} views of the shape "
+        f"{shapes} in rows and columns"
+    )
+
+
+def _name(number: int) -> str:
+    return f"{number:06d}"

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pages that show depth estimates: a panorama to turn in, with image, depth, confidence, error, and points to orbit."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.capture.depth import Depth
+from sphericalvision.capture.pictures import near_end_of
+from sphericalvision.io.files import write_bytes
+from sphericalvision.sweep import index_from_depth
+from sphericalvision.viz.color import colorize, depth_to_color, error_to_color, fade
+from sphericalvision.viz.panorama import confidence_strength, rgb_panorama
+
+__all__ = ["Timeline", "save_viewer"]
+
+HERE = Path(__file__).parent
+MOST_POINTS, FEWEST_POINTS = 100_000, 20_000
+"""In a page of one frame, and of each frame of many."""
+MOST_FRAMES = 100
+"""On a time line."""
+MOST_ERROR = 10.0
+"""Percent of N: the bright end of errors."""
+
+
+def save_viewer(
+    path: str | Path,
+    depth: Depth,
+    height: int = 512,
+    title: str = "depth all around",
+    near: float | None = None,
+    truth: Float[Tensor, "*grid"] | None = None,
+) -> Path:
+    """Write a self-contained HTML page of one frame and return its path; it opens from disk, without a network.
+
+    Args:
+        path: of the page, about a megabyte.
+        depth: of one frame.
+        height: rows of the panoramas in it.
+        title: of the page.
+        near: metres, the red end of the colours of depth; about the nearest of the frame when not given.
+        truth: true depth in ``depth.directions``, metres, for a picture of errors; NaN where it is not known.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
+        >>> from sphericalvision.capture import Predictor
+        >>> rig = ring_rig(4, image_size=(64, 64))
+        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5)
+        >>> save_viewer("room.html", predictor(render_rig(make_scene("room", seed=1), rig)), height=32).name
+        'room.html'
+    """
+    page = Timeline(height, title, near, MOST_POINTS)
+    page.add("", depth, truth)
+    return page.save(path)
+
+
+class Timeline:
+    """A page of several frames, with a time line to go from one to the other, or to play them.
+
+    Memory and page stay bounded: of more than 100 frames every second is kept, and so on.
+
+    Args:
+        height: rows of the panoramas in it.
+        title: of the page.
+        near: metres, the red end of the colours of depth; about the nearest of the first frame when not given.
+        most_points: of a frame.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
+        >>> from sphericalvision.capture import Predictor
+        >>> rig = ring_rig(4, image_size=(64, 64))
+        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5)
+        >>> page = Timeline(height=32)
+        >>> for seed in (1, 2):
+        ...     page.add(f"room {seed}", predictor(render_rig(make_scene("room", seed=seed), rig)))
+        >>> page.save("rooms.html").name, len(page)
+        ('rooms.html', 2)
+    """
+
+    def __init__(
+        self,
+        height: int = 256,
+        title: str = "depth all around",
+        near: float | None = None,
+        most_points: int = FEWEST_POINTS,
+    ) -> None:
+        self.height, self.title, self.near, self.most_points = height, title, near, most_points
+        self._frames: list[dict[str, Any]] = []
+        self._radius = 1.0
+        self._number, self._every = 0, 1
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @torch.inference_mode()
+    def add(self, name: str, depth: Depth, truth: Float[Tensor, "*grid"] | None = None) -> None:
+        """Add a frame at the end; ``truth`` as of ``save_viewer``, for all frames or for none."""
+        self._number += 1
+        if (self._number - 1) % self._every:
+            return
+        if self.near is None:
+            self.near = near_end_of(depth)
+        panorama = depth.panorama(self.height)
+        images = {key: image.cpu() for key, image in depth.images.items()}
+        colors, _ = rgb_panorama(depth.rig.to("cpu"), images, self.height, panorama.depth.cpu())
+        sure = panorama.confidence.where(panorama.seen, math.nan).cpu()
+        strength = confidence_strength(panorama.confidence, panorama.seen).cpu()
+        pictures = {
+            "image": (colors.clamp(0, 1) * 255).byte().movedim(0, -1).numpy(),
+            "depth": fade(depth_to_color(panorama.depth, self.near), strength),
+            "confidence": colorize(sure.numpy(), "viridis"),
+        }
+        if truth is not None:
+            number, nearest = depth.network.num_hypotheses, depth.min_depth
+            index = index_from_depth(truth.to(depth.index), number, nearest)
+            true = replace(depth, index=index).panorama(self.height)
+            error = (100 * (number - 1) / number) * nearest * (1 / panorama.depth - 1 / true.depth)
+            pictures["error"] = error_to_color(error, MOST_ERROR)
+        cloud = depth.points()
+        number = min(len(cloud.points), self.most_points)
+        chosen = torch.linspace(0, len(cloud.points) - 1, number).round().long()
+        # y up and looking along -z, as three.js has it
+        points = (cloud.points[chosen] - depth.rig.center.to(cloud.points)).cpu() * torch.tensor(
+            [1.0, -1.0, -1.0]
+        )
+        if not self._frames and len(points):
+            self._radius = float(points.norm(dim=-1).median())
+        levels = (cloud.colors[chosen].clamp(0, 1) * 255).round().byte()
+        self._frames.append(
+            {
+                "name": name,
+                "pictures": [{"name": key, "url": _data_url(picture)} for key, picture in pictures.items()],
+                "points": _base64(points.float()),
+                "colors": _base64(levels),
+            }
+        )
+        if len(self._frames) > MOST_FRAMES:
+            self._frames, self._every = self._frames[::2], 2 * self._every
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page and return its path."""
+        near = "near" if self.near is None else f"{self.near:.3g} m"
+        facts = (
+            f"red {near}, dark blue far away; greyer where less sure, grey where fewer than two cameras look"
+        )
+        if self._frames and len(self._frames[0]["pictures"]) > 3:
+            facts += f"; error: black 0, yellow {MOST_ERROR:.0f} % of N and more"
+        page = (HERE / "viewer.html").read_text(encoding="utf-8")
+        for mark, text in (
+            ("__TITLE__", html.escape(self.title)),
+            ("__FACTS__", facts),
+            ("__DATA__", json.dumps({"frames": self._frames, "radius": self._radius})),
+            ("__SCRIPT__", (HERE / "viewer.min.js").read_text(encoding="utf-8")),
+        ):
+            page = page.replace(mark, text)
+        write_bytes(path, page.encode())
+        return Path(path)
+
+
+def _data_url(picture: npt.NDArray[Any]) -> str:
+    """A picture as a JPEG inside of an address."""
+    _, encoded = cv2.imencode(
+        ".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 92]
+    )
+    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode()}"
+
+
+def _base64(values: Tensor) -> str:
+    return base64.b64encode(values.contiguous().cpu().numpy().tobytes()).decode()

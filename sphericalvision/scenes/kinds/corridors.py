@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recipe for a long corridor: closed doors along both walls, lamps in a row, and a bright end."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from sphericalvision.scenes.kinds.furniture import place
+from sphericalvision.scenes.kinds.palette import Palette
+from sphericalvision.scenes.kinds.rooms import (
+    Opening,
+    Room,
+    add_window,
+    build_shell,
+    decorate,
+    furnish,
+    hang_small_things,
+    random_opening,
+)
+from sphericalvision.scenes.rendering.primitives import Part, pack
+from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
+
+__all__ = ["random_corridor"]
+
+
+def random_corridor(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
+    """A corridor of 10 to 45 m, 1.5 to 3 m wide, around the rig, y down; not yet exposed (see `make_scene`).
+
+    Args:
+        generator: source of every random choice.
+        clear_radius: nothing stands nearer to the origin than this (metres).
+    """
+    palette = Palette(generator)
+    left, right = palette.uniform(0.75, 1.5), palette.uniform(0.75, 1.5)
+    back, front = palette.log_uniform(2.0, 15.0), palette.log_uniform(8.0, 30.0)
+    height = palette.uniform(2.2, 3.2)
+    floor = palette.uniform(0.75, min(1.6, height - 0.75))
+    corridor = Room(palette, (-left, -back), (right, front), floor, floor - height, clear_radius)
+    openings: dict[int, Opening] = {}
+    if palette.chance(0.6):  # the far end, which is the first of the four sides
+        openings[0] = random_opening(corridor, 0, left + right, 0.9, height - 0.2)
+    build_shell(corridor, openings)
+    for opening in openings.values():
+        add_window(corridor, 0, opening)
+    _doors(corridor)
+    _lamps(corridor)
+    furnish(corridor, palette.integer(1, 5))
+    decorate(corridor)
+    hang_small_things(corridor)
+    return Scene(
+        primitives=pack(corridor.parts),
+        materials=pack_materials(palette.materials),
+        lamps=pack_lamps(corridor.lamps),
+        ambient=palette.uniform(0.08, 0.16)
+        * torch.tensor([1.0, palette.uniform(0.9, 1.0), palette.uniform(0.8, 1)]),
+        background=torch.tensor([[0.45, 0.6, 0.9], [0.35, 0.33, 0.3]]) * palette.uniform(0.5, 1.2),
+        exposure=torch.tensor(1.0),
+    )
+
+
+def _doors(corridor: Room) -> None:
+    """Closed doors with frames and handles along the two long walls."""
+    palette = corridor.palette
+    material, frame, handle = palette.any_surface(1.5), palette.paint(), palette.metal()
+    high = min(palette.uniform(1.95, 2.15), corridor.floor - corridor.ceiling - 0.1)
+    for side in (1, 3):
+        yaw, x, z, start, end = corridor.sides()[side]
+        step = palette.uniform(2.0, 5.0)
+        for k in range(int((end - start - 1) / step)):
+            if palette.chance(0.25):
+                continue
+            along, down = start + 0.8 + k * step + palette.uniform(0.0, 0.3), corridor.floor - high / 2
+            leaf = [
+                Part("box", (along, down, 0.0), (0.5, high / 2 + 0.05, 0.04), frame, casts_shadow=False),
+                Part(
+                    "box",
+                    (along, down + 0.02, -0.03),
+                    (0.43, high / 2 - 0.02, 0.02),
+                    material,
+                    casts_shadow=False,
+                ),
+                Part("ellipsoid", (along + 0.36, down + 0.05, -0.09), (0.05, 0.015, 0.03), handle),
+            ]
+            corridor.add(place(leaf, x, 0.0, z, yaw))
+
+
+def _lamps(corridor: Room) -> None:
+    """Flat lamps in a row under the ceiling, of which the nearest few light."""
+    palette = corridor.palette
+    start, end = corridor.low[1], corridor.high[1]
+    step, middle = palette.uniform(2.5, 5.0), (corridor.low[0] + corridor.high[0]) / 2
+    warm = palette.uniform(0.75, 1.0)
+    glow = palette.glowing((1.0, 0.5 + 0.5 * warm, warm), 1.4)
+    places = sorted((start + (k + 0.5) * step for k in range(int((end - start) / step))), key=abs)
+    for number, z in enumerate(places):
+        lamp = [
+            Part("box", (middle, corridor.ceiling + 0.03, z), (0.15, 0.03, 0.5), glow, casts_shadow=False)
+        ]
+        corridor.add(lamp)
+        if number < 4:
+            power = palette.uniform(1.0, 1.6) * math.sqrt(step / 3)
+            position = (middle, corridor.ceiling + 0.15, z)
+            corridor.lamps.append(
+                Lamp(position, (power, power * (0.5 + 0.5 * warm), power * warm), reach=1.2)
+            )

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recipe for a large hall: columns in rows, beams, strip lights, and stacks of crates far apart."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from sphericalvision.scenes.kinds.furniture import place
+from sphericalvision.scenes.kinds.palette import Palette
+from sphericalvision.scenes.kinds.rooms import Room, build_shell, decorate, furnish, hang_small_things
+from sphericalvision.scenes.rendering.primitives import Part, pack
+from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
+
+__all__ = ["random_hall"]
+
+
+def random_hall(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
+    """A hall of 10 to 40 m with the rig somewhere in it, y down; not yet exposed (see `make_scene`).
+
+    Args:
+        generator: source of every random choice.
+        clear_radius: nothing stands nearer to the origin than this (metres).
+    """
+    palette = Palette(generator)
+    sides = [palette.log_uniform(3.0, 20.0) for _ in range(4)]
+    height, floor = palette.uniform(5.0, 11.0), palette.uniform(0.75, 1.7)
+    hall = Room(palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius)
+    build_shell(hall, {})
+    _columns(hall)
+    _beams(hall)
+    _strip_lights(hall, palette.integer(2, 3))
+    for _ in range(palette.integer(4, 12)):
+        _crates(hall)
+    furnish(hall, palette.integer(4, 10))
+    decorate(hall)
+    hang_small_things(hall)
+    return Scene(
+        primitives=pack(hall.parts),
+        materials=pack_materials(palette.materials),
+        lamps=pack_lamps(hall.lamps),
+        ambient=palette.uniform(0.08, 0.16) * torch.tensor([1.0, 1.0, palette.uniform(0.9, 1.1)]),
+        background=torch.zeros(2, 3),
+        exposure=torch.tensor(1.0),
+    )
+
+
+def _columns(hall: Room) -> None:
+    """Rows of equal columns from floor to ceiling, without those that would stand at the rig."""
+    palette = hall.palette
+    step, thickness = palette.uniform(3.0, 7.0), palette.uniform(0.12, 0.4)
+    shape, material = palette.choose(("cylinder", "box")), palette.any_surface(1.0)
+    shift = palette.uniform(0.0, step), palette.uniform(0.0, step)
+    half = (hall.floor - hall.ceiling) / 2
+    counts = [int((high - low) // step) for low, high in zip(hall.low, hall.high, strict=True)]
+    for i in range(counts[0]):
+        for k in range(counts[1]):
+            x, z = hall.low[0] + shift[0] + i * step, hall.low[1] + shift[1] + k * step
+            column = Part(shape, (x, hall.floor - half, z), (thickness, half, thickness), material)
+            if x < hall.high[0] - thickness and z < hall.high[1] - thickness and hall.add([column]):
+                hall.circles.append((x, z, 1.5 * thickness))
+
+
+def _beams(hall: Room) -> None:
+    """Beams across the ceiling."""
+    palette = hall.palette
+    (x0, z0), (x1, z1) = hall.low, hall.high
+    step, material = palette.uniform(2.0, 5.0), palette.metal()
+    deep, thick = palette.uniform(0.1, 0.4), palette.uniform(0.05, 0.15)
+    for k in range(1, int((z1 - z0) / step)):
+        middle = ((x0 + x1) / 2, hall.ceiling + deep, z0 + k * step)
+        hall.add([Part("box", middle, ((x1 - x0) / 2, deep, thick), material, casts_shadow=False)])
+
+
+def _strip_lights(hall: Room, count: int) -> None:
+    """Long glowing boxes under the ceiling; the middle of each is the lamp that lights."""
+    palette = hall.palette
+    (x0, z0), (x1, z1) = hall.low, hall.high
+    glow, y = palette.glowing((1.0, 0.98, palette.uniform(0.85, 1.0)), 1.5), hall.ceiling + 0.9
+    power = 0.6 * math.sqrt((x1 - x0) * (z1 - z0)) * (hall.floor - hall.ceiling) / count
+    for k in range(count):
+        x = x0 + (k + palette.uniform(0.3, 0.7)) * (x1 - x0) / count
+        z = palette.uniform(0.7 * z0 + 0.3 * z1, 0.3 * z0 + 0.7 * z1)
+        hall.add([Part("box", (x, y, z), (0.08, 0.04, palette.uniform(0.6, 2.0)), glow, casts_shadow=False)])
+        hall.lamps.append(Lamp((x, y + 0.1, z), (power, power, 0.95 * power), reach=2.0))
+
+
+def _crates(hall: Room) -> None:
+    """A few boxes or barrels on top of each other."""
+    palette = hall.palette
+    (x0, z0), (x1, z1) = hall.low, hall.high
+    x, z = palette.uniform(x0 + 1, x1 - 1), palette.uniform(z0 + 1, z1 - 1)
+    size, top, parts = palette.log_uniform(0.3, 1.0), 0.0, []
+    for _ in range(palette.integer(1, 3)):
+        half = (
+            size * palette.uniform(0.6, 1.0),
+            size * palette.uniform(0.4, 0.8),
+            size * palette.uniform(0.6, 1),
+        )
+        shape = "box" if palette.chance(0.8) else "cylinder"
+        material = palette.any_surface(2 * size)
+        parts.append(Part(shape, (0.0, -top - half[1], 0.0), half, material, yaw=palette.uniform(0, 0.4)))
+        top, size = top + 2 * half[1] + 0.001, 0.9 * min(half[0], half[2])
+    hall.stand(place(parts, 0.0, 0.0, 0.0, 0.0), x, z, palette.uniform(0, 2 * math.pi))

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recipe for a furnished room whose polished floor mirrors it, sometimes with a mirror on a wall."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+
+from sphericalvision.scenes.kinds.furniture import place
+from sphericalvision.scenes.kinds.palette import Palette
+from sphericalvision.scenes.kinds.rooms import (
+    Room,
+    add_window,
+    build_shell,
+    decorate,
+    furnish,
+    hang_lamps,
+    hang_small_things,
+    random_opening,
+)
+from sphericalvision.scenes.rendering.primitives import Part, pack
+from sphericalvision.scenes.rendering.scene import Material, Scene, pack_lamps, pack_materials
+
+__all__ = ["random_polished_room"]
+
+
+def random_polished_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
+    """A room on a floor that mirrors a third to three quarters of its light; not yet exposed (see `make_scene`).
+
+    Depth is that of the floor itself, which the mirrored room below it is not: what photo-consistency gets wrong.
+
+    Args:
+        generator: source of every random choice.
+        clear_radius: nothing stands nearer to the origin than this (metres).
+    """
+    palette = Palette(generator)
+    sides = [palette.log_uniform(1.5, 8.0) for _ in range(4)]
+    height = palette.uniform(2.4, 4.5)
+    floor = palette.uniform(0.75, min(1.7, height - 0.8))
+    room = Room(palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius)
+    side = palette.integer(0, 3)
+    window = random_opening(room, side, palette.uniform(1.0, 2.5), 0.5, 2.1)
+    build_shell(room, {side: window})
+    _polish(room)
+    hang_lamps(room, palette.integer(1, 2))
+    add_window(room, side, window)
+    if palette.chance(0.4):
+        _wall_mirror(room, (side + 1) % 4)
+    furnish(room, palette.integer(6, 14))
+    decorate(room, rug=False)
+    hang_small_things(room)
+    return Scene(
+        primitives=pack(room.parts),
+        materials=pack_materials(palette.materials),
+        lamps=pack_lamps(room.lamps),
+        ambient=palette.uniform(0.08, 0.16) * torch.ones(3),
+        background=torch.tensor([[0.45, 0.6, 0.9], [0.35, 0.33, 0.3]]) * palette.uniform(0.5, 1.2),
+        exposure=torch.tensor(1.0),
+    )
+
+
+def _polish(room: Room) -> None:
+    """Give the floor, which is the first part of a shell, a material that mirrors."""
+    palette = room.palette
+    names = ("marble", "tiles", "noise", "checks")
+    share = palette.uniform(0.33, 0.75)
+    ground = palette.patterned(names, palette.uniform(1.0, 2.5), palette.uniform(0.1, 0.7), mirror=share)
+    room.parts[0] = replace(room.parts[0], material=ground)
+
+
+def _wall_mirror(room: Room, side: int) -> None:
+    """A mirror in a frame on a wall."""
+    palette = room.palette
+    yaw, x, z, start, end = room.sides()[side]
+    wide, high = palette.uniform(0.3, 0.4) * (end - start), palette.uniform(0.4, 0.9)
+    along = palette.uniform(start + 1.1 * wide, end - 1.1 * wide)
+    down = room.floor - 0.3 - high
+    glass = palette.add(Material(texture=0, dark=(0.05, 0.06, 0.06), bright=(0.05, 0.06, 0.06), mirror=0.9))
+    board = [
+        Part(
+            "box", (along, down, 0.0), (wide + 0.04, high + 0.04, 0.02), palette.metal(), casts_shadow=False
+        ),
+        Part("rectangle", (along, down, -0.022), (wide, high, 1.0), glass, casts_shadow=False),
+    ]
+    room.add(place(board, x, 0.0, z, yaw))

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Procedural scenes for training and tests: a seed makes a scene, any rig takes its pictures.
+
+Convention:
+    * A scene lives in the world frame of the rig (x right, y down, z forward, metres), centred on the rig.
+    * The same seed makes the same scene on every device.
+    * Nothing stands nearer than ``clear_radius`` (0.6 m) to the rig's centre.
+
+Examples:
+    >>> import torch
+    >>> scene = make_scene("room", seed=3)
+    >>> directions = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    >>> render_directions(scene, torch.zeros(3), directions).shape
+    torch.Size([3, 2])
+    >>> bool((ray_depth(scene, torch.zeros(3), directions) > 0.6).all())
+    True
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, check_choice, check_type
+from sphericalvision.scenes.kinds.bare_rooms import random_bare_room
+from sphericalvision.scenes.kinds.corridors import random_corridor
+from sphericalvision.scenes.kinds.floating import random_floating_objects
+from sphericalvision.scenes.kinds.glazed import random_glazed_room
+from sphericalvision.scenes.kinds.halls import random_hall
+from sphericalvision.scenes.kinds.outdoors import random_outdoor_place
+from sphericalvision.scenes.kinds.patchwork import random_patchwork
+from sphericalvision.scenes.kinds.polished_rooms import random_polished_room
+from sphericalvision.scenes.kinds.rooms import random_room
+from sphericalvision.scenes.kinds.rough import random_rough_place
+from sphericalvision.scenes.rendering.render import ray_depth, render_camera, render_directions, render_rig
+from sphericalvision.scenes.rendering.scene import Scene
+from sphericalvision.scenes.skies import under_another_sky
+
+__all__ = [
+    "SCENE_KINDS",
+    "Scene",
+    "kind_of",
+    "make_scene",
+    "random_floating_objects",
+    "random_room",
+    "ray_depth",
+    "render_camera",
+    "render_directions",
+    "render_rig",
+]
+
+#: Recipes that `make_scene` knows, by the names of their scenes.
+RECIPES: dict[str, Callable[[torch.Generator, float], Scene]] = {
+    "room": random_room,
+    "floating": random_floating_objects,
+    "hall": random_hall,
+    "corridor": random_corridor,
+    "bare": random_bare_room,
+    "polished": random_polished_room,
+    "outdoors": random_outdoor_place,
+    "skies": random_outdoor_place,
+    "patchwork": random_patchwork,
+    "rough": random_rough_place,
+    "glazed": random_glazed_room,
+}
+SCENE_KINDS = tuple(RECIPES)
+#: Kinds that take turns from seed to seed, by the name of the mixture; the last four come in no other than their own.
+MIXTURES = {"mixed": ("room", "floating"), "all": SCENE_KINDS[:-4]}
+
+
+def kind_of(kind: str, seed: int) -> str:
+    """Tell the kind of scene of a seed: mixtures take turns, any other kind is itself.
+
+    Args:
+        kind: of ``make_scene``; or ``"mixed"``: rooms for even seeds, floating objects for odd ones; or ``"all"``: all
+            kinds of ``make_scene`` but ``"skies"``, ``"patchwork"``, ``"rough"`` and ``"glazed"`` in turn.
+        seed: of the scene.
+
+    Raises:
+        ArgumentError: an unknown kind.
+
+    Examples:
+        >>> kind_of("mixed", 4), kind_of("mixed", 5), kind_of("room", 5)
+        ('room', 'floating', 'room')
+    """
+    check_choice("kind", kind, (*SCENE_KINDS, *MIXTURES))
+    turns = MIXTURES.get(kind, (kind,))
+    return turns[seed % len(turns)]
+
+
+def make_scene(
+    kind: str = "room",
+    seed: int = 0,
+    device: torch.device | str | None = None,
+    *,
+    center: Float[Tensor, " 3"] | None = None,
+    scale: float = 1.0,
+    clear_radius: float = 0.6,
+) -> Scene:
+    """The scene of a seed, well exposed for a rig at its centre.
+
+    Args:
+        kind: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects in mid-air in front of a distant shell),
+            ``"hall"``, ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a reflecting floor) ``"outdoors"``
+            (ground below an infinitely distant sky), ``"skies"`` (the same below a sky that is black, white, of any
+            colour or cloudy), ``"patchwork"`` (plain shapes under arbitrary pictures, seen from any height),
+            ``"rough"`` (caves and slopes under such pictures, nothing level or upright), or ``"glazed"`` (a room with
+            windows to all sides, before such skies).
+        seed: the same seed makes the same scene.
+        device: where the scene lives; the CPU by default.
+        center: ``(3,)`` where the rig's centre is, metres; the origin by default.
+        scale: multiplies every length but ``center``; 3 suits a rig and a least depth three times as large.
+        clear_radius: free space around the rig before scaling, metres, below 1.
+
+    Raises:
+        ArgumentError: unknown kind, scale not positive, or a clear radius outside (0, 1).
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.scenes import render_rig
+        >>> images = render_rig(make_scene("hall", seed=3), ring_rig(2, image_size=(16, 16)))
+        >>> images["cam1"].shape
+        torch.Size([3, 16, 16])
+    """
+    check_choice("kind", kind, SCENE_KINDS)
+    if not scale > 0:
+        raise ArgumentError(f"scale: expected a positive factor, got {scale}")
+    if not 0 < clear_radius < 1:
+        raise ArgumentError(
+            f"clear_radius: expected metres in (0, 1), got {clear_radius}; use scale for larger rigs"
+        )
+    check_type("seed", seed, int)
+    generator = torch.Generator().manual_seed(seed)
+    scene = RECIPES[kind](generator, clear_radius)
+    yaw = 2 * math.pi * torch.rand((), generator=generator).item()
+    sin, cos = math.sin(yaw), math.cos(yaw)
+    scene = scene.transformed(torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]))
+    brightness = 0.38 + 0.17 * torch.rand((), generator=generator).item()
+    scene = (
+        exposed(scene, brightness)
+        .scaled(scale)
+        .transformed(translation=center.cpu().float() if center is not None else None)
+    )
+    if kind in ("skies", "glazed"):
+        scene = under_another_sky(scene, generator)
+    return scene if device is None else scene.to(device)
+
+
+def exposed(scene: Scene, brightness: float, probes: int = 1000) -> Scene:
+    """The scene at the exposure at which the view from the origin has the given mean brightness on a display."""
+    k = torch.arange(probes) + 0.5
+    height, angle = 1 - 2 * k / probes, k * math.pi * (3 - 5**0.5)
+    across = (1 - height.square()).sqrt()
+    directions = torch.stack([across * angle.cos(), height, across * angle.sin()], -1)
+    dim = 0.1
+    seen = render_directions(replace(scene, exposure=torch.tensor(dim)), torch.zeros(3), directions)
+    return replace(scene, exposure=dim * (brightness / seen.mean().clamp(min=1e-3)) ** 2.2)

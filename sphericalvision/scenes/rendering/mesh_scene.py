@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Textured meshes from files as scenes: what rays hit first, and the colour that the mesh has there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
+from sphericalvision.scenes.rendering.sky import sky_light
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = ["MeshScene", "read_mesh_scene"]
+
+Array = npt.NDArray[Any]
+
+#: Rows are x, y, z of the world (y down) in the axes of files whose up is y (glTF) or z (many scans).
+AXES = {
+    "y": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
+    "z": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
+}
+SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
+
+
+@dataclass(frozen=True)
+class _Texture:
+    """Linear colours ``(h, w, 3)`` over the unit square of texture coordinates, whose v points up."""
+
+    pixels: Tensor
+
+    def sample(self, uv: Tensor) -> Tensor:
+        """Bilinear look-up at ``(n, 2)``, repeated beyond the square: ``(n, 3)``."""
+        height, width = self.pixels.shape[:2]
+        x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
+        left, top = x.floor(), y.floor()
+        x, y = (x - left)[:, None], (y - top)[:, None]
+        columns = [(left + k).long() % width for k in (0, 1)]
+        rows = [(top + k).long() % height for k in (0, 1)]
+        upper, lower = (self.pixels[r, columns[0]].lerp(self.pixels[r, columns[1]], x) for r in rows)
+        return upper.lerp(lower, y)
+
+
+class MeshScene:
+    """Triangles with colours, in the world of the rig (y down, metres), to be rendered as scenes are.
+
+    Depth along a ray is that of the first triangle, seen from either side. Colours are those of the mesh, as scans have
+    them: light and shadow are already in them. They come from a texture, from colours of vertices or faces, or from the
+    material, in this order.
+
+    Args:
+        mesh: a ``trimesh.Trimesh`` or ``trimesh.Scene``.
+        up: axis that points up in the mesh, ``"y"`` (glTF) or ``"z"``; the other axes follow, nothing is mirrored.
+        scale: metres in one unit of the mesh.
+        center: ``(3,)`` point of the mesh, in its own axes and units, where the world's origin shall be.
+
+    Raises:
+        ArgumentError: an unknown axis, a scale that is not positive, or no triangles.
+        ImportError: embreex, which intersects rays with triangles, is missing; it comes with
+            ``pip install 'sphericalvision[meshes]'``.
+
+    Examples:
+        >>> import trimesh
+        >>> from sphericalvision.scenes import ray_depth
+        >>> room = MeshScene(trimesh.creation.box((4.0, 3.0, 6.0)))
+        >>> ray_depth(room, torch.zeros(3), torch.tensor([[0.0, 1.0, 0.0]]))
+        tensor([1.5000])
+    """
+
+    def __init__(
+        self,
+        mesh: trimesh.Trimesh | trimesh.Scene,
+        up: str = "y",
+        scale: float = 1.0,
+        center: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        check_choice("up", up, tuple(AXES))
+        if not scale > 0:
+            raise ArgumentError(f"scale: expected metres in a unit of the mesh, above 0, got {scale}")
+        parts = [part for part in _parts(mesh) if len(part.faces)]
+        if not parts:
+            raise ArgumentError("mesh: expected triangles, got none")
+        turn = np.array(AXES[up])
+        self.vertices = (
+            scale * (np.concatenate([part.vertices for part in parts]) - np.array(center)) @ turn.T
+        )
+        starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+        self.faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)])
+        self.part_of_face = torch.from_numpy(np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts]))
+        looks = [_look(part) for part in parts]
+        self.textures = [texture for texture, _ in looks]
+        self.corner_values = torch.cat([values for _, values in looks])
+        self.exposure = torch.tensor(1.0)
+        self.background = torch.zeros(2, 3)
+        _ = self._caster  # says at once if it cannot be made
+
+    @property
+    def device(self) -> torch.device:
+        """Where rays are cast: the CPU."""
+        return torch.device("cpu")
+
+    @cached_property
+    def _caster(self) -> Any:
+        import trimesh
+
+        try:
+            from trimesh.ray.ray_pyembree import RayMeshIntersector
+        except BaseException as error:
+            raise ImportError(
+                "MeshScene: embreex intersects rays with triangles and is not installed; "
+                "pip install 'sphericalvision[meshes]'"
+            ) from error
+        return RayMeshIntersector(trimesh.Trimesh(self.vertices, self.faces, process=False))
+
+    def trace(
+        self, origin: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"]
+    ) -> tuple[Float[Tensor, " n"], Int[Tensor, " n"]]:
+        """First triangle along each ray.
+
+        Embree finds the triangle in float32; the distance to its plane is computed in float64.
+
+        Args:
+            origin: ``(3,)`` metres.
+            directions: ``(n, 3)`` unit directions.
+
+        Returns:
+            Metres ``(n,)``, inf where nothing is hit, and faces ``(n,)``, -1 there.
+        """
+        rays = directions.detach().cpu().double().numpy()
+        start = origin.detach().cpu().double().numpy()
+        face = self._caster.intersects_first(np.broadcast_to(start, rays.shape), rays)
+        hit = face >= 0
+        a, b, c = (self.vertices[self.faces[face[hit], k]] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = ((a - start) * normal).sum(1) / (rays[hit] * normal).sum(1)
+        distance = np.full(len(rays), np.inf)
+        distance[hit] = np.where(np.isfinite(along) & (along > 0), along, np.inf)
+        return torch.from_numpy(distance).float(), torch.from_numpy(np.asarray(face)).long()
+
+    def light(self, origin: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Linear colours ``(n, 3)`` along rays ``(n, 3)`` from a point; the background where nothing is hit."""
+        distance, face = self.trace(origin, directions)
+        color = sky_light(self.background, torch.zeros(0, 5), directions.T).T.contiguous()
+        hit = (face >= 0) & distance.isfinite()
+        points = origin.double() + distance[hit, None].double() * directions[hit].double()
+        values = self._interpolated(points, face[hit])
+        part = self.part_of_face[face[hit]]
+        shown = values.clone()
+        for number, texture in enumerate(self.textures):
+            if texture is not None and bool((mine := part == number).any()):
+                shown[mine] = texture.sample(values[mine, :2])
+        color[hit] = shown
+        return color
+
+    def _interpolated(self, points: Tensor, face: Tensor) -> Tensor:
+        """Values of the corners ``(n, 3)`` by barycentric coordinates."""
+        a, b, c = torch.from_numpy(self.vertices[self.faces[face.numpy()]]).unbind(1)
+        normal = torch.linalg.cross(b - a, c - a)
+        area = normal.square().sum(-1).clamp(min=1e-30)
+        v = (torch.linalg.cross(points - a, c - a) * normal).sum(-1) / area
+        w = (torch.linalg.cross(b - a, points - a) * normal).sum(-1) / area
+        weights = torch.stack([1 - v - w, v, w], -1).clamp(0, 1)
+        weights = (weights / weights.sum(-1, keepdim=True)).float()
+        return (weights[:, :, None] * self.corner_values[face]).sum(1)
+
+
+def read_mesh_scene(
+    path: str | Path,
+    up: str = "y",
+    scale: float = 1.0,
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> MeshScene:
+    """Read a textured mesh as a scene: ``.glb``, ``.gltf``, ``.obj``, ``.ply``, ``.stl`` or ``.off``.
+
+    Args:
+        path: the file; textures that it names lie beside it.
+        up: axis that points up in the file, ``"y"`` or ``"z"``.
+        scale: metres in one unit of the file.
+        center: point of the file's own coordinates where the rig's world has its origin.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: another suffix, or the file cannot be read or has no triangles.
+        ImportError: embreex is missing (``pip install 'sphericalvision[meshes]'``).
+
+    Examples:
+        >>> import trimesh
+        >>> from sphericalvision.scenes import ray_depth
+        >>> _ = trimesh.creation.box((6.0, 2.5, 5.0)).export("room.stl")
+        >>> scene = read_mesh_scene("room.stl")
+        >>> ray_depth(scene, torch.zeros(3), torch.eye(3))
+        tensor([3.0000, 1.2500, 2.5000])
+    """
+    import trimesh
+
+    path = check_file(path, "a mesh")
+    if path.suffix.lower() not in SUFFIXES:
+        raise FileFormatError(
+            f"{path}: expected a mesh ({', '.join(SUFFIXES)}), got the suffix {path.suffix!r}"
+        )
+    try:
+        loaded = trimesh.load_scene(path)
+        has_triangles = any(len(part.faces) for part in _parts(loaded))
+    except Exception as error:  # readers of damaged files raise nearly anything
+        raise FileFormatError(
+            f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})"
+        ) from error
+    if not has_triangles:
+        raise FileFormatError(f"{path}: expected a mesh with triangles, found none")
+    try:
+        return MeshScene(loaded, up, scale, center)
+    except (ArgumentError, ImportError):
+        raise
+    except Exception as error:  # vertices of two coordinates, corners that do not exist
+        raise FileFormatError(
+            f"{path}: its triangles make no sense ({type(error).__name__}: {error})"
+        ) from error
+
+
+def _parts(mesh: trimesh.Trimesh | trimesh.Scene) -> list[trimesh.Trimesh]:
+    """All triangles of a scene in its own frame, a mesh for each placed piece."""
+    import trimesh
+
+    if isinstance(mesh, trimesh.Trimesh):
+        return [mesh]
+    return [part for part in mesh.dump() if isinstance(part, trimesh.Trimesh)]
+
+
+def _look(part: trimesh.Trimesh) -> tuple[_Texture | None, Tensor]:
+    """The texture of a mesh, if any, and values of the corners of its faces ``(f, 3, 3)``.
+
+    Values are texture coordinates (and 0), or linear colours where there is no texture.
+    """
+    visual: Any = part.visual
+    image = _image(visual)
+    if image is not None and getattr(visual, "uv", None) is not None:
+        uv = np.asarray(visual.uv, dtype=np.float32)[part.faces]
+        corner = torch.zeros(len(part.faces), 3, 3)
+        corner[..., :2] = torch.from_numpy(uv)
+        return _Texture(_linear(np.asarray(image.convert("RGB")))), corner
+    if visual.kind == "vertex":
+        return None, _linear(visual.vertex_colors[:, :3])[torch.from_numpy(np.asarray(part.faces))]
+    if visual.kind == "face":
+        return None, _linear(visual.face_colors[:, :3])[:, None].expand(-1, 3, -1).clone()
+    color = getattr(getattr(visual, "material", None), "main_color", (180, 180, 180, 255))
+    plain = _linear(np.asarray(color, dtype=np.uint8)[:3])
+    return None, plain.expand(len(part.faces), 3, 3).clone()
+
+
+def _image(visual: Any) -> Any:
+    """The picture of colours of a material, of any of the kinds that trimesh has."""
+    material = getattr(visual, "material", None)
+    image = getattr(material, "baseColorTexture", None)
+    return getattr(material, "image", None) if image is None else image
+
+
+def _linear(levels: Array) -> Tensor:
+    """Bytes of a picture as linear light, by the display curve of the renderer."""
+    return (torch.from_numpy(np.array(levels, dtype=np.float32)) / 255) ** 2.2

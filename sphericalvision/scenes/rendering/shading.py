@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shading of what rays hit: textures, lamps with their shadows, ambient light, and one reflection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from sphericalvision.scenes.rendering.ray_packets import RAYS, RayPackets, packed
+from sphericalvision.scenes.rendering.raycast import blocked, first_hits
+from sphericalvision.scenes.rendering.scene import Scene
+from sphericalvision.scenes.rendering.sky import sky_light
+from sphericalvision.scenes.rendering.surfaces import normals_and_uv
+from sphericalvision.scenes.rendering.textures import TextureBank, texture_bank
+
+__all__ = ["SurfaceSamples", "SurfaceTable", "irradiance", "radiance"]
+
+#: Shadow rays end this far before the surface that they test, and reflections start so far from it (metres).
+SHADOW_GAP = 2e-3
+#: Rays in a packet of points that are sorted by primitive; divides RAYS.
+SORTED = 64
+
+
+@dataclass(frozen=True)
+class SurfaceTable:
+    """What the surfaces of a scene look like, by primitive, so that a ray looks up one table only.
+
+    Attributes:
+        numbers: ``(8, P)``: the map from surface coordinates to the texture's (2 x 2, by rows), its offset
+            across and down, texture sides per metre, and light given off.
+        dark: ``(3, P)`` reflectance where the texture is black.
+        range: ``(3, P)`` what is added to it where the texture is white.
+        texture: ``(P,)`` numbers of textures, int32.
+        mirror: ``(P,)`` shares of light that are reflected as by a mirror.
+        bank: the textures.
+    """
+
+    numbers: Tensor
+    dark: Tensor
+    range: Tensor
+    texture: Tensor
+    mirror: Tensor
+    bank: TextureBank
+
+    @classmethod
+    def of(cls, scene: Scene) -> SurfaceTable:
+        """The table of a scene."""
+        table, material = scene.materials, scene.primitives.material
+        turn = table.texture_from_surface[material]  # (P, 2, 2)
+        offset = (turn @ scene.primitives.uv_origin[:, :, None])[:, :, 0] + table.offset[material]
+        density = turn.norm(dim=-1).amax(-1)
+        columns = [turn.flatten(1), offset, density[:, None], table.emission[material][:, None]]
+        dark = table.dark[material].T.contiguous()
+        return cls(
+            numbers=torch.cat(columns, 1).T.contiguous(),
+            dark=dark,
+            range=table.bright[material].T - dark,
+            texture=table.texture[material].int(),
+            mirror=table.mirror[material],
+            bank=texture_bank(str(scene.device)),
+        )
+
+
+class SurfaceSamples(NamedTuple):
+    """Points on surfaces, in packets.
+
+    Attributes:
+        position: ``(3, b, r)`` metres.
+        normal: ``(3, b, r)``.
+        side: ``(b, r)`` the primitive that each lies on; the inner side of primitive p is -1 - p.
+    """
+
+    position: Tensor
+    normal: Tensor
+    side: Tensor
+
+    def alone(self) -> Tensor:
+        """Which packets lie on one side of one primitive ``(b,)``."""
+        return (self.side == self.side[:, :1]).all(1)
+
+
+def radiance(scene: Scene, table: SurfaceTable, rays: RayPackets, spread: Tensor, bounces: int = 1) -> Tensor:
+    """Linear light ``(3, b, RAYS)``, not yet exposed.
+
+    Args:
+        scene: the scene.
+        table: its `SurfaceTable`.
+        rays: packets of unit directions.
+        spread: ``(b, RAYS)`` angles between neighbouring rays.
+        bounces: how often reflections are followed.
+    """
+    distance, hit = first_hits(scene.primitives, rays)
+    met = hit >= 0
+    distance, row = distance.masked_fill_(~met, 1), hit.clamp(min=0)
+    position = torch.addcmul(rays.origin, rays.direction, distance)
+    direction, rows = rays.direction.flatten(1), row.flatten()
+    normal, uv, inner = normals_and_uv(scene.primitives, position.flatten(1), direction, rows)
+    light, glow = _albedo(table, uv, normal, direction, rows, (distance * spread).flatten())
+    side = torch.where(inner.view_as(row), -1 - row, row)
+    arriving = irradiance(scene, SurfaceSamples(position, normal.view_as(position), side))
+    light.mul_(torch.where(glow > 0, glow, arriving.flatten(1)))
+    if bounces and bool((table.mirror > 0).any()):
+        glossy = (table.mirror > 0).index_select(0, rows).logical_and_(met.flatten()).nonzero()[:, 0]
+        if len(glossy):
+            spot, ray, outward = (x.index_select(1, glossy) for x in (position.flatten(1), direction, normal))
+            wider = packed(2 * spread.flatten()[glossy])
+            seen = radiance(scene, table, _reflected(spot, ray, outward), wider, bounces - 1)
+            share = table.mirror.index_select(0, rows[glossy])
+            mixed = torch.lerp(light.index_select(1, glossy), seen.flatten(1)[:, : len(glossy)], share)
+            light.index_copy_(1, glossy, mixed)
+    light = light.view_as(position)
+    if bool(met.all()):
+        return light
+    return torch.where(met, light, sky_light(scene.background, scene.clouds, rays.direction))
+
+
+def _reflected(position: Tensor, ray: Tensor, normal: Tensor) -> RayPackets:
+    """Mirrored rays of ``(3, n)`` points."""
+    away = torch.add(position, normal, alpha=SHADOW_GAP)
+    mirrored = torch.addcmul(ray, normal, (ray * normal).sum(0), value=-2)
+    return RayPackets(packed(away), packed(mirrored))
+
+
+def _albedo(
+    table: SurfaceTable, uv: Tensor, normal: Tensor, direction: Tensor, row: Tensor, width: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Reflectance ``(3, n)``, filtered over rays that are ``width`` metres wide when they arrive, and emission."""
+    a, b, c, d, across, down, density, glow = table.numbers.index_select(1, row)
+    across.addcmul_(a, uv[0]).addcmul_(b, uv[1])
+    down.addcmul_(c, uv[0]).addcmul_(d, uv[1])
+    slant = (direction * normal).sum(0).abs_().clamp_(min=0.02)
+    # A slanted surface is crossed by an ellipse 1 / slant long; its mean width balances blur and aliasing.
+    # The box filters of a mip pyramid let some aliasing through: a little wider looks better.
+    footprint = slant.rsqrt_().mul_(width).mul_(density).mul_(1.25)
+    value = table.bank.columns(table.texture.index_select(0, row), across, down, footprint)
+    return torch.addcmul(table.dark.index_select(1, row), table.range.index_select(1, row), value), glow
+
+
+def irradiance(scene: Scene, points: SurfaceSamples) -> Tensor:
+    """Light that arrives at points ``(3, b, RAYS)``: ambient, more from above, and all lamps in sight.
+
+    Packets of points on one primitive stay as they are. The points of the others are sorted by primitive and go in
+    smaller packets: neighbours on different primitives may be far apart as the lamps see them.
+    """
+    alone = points.alone()
+    mixed = (~alone).nonzero()[:, 0]
+    light = torch.empty_like(points.position)
+    whole = alone.nonzero()[:, 0]
+    if len(whole):
+        light.index_copy_(1, whole, _lit(scene, SurfaceSamples(*(x.index_select(-2, whole) for x in points))))
+    if len(mixed):
+        order = points.side.index_select(0, mixed).flatten().argsort(stable=True)
+        number = mixed[:, None] * RAYS + torch.arange(RAYS, device=mixed.device)
+        number = number.flatten().index_select(0, order)
+        sorted_points = (
+            x.flatten(-2).index_select(-1, number).view(*x.shape[:-2], -1, SORTED) for x in points
+        )
+        light.flatten(1).index_copy_(1, number, _lit(scene, SurfaceSamples(*sorted_points)).flatten(1))
+    return light
+
+
+def _lit(scene: Scene, points: SurfaceSamples) -> Tensor:
+    """`irradiance` of packets of any number of points."""
+    position, normal, side = points
+    light = scene.ambient[:, None, None] * (1 - 0.25 * normal[1])
+    # A convex primitive throws no shadow on its own outer side, where that faces the lamp.
+    own = scene.primitives.caster_row.index_select(0, side[:, 0].clamp(min=0))
+    own = torch.where(points.alone() & (side[:, 0] >= 0), own, -1)
+    lamps = zip(scene.lamps.position[:, :, None, None], scene.lamps.color, scene.lamps.reach, strict=True)
+    for lamp, color, reach in lamps:
+        ray = position - lamp
+        slant = (normal * ray).sum(0).neg_().clamp_(min=0)
+        lit = slant.amax(1).nonzero()[:, 0]
+        if not len(lit):
+            continue
+        squared = ray.square().sum(0)
+        distance = squared.sqrt()
+        strength = slant.div_(distance).div_(squared.add_(reach**2))
+        limit = 1 - SHADOW_GAP / distance.index_select(0, lit)
+        rays = RayPackets(lamp, ray.index_select(1, lit))
+        hidden = blocked(scene.primitives.shadow_casters, rays, limit, own.index_select(0, lit))
+        strength.index_copy_(0, lit, strength.index_select(0, lit).masked_fill_(hidden, 0))
+        light.addcmul_(strength, color[:, None, None])
+    return light

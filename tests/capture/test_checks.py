@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Warnings about captures: each comes when its fault is there, and none without."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from sphericalvision import Predictor
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture import Depth
+from sphericalvision.capture.checks import PhotoConsistency, capture_warnings, pose_agreement
+from sphericalvision.core import ArgumentError
+from sphericalvision.scenes import make_scene, render_rig
+
+RING = ring_rig(4, image_size=(80, 80))
+
+
+def scattered(seed: int) -> CameraRig:
+    """Cameras of a ring, each tilted and moved by a little of its own: inverted, they are still apart."""
+    generator = torch.Generator().manual_seed(seed)
+    poses = RING.rotated(tilt=0.5 * torch.rand(4, generator=generator)).world_from_camera.clone()
+    poses[:, :3, 3] += 0.2 * torch.rand(4, 3, generator=generator)
+    return CameraRig(RING.cameras, poses)
+
+
+def depth_of(rig: CameraRig, kind: str, min_depth: float, taken_with: CameraRig | None = None) -> Depth:
+    images = render_rig(make_scene(kind, seed=3), rig if taken_with is None else taken_with)
+    return Predictor(rig, method="semi_global", level=5, num_hypotheses=16, min_depth=min_depth)(images)
+
+
+@pytest.mark.parametrize("kind", ["room", "hall"])
+def test_a_good_capture_needs_no_words(kind: str) -> None:
+    assert capture_warnings(depth_of(scattered(1), kind, 0.55)) == []
+
+
+def test_little_overlap_is_told() -> None:
+    (warning,) = capture_warnings(depth_of(RING.subset([0, 2]), "room", 0.55))
+    assert "Two cameras see" in warning
+    assert 10 < int(warning.split("see ")[1].split(" %")[0]) < 50
+
+
+def test_wasted_hypotheses_are_told() -> None:
+    (warning,) = capture_warnings(depth_of(RING, "hall", 0.1))
+    assert "wasted" in warning
+    assert "min_depth = 0.10 m" in warning
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_inverted_poses_are_told(seed: int) -> None:
+    rig = scattered(seed)
+    inverted = CameraRig(rig.cameras, rig.camera_from_world)
+    warnings = capture_warnings(depth_of(inverted, "room", 0.55, taken_with=rig))
+    assert any("camera-from-world" in warning for warning in warnings)
+    images = render_rig(make_scene("room", seed=3), rig)
+    assert pose_agreement(images, rig) > 2 * pose_agreement(images, inverted)
+
+
+def test_a_ring_whose_poses_are_inverted_is_in_one_place() -> None:
+    inverted = CameraRig(RING.cameras, RING.camera_from_world)
+    assert math.isclose(float(inverted.radius), 0, abs_tol=1e-6)
+    with pytest.raises(ArgumentError, match="seems to hold camera-from-world"):
+        Predictor(inverted)
+
+
+def test_photo_consistency_falls_with_wrong_depth() -> None:
+    judge, depth = PhotoConsistency(level=4), depth_of(RING, "room", 0.55)
+    share = judge(depth)
+    assert 0.7 < share < 1
+    assert judge(replace(depth, index=15 - depth.index)) < share - 0.2
+    assert judge(replace(depth, rig=RING.rotated(tilt=0.1))) < share - 0.1  # another rig has other tables

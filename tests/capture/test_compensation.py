@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Noise of cameras: how strong it is, and what smoothing it does for depth."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture import Predictor
+from sphericalvision.capture.preparation.compensation import LEAST_NOISE, compensated, denoised, noise_of
+from sphericalvision.scenes import make_scene, render_rig
+
+
+@pytest.fixture(scope="module")
+def rig() -> CameraRig:
+    return ring_rig(3, image_size=(128, 128))
+
+
+@pytest.fixture(scope="module")
+def clean(rig: CameraRig) -> dict[str, Tensor]:
+    return render_rig(make_scene("room", seed=3), rig, 2)
+
+
+def noisy(images: dict[str, Tensor], amount: float) -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    return {
+        name: (image + amount * torch.randn(image.shape, generator=generator)).clamp(0, 1)
+        for name, image in images.items()
+    }
+
+
+@pytest.mark.parametrize("amount", [0.02, 0.03, 0.08])
+def test_noise_is_found(clean: dict[str, Tensor], amount: float) -> None:
+    for image in noisy(clean, amount).values():
+        assert noise_of(image) == pytest.approx(amount, rel=0.2)  # texture adds
+
+
+def test_clipped_values_and_what_is_outside_of_the_lens_say_nothing(clean: dict[str, Tensor]) -> None:
+    image = noisy(clean, 0.03)["cam1"]
+    image[:, :80] = 0.0
+    assert noise_of(image) == pytest.approx(0.03, rel=0.15)
+    assert noise_of(torch.ones(3, 16, 16)) == 0.0
+
+
+def test_large_images_are_sampled(clean: dict[str, Tensor]) -> None:
+    large = torch.nn.functional.interpolate(clean["cam1"][None], size=(900, 900), mode="bicubic")[0].clamp(
+        0, 1
+    )
+    assert noise_of(noisy({"a": large}, 0.02)["a"]) == pytest.approx(0.02, rel=0.1)
+
+
+def test_smoothing_brings_images_back(clean: dict[str, Tensor]) -> None:
+    for name, image in noisy(clean, 0.03).items():
+        before, after = ((each - clean[name]).square().mean().sqrt() for each in (image, denoised(image)))
+        assert after < 0.6 * before
+
+
+def test_images_without_noise_stay_as_they_are(rig: CameraRig, clean: dict[str, Tensor]) -> None:
+    assert all(noise_of(image) < LEAST_NOISE for image in clean.values())
+    found = compensated(rig, clean)
+    assert all(found[name] is image for name, image in clean.items())
+
+
+def test_frames_of_a_batch_are_judged_one_by_one(clean: dict[str, Tensor]) -> None:
+    image, other = clean["cam1"], noisy(clean, 0.03)["cam1"]
+    batch = denoised(torch.stack([image, other]))
+    torch.testing.assert_close(batch, torch.stack([image, denoised(other)]))
+
+
+def test_grey_images_of_one_channel(clean: dict[str, Tensor]) -> None:
+    grey = noisy(clean, 0.03)["cam1"].mean(0, keepdim=True)
+    assert denoised(grey).shape == grey.shape
+    assert noise_of(denoised(grey)) < 0.5 * noise_of(grey)
+
+
+def test_masked_pixels_have_no_influence(clean: dict[str, Tensor]) -> None:
+    image, usable = noisy(clean, 0.03)["cam1"], torch.ones(128, 128, dtype=torch.bool)
+    usable[70:] = False
+    other = image.where(usable, torch.rand(image.shape, generator=torch.Generator().manual_seed(1)))
+    torch.testing.assert_close(
+        denoised(image, usable)[:, :70], denoised(other, usable)[:, :70], rtol=0, atol=1e-3
+    )
+    assert noise_of(image, usable) == noise_of(other, usable)
+    assert noise_of(image) != noise_of(other)
+
+
+def test_predictor_smooths_what_it_says(rig: CameraRig, clean: dict[str, Tensor]) -> None:
+    faulty = noisy(clean, 0.04)
+    depth = {}
+    for photometric in (False, True):
+        predictor = Predictor(rig, method="semi_global", level=5, min_depth=0.5, photometric=photometric)
+        truth = predictor(clean).index
+        depth[photometric] = (predictor(faulty).index - truth).abs().mean()
+        told = predictor.noise(faulty)
+        assert list(told) == list(rig.names)
+        assert all(
+            amount == pytest.approx(0.04 if photometric else 0.0, rel=0.15) for amount in told.values()
+        )
+        assert predictor.noise(clean) == dict.fromkeys(rig.names, 0.0)
+    assert depth[True] < 0.9 * depth[False]

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exported programs compute what the predictor computes, on images that they were not exported with."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision import Predictor
+from sphericalvision.cameras import CameraRig, FisheyeCamera, ring_rig
+from sphericalvision.capture.export import (
+    RigProgram,
+    example_images,
+    export_onnx,
+    export_program,
+    onnx_difference,
+    rig_tables,
+    with_constants_folded,
+)
+from sphericalvision.core import ArgumentError, compact_kernels
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
+from sphericalvision.scenes import make_scene, render_rig
+from sphericalvision.sweep import DepthEstimate
+
+RIG = ring_rig(3, image_size=(24, 30))
+
+
+def predictor() -> Predictor:
+    torch.manual_seed(0)
+    net = IcoSweepNet(2, 4, feature_channels=2, num_cameras=3)
+    with torch.no_grad():
+        for part in net.modules():
+            if isinstance(part, torch.nn.modules.batchnorm._BatchNorm):
+                part.momentum = 1.0
+        net.train()(torch.randn(2, 3, 3, 162), RIG)
+    return Predictor(RIG, net.eval(), min_depth=0.5, photometric=False)
+
+
+def test_a_program_is_its_predictor() -> None:
+    images = render_rig(make_scene("room", seed=1), RIG)
+    one = predictor()
+    depth = one(images)
+    stacked = torch.stack(list(images.values()))[None]
+    with torch.inference_mode():
+        inverse_depth, confidence, seen = RigProgram(one)(stacked)
+        torch.testing.assert_close(inverse_depth[0], depth.inverse_depth, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(confidence[0], depth.confidence, rtol=1e-4, atol=1e-5)
+        assert torch.equal(seen[0], depth.seen)
+        on_sphere, _ = one.inputs(images)
+        torch.testing.assert_close(RigProgram(one, "sphere")(on_sphere[None])[0], inverse_depth)
+        panorama = depth.panorama(8)
+        wide = RigProgram(one, height=8)(stacked)
+        torch.testing.assert_close(wide[0][0].reciprocal(), panorama.depth, rtol=1e-4, atol=1e-4)
+        assert torch.equal(wide[2][0], panorama.seen)
+
+
+@cache
+def refined(radius: float = 0.2, **options: object) -> RigProgram:
+    """A small network as the default one is, with weights that change its answer."""
+    torch.manual_seed(0)
+    net = RefinedSweepNet(2, 8, inner_hypotheses=8, widths=(4, 6), blocks=1)
+    with torch.no_grad():
+        for weight in net.parameters():
+            if not weight.any():
+                weight.normal_(std=0.1)
+    rig = ring_rig(3, radius=radius, image_size=(24, 30))
+    return RigProgram(Predictor(rig, net.eval(), min_depth=0.5), **options).eval()  # type: ignore[arg-type]
+
+
+def test_the_compact_way_is_the_same_for_a_whole_network() -> None:
+    program = refined(height=8)
+    images = example_images(program, batch=2)
+    with torch.inference_mode():
+        expected = program(images)
+        with compact_kernels():
+            found = program(images)
+    for ours, theirs in zip(found, expected, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4)
+
+
+def test_tables_of_another_rig() -> None:
+    one, other = refined(tables="inputs"), refined(radius=0.1)
+    images = example_images(one)
+    with torch.inference_mode():
+        torch.testing.assert_close(one(images, rig_tables(other, like=one)), other(images))
+        assert not torch.allclose(one(images, rig_tables(one))[0], other(images)[0])
+    with pytest.raises(ArgumentError, match="as many cameras"):
+        rig_tables(RigProgram(predictor()), like=one)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tables", ["inside", "inputs"])
+def test_the_default_network_as_a_program(tables: str, tmp_path: Path) -> None:
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    program, batch = refined(height=8, tables=tables), 1 if tables == "inside" else None
+    exported = export_program(program, tmp_path / "depth.pt2", batch)
+    assert sum(node.op == "call_function" for node in exported.graph.nodes) < 3000
+    loaded = torch.export.load(tmp_path / "depth.pt2").module()
+    path = export_onnx(exported, tmp_path / "depth.onnx")
+    for size in (1,) if batch else (1, 3):
+        images = example_images(program, size)
+        inputs = (images,) if batch else (images, rig_tables(program))
+        for ours, theirs in zip(program(*inputs), loaded(*inputs), strict=True):
+            torch.testing.assert_close(theirs, ours, rtol=1e-4, atol=1e-4)
+        assert onnx_difference(path, program, images) < 1e-4
+
+
+@pytest.mark.slow
+def test_the_default_network_at_its_level(tmp_path: Path) -> None:
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    rig = ring_rig(4, image_size=(200, 200))
+    program = RigProgram(Predictor(rig, min_depth=0.55), height=160)
+    images = torch.stack(list(render_rig(make_scene("room", seed=1), rig).values()))[None]
+    path = export_onnx(export_program(program), tmp_path / "depth.onnx")
+    # Candidates are the best of few, so in some places the network makes much of rounding: noise of 1e-6 in the
+    # images changes them by 2e-4, too.
+    assert onnx_difference(path, program, images) < 1e-3
+
+
+class Bright(DepthNetwork):
+    """What is bright is near: a network that is exported in a second."""
+
+    def __init__(self, level: int = 1, num_hypotheses: int = 4, min_depth: float = 0.5) -> None:
+        super().__init__(num_hypotheses, min_depth, num_cameras=2)
+        self.level, self.grid = level, Icosphere(level)
+        self.scale = torch.nn.Parameter(torch.tensor(1.4))
+
+    def predict(self, images: torch.Tensor, rig: object, seen: torch.Tensor | None = None) -> DepthEstimate:  # type: ignore[override]
+        assert seen is not None
+        index = (images.mean((1, 2)) + 1) * self.scale
+        return DepthEstimate(index, images[:, 0, 0].sigmoid(), seen.all(-2).expand_as(index))
+
+
+def test_a_small_network_as_pt2_and_onnx(tmp_path: Path) -> None:
+    program = RigProgram(Predictor(ring_rig(2, image_size=(8, 8)), Bright(), min_depth=0.5))
+    exported = export_program(program, tmp_path / "depth.pt2")
+    images = example_images(program)
+    loaded = torch.export.load(tmp_path / "depth.pt2").module()
+    for ours, theirs in zip(program(images), loaded(images), strict=True):
+        torch.testing.assert_close(theirs, ours, rtol=1e-5, atol=1e-6)
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    assert onnx_difference(export_onnx(exported, tmp_path / "depth.onnx"), program, images) < 1e-5
+
+
+@pytest.mark.slow
+def test_pt2_and_onnx_compute_the_same(tmp_path: Path) -> None:
+    program = RigProgram(predictor(), "camera", height=6)
+    exported = export_program(program, tmp_path / "depth.pt2")
+    images = example_images(program)
+    loaded = torch.export.load(tmp_path / "depth.pt2").module()
+    for ours, theirs in zip(program(images), loaded(images), strict=True):
+        torch.testing.assert_close(theirs, ours, rtol=1e-4, atol=1e-4)
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    path = export_onnx(exported, tmp_path / "depth.onnx")
+    assert onnx_difference(path, program, images) < 1e-4
+
+
+def test_what_does_not_depend_on_images_is_constant() -> None:
+    class Indexing(torch.nn.Module):
+        def forward(self, values: torch.Tensor) -> torch.Tensor:
+            order = torch.arange(4).flip(0) * 2 % 4
+            there = values.index_select(-1, torch.arange(4).flip(0))
+            return values[..., order] + there + torch.ones(4).cumsum(0)
+
+    values = torch.rand(2, 4)
+    traced = torch.export.export(Indexing(), (values,)).module()
+    calls = sum(node.op == "call_function" for node in traced.graph.nodes)
+    folded = with_constants_folded(traced, values)  # type: ignore[arg-type]
+    assert sum(node.op == "call_function" for node in folded.graph.nodes) <= 4 < calls
+    kinds = {constant.dtype for constant in folded.buffers() if not constant.is_floating_point()}
+    assert kinds == {torch.int32, torch.int64}  # what is selected by number needs 32 bits, an index 64
+    other = torch.rand(2, 4)
+    torch.testing.assert_close(folded(other), Indexing()(other))
+
+
+def test_what_cannot_be_exported_is_told() -> None:
+    lenses = [FisheyeCamera.from_field_of_view(size, 3.0) for size in ((16, 16), (16, 16), (16, 20))]
+    uneven = CameraRig(lenses, RIG.world_from_camera)
+    with pytest.raises(ArgumentError, match="one size"):
+        RigProgram(Predictor(uneven, method="semi_global", level=3, min_depth=0.5))
+    with pytest.raises(ArgumentError, match="first images"):
+        RigProgram(Predictor(RIG, method="semi_global", level=3))
+    with pytest.raises(ArgumentError, match="inputs"):
+        RigProgram(predictor(), "panorama")

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exposure and vignetting of cameras, found again from what they see together."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig, EquirectangularCamera, PinholeCamera, ring_rig
+from sphericalvision.capture import calibrate_photometry
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.scenes.disturbances import vignetted
+
+GAINS = (1.0, 0.8, 1.1, 0.9)
+
+
+@pytest.fixture(scope="module")
+def rig() -> CameraRig:
+    return ring_rig(4, image_size=(48, 48))
+
+
+def faulty(rig: CameraRig, loss: float = 0.5) -> dict[str, torch.Tensor]:
+    """A grey world through lenses that lose light, at different exposures, red and blue the other way round."""
+    images = {}
+    for (name, camera), gain in zip(rig.cameras.items(), GAINS, strict=True):
+        channels = torch.tensor([gain, 1.0, 1 / gain]).view(3, 1, 1)
+        images[name] = vignetted(torch.full((3, 48, 48), 0.5), camera, loss) * channels
+    return images
+
+
+def test_exposure_and_vignetting_are_found_again(rig: CameraRig) -> None:
+    found = calibrate_photometry(rig, faulty(rig))
+    gains = torch.tensor(GAINS).log()
+    expected = torch.stack((gains, torch.zeros(4), -gains), 1)
+    expected = expected - expected.mean(0)
+    torch.testing.assert_close(found.exposure - found.exposure.mean(0), expected, atol=0.01, rtol=0)
+    edges = found.light(found.edge[:, None])[..., 0] / found.light(torch.zeros(4, 1))[..., 0]
+    assert (edges - 0.5 ** (1 / 2.2)).abs().max() < 0.01
+    assert found.residual < 0.02
+
+
+def test_corrected_images_are_alike(rig: CameraRig) -> None:
+    images = faulty(rig)
+    even = calibrate_photometry(rig, images).corrected(rig, images)
+    for camera, image in zip(rig.cameras.values(), even.values(), strict=True):
+        seen = camera.unproject(camera.pixel_grid()).valid
+        assert image[:, seen].std(1).max() < 0.01
+
+
+def test_cameras_without_a_fault_are_left_alone(rig: CameraRig) -> None:
+    colors = torch.tensor([0.7, 0.4, 0.2]).view(3, 1, 1).expand(3, 48, 48)
+    found = calibrate_photometry(rig, dict.fromkeys(rig.names, colors))
+    assert found.strength < 1e-5
+
+
+def test_what_a_mask_hides_does_not_count(rig: CameraRig) -> None:
+    images = faulty(rig)
+    mask = torch.ones(48, 48, dtype=torch.bool)
+    mask[:, :36] = False
+    images["cam2"] = images["cam2"].where(mask, 0.9)
+    masked = calibrate_photometry(CameraRig(rig.cameras, rig.world_from_camera, {"cam2": mask}), images)
+    clean = calibrate_photometry(rig, faulty(rig))
+    torch.testing.assert_close(masked.exposure, clean.exposure, atol=0.02, rtol=0)
+    unmasked = calibrate_photometry(rig, images)
+    assert (unmasked.exposure - clean.exposure).abs().max() > 0.1
+
+
+def test_a_batch_of_frames_counts_as_one(rig: CameraRig) -> None:
+    images = faulty(rig)
+    twice = {name: torch.stack((image, image)) for name, image in images.items()}
+    one, two = calibrate_photometry(rig, images), calibrate_photometry(rig, twice)
+    torch.testing.assert_close(one.falloff, two.falloff, atol=1e-4, rtol=1e-3)
+    assert one.corrected(rig, twice)["cam1"].shape == (2, 3, 48, 48)
+
+
+def test_cameras_that_share_no_view_say_nothing() -> None:
+    lens = PinholeCamera.from_field_of_view((24, 32), math.radians(60))
+    half_turn = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
+    apart = CameraRig({"front": lens, "back": lens}, torch.stack((torch.eye(4), half_turn)))
+    found = calibrate_photometry(
+        apart, {"front": torch.full((3, 24, 32), 0.2), "back": torch.full((3, 24, 32), 0.8)}
+    )
+    assert found.strength == 0
+
+
+def test_panoramas_have_exposure_but_no_vignetting() -> None:
+    lens = EquirectangularCamera((16, 32))
+    rig = CameraRig({"one": lens, "other": lens}, torch.eye(4).expand(2, 4, 4))
+    images = {"one": torch.full((3, 16, 32), 0.4), "other": torch.full((3, 16, 32), 0.5)}
+    found = calibrate_photometry(rig, images)
+    assert found.falloff.abs().max() == 0
+    torch.testing.assert_close(
+        (found.exposure[1] - found.exposure[0]).exp(), torch.full((3,), 1.25), atol=0.01, rtol=0
+    )
+
+
+def test_mistakes_are_told(rig: CameraRig) -> None:
+    images = faulty(rig)
+    with pytest.raises(ArgumentError, match="expected one for each of cam1, cam2, cam3, cam4, got cam1"):
+        calibrate_photometry(rig, {"cam1": images["cam1"]})
+    with pytest.raises(ArgumentError, match="depth: expected metres above 0, got -1"):
+        calibrate_photometry(rig, images, depth=-1)
+    with pytest.raises(ShapeError, match=r"images\['cam3'\]: expected shape \(\*b, c, 48, 48\)"):
+        calibrate_photometry(rig, {**images, "cam3": torch.zeros(3, 8, 8)})

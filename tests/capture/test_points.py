@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Surface points: normals of planes, nothing in the air, one point a cube, colours of what is seen."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture import Depth
+from sphericalvision.capture.points import grid_faces, hangs_between, surface_normals
+from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import WinnerTakesAll
+from sphericalvision.sphere import Equirectangular
+
+GRIDS = {"icosphere": Icosphere(5), "panorama": Equirectangular(64, 128)}
+
+
+def wall(rays: torch.Tensor, distance: float = 2.0) -> torch.Tensor:
+    """Inverse depth of the planes of a cube around the origin."""
+    return rays.abs().amax(-1) / distance
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_normals_of_a_cube_are_its_sides(name: str) -> None:
+    grid = GRIDS[name]
+    rays = grid.directions.reshape(-1, 3)
+    sides = rays.abs()
+    inside = sides.amax(-1) > 1.2 * sides.topk(2).values[:, 1]  # not at an edge of the cube
+    inside &= rays[:, 1].abs() < 0.99  # at the poles of a panorama triangles have no size
+    normals = surface_normals(rays / wall(rays)[:, None], grid_faces(grid))
+    expected = -torch.nn.functional.one_hot(sides.argmax(-1), 3) * rays.sign()
+    assert (normals * expected).sum(-1)[inside].min() > 0.999
+    assert not hangs_between(wall(rays), rays, grid_faces(grid)).any()
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_what_an_edge_leaves_in_the_air_is_cut_and_floors_are_not(name: str) -> None:
+    """A ball before a wall, its rim smeared over one or two steps of the grid; a floor out to ten times its height."""
+    grid = GRIDS[name]
+    rays = grid.directions.reshape(-1, 3)
+    angle = torch.atan2(rays[:, :2].norm(dim=-1), rays[:, 2])
+    width = 0.08
+    share = ((0.5 - angle) / width + 0.5).clamp(0, 1)
+    smeared = share * 1.0 + (1 - share) * 0.1  # 1 m and 10 m
+    hanging = hangs_between(smeared, rays, grid_faces(grid))
+    clean = (share == 0) | (share == 1)
+    assert not hanging[clean].any()
+    middle = (share > 0.15) & (share < 0.85)
+    assert hanging[middle].float().mean() > 0.5
+    floor = rays[:, 1].clamp(min=0.1)  # 1 m below
+    assert not hangs_between(floor, rays, grid_faces(grid))[rays[:, 1] > 0.15].any()
+
+
+def sphere_around(rig: CameraRig, level: int = 4) -> Depth:
+    net = WinnerTakesAll(level, 8, min_depth=1.0, depth_coarsening=0)
+    ones = torch.ones(net.grid.num_vertices)
+    images = {name: torch.rand(3, *camera.image_size) for name, camera in rig.cameras.items()}
+    return Depth(3.5 * ones, 0.7 * ones, ones > 0, net, rig, images)
+
+
+def test_points_are_the_surface_around_the_rig() -> None:
+    rig = ring_rig(3, image_size=(16, 16))
+    rig = CameraRig(
+        rig.cameras, rig.world_from_camera + torch.nn.functional.pad(torch.ones(3, 1), (3, 0, 0, 1))
+    )
+    cloud = sphere_around(rig).points()
+    relative = cloud.points - rig.center
+    torch.testing.assert_close(relative.norm(dim=-1), torch.full((len(relative),), 2.0), rtol=1e-5, atol=0)
+    assert ((cloud.normals * relative).sum(-1) < -1.99).all()
+    assert len(cloud.points) == len(cloud.colors) == len(cloud.confidence) == Icosphere(4).num_vertices
+
+
+def test_points_are_kept_by_confidence_distance_and_sight() -> None:
+    rig = ring_rig(3, image_size=(16, 16))
+    depth = sphere_around(rig)
+    assert not len(depth.points(min_confidence=0.8).points)
+    assert not len(depth.points(max_depth=1.9).points)
+    assert len(depth.points(min_confidence=0.6, max_depth=2.1).points) == len(depth.index)
+    forward = ring_rig(2, image_size=(16, 16), field_of_view=math.radians(120)).subset([0])
+    points = sphere_around(forward).points().points - forward.center
+    assert 0 < len(points) < len(depth.index)
+    assert (torch.atan2(points[:, :2].norm(dim=1), points[:, 2]) < math.radians(61)).all()
+
+
+def test_a_voxel_keeps_one_point() -> None:
+    rig = ring_rig(3, image_size=(16, 16))
+    depth = sphere_around(rig)
+    cloud = depth.points(voxel=0.5)
+    cubes = (depth.points().points / 0.5).floor().unique(dim=0)
+    assert len(cloud.points) == len(cubes) < len(depth.index)
+    torch.testing.assert_close(cloud.normals.norm(dim=-1), torch.ones(len(cloud.points)))
+    assert cloud.points.norm(dim=-1).min() > 1.7
+    with pytest.raises(ArgumentError, match="voxel"):
+        depth.points(voxel=0.0)

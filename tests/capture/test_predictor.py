@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictor: any form of images gives the same depth, which is the network's; mistakes are told."""
+
+from __future__ import annotations
+
+import math
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import sphericalvision
+from sphericalvision import Predictor
+from sphericalvision.cameras import CameraRig, FisheyeCamera, PinholeCamera, ring_rig
+from sphericalvision.capture import predictor as predictor_module
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data import ToSphere
+from sphericalvision.models import IcoSweepNet, OmniMVS, SemiGlobalSweep, WinnerTakesAll, save_weights
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.scenes.disturbances import vignetted
+from sphericalvision.sweep import DepthEstimate
+
+SIZE = (48, 56)
+Images = dict[str, Tensor]
+
+
+@pytest.fixture(scope="module")
+def rig() -> CameraRig:
+    return ring_rig(4, image_size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def images(rig: CameraRig) -> Images:
+    """A room in 8 bits, so that all forms hold the same numbers."""
+    rendered = render_rig(make_scene("room", seed=1), rig)
+    return {name: (image * 255).round() / 255 for name, image in rendered.items()}
+
+
+@pytest.fixture(scope="module")
+def predictor(rig: CameraRig) -> Predictor:
+    return Predictor(rig, SemiGlobalSweep(4, 8, depth_coarsening=1), min_depth=0.55)
+
+
+def test_it_is_the_network_on_images_on_the_sphere(rig: CameraRig, images: Images) -> None:
+    torch.manual_seed(0)
+    net = IcoSweepNet(3, 6, feature_channels=2).eval()
+    depth = Predictor(rig, net, min_depth=0.4)(images)
+    to_sphere = ToSphere(3, antialias=True)
+    with torch.inference_mode():
+        expected = net.with_changes(min_depth=0.4).predict(
+            to_sphere.images(images, rig)[None], rig, to_sphere.seen(rig)[None]
+        )
+    torch.testing.assert_close(depth.index, expected.index[0])
+    torch.testing.assert_close(depth.confidence, expected.confidence[0])
+    assert torch.equal(depth.seen, expected.seen[0])
+    torch.testing.assert_close(depth.depth * depth.inverse_depth, torch.ones_like(depth.depth))
+    assert depth.min_depth == 0.4
+    assert depth.depth.min() >= 0.4 - 1e-5
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda image: image.numpy(),
+        lambda image: image.movedim(0, -1).numpy(),
+        lambda image: (image.movedim(0, -1) * 255).round().byte().numpy(),
+        lambda image: (image * 255).round().byte(),
+        lambda image: (image.movedim(0, -1).double() * 65535).round().numpy().astype(np.uint16),
+        lambda image: torch.cat((image, torch.zeros(1, *SIZE))),  # alpha is dropped
+        lambda image: image.double().numpy()[:, ::-1][:, ::-1],  # strides that torch does not take
+    ],
+)
+def test_all_forms_of_images_are_the_same_images(predictor: Predictor, images: Images, form: object) -> None:
+    expected = predictor(images)
+    found = predictor({name: form(image) for name, image in images.items()})  # type: ignore[operator]
+    torch.testing.assert_close(found.index, expected.index, atol=1e-4, rtol=0)
+
+
+def test_grey_is_three_equal_channels_and_bgr_is_rgb_turned(rig: CameraRig, images: Images) -> None:
+    net = SemiGlobalSweep(3, 8)
+    rgb, bgr = (Predictor(rig, net, min_depth=0.5, channels=order) for order in ("rgb", "bgr"))  # type: ignore[arg-type]
+    grey = {name: image[1] for name, image in images.items()}
+    three = {name: image[1].expand(3, *SIZE) for name, image in images.items()}
+    assert torch.equal(rgb(grey).index, rgb(three).index)
+    turned = {name: image.flip(0) for name, image in images.items()}
+    for name, image in bgr(turned).images.items():
+        assert torch.equal(image, images[name])
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_a_batch_is_its_frames(predictor: Predictor, images: Images, grey: bool) -> None:
+    other = {name: image.flip(-1) for name, image in images.items()}
+    batch = {name: torch.stack((images[name], other[name])) for name in images}
+    if grey:
+        batch = {name: image[:, 0] for name, image in batch.items()}
+        images, other = ({n: image[0] for n, image in one.items()} for one in (images, other))
+    both = predictor(batch)
+    assert (len(both), both.batch_shape) == (2, (2,))
+    for frame, one in enumerate((images, other)):
+        alone = predictor(one)
+        torch.testing.assert_close(both.select(frame).index, alone.index, atol=1e-4, rtol=0)
+        torch.testing.assert_close(both.index[frame], alone.index, atol=1e-4, rtol=0)
+        torch.testing.assert_close(
+            both.panorama(8).depth[frame], alone.panorama(8).depth, rtol=1e-4, atol=1e-4
+        )
+    assert both.camera("cam1").depth.shape == (2, *SIZE)
+    with pytest.raises(ArgumentError, match="select"):
+        both.points()
+
+
+def test_tables_are_made_once_and_threads_get_what_one_gets(rig: CameraRig, images: Images) -> None:
+    made = []
+
+    class Counting(SemiGlobalSweep):
+        def tables(self, rig: CameraRig) -> object:  # type: ignore[override]
+            made.append(rig)
+            return super().tables(rig)
+
+    shared = Predictor(rig, Counting(3, 8), min_depth="scene")
+    frames = [{name: image.roll(shift, -1) for name, image in images.items()} for shift in range(6)]
+    shared.find_min_depth(frames[:1])
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(shared, frames))
+    assert len(made) == 1
+    for depth, frame in zip(found, frames, strict=True):
+        assert torch.equal(depth.index, shared(frame).index)
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_calls_run_side_by_side_where_there_are_cores_for_both(
+    rig: CameraRig, images: Images, cores: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inside, most = [0], [0]
+
+    class Slow(SemiGlobalSweep):
+        def predict(self, *arguments: Any) -> DepthEstimate:
+            inside[0] += 1
+            most[0] = max(most[0], inside[0])
+            time.sleep(0.1)
+            end = time.monotonic() + 10
+            while most[0] < cores and time.monotonic() < end:  # on a busy machine the other call may be late
+                time.sleep(0.01)
+            inside[0] -= 1
+            return super().predict(*arguments)
+
+    monkeypatch.setattr("os.cpu_count", lambda: cores)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    predictor = Predictor(rig, Slow(3, 8), min_depth=0.5)
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(predictor, [images] * 2))
+    assert most == [cores]
+    assert torch.equal(found[0].index, found[1].index)
+
+
+def test_operators_that_were_compiled_before_are_used(
+    rig: CameraRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    net = IcoSweepNet(2, 4, feature_channels=2, norm="instance")
+    for there in (False, True):
+        monkeypatch.setattr("sphericalvision.crown.fast.native_at_hand", lambda there=there: there)
+        assert Predictor(rig, net, min_depth=0.5, native="auto").native == there
+        assert not Predictor(rig, WinnerTakesAll(3, 8), min_depth=0.5, native="auto").native
+    with pytest.raises(ArgumentError, match="native: expected True, False or 'auto', got 'yes'"):
+        Predictor(rig, net, native="yes")  # type: ignore[arg-type]
+
+
+def test_the_nearest_depth_is_found_scaled_or_given(images: Images) -> None:
+    small = ring_rig(4, radius=0.05, image_size=(96, 96))
+    scene = make_scene("hall", seed=3)
+    seen = render_rig(scene, small, 2)
+    net = SemiGlobalSweep(4, 8, min_depth=0.6)
+    found = Predictor(small, net)
+    assert found.min_depth is None
+    with pytest.raises(ArgumentError, match="first images"):
+        _ = found.network
+    depth = found(seen)
+    truth = ray_depth(scene, small.center, depth.directions)
+    assert 0.3 < depth.min_depth < truth.quantile(0.02)
+    assert found.min_depth == depth.min_depth == found.network.min_depth
+    assert Predictor(small, net, min_depth=None).min_depth == pytest.approx(0.6 * 0.05 / 0.2)
+    assert Predictor(small, net, min_depth=2).min_depth == 2.0
+
+
+class _Anywhere(SemiGlobalSweep):
+    """Stands for a network that was trained with rigs of many radii."""
+
+    min_depth_follows = "training"
+
+
+def test_trained_with_rigs_of_many_radii_the_nearest_depth_stays_unless_the_scene_is_of_another_size() -> (
+    None
+):
+    net = _Anywhere(4, 8, min_depth=0.55)
+    rig = ring_rig(4, radius=0.1, image_size=(96, 96))
+    room = render_rig(make_scene("room", seed=3), rig, 2)
+    assert Predictor(rig, net, min_depth=None).min_depth == 0.55
+    assert Predictor(rig, net).find_min_depth([room]) == 0.55
+    assert Predictor(rig, net, min_depth="scene").find_min_depth([room]) != 0.55
+    large, small = (
+        render_rig(make_scene("room", seed=3, scale=scale), rig.scaled(k), 2)
+        for scale, k in ((8.0, 8.0), (0.1, 0.1))
+    )
+    for k, frame in ((8.0, large), (0.1, small)):
+        found = Predictor(rig.scaled(k), net).find_min_depth([frame])
+        assert found == pytest.approx(0.55 * k, rel=0.6)
+    # A rig larger than any of the training: the surfaces that it sees are as far away as it is large.
+    assert Predictor(rig.scaled(8), net, min_depth=None).min_depth == pytest.approx(0.55 * 0.8 / 0.4)
+
+
+def test_panorama_and_cameras_show_the_surface(rig: CameraRig, images: Images) -> None:
+    """With the true index in place of an estimate, every camera's depth is what a ray caster says."""
+    scene = make_scene("room", seed=1)
+
+    class Known(WinnerTakesAll):
+        def predict(self, images: Tensor, rig: object, seen: Tensor | None = None) -> DepthEstimate:
+            truth = ray_depth(scene, torch.zeros(3), self.grid.directions)
+            index = (self.num_hypotheses - 1) * self.min_depth / truth.where(truth > 0, 1e6)
+            return DepthEstimate(index[None], torch.ones(1, len(truth)), torch.ones(1, len(truth)) > 0)
+
+    depth = Predictor(rig, Known(5, 64, depth_coarsening=0), min_depth=0.3)(images)
+    panorama = depth.panorama(40)
+    directions = torch.nn.functional.normalize(
+        depth.network.grid.directions.new_tensor([[0.3, 0.2, 1.0], [0, 1, 0]]), dim=-1
+    )
+    inverse_depth, confidence, seen = depth.at(directions)
+    torch.testing.assert_close(
+        inverse_depth.reciprocal(), ray_depth(scene, rig.center, directions), rtol=0.02, atol=0
+    )
+    assert confidence.min() > 0.99
+    assert seen.all()
+    assert torch.equal(panorama.measured, panorama.depth)
+    pinhole = PinholeCamera([20.0, 20.0], [11.5, 11.5], (24, 24))
+    pose = rig.world_from_camera[2]
+    for view, camera, place in (
+        (depth.camera("cam2"), rig.cameras["cam2"], rig.world_from_camera[1]),
+        (depth.camera(pinhole, pose), pinhole, pose),
+        (depth.camera(pinhole), pinhole, torch.eye(4)),
+    ):
+        rays, looks = camera.unproject(camera.pixel_grid())
+        truth = ray_depth(scene, place[:3, 3], rays.reshape(-1, 3) @ place[:3, :3].T).view(looks.shape)
+        error = ((view.depth - truth).abs() / truth)[looks & (truth > 0) & truth.isfinite()]
+        assert error.isfinite().float().mean() > 0.98
+        assert error.nanmedian() < 0.02
+        assert view.depth[~looks].isnan().all()
+        assert not view.seen[~looks].any()
+    with pytest.raises(ArgumentError, match="cam9"):
+        depth.camera("cam9")
+
+
+def test_networks_on_panoramas_are_predictors_too(rig: CameraRig, images: Images) -> None:
+    net = OmniMVS(8, output_size=(8, 32), feature_channels=2, num_cameras=4, num_scales=2).eval()
+    depth = Predictor(rig, net, min_depth=0.5)(images)
+    assert depth.index.shape == (8, 32)
+    panorama = depth.panorama(16)
+    assert panorama.depth[8].isfinite().all()
+    assert panorama.depth[0].isnan().all()  # beyond the latitudes that the network knows
+    assert not panorama.seen[0].any()
+    assert len(depth.points().points) > 0
+
+
+def test_names_weights_and_methods(rig: CameraRig, images: Images, tmp_path: object) -> None:
+    path = save_weights(IcoSweepNet(3, 4, feature_channels=2), f"{tmp_path}/weights.safetensors")
+    assert Predictor(rig, path, min_depth=0.5)(images).index.shape == (42,)
+    small = Predictor(rig, "icosweepnet-small", level=3, num_hypotheses=6, min_depth=0.5)
+    assert type(small.network).__name__ == "IcoSweepNet"
+    assert (small.network.level, small.network.num_hypotheses) == (3, 6)
+    swept = Predictor(rig, path, method="semi_global", num_hypotheses=12, min_depth=0.5)
+    assert isinstance(swept.network, SemiGlobalSweep)
+    assert (swept.network.level, swept.network.num_hypotheses) == (3, 12)
+    assert sphericalvision.Predictor is predictor_module.Predictor
+
+
+def test_mistakes_are_named(rig: CameraRig, images: Images, predictor: Predictor) -> None:
+    with pytest.raises(ArgumentError, match=r"there is none of cam2; the rig has cam1, cam2, cam3, cam4"):
+        predictor({name: image for name, image in images.items() if name != "cam2"})
+    with pytest.raises(ArgumentError, match="left are no cameras"):
+        predictor({**images, "left": images["cam1"]})
+    with pytest.raises(ArgumentError, match="mapping"):
+        predictor(list(images.values()))  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match=r"images\['cam3'\]: expected 48 x 56 .* got shape \(3, 56, 48\)"):
+        predictor({**images, "cam3": images["cam3"].mT})
+    with pytest.raises(ShapeError, match="equally many"):
+        predictor({**images, "cam3": images["cam3"][None]})
+    with pytest.raises(ArgumentError, match=r"floats in \[0, 1\], got 0 to 255"):
+        predictor({**images, "cam1": torch.linspace(0, 255, 3 * 48 * 56).view(3, *SIZE)})
+    with pytest.raises(ArgumentError, match="floats"):
+        predictor({**images, "cam1": images["cam1"] * math.nan})
+    with pytest.raises(ArgumentError, match="int64"):
+        predictor({**images, "cam1": torch.zeros(SIZE, dtype=torch.int64)})
+    with pytest.raises(ArgumentError, match="it has 3 cameras"):
+        Predictor(rig.subset([0, 1, 2]), IcoSweepNet(3, 4, feature_channels=2))
+    with pytest.raises(ArgumentError, match="min_depth"):
+        Predictor(rig, "icosweepnet-small", min_depth="near")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="method"):
+        Predictor(rig, method="magic")  # type: ignore[arg-type]
+    one_place = CameraRig([FisheyeCamera.from_field_of_view(SIZE, 3.0)] * 2, torch.eye(4).repeat(2, 1, 1))
+    with pytest.raises(ArgumentError, match="all its cameras in one place"):
+        Predictor(one_place, SemiGlobalSweep(3, 4), min_depth=None)
+
+
+def test_differences_between_cameras_are_taken_out(rig: CameraRig, images: Images) -> None:
+    dark = {
+        name: vignetted(image, rig.cameras[name], 0.6) * (0.8 if name == "cam2" else 1.0)
+        for name, image in images.items()
+    }
+    inputs = {}
+    for photometric in (False, True):
+        predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5, photometric=photometric)
+        whole, _ = predictor.inputs(images)
+        faulty, _ = predictor.inputs(dark)
+        inputs[photometric] = whole, faulty
+    assert torch.equal(inputs[False][0], inputs[True][0])  # nothing to take out: nothing has changed
+    missed = [(faulty - whole).abs().mean().item() for whole, faulty in inputs.values()]
+    assert missed[1] < missed[0] / 3
+
+
+def test_each_frame_of_a_batch_has_its_own_light(rig: CameraRig, images: Images) -> None:
+    dark = {name: image * (0.7 if name == "cam1" else 1.0) for name, image in images.items()}
+    predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5)
+    both, _ = predictor.inputs({name: torch.stack((images[name], dark[name])) for name in rig.names})
+    torch.testing.assert_close(both[0], predictor.inputs(images)[0])
+    torch.testing.assert_close(both[1], predictor.inputs(dark)[0])

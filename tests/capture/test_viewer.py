@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a depth estimate in a browser: nothing is fetched, nothing complains, it turns, slides and orbits."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from sphericalvision import Predictor
+from sphericalvision.cameras import ring_rig
+from sphericalvision.capture import viewer
+from sphericalvision.capture.viewer import Timeline, save_viewer
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two rooms with their errors on a time line."""
+    rig = ring_rig(4, image_size=(96, 96))
+    predictor = Predictor(rig, method="semi_global", level=5, min_depth=0.5)
+    timeline = Timeline(96, "a <room>")
+    for seed in (1, 2):
+        scene = make_scene("room", seed=seed)
+        depth = predictor(render_rig(scene, rig))
+        timeline.add(f"room {seed}", depth, truth=ray_depth(scene, rig.center, depth.directions))
+    return timeline.save(tmp_path_factory.mktemp("viewer") / "viewer.html")
+
+
+def test_the_page_is_whole_in_itself(page: Path) -> None:
+    text = page.read_text()
+    body = text[: text.index("<script")]
+    assert "a &lt;room&gt;" in body
+    assert "__" not in body
+    assert not re.search(r"""(src|href)=["']?https?:""", text)
+    assert text.count("data:image/jpeg;base64,") == 8
+
+
+def test_a_time_line_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer, "MOST_FRAMES", 4)
+    rig = ring_rig(2, image_size=(16, 16))
+    depth = Predictor(rig, method="semi_global", level=3, min_depth=0.5)(
+        {name: np.full((16, 16), 9, np.uint8) for name in rig.names}
+    )
+    timeline = Timeline(16)
+    for number in range(11):
+        timeline.add(str(number), depth)
+    text = timeline.save(tmp_path / "page.html").read_text()
+    assert re.findall(r'"name": "(\d+)"', text) == ["0", "4", "8"]
+    assert "error" not in text[: text.index("<script")]
+    one = save_viewer(tmp_path / "one.html", depth, 16).read_text()
+    assert one.count("data:image/jpeg;base64,") == 3
+
+
+@pytest.fixture(scope="module")
+def opened(page: Path) -> Iterator[tuple[Any, list[str]]]:
+    """The page in a headless browser, and what it complained of or asked for."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    browser_path = (
+        shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    )
+    if browser_path is None:
+        pytest.skip("needs Chromium")
+    complaints: list[str] = []
+    with playwright.sync_playwright() as started:
+        flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        browser = started.chromium.launch(executable_path=browser_path, args=flags)
+        tab = browser.new_page(viewport={"width": 900, "height": 500})
+        tab.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.on("request", lambda r: complaints.append(r.url) if r.url.startswith("http") else None)
+        tab.goto(page.as_uri())
+        tab.wait_for_selector("body[data-ready=yes]", timeout=60_000)
+        tab.wait_for_timeout(1000)
+        yield tab, complaints
+        browser.close()
+
+
+def picture(tab: Any, canvas: str) -> np.ndarray:
+    encoded = np.frombuffer(tab.locator(canvas).screenshot(), np.uint8)
+    return cv2.imdecode(encoded, cv2.IMREAD_COLOR).astype(int)
+
+
+def drag(tab: Any, canvas: str) -> None:
+    box = tab.locator(canvas).bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+    tab.mouse.move(x - 120, y + 10, steps=4)
+    tab.mouse.up()
+    tab.wait_for_timeout(300)
+
+
+@pytest.mark.parametrize("canvas", ["#panorama", "#cloud"])
+def test_both_views_show_something_and_turn_when_dragged(opened: tuple[Any, list[str]], canvas: str) -> None:
+    tab, complaints = opened
+    before = picture(tab, canvas)
+    assert before.std() > 5
+    drag(tab, canvas)
+    assert np.abs(picture(tab, canvas) - before).mean() > 1
+    assert complaints == []
+
+
+def test_the_slide_goes_from_image_to_depth_to_confidence_to_error(opened: tuple[Any, list[str]]) -> None:
+    tab, complaints = opened
+    seen = {}
+    for value in ("0", "1", "2", "3"):
+        tab.locator("#slide").fill(value)
+        tab.wait_for_timeout(300)
+        seen[tab.locator("#shown").inner_text()] = picture(tab, "#panorama")
+    assert list(seen) == ["image", "depth", "confidence", "error"]
+    assert all(np.abs(seen[a] - seen[b]).mean() > 5 for a, b in pairwise(seen))
+    assert complaints == []
+
+
+def test_the_time_line_goes_from_frame_to_frame_and_plays(opened: tuple[Any, list[str]]) -> None:
+    tab, complaints = opened
+    tab.locator("#slide").fill("0")
+    shown = {}
+    for value in ("1", "0"):
+        tab.locator("#time").fill(value)
+        tab.wait_for_selector(f"body[data-frame='{value}']", timeout=20_000)
+        tab.wait_for_timeout(300)
+        shown[tab.locator("#frame").inner_text()] = picture(tab, "#panorama"), picture(tab, "#cloud")
+    assert list(shown) == ["room 2", "room 1"]
+    for before, after in zip(*shown.values(), strict=True):
+        assert np.abs(before - after).mean() > 1
+    tab.locator("#play").click()
+    tab.wait_for_selector("body[data-frame='1']", timeout=20_000)
+    tab.wait_for_selector("body[data-frame='0']", timeout=20_000)
+    tab.locator("#play").click()
+    assert complaints == []

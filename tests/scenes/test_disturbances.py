@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What real cameras do to a frame, rigs drawn at random, and carriers in view."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from sphericalvision.cameras import FisheyeCamera, ring_rig
+from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.recipes.app.rigs import make_corner_rig
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.scenes.carriers import CARRIERS, carrier_masks, with_carrier
+from sphericalvision.scenes.disturbances import CameraDisturbance, turned_poses, vignetted
+from sphericalvision.scenes.random_rigs import random_rig
+
+RIG = ring_rig(3, image_size=(24, 24))
+IMAGES = {name: torch.rand(3, 24, 24, generator=torch.Generator().manual_seed(4)) for name in RIG.names}
+FRAME = {"images": IMAGES, "rig": RIG}
+
+
+def seeded(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def test_nothing_given_changes_nothing() -> None:
+    same = CameraDisturbance()(FRAME, seeded(0))
+    assert all(torch.equal(same["images"][name], IMAGES[name]) for name in RIG.names)
+    assert same["rig"] is RIG
+
+
+ALL = CameraDisturbance(True, 0.5, 0.8, 0.5, 0.1, 0.02, 0.01)
+
+
+def test_a_seed_says_it_all_and_cameras_differ() -> None:
+    one, two, other = (ALL({**FRAME}, seeded(seed)) for seed in (1, 1, 2))
+    for name in RIG.names:
+        assert torch.equal(one["images"][name], two["images"][name])
+        assert not torch.equal(one["images"][name], other["images"][name])
+    assert torch.equal(one["rig"].world_from_camera, two["rig"].world_from_camera)
+    first, second = (one["images"][name].mean() for name in RIG.names[:2])
+    assert abs(first - second) > 1e-3  # the images were the same
+
+
+def test_grey_has_one_colour_and_keeps_the_range() -> None:
+    for image in ALL(FRAME, seeded(3))["images"].values():
+        assert 0 <= image.min() <= image.max() <= 1
+    grey = CameraDisturbance(grey=True)(FRAME)["images"]["cam1"]
+    torch.testing.assert_close(grey[0], grey[2])
+    torch.testing.assert_close(
+        grey[0], (IMAGES["cam1"] * torch.tensor([0.299, 0.587, 0.114])[:, None, None]).sum(0)
+    )
+
+
+def test_exposure_is_a_factor_on_light() -> None:
+    """Between half of the stops and all of them, up or down, the same for the three channels."""
+    dim = {name: 0.2 + 0.1 * image for name, image in IMAGES.items()}
+    out = CameraDisturbance(exposure=1.0)({"images": dim, "rig": RIG}, seeded(5))["images"]
+    for name in RIG.names:
+        stops = torch.log2((out[name] / dim[name]) ** 2.2)
+        assert stops.std() < 1e-4
+        assert 0.5 <= stops.mean().abs() <= 1.0
+
+
+def test_vignetting_takes_light_by_the_square_of_the_angle() -> None:
+    lens = FisheyeCamera.from_field_of_view((101, 101), math.radians(200))
+    light = vignetted(torch.ones(3, 101, 101), lens, 0.6)[0] ** 2.2
+    pixels = torch.tensor([[50.0, 50.0], [75.0, 50.0], [50.0, 10.0]])
+    for u, v in pixels.long().tolist():
+        angle = math.hypot(u - 50, v - 50) / 50.5  # equidistant: radius and angle are in proportion
+        assert light[v, u] == pytest.approx(1 - 0.6 * angle**2, abs=1e-4)
+
+
+def test_poses_are_off_by_the_angle_given() -> None:
+    off = turned_poses(RIG, 0.05, seeded(1))
+    relative = RIG.world_from_camera[:, :3, :3].mT @ off.world_from_camera[:, :3, :3]
+    trace = relative.diagonal(dim1=-2, dim2=-1).sum(-1)
+    torch.testing.assert_close(torch.acos((trace - 1) / 2), torch.full((3,), 0.05), atol=2e-3, rtol=0)
+    torch.testing.assert_close(off.positions, RIG.positions)
+
+
+def test_images_on_the_icosphere_are_refused() -> None:
+    with pytest.raises(ArgumentError, match="before ToSphere"):
+        CameraDisturbance()({"images": torch.zeros(3, 3, 42), "rig": RIG})
+    with pytest.raises(ArgumentError, match="vignetting"):
+        CameraDisturbance(vignetting=1.5)
+    with pytest.raises(ArgumentError, match="noise"):
+        CameraDisturbance(noise=-1.0)
+
+
+def test_random_rigs_stay_in_their_bounds() -> None:
+    rigs = [random_rig(seeded(seed), image_size=(16, 16)) for seed in range(60)]
+    assert {len(rig) for rig in rigs} == {2, 3, 4, 5, 6}
+    assert 3 <= sum(type(rig.cameras["cam1"]).__name__ == "EquirectangularCamera" for rig in rigs) <= 24
+    for rig in rigs:
+        assert rig.center.norm() < 1e-6
+        assert (rig.positions.norm(dim=-1) < 0.45).all()
+        assert (rig.axes[:, 1] > math.sin(math.radians(-23.1))).all()
+        assert (rig.axes[:, 1] < math.sin(math.radians(53.1))).all()
+        outwards = (rig.positions * rig.axes)[:, ::2].sum(-1)
+        if len(rig) > 2:  # of two cameras the centre may be moved past one
+            assert (outwards > -0.05).all()
+    again = random_rig(seeded(7), image_size=(16, 16))
+    assert torch.equal(again.world_from_camera, rigs[7].world_from_camera)
+
+
+@pytest.mark.parametrize("kind", CARRIERS)
+def test_a_carrier_is_where_masks_say(kind: str) -> None:
+    """Pictures change where a ray from the camera meets the body, or its shadow and light, never the lens."""
+    size = (48, 48)
+    rig = make_corner_rig(image_size=size) if kind == "vehicle" else ring_rig(4, image_size=size)
+    scene = make_scene("floating", seed=2)
+    carried = with_carrier(scene, kind, rig)
+    masks = carrier_masks(carried.body, rig)
+    before, after = render_rig(scene, rig), render_rig(carried.scene, rig)
+    for name in rig.names:
+        seen = rig.cameras[name].unproject(rig.cameras[name].pixel_grid()).valid
+        hidden = ~masks[name] & seen
+        assert 0.01 < hidden.sum() / seen.sum() < 0.5
+        changed = (before[name] - after[name]).abs().amax(0) > 0.02
+        assert changed[hidden].float().mean() > 0.5
+        assert changed[masks[name]].float().mean() < 0.05  # shadows may fall
+    assert (carried.body.distance_from(rig.positions[0]) > 0).all()
+    up = Icosphere(3).vertices
+    up = up[up[:, 1] < -0.5]
+    torch.testing.assert_close(
+        ray_depth(scene, rig.center, up), ray_depth(carried.scene, rig.center, up)
+    )  # nothing above

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fisheye samples: the scenes of ``SceneDataset``, only what is asked for, one cache, and turns that fit together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig, EquirectangularCamera
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data import PhotometricAugmentation, RotateFivefold, collate_samples
+from sphericalvision.data.augmentation.sphere_rotation import yaw_rotation
+from sphericalvision.scenes import (
+    FisheyeSceneDataset,
+    SceneDataset,
+    make_scene,
+    ray_depth,
+    render_rig,
+    scene_dataset,
+)
+from sphericalvision.sphere import Equirectangular
+
+Sample = dict[str, Any]
+KEYS = {
+    "sphere": {"images", "seen", "inverse_depth", "valid"},
+    "depth": {"inverse_depth", "valid"},
+    "fisheye": {"fisheye", "fisheye_seen"},
+    "panorama": {"panorama_inverse_depth", "panorama_valid"},
+}
+
+
+def scenes(rig: CameraRig, **options: Any) -> FisheyeSceneDataset:
+    return FisheyeSceneDataset(2, rig, **({"level": 3, "panorama": (10, 20)} | options))
+
+
+def same(first: Sample, second: Sample) -> bool:
+    tensors = [key for key, value in first.items() if isinstance(value, torch.Tensor)]
+    return set(first) == set(second) and all(torch.equal(first[key], second[key]) for key in tensors)
+
+
+def test_the_scenes_are_those_of_scene_dataset(make_rig: Callable[..., CameraRig]) -> None:
+    """Bytes are kept before they are looked up here, and after it there: half a level apart, twice."""
+    rig = make_rig(image_size=(64, 64))
+    for options in ({}, {"samples_per_pixel": 2, "antialias": True, "min_depth": 0.6}):
+        ours = FisheyeSceneDataset(
+            2, rig, level=3, kind="mixed", first_seed=4, entries=("sphere",), **options
+        )
+        others = SceneDataset(2, rig, level=3, kind="mixed", first_seed=4, **options)
+        for index in range(2):
+            sample, other = ours[index], others[index]
+            assert sample["frame"] == other["frame"]
+            assert torch.equal(sample["inverse_depth"], other["inverse_depth"])
+            assert torch.equal(sample["valid"], other["valid"])
+            assert (sample["images"] - other["images"]).abs().max() <= 1.01 / 127
+
+
+def test_fisheye_images_are_renderings_and_zero_out_of_view(make_rig: Callable[..., CameraRig]) -> None:
+    rig = make_rig(image_size=(40, 48))
+    sample = FisheyeSceneDataset(1, rig, first_seed=3, entries=("fisheye",))[0]
+    pictures = torch.stack(list(render_rig(make_scene("room", 3, center=rig.center), rig).values()))
+    down, across = torch.meshgrid(torch.arange(40) - 19.5, torch.arange(48) - 23.5, indexing="ij")
+    radius = torch.hypot(down, across)  # the image circle fills the shorter side
+    assert (sample["fisheye"] - (pictures * 2 - 1))[..., radius < 20].abs().max() <= 0.51 / 127
+    assert (sample["fisheye"][..., radius > 20] == 0).all()
+    assert sample["fisheye"].shape == (4, 3, 40, 48)
+
+
+def test_panoramas_are_exact(rig: CameraRig) -> None:
+    sample = FisheyeSceneDataset(1, rig, panorama=(16, 32), first_seed=3, entries=("panorama",))[0]
+    depth = ray_depth(
+        make_scene("room", 3, center=rig.center), rig.center, Equirectangular(16, 32).directions
+    )
+    torch.testing.assert_close(sample["panorama_inverse_depth"], 1 / depth)
+    assert torch.equal(sample["panorama_valid"], sample["panorama_inverse_depth"] <= 1 / 0.55)
+    band = FisheyeSceneDataset(1, rig, panorama=(8, 32), first_seed=3, entries=("panorama",))[0]
+    torch.testing.assert_close(band["panorama_inverse_depth"], sample["panorama_inverse_depth"][4:12])
+
+
+@pytest.mark.parametrize("entries", [("sphere",), ("depth",), ("fisheye",), ("panorama",), tuple(KEYS)])
+def test_only_what_is_asked_for_is_computed(
+    entries: tuple[str, ...], make_rig: Callable[..., CameraRig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    called: set[str] = set()
+
+    def watch(name: str) -> None:
+        original = getattr(scene_dataset, name)
+        monkeypatch.setattr(scene_dataset, name, lambda *a: called.add(name) or original(*a))
+
+    watch("render_rig")
+    watch("ray_depth")
+    sample = scenes(make_rig(image_size=(16, 16)), entries=entries)[0]
+    assert set(sample) == set().union(*(KEYS[entry] for entry in entries)) | {"rig", "frame"}
+    assert ("render_rig" in called) == bool({"sphere", "fisheye"} & set(entries))
+    assert ("ray_depth" in called) == bool({"sphere", "depth", "panorama"} & set(entries))
+
+
+def test_cached_and_fresh_samples_are_equal_and_the_cache_is_read(
+    make_rig: Callable[..., CameraRig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_rig(image_size=(16, 16))
+    fresh, cached = scenes(rig), scenes(rig, cache_dir=tmp_path)
+    assert not cached.is_cached(0)
+    first = fresh[0]
+    assert same(first, cached[0])
+    assert cached.is_cached(0)
+    assert not cached.is_cached(1)
+    monkeypatch.setattr(scene_dataset.SeededScenes, "make", lambda *_: pytest.fail("made again"))
+    assert same(first, scenes(rig, cache_dir=tmp_path)[0])
+
+
+def test_levels_share_images_and_tilted_rigs_share_depths(
+    make_rig: Callable[..., CameraRig], tmp_path: Path
+) -> None:
+    def folders() -> dict[str, int]:
+        found = [path.parent.name.split("-")[0] for path in tmp_path.rglob("*.npz")]
+        return {name: found.count(name) for name in sorted(set(found))}
+
+    rig = make_rig(image_size=(16, 16))
+    scenes(rig, cache_dir=tmp_path)[0]
+    assert folders() == {"depth": 2, "fisheye": 1}
+    scenes(rig, cache_dir=tmp_path, level=4)[0]
+    assert folders() == {"depth": 3, "fisheye": 1}
+    tilted = scenes(rig.rotated(tilt=0.5), cache_dir=tmp_path)
+    assert same(tilted[0], scenes(tilted.rig)[0])
+    assert folders() == {"depth": 3, "fisheye": 2}
+    scenes(rig.scaled(0.9), cache_dir=tmp_path, min_depth=0.5)[0]
+    assert folders() == {"depth": 5, "fisheye": 3}
+
+
+def test_a_damaged_file_is_made_anew(make_rig: Callable[..., CameraRig], tmp_path: Path) -> None:
+    data = scenes(make_rig(image_size=(16, 16)), cache_dir=tmp_path)
+    first = data[0]
+    for path in tmp_path.rglob("*.npz"):
+        path.write_bytes(path.read_bytes()[:100])
+    assert same(first, data[0])
+
+
+def test_masks_cover_images(make_rig: Callable[..., CameraRig]) -> None:
+    rig = make_rig(image_size=(16, 16))
+    mask = torch.ones(16, 16, dtype=torch.bool)
+    mask[8:] = False
+    masked = CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})
+    plain, covered = (scenes(r, entries=("fisheye",))[0]["fisheye"] for r in (rig, masked))
+    assert (covered[0, :, 8:] == 0).all()
+    assert torch.equal(covered[0, :, :8], plain[0, :, :8])
+    assert torch.equal(covered[1:], plain[1:])
+
+
+def test_a_turned_sample_is_one_of_the_turned_world(make_rig: Callable[..., CameraRig]) -> None:
+    """The panorama by whole columns, the icosphere from chart to chart, the cameras with the world: all one turn."""
+    rig = make_rig(image_size=(32, 32))
+    sample = scenes(rig, first_seed=2)[0]
+    turned = RotateFivefold(steps=2)(sample)
+    turn = yaw_rotation(torch.tensor(4 * math.pi / 5))
+    world = make_scene("room", 2, center=rig.center).transformed(turn)
+    depth = ray_depth(world, turned["rig"].center, Equirectangular(10, 20).directions)
+    assert ((turned["panorama_inverse_depth"] * depth - 1).abs() < 1e-3).float().mean() > 0.97
+    pictures = torch.stack(list(render_rig(world, turned["rig"]).values())) * 2 - 1
+    seen = turned["fisheye_seen"][:, None].expand_as(pictures)
+    assert ((turned["fisheye"] - pictures)[seen].abs() < 0.02).float().mean() > 0.98
+    assert torch.equal(turned["images"], RotateFivefold(steps=2)({**sample})["images"])
+    back = RotateFivefold(steps=-2)(turned)
+    assert same(back, sample)
+    with pytest.raises(ArgumentError, match="multiple of 5"):
+        RotateFivefold(steps=1)({"panorama_valid": torch.ones(8, 16), "rig": rig})
+
+
+def test_colours_change_alike_on_the_sphere_and_in_the_images(rig: CameraRig) -> None:
+    grey = torch.linspace(-0.8, 0.8, 12).view(4, 3, 1)
+    sample = {"images": grey.expand(4, 3, 642).clone(), "fisheye": grey[..., None].expand(4, 3, 9, 9).clone()}
+    sample["fisheye_seen"] = (torch.arange(9) > 0).expand(4, 9, 9)
+    sample["fisheye"][..., 0] = 0.0
+    augment = PhotometricAugmentation(noise=0.0, generator=torch.Generator().manual_seed(1))
+    changed = augment({**sample, "rig": rig})
+    torch.testing.assert_close(changed["images"][..., 0], changed["fisheye"][..., 4, 4])
+    assert not torch.allclose(changed["images"], sample["images"])
+    assert (changed["fisheye"][..., 0] == 0).all()
+
+
+def test_batches_and_panoramic_cameras(make_rig: Callable[..., CameraRig]) -> None:
+    """360° cameras are seen everywhere, and the two kinds of cameras agree about the same scene."""
+    lenses = make_rig(image_size=(96, 96))
+    panoramas = CameraRig([EquirectangularCamera((64, 128))] * 4, lenses.world_from_camera)
+    through_lenses, around = (
+        collate_samples([FisheyeSceneDataset(2, rig, level=3, samples_per_pixel=2)[k] for k in range(2)])
+        for rig in (lenses, panoramas)
+    )
+    assert around["fisheye"].shape == (2, 4, 3, 64, 128)
+    assert around["seen"].all()
+    seen = through_lenses["seen"][:, :, None].expand_as(around["images"])
+    gap = (through_lenses["images"] - around["images"])[seen].abs()
+    assert gap.median() < 0.03
+    assert torch.equal(through_lenses["panorama_inverse_depth"], around["panorama_inverse_depth"])
+
+
+def test_bad_arguments_are_named(rig: CameraRig, make_rig: Callable[..., CameraRig]) -> None:
+    with pytest.raises(ArgumentError, match="'sphere', 'depth', 'fisheye', 'panorama', got 'depths'"):
+        scenes(rig, entries=("depths",))
+    with pytest.raises(ArgumentError, match="got none"):
+        scenes(rig, entries=())
+    with pytest.raises(ArgumentError, match="level"):
+        scenes(rig, level=1)
+    with pytest.raises(ShapeError, match="height 10, width 30"):
+        scenes(rig, panorama=(10, 30))
+    one, other = rig.cameras["cam1"], make_rig(image_size=(20, 20)).cameras["cam1"]
+    mixed = CameraRig([one, other], rig.world_from_camera[:2])
+    with pytest.raises(ArgumentError, match=r"one size .*resized"):
+        scenes(mixed)
+    assert "images" in scenes(mixed, entries=("sphere",))[0]
+    with pytest.raises(IndexError, match="2 is outside"):
+        scenes(rig)[2]

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Meshes as scenes: exact depth, colours of all kinds, and generated scenes exported and rendered both ways."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("embreex")
+trimesh = pytest.importorskip("trimesh")
+Image = pytest.importorskip("PIL.Image")
+
+from sphericalvision.cameras import EquirectangularCamera, ring_rig  # noqa: E402
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError  # noqa: E402
+from sphericalvision.scenes import (  # noqa: E402
+    MeshScene,
+    make_scene,
+    mesh_from_scene,
+    ray_depth,
+    read_mesh_scene,
+    render_camera,
+    render_directions,
+    render_rig,
+)
+
+ORIGIN = torch.zeros(3)
+UP, RIGHT, FORWARD = (
+    torch.tensor([0.0, -1.0, 0.0]),
+    torch.tensor([1.0, 0.0, 0.0]),
+    torch.tensor([0.0, 0.0, 1.0]),
+)
+
+
+def directions(count: int, seed: int = 0) -> torch.Tensor:
+    return torch.nn.functional.normalize(
+        torch.randn(count, 3, generator=torch.Generator().manual_seed(seed)), dim=-1
+    )
+
+
+def test_depth_in_a_box_is_that_of_the_closed_form() -> None:
+    half, rays = torch.tensor([2.0, 1.5, 3.0]), directions(2000)
+    mesh = trimesh.creation.box(2 * half.numpy())
+    depth = ray_depth(MeshScene(mesh), ORIGIN, rays.view(20, 100, 3))
+    torch.testing.assert_close(depth.flatten(), (half / rays.abs()).amin(-1), rtol=1e-5, atol=1e-5)
+    inches = MeshScene(mesh, scale=0.0254)
+    torch.testing.assert_close(ray_depth(inches, ORIGIN, rays), 0.0254 * depth.flatten())
+    aside = ray_depth(MeshScene(mesh, center=(0.5, 0.25, -1.0)), ORIGIN, torch.stack([RIGHT, UP, FORWARD]))
+    assert aside.tolist() == pytest.approx([1.5, 1.25, 2.0])  # z of the file points backward
+
+
+@pytest.mark.parametrize(("up", "axis"), [("y", 1), ("z", 2)])
+def test_up_in_the_file_is_up_in_the_world_and_nothing_is_mirrored(up: str, axis: int) -> None:
+    """Three balls on the file's axes: the one above is above, and the three keep their handedness."""
+    places = 3.0 * np.eye(3)
+    balls = [trimesh.creation.icosphere(radius=0.5).apply_translation(p) for p in places]
+    scene = MeshScene(trimesh.util.concatenate(balls), up=up)
+    found = torch.stack([torch.from_numpy(scene.vertices[k * 642 : (k + 1) * 642]).mean(0) for k in range(3)])
+    torch.testing.assert_close(found[axis].float(), 3 * UP, rtol=0, atol=1e-5)
+    assert torch.linalg.det(found) > 0
+    assert ray_depth(scene, ORIGIN, UP).item() == pytest.approx(2.5, abs=1e-3)
+    assert ray_depth(scene, ORIGIN, -UP).isinf()
+
+
+def quad(visual: Any = None) -> Any:
+    """A square of 2 m, 1 m in front of the origin (in the file, -z is forward)."""
+    vertices = [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1]]
+    return trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
+def test_textures_and_colours_are_where_they_belong(suffix: str, tmp_path: Path) -> None:
+    """Red above, green below to the left, blue below to the right, as seen from the origin."""
+    if suffix == ".ply":  # has colours of vertices
+        colors = [[0, 255, 0, 255], [0, 0, 255, 255], [255, 0, 0, 255], [255, 0, 0, 255]]
+        mesh = quad()
+        mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=colors)
+    else:
+        pixels = np.zeros((64, 64, 3), np.uint8)
+        pixels[:32], pixels[32:, :32], pixels[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+        uv = [[0, 0], [1, 0], [1, 1], [0, 1]]
+        mesh = quad(trimesh.visual.TextureVisuals(uv=uv, image=Image.fromarray(pixels)))
+    mesh.export(tmp_path / f"quad{suffix}")
+    scene = read_mesh_scene(tmp_path / f"quad{suffix}")
+    spots = torch.tensor([[-0.9, -0.9, 1.0], [0.9, -0.9, 1.0], [-0.9, 0.9, 1.0], [0.9, 0.9, 1.0]])
+    rays = torch.nn.functional.normalize(spots, dim=-1)
+    seen = render_directions(scene, ORIGIN, rays)
+    assert seen.argmax(0).tolist() == [0, 0, 1, 2]
+    assert seen.amax(0).min() > 0.9
+    torch.testing.assert_close(ray_depth(scene, ORIGIN, rays), spots.norm(dim=-1), rtol=1e-5, atol=1e-5)
+    assert (render_directions(scene, ORIGIN, -rays) == 0).all()
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("room", 1), ("floating", 2)])
+def test_a_generated_scene_as_glb_is_the_same_scene(kind: str, seed: int, tmp_path: Path) -> None:
+    scene = make_scene(kind, seed)
+    mesh_from_scene(scene, detail=0.06, most=150).export(tmp_path / "scene.glb")
+    read = read_mesh_scene(tmp_path / "scene.glb")
+    rays = directions(4000)
+    depth, again = (ray_depth(s, ORIGIN, rays) for s in (scene, read))
+    same = (again / depth - 1).abs() < 2e-3
+    assert same.float().mean() > 0.99  # apart from the outlines of round things
+    for truth, copy in zip(
+        *(render_rig(s, ring_rig(2, image_size=(64, 64)), 2).values() for s in (scene, read)), strict=True
+    ):
+        assert ((truth == 0).all(0) == (copy == 0).all(0)).float().mean() > 0.98
+        assert (truth - copy).abs().median() < 0.03
+        assert (truth - copy).abs().mean() < 0.06
+        correlation = torch.corrcoef(torch.stack([truth.flatten(), copy.flatten()]))[0, 1]
+        assert correlation > 0.95
+
+
+def test_any_camera_takes_pictures_of_a_mesh() -> None:
+    """Depth and colour of a ball of one colour, through a panorama."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=1.0).apply_translation((0, 0, -3))
+    ball.visual.face_colors = [200, 100, 50, 255]
+    picture = render_camera(MeshScene(ball), EquirectangularCamera((64, 128)), torch.eye(4), 4)
+    inside = picture[:, 32, 64]
+    assert inside.tolist() == pytest.approx([200 / 255, 100 / 255, 50 / 255], abs=2e-3)
+    share = (picture.amax(0) > 0).float().mean().item()
+    radius = math.asin(1 / 3)  # a disc of this angular radius at the middle, where pixels are nearly square
+    assert share == pytest.approx(math.pi * radius**2 / (2 * math.pi * math.pi), rel=0.15)
+
+
+def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match=r"room\.glb.*a mesh expected"):
+        read_mesh_scene(tmp_path / "room.glb")
+    (tmp_path / "room.txt").write_text("")
+    with pytest.raises(FileFormatError, match=r"room\.txt: expected a mesh \(\.glb"):
+        read_mesh_scene(tmp_path / "room.txt")
+    for suffix in (".glb", ".ply"):
+        (tmp_path / f"damaged{suffix}").write_bytes(b"nothing of the kind")
+        with pytest.raises(FileFormatError, match="cannot be read as a mesh"):
+            read_mesh_scene(tmp_path / f"damaged{suffix}")
+    trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
+    with pytest.raises(FileFormatError, match="with triangles, found none"):
+        read_mesh_scene(tmp_path / "points.ply")
+    with pytest.raises(ArgumentError, match="'y', 'z'"):
+        MeshScene(quad(), up="x")
+    with pytest.raises(ArgumentError, match="scale"):
+        MeshScene(quad(), scale=0.0)
+
+
+def test_triangles_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
+    with pytest.raises(FileFormatError, match=r"flat\.obj: (its triangles make no sense|cannot be read)"):
+        read_mesh_scene(tmp_path / "flat.obj")

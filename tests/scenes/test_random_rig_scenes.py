@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples through random rigs: each follows from its seed alone."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import pytest
+import torch
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes.disturbances import DISPLAY
+from sphericalvision.scenes.random_rig_scenes import SHARES, RandomRigScenes
+from sphericalvision.scenes.recipes import make_scene, ray_depth, render_directions, render_rig
+from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED
+
+SMALL = {"level": 3, "image_size": (24, 24)}
+
+
+def equal(one, other):
+    return all(torch.equal(one[key], other[key]) for key in ("images", "seen", "inverse_depth", "valid"))
+
+
+def test_a_seed_is_a_sample_with_a_cache_and_without(tmp_path):
+    plain, kept = RandomRigScenes(4, 7, **SMALL), RandomRigScenes(4, 7, **SMALL, cache_dir=tmp_path)
+    for index in range(4):
+        first, second = kept[index], kept[index]
+        assert equal(first, second)
+        assert equal(first, plain[index])
+        assert torch.equal(first["rig"].world_from_camera, plain[index]["rig"].world_from_camera)
+    assert equal(RandomRigScenes(1, 9, **SMALL)[0], plain[2])
+    assert RandomRigScenes(1, **SMALL).name != RandomRigScenes(1, **SMALL, disturbed=0.0).name
+
+
+def test_samples_are_what_they_say():
+    scenes = RandomRigScenes(6, 20, **SMALL, disturbed=0.0)
+    for sample in (scenes[index] for index in range(6)):
+        assert sample["images"].shape == (len(sample["rig"]), 3, 642)
+        assert (sample["images"].movedim(1, -1)[~sample["seen"]] == 0).all()
+        kind, _, seed = sample["frame"].rpartition("-")
+        depth = ray_depth(make_scene(kind, int(seed)), sample["rig"].center, Icosphere(3).vertices)
+        torch.testing.assert_close(sample["inverse_depth"], depth.reciprocal())
+
+
+def test_rigs_and_scenes_are_of_all_kinds():
+    scenes = RandomRigScenes(300, **SMALL)
+    kinds = Counter(scenes.frame(seed).rpartition("-")[0] for seed in range(300))
+    assert set(kinds) == set(SHARES)
+    assert all(abs(kinds[kind] / 300 - share) < 0.08 for kind, share in SHARES.items())
+    rigs = [scenes.true_rig(seed) for seed in range(60)]
+    assert {len(rig) for rig in rigs} == {2, 3, 4, 5, 6}
+    off = [not torch.equal(scenes.rig(k).world_from_camera, rigs[k].world_from_camera) for k in range(60)]
+    assert 0.1 < sum(off) / 60 < 0.6
+
+
+def test_scenes_have_other_skies_and_some_no_lamps():
+    scenes = RandomRigScenes(60, **SMALL, shares={"bare": 1.0})
+    own = [make_scene("bare", seed) for seed in range(60)]
+    others = [scenes.scene(seed) for seed in range(60)]
+    under = [not torch.equal(a.background, b.background) for a, b in zip(own, others, strict=True)]
+    assert 0.4 < sum(under) / 60 < 0.8
+    dull = [len(scene.lamps.position) == 0 for scene in others]
+    assert 0.03 < sum(dull) / 60 < 0.3
+    assert all(len(scene.lamps.position) for scene in own)
+    for scene, other, without in zip(own, others, dull, strict=True):
+        directions = Icosphere(3).vertices
+        assert torch.equal(*(ray_depth(x, torch.zeros(3), directions) for x in (scene, other)))
+        seen = render_directions(other, torch.zeros(3), directions)
+        assert 0.2 < seen.mean() < 0.8, "too dark or too bright" + " without lamps" * without
+
+
+def test_some_samples_are_too_bright():
+    scenes = RandomRigScenes(300, **SMALL, disturbed=0.0)
+    stops = torch.tensor([DISPLAY * math.log2(scenes.gain(seed)) for seed in range(300)])
+    bright = stops > 0
+    assert 0.2 < bright.float().mean() < 0.4
+    assert stops[bright].min() >= 0.3 - 1e-6
+    assert stops.max() <= 2.5 + 1e-6
+    brightest = int(stops.argmax())
+    usual = render_rig(
+        make_scene(scenes.frame(brightest).rpartition("-")[0], brightest), scenes.true_rig(brightest)
+    )
+    shown = scenes[brightest]["images"]
+    assert (shown.where(shown > -1, 0).mean() + 1) / 2 > torch.stack(list(usual.values())).mean()
+
+
+def test_photographs_are_prepared_as_in_use(tmp_path):
+    given = []
+
+    def darkened(rig, images):
+        given.append((rig, images))
+        return {name: image / 2 for name, image in images.items()}
+
+    plain, dark = RandomRigScenes(2, 40, **SMALL), RandomRigScenes(2, 40, **SMALL, prepare=darkened)
+    assert plain.name != dark.name
+    seen = plain[0]["seen"][:, None]
+    torch.testing.assert_close(
+        dark[0]["images"] + 1, ((plain[0]["images"] + 1) / 2).where(seen, 1), atol=0.02, rtol=0
+    )
+    ((rig, images),) = given
+    assert torch.equal(rig.world_from_camera, plain[0]["rig"].world_from_camera)
+    assert set(images) == set(rig.names)
+
+
+def test_seeds_of_the_benchmark_and_unknown_kinds_are_refused():
+    with pytest.raises(ArgumentError, match="seeds"):
+        RandomRigScenes(2, HELD_OUT_SEED - 1, **SMALL)
+    with pytest.raises(ArgumentError, match="shares"):
+        RandomRigScenes(1, shares={"forest": 1.0}, **SMALL)

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rays against primitives: closed-form distances, brute-force marching, and laws of hits, normals and shadows."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, pack
+from sphericalvision.scenes.rendering.raycast import Hit, occluded, surface, trace
+
+
+def unit_vectors(count: int, generator: torch.Generator) -> Tensor:
+    return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
+
+
+def random_primitives(count: int, generator: torch.Generator, shapes: tuple[str, ...] = SHAPES) -> Primitives:
+    """Primitives of all attitudes between 2 and 6 m from the origin."""
+    parts = []
+    for k in range(count):
+        center = unit_vectors(1, generator)[0] * (2 + 4 * torch.rand((), generator=generator))
+        half = 0.2 + 0.8 * torch.rand(3, generator=generator)
+        rotation, _ = torch.linalg.qr(torch.randn(3, 3, generator=generator))
+        shape = shapes[k % len(shapes)]
+        parts.append(Part(shape, tuple(center.tolist()), tuple(half.tolist()), rotation=rotation.tolist()))
+    return pack(parts)
+
+
+def inside(primitives: Primitives, row: int, points: Tensor) -> Tensor:
+    """Membership in one solid, straight from its definition."""
+    x, y, z = (
+        ((points - primitives.center[row]) @ primitives.rotation[row].T) / primitives.half[row]
+    ).unbind(-1)
+    shape = SHAPES[int(primitives.shape[row])]
+    if shape == "box":
+        return (x.abs() <= 1) & (y.abs() <= 1) & (z.abs() <= 1)
+    if shape == "ellipsoid":
+        return x**2 + y**2 + z**2 <= 1
+    return (x**2 + z**2 <= 1) & (y.abs() <= 1)
+
+
+def test_sphere_distance_in_closed_form(generator: torch.Generator) -> None:
+    center, radius = torch.tensor([0.3, -0.4, 3.0], dtype=torch.float64), 0.7
+    ball = pack([Part("ellipsoid", tuple(center.tolist()), (radius,) * 3)]).to(dtype=torch.float64)
+    directions = torch.nn.functional.normalize(
+        center + 0.5 * torch.randn(500, 3, generator=generator, dtype=torch.float64), dim=-1
+    )
+    along = directions @ ball.center[0]
+    room = ball.half[0, 0] ** 2 - (ball.center[0].square().sum() - along**2)
+    expected = torch.where(room >= 0, along - room.clamp(min=0).sqrt(), torch.inf)
+    distance = trace(ball, torch.zeros(3, dtype=torch.float64), directions).distance
+    assert expected.isfinite().float().mean() > 0.3
+    torch.testing.assert_close(distance, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_from_inside_a_box_the_distance_is_to_its_wall(generator: torch.Generator) -> None:
+    half = torch.tensor([2.0, 1.2, 3.0])
+    box = pack([Part("box", (0.0, 0.0, 0.0), (2.0, 1.2, 3.0))])
+    directions = unit_vectors(500, generator)
+    torch.testing.assert_close(
+        trace(box, torch.zeros(3), directions).distance,
+        (half / directions.abs()).amin(-1),
+        rtol=1e-5,
+        atol=1e-5,
+    )
+
+
+def test_cylinder_is_hit_on_side_and_cap() -> None:
+    cylinder = pack([Part("cylinder", (0.0, 2.0, 0.0), (0.5, 1.0, 0.5))])
+    origins = torch.tensor([[0.2, -1.0, 0.1], [0.0, 2.0, -3.0], [0.3, 2.0, -3.0], [0.6, -1.0, 0.0]])
+    directions = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    expected = torch.tensor([2.0, 2.5, 3.0 - math.sqrt(0.5**2 - 0.3**2), math.inf])
+    torch.testing.assert_close(trace(cylinder, origins, directions).distance, expected)
+
+
+def test_rectangle_ends_where_its_half_size_says() -> None:
+    wall = pack([Part("rectangle", (0.0, 0.0, 2.0), (1.0, 0.5, 1.0))])
+    x = torch.tensor(
+        [[0.99, 0.0, 2.0], [1.01, 0.0, 2.0], [0.0, 0.49, 2.0], [0.0, 0.51, 2.0], [0.0, 0.0, -2.0]]
+    )
+    hit = trace(wall, torch.zeros(3), torch.nn.functional.normalize(x, dim=-1)).primitive
+    assert hit.tolist() == [0, -1, 0, -1, -1]
+
+
+def test_agrees_with_marching_along_the_ray(generator: torch.Generator) -> None:
+    """An oracle without any formula for intersections: steps of 1 mm, and membership by definition."""
+    primitives = random_primitives(6, generator, ("box", "ellipsoid", "cylinder"))
+    directions = torch.nn.functional.normalize(
+        primitives.center.repeat(20, 1) + 0.4 * torch.randn(120, 3, generator=generator), dim=-1
+    )
+    steps = torch.arange(1, 8000) * 1e-3
+    points = steps[:, None, None] * directions
+    solid = torch.stack([inside(primitives, row, points) for row in range(len(primitives))]).any(0)
+    marched = torch.where(solid.any(0), steps[solid.float().argmax(0)], torch.inf)
+    hit = trace(primitives, torch.zeros(3), directions)
+    # A ray may graze an edge between two steps.
+    both = marched.isfinite() & hit.distance.isfinite()
+    assert (marched.isfinite() == hit.distance.isfinite()).float().mean() > 0.95
+    assert both.sum() > 30
+    error = (marched - hit.distance)[both]
+    assert ((error > -1e-3) & (error < 2e-3)).float().mean() > 0.95
+
+
+def test_neighbouring_rays_meet_what_they_meet_alone(generator: torch.Generator) -> None:
+    """A chunk of rays in a narrow cone looks at the primitives around the cone only; own origins turn that off."""
+    primitives, limit = random_primitives(40, generator), 4.0
+    for axis in unit_vectors(20, generator):
+        directions = torch.nn.functional.normalize(
+            axis + 0.1 * torch.randn(200, 3, generator=generator), dim=-1
+        )
+        origins, limits = torch.zeros(200, 3), torch.full((200,), limit)
+        narrow, alone = (trace(primitives, start, directions) for start in (torch.zeros(3), origins))
+        torch.testing.assert_close(narrow.distance, alone.distance, rtol=1e-5, atol=1e-5)
+        hidden = occluded(primitives, torch.zeros(3), directions, limits)
+        clear = (narrow.distance - limit).abs() > 1e-3
+        assert torch.equal(hidden[clear], (narrow.distance < limit)[clear])
+
+
+def test_nearest_of_many_is_the_least_of_each_alone(generator: torch.Generator) -> None:
+    primitives = random_primitives(40, generator)
+    directions = unit_vectors(3000, generator)
+    alone = torch.stack(
+        [trace(primitives.select(torch.tensor([k])), torch.zeros(3), directions).distance for k in range(40)]
+    )
+    hit = trace(primitives, torch.zeros(3), directions)
+    torch.testing.assert_close(hit.distance, alone.amin(0))
+    met = hit.primitive >= 0
+    assert torch.equal(met, hit.distance.isfinite())
+    torch.testing.assert_close(alone.gather(0, hit.primitive.clamp(min=0)[None])[0][met], hit.distance[met])
+
+
+def test_shared_origin_equals_one_origin_a_ray(generator: torch.Generator) -> None:
+    primitives, directions = random_primitives(20, generator), unit_vectors(2000, generator)
+    origin = torch.tensor([0.1, -0.2, 0.3])
+    one, many = trace(primitives, origin, directions), trace(primitives, origin.expand(2000, 3), directions)
+    torch.testing.assert_close(one.distance, many.distance, rtol=1e-4, atol=1e-4)
+    assert (one.primitive == many.primitive).float().mean() > 0.999
+
+
+def test_more_rays_than_a_chunk_in_any_shape(generator: torch.Generator) -> None:
+    primitives, directions = random_primitives(5, generator), unit_vectors(20000, generator)
+    whole = trace(primitives, torch.zeros(3), directions.reshape(100, 200, 3))
+    assert whole.distance.shape == (100, 200)
+    part = trace(primitives, torch.zeros(3), directions[15000:15100])
+    torch.testing.assert_close(whole.distance.flatten()[15000:15100], part.distance)
+    assert trace(primitives, torch.zeros(3), torch.zeros(0, 3)).distance.shape == (0,)
+
+
+def test_moving_scene_and_ray_together_changes_nothing(generator: torch.Generator) -> None:
+    primitives, directions = random_primitives(20, generator), unit_vectors(1000, generator)
+    rotation, _ = torch.linalg.qr(torch.randn(3, 3, generator=generator))
+    shift = torch.tensor([1.0, 2.0, -3.0])
+    moved = trace(primitives.transformed(rotation, shift), shift, directions @ rotation.T)
+    still = trace(primitives, torch.zeros(3), directions)
+    same = moved.primitive == still.primitive
+    assert same.float().mean() > 0.995
+    torch.testing.assert_close(moved.distance[same], still.distance[same], rtol=1e-3, atol=1e-3)
+    twice = trace(primitives.scaled(2.0), torch.zeros(3), directions)
+    torch.testing.assert_close(twice.distance, 2 * still.distance, rtol=1e-4, atol=1e-4)
+
+
+def test_normals_are_unit_face_the_ray_and_stand_on_the_surface(generator: torch.Generator) -> None:
+    primitives, directions = (
+        random_primitives(30, generator).to(dtype=torch.float64),
+        unit_vectors(4000, generator),
+    )
+    directions = directions.double()
+    origin = torch.zeros(3, dtype=torch.float64)
+    hit = trace(primitives, origin, directions)
+    met = hit.primitive >= 0
+    rays, hit = directions[met], Hit(hit.distance[met], hit.primitive[met])
+    spot = surface(primitives, origin, rays, hit)
+    torch.testing.assert_close(spot.normal.norm(dim=-1), torch.ones_like(hit.distance))
+    assert ((spot.normal * rays).sum(-1) <= 0).all()
+    # A tangent step stays on the surface to first order: the distance along the normal to a solid is the ray's hit.
+    back = trace(primitives, spot.position + 0.01 * spot.normal, -spot.normal)
+    torch.testing.assert_close(
+        back.distance[back.primitive == hit.primitive].median(), torch.tensor(0.01).double()
+    )
+    assert (back.distance <= 0.01 + 1e-9).all()
+
+
+def test_occluded_is_a_hit_before_the_limit(generator: torch.Generator) -> None:
+    primitives, directions = random_primitives(30, generator), unit_vectors(3000, generator)
+    limits = 1 + 5 * torch.rand(3000, generator=generator)
+    expected = trace(primitives, torch.zeros(3), directions).distance < limits
+    assert 0.05 < expected.float().mean() < 0.95
+    assert torch.equal(occluded(primitives, torch.zeros(3), directions, limits), expected)
+
+
+def test_convention_yaw_turns_forward_towards_right() -> None:
+    """A long box along its own z, turned by a quarter, lies along x."""
+    box = pack([Part("box", (0.0, 0.0, 0.0), (0.1, 0.1, 2.0), yaw=math.pi / 2)])
+    directions = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    torch.testing.assert_close(trace(box, torch.zeros(3), directions).distance, torch.tensor([2.0, 0.1]))
+    turned = pack([Part("box", (0.0, 0.0, 0.0), (0.1, 0.1, 2.0), yaw=math.pi / 4)])
+    right_and_forward = torch.tensor([math.sqrt(0.5), 0.0, math.sqrt(0.5)])
+    torch.testing.assert_close(trace(turned, torch.zeros(3), right_and_forward).distance, torch.tensor(2.0))
+
+
+def test_distance_from_a_point_is_to_the_bounding_box() -> None:
+    table = pack(
+        [Part("box", (0.0, 0.0, 3.0), (1.0, 1.0, 1.0)), Part("rectangle", (0.0, 2.0, 3.0), (1.0, 1.0, 9.0))]
+    )
+    torch.testing.assert_close(table.distance_from(torch.zeros(3)), torch.tensor([2.0, math.sqrt(1 + 9)]))
+
+
+def test_bad_arguments_are_named() -> None:
+    ball = pack([Part("ellipsoid", (0.0, 0.0, 3.0), (1.0, 1.0, 1.0))])
+    with pytest.raises(ShapeError, match="directions"):
+        trace(ball, torch.zeros(3), torch.zeros(4, 2))
+    with pytest.raises(ShapeError, match="origins"):
+        trace(ball, torch.zeros(5, 3), torch.zeros(4, 3))
+    with pytest.raises(ArgumentError, match="shape"):
+        pack([Part("cone", (0.0, 0.0, 3.0), (1.0, 1.0, 1.0))])
+    with pytest.raises(ArgumentError, match="half"):
+        pack([Part("box", (0.0, 0.0, 3.0), (1.0, 0.0, 1.0))])
+    with pytest.raises(ArgumentError, match="parts"):
+        pack([])

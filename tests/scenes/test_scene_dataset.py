@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rendered samples on the icosphere: entries, cache, and the exact five-fold rotation."""
+
+from __future__ import annotations
+
+import io
+import math
+import random
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError
+from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes.recipes import make_scene, ray_depth, render_directions, render_rig
+from sphericalvision.scenes.scene_dataset import SceneDataset
+
+Sample = dict[str, Any]
+
+
+def same(first: Sample, second: Sample) -> bool:
+    return all(torch.equal(first[key], second[key]) for key in ("images", "inverse_depth", "valid"))
+
+
+def test_sample_holds_what_the_contract_says(rig: CameraRig) -> None:
+    data = SceneDataset(3, rig, level=4, kind="mixed", first_seed=5)
+    assert len(data) == 3
+    sample = data[0]
+    assert sample["images"].shape == (4, 3, Icosphere(4).num_vertices)
+    assert sample["images"].dtype == torch.float32
+    assert sample["images"].abs().max() <= 1
+    assert sample["inverse_depth"].shape == sample["valid"].shape == (Icosphere(2).num_vertices,)
+    assert sample["inverse_depth"].dtype == torch.float32
+    assert sample["valid"].dtype == torch.bool
+    assert sample["valid"].all()
+    assert sample["rig"] is rig
+    assert [data[k]["frame"] for k in range(3)] == ["floating-00000005", "room-00000006", "floating-00000007"]
+
+
+def test_ground_truth_is_exact_ray_depth_from_the_centre_of_the_rig(
+    make_rig: Callable[..., CameraRig],
+) -> None:
+    rig = make_rig(image_size=(8, 8))
+    poses = rig.world_from_camera.clone()
+    poses[:, :3, 3] += torch.tensor([1.0, 2.0, 3.0])
+    away = CameraRig(rig.cameras, poses)
+    sample = SceneDataset(1, away, level=4, first_seed=3)[0]
+    depth = ray_depth(make_scene("room", 3), torch.zeros(3), Icosphere(2).vertices)
+    torch.testing.assert_close(sample["inverse_depth"], 1 / depth, rtol=1e-3, atol=1e-4)
+
+
+def test_images_show_what_the_cameras_see_in_world_directions(make_rig: Callable[..., CameraRig]) -> None:
+    """At a vertex that a camera sees, the sphere holds the colour along that direction from the camera."""
+    rig = make_rig(image_size=(160, 160))
+    sample = SceneDataset(1, rig, level=4, first_seed=1)[0]
+    scene = make_scene("room", 1, center=rig.center)
+    vertices = Icosphere(4).vertices
+    spread = math.radians(220) / 160
+    for image, pose, axis in zip(sample["images"], rig.world_from_camera, rig.axes, strict=True):
+        direct = render_directions(scene, pose[:3, 3], vertices, spread) * 2 - 1
+        seen = vertices @ axis > math.cos(math.radians(108))
+        hidden = vertices @ axis < math.cos(math.radians(111))
+        assert (image[:, seen] - direct[:, seen]).abs().median() < 0.05
+        assert (image[:, hidden] == 0).all()
+
+
+def test_min_depth_scales_the_scene(make_rig: Callable[..., CameraRig]) -> None:
+    """Three times the rig and the least depth: a third of the inverse depth, the same images."""
+    small, large = make_rig(0.2, image_size=(48, 48)), make_rig(0.6, image_size=(48, 48))
+    first = SceneDataset(1, small, level=3, min_depth=0.55)[0]
+    second = SceneDataset(1, large, level=3, min_depth=1.65)[0]
+    torch.testing.assert_close(second["inverse_depth"] * 3, first["inverse_depth"], rtol=1e-3, atol=1e-3)
+    assert ((first["images"] - second["images"]).abs() < 0.05).float().mean() > 0.98
+
+
+def test_cached_and_fresh_samples_are_equal(rig: CameraRig, tmp_path: Path) -> None:
+    fresh = SceneDataset(2, rig, level=3, kind="mixed")
+    cached = SceneDataset(2, rig, level=3, kind="mixed", cache_dir=tmp_path)
+    for index in range(2):
+        assert same(fresh[index], cached[index])
+        assert same(fresh[index], cached[index])
+    assert len(list(tmp_path.rglob("*.npz"))) == 4  # images, and depths
+
+
+def test_the_cache_is_read(rig: CameraRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = SceneDataset(1, rig, level=3, cache_dir=tmp_path)
+    first = data[0]
+
+    def fail(*_: object) -> None:
+        raise AssertionError("rendered again")
+
+    monkeypatch.setattr(SceneDataset, "_render", fail)
+    assert same(first, SceneDataset(1, rig, level=3, cache_dir=tmp_path)[0])
+
+
+def test_another_parameter_never_reads_a_stale_sample(
+    make_rig: Callable[..., CameraRig], tmp_path: Path
+) -> None:
+    rig = make_rig(image_size=(16, 16))
+    mask = torch.ones(16, 16, dtype=torch.bool)
+    mask[8:] = False
+    masked = CameraRig(rig.cameras, rig.world_from_camera, {rig.names[0]: mask})
+    variants: list[dict[str, Any]] = [
+        {},
+        {"level": 4},
+        {"samples_per_pixel": 2},
+        {"min_depth": 0.5},
+        {"antialias": True},
+        {"rig": make_rig(radius=0.21, image_size=(16, 16))},
+        {"rig": make_rig(num_cameras=3, image_size=(16, 16))},
+        {"rig": make_rig(image_size=(16, 18))},
+        {"rig": masked},
+    ]
+    folders = set()
+    for variant in variants:
+        arguments = {"num_scenes": 1, "rig": rig, "level": 3, "cache_dir": tmp_path} | variant
+        folders.add(tuple(SceneDataset(**arguments).cache_folders))
+    assert len({images for images, _ in folders}) == len(variants)
+    again = SceneDataset(5, make_rig(image_size=(16, 16)), level=3, first_seed=9, cache_dir=tmp_path)
+    assert tuple(again.cache_folders) in folders
+
+
+def test_whatever_happens_to_a_file_it_is_made_anew(rig: CameraRig, tmp_path: Path) -> None:
+    """Cut, flipped, replaced: the sample is the same, and the file is whole again; nothing temporary stays."""
+    data = SceneDataset(1, rig, level=3, cache_dir=tmp_path)
+    first = data[0]
+    paths = sorted(tmp_path.rglob("*.npz"))
+    rng = random.Random(0)
+    for path in paths:
+        whole = path.read_bytes()
+        damaged = [b"", b"not a zip file", bytes(len(whole)), whole + whole, whole[5:]]
+        damaged += [whole[: rng.randrange(len(whole))] for _ in range(15)]
+        for _ in range(60):
+            flipped = bytearray(whole)
+            for _ in range(rng.choice((1, 1, 3, 30))):
+                # headers and the directory at the end are where surprises are
+                place = rng.choice((rng.randrange(150), -1 - rng.randrange(150), rng.randrange(len(whole))))
+                flipped[place] ^= 1 << rng.randrange(8)
+            damaged.append(bytes(flipped))
+        other = io.BytesIO()
+        np.savez(other, images=np.zeros((4, 3, 42), np.uint8), inverse_depth=np.zeros(12))
+        objects = io.BytesIO()
+        np.savez(objects, images=np.array([{}]))
+        for content in (*damaged, other.getvalue(), objects.getvalue()):
+            path.write_bytes(content)
+            assert same(first, data[0])
+    assert [p for p in sorted(tmp_path.rglob("*")) if p.is_file()] == paths
+    assert same(first, SceneDataset(1, rig, level=3, cache_dir=tmp_path)[0])
+
+
+def test_several_workers_share_a_cache(rig: CameraRig, tmp_path: Path) -> None:
+    data = SceneDataset(2, rig, level=3, cache_dir=tmp_path)
+    with ThreadPoolExecutor(4) as pool:
+        samples = list(pool.map(data.__getitem__, [0, 1, 0, 1, 0, 1]))
+    assert all(same(samples[k], samples[k % 2]) for k in range(6))
+    assert len(list(tmp_path.rglob("*.npz"))) == 4
+
+
+def test_bad_arguments_are_named(rig: CameraRig, make_rig: Callable[..., CameraRig]) -> None:
+    for name, bad in (
+        ("kind", "street"),
+        ("num_scenes", 0),
+        ("level", 1),
+        ("first_seed", -1),
+        ("min_depth", 0.0),
+    ):
+        with pytest.raises(ArgumentError, match=name):
+            SceneDataset(**({"num_scenes": 1, "rig": rig, "level": 3} | {name: bad}))
+    with pytest.raises(ArgumentError, match=r"rig.*min_depth above 1\.10"):
+        SceneDataset(1, make_rig(radius=1.2), level=3)
+    with pytest.raises(IndexError, match="3 is outside"):
+        SceneDataset(3, rig, level=3)[3]
+
+
+@pytest.mark.parametrize("level", [0, 1, 3])
+@pytest.mark.parametrize("steps", [1, 2, -1, 5])
+def test_rotated_vertices_are_the_vertices(level: int, steps: int) -> None:
+    """Turning the world by R moves vertex w's value to the vertex at R w: rotated positions, read there, match."""
+    vertices = Icosphere(level, dtype=torch.float64).vertices
+    turned = vertices @ _turn(steps).T
+    torch.testing.assert_close(rotate_fivefold(turned.T, steps).T, vertices, rtol=0, atol=1e-12)
+
+
+def _turn(steps: int) -> Tensor:
+    angle = 2 * math.pi * steps / 5
+    sin, cos = math.sin(angle), math.cos(angle)
+    return torch.tensor([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]], dtype=torch.float64)
+
+
+def test_rotated_sample_is_a_rendering_of_the_rotated_world(rig: CameraRig) -> None:
+    sample = SceneDataset(1, rig, level=4, first_seed=2)[0]
+    rotated = RotateFivefold(steps=2)(sample)
+    scene = make_scene("room", 2, center=rig.center).transformed(_turn(2).float())
+    turned = rotated["rig"]
+    values, seen = turned.sample_sphere(render_rig(scene, turned), Icosphere(4).vertices)
+    expected = torch.where(seen[:, None], values * 2 - 1, 0.0)
+    assert ((rotated["images"] - expected).abs() < 0.02).float().mean() > 0.99
+    depth = ray_depth(scene, turned.center, Icosphere(2).vertices)
+    close = (rotated["inverse_depth"] * depth - 1).abs() < 1e-3
+    assert close.float().mean() > 0.98
+    assert torch.equal(RotateFivefold(steps=-2)(rotated)["images"], sample["images"])
+
+
+def test_random_rotation_follows_its_generator(rig: CameraRig) -> None:
+    sample = SceneDataset(1, rig, level=3)[0]
+    first, again = (RotateFivefold(torch.Generator().manual_seed(4))(sample) for _ in range(2))
+    assert same(first, again)
+    with pytest.raises(ArgumentError, match="values"):
+        rotate_fivefold(torch.zeros(3, 100), 1)

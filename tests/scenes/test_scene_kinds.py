@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each kind of scene promises: sky at infinity, floors that mirror, bare walls, length, height."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import EquirectangularCamera
+from sphericalvision.core import ArgumentError
+from sphericalvision.scenes.recipes import (
+    SCENE_KINDS,
+    kind_of,
+    make_scene,
+    ray_depth,
+    render_camera,
+    render_directions,
+)
+from sphericalvision.scenes.rendering.scene import Scene
+
+ORIGIN = torch.zeros(3)
+UP, DOWN = torch.tensor([0.0, -1.0, 0.0]), torch.tensor([0.0, 1.0, 0.0])
+SEEDS = range(6)
+
+
+def around(elevation: float = 0.0, count: int = 720) -> Tensor:
+    """Directions all around, at an elevation in radians."""
+    angle = torch.arange(count) * (2 * math.pi / count)
+    flat = torch.stack([angle.sin(), torch.zeros(count), angle.cos()], -1) * math.cos(elevation)
+    return flat - math.sin(elevation) * DOWN
+
+
+def depths(kind: str, directions: Tensor) -> Tensor:
+    """Depth ``(seeds, *)`` in the first few scenes of a kind."""
+    return torch.stack([ray_depth(make_scene(kind, seed), ORIGIN, directions) for seed in SEEDS])
+
+
+def test_mixtures_take_turns() -> None:
+    assert [kind_of("mixed", seed) for seed in range(4)] == ["room", "floating"] * 2
+    assert [kind_of("all", seed) for seed in range(8)] == [*SCENE_KINDS[:7], "room"]
+    assert SCENE_KINDS[7:] == ("skies", "patchwork", "rough", "glazed")
+    assert kind_of("hall", 3) == "hall"
+    with pytest.raises(ArgumentError, match="'skies', 'patchwork', 'rough', 'glazed', 'mixed', 'all'"):
+        kind_of("street", 0)
+
+
+def test_skies_are_those_of_outdoors_in_other_colours_at_the_same_depth() -> None:
+    high, low = around(1.2), around(-0.6)
+    seen = {}
+    for seed in range(30):
+        plain, other = make_scene("outdoors", seed), make_scene("skies", seed)
+        assert torch.equal(ray_depth(plain, ORIGIN, high), ray_depth(other, ORIGIN, high))
+        assert torch.equal(render_directions(plain, ORIGIN, low), render_directions(other, ORIGIN, low))
+        sky = render_directions(other, ORIGIN, UP[None])
+        kind = (
+            "clouds"
+            if len(other.clouds)
+            else "black"
+            if sky.amax() == 0
+            else "white"
+            if sky.amin() > 0.9
+            else "any"
+        )
+        seen.setdefault(kind, []).append(sky)
+    assert set(seen) == {"clouds", "black", "white", "any"}
+    hues = torch.stack(seen["any"]).flatten(1)
+    assert (hues[:, 0] > hues[:, 2]).any()
+    assert (hues[:, 0] < hues[:, 2]).any()
+
+
+def test_patchworks_are_open_or_closed_and_seen_from_any_height() -> None:
+    down = torch.stack([ray_depth(make_scene("patchwork", k), ORIGIN, DOWN[None]) for k in range(60)])
+    up = torch.stack([ray_depth(make_scene("patchwork", k), ORIGIN, UP[None]) for k in range(60)])
+    assert 0.25 < up.isinf().float().mean() < 0.55
+    assert down.min() >= 0.6
+    assert (down < 0.9).any()
+    assert (down > 3).any()
+    lamps = [len(make_scene("patchwork", k).lamps.position) for k in range(60)]
+    assert set(lamps) == {0, 1, 2}
+
+
+def test_rough_places_are_caves_and_slopes_without_anything_level_or_upright() -> None:
+    scenes = [make_scene("rough", seed) for seed in range(40)]
+    below, above = (
+        torch.stack([ray_depth(scene, ORIGIN, around(elevation, 90)) for scene in scenes])
+        for elevation in (-1.0, 1.0)
+    )
+    assert 0.2 < above.isinf().any(1).float().mean() < 0.6
+    assert below.isfinite().all()
+    assert torch.minimum(below, above).min() >= 0.6
+    # A level floor without anything on it would be equally far in all directions of one elevation.
+    uneven = below.quantile(0.9, 1) / below.quantile(0.1, 1)
+    assert uneven.median() > 1.3
+    assert {len(scene.lamps.position) for scene in scenes} == {0, 1, 2}
+
+
+def test_glazed_rooms_are_closed_above_and_below_and_open_to_the_sky_at_their_sides() -> None:
+    scenes = [make_scene("glazed", seed) for seed in range(40)]
+    for vertical in (UP, DOWN):
+        assert max(ray_depth(scene, ORIGIN, vertical[None]).item() for scene in scenes) < 3.6
+    level = torch.stack([ray_depth(scene, ORIGIN, around(0.1)) for scene in scenes])
+    assert level.min() >= 0.6
+    beyond = (level > 6 * 2**0.5 + 1e-3).float().mean(1)  # no corner of the room is as far
+    assert (beyond > 0).float().mean() > 0.85
+    assert beyond.max() > 0.3
+    assert 0.5 < level.isinf().any(1).float().mean() < 1.0
+    assert len({tuple(scene.background.flatten().tolist()) for scene in scenes}) > 20
+
+
+def test_a_scene_without_anything_that_casts_a_shadow_is_lit() -> None:
+    scene = make_scene("bare", seed=0)
+    shadowless = replace(scene.primitives, casts_shadow=torch.zeros_like(scene.primitives.casts_shadow))
+    assert len(shadowless.shadow_casters) == 0
+    seen = render_directions(replace(scene, primitives=shadowless), ORIGIN, around(0.3))
+    assert (seen >= render_directions(scene, ORIGIN, around(0.3)) - 1e-5).all()
+
+
+def test_clouds_cover_part_of_the_sky_and_stay_where_they_are() -> None:
+    scene = next(s for s in (make_scene("skies", seed) for seed in range(30)) if len(s.clouds))
+    high = around(1.0)
+    seen = render_directions(scene, ORIGIN, high)
+    assert seen.std(-1 if seen.shape[0] == 3 else 0).amax() > 0.02
+    moved = render_directions(scene, torch.tensor([0.3, 0.0, 0.0]), high)
+    assert ((moved - seen).abs() < 1e-6).float().mean() > 0.8
+    assert torch.equal(scene.scaled(2.0).transformed(translation=torch.ones(3)).clouds, scene.clouds)
+    assert torch.equal(scene.to("cpu").clouds, scene.clouds)
+
+
+def test_the_sky_is_infinitely_far_and_the_ground_reaches_the_horizon() -> None:
+    high, low = depths("outdoors", around(1.2)), depths("outdoors", around(-0.3))
+    assert high.isinf().float().mean() > 0.8
+    assert (high.reciprocal()[high.isinf()] == 0).all()
+    assert low.isfinite().all()
+    horizon = depths("outdoors", around(-0.004))
+    assert horizon.isfinite().all()
+    assert horizon.max() > 100
+    sky = render_directions(make_scene("outdoors", 0), ORIGIN, UP[None])
+    assert sky[2] > sky[0]  # bluish
+    assert sky.min() > 0.1
+
+
+def test_the_sun_throws_shadows() -> None:
+    """Without its lamp, less light arrives at the ground, but not everywhere less."""
+    scene = make_scene("outdoors", 2)
+    dark = replace(scene, lamps=replace(scene.lamps, color=0 * scene.lamps.color))
+    ground = torch.cat([around(-e) for e in (0.3, 0.5, 0.7)])
+    gain = render_directions(scene, ORIGIN, ground).mean(0) - render_directions(dark, ORIGIN, ground).mean(0)
+    assert gain.median() > 0.05
+    assert (gain.abs() < 1e-6).float().mean() > 0.01
+
+
+def without_mirrors(scene: Scene) -> Scene:
+    return replace(scene, materials=replace(scene.materials, mirror=0 * scene.materials.mirror))
+
+
+def test_polished_floors_mirror_and_depth_is_that_of_the_floor() -> None:
+    for seed in SEEDS:
+        scene = make_scene("polished", seed)
+        floor = around(-0.35, 360)
+        depth = ray_depth(scene, ORIGIN, floor)
+        height = ray_depth(scene, ORIGIN, DOWN)
+        on_floor = ((depth * math.sin(0.35) - height).abs() < 1e-3) & (height > 0.7)
+        assert on_floor.float().mean() > 0.1
+        assert torch.equal(depth, ray_depth(without_mirrors(scene), ORIGIN, floor))
+        # What shows on the floor is the room above it, mixed with the floor's own colour.
+        rays, depth = floor[on_floor][::12], depth[on_floor][::12]
+        seen, matt = (render_directions(s, ORIGIN, rays) for s in (scene, without_mirrors(scene)))
+        upwards = rays * torch.tensor([1.0, -1.0, 1.0])
+        starts = depth[:, None] * rays + 2e-3 * UP
+        mirrored = torch.cat(
+            [
+                render_directions(without_mirrors(scene), start, ray[None])
+                for start, ray in zip(starts, upwards, strict=True)
+            ],
+            1,
+        )
+        share = scene.materials.mirror[scene.primitives.material[0]]
+        assert share > 0.3
+        expected = (matt**2.2).lerp(mirrored**2.2, share) ** (1 / 2.2)
+        assert (seen - expected).abs().median() < 0.02
+        assert (seen - matt).abs().mean() > 0.02
+
+
+def roughness(kind: str) -> Tensor:
+    """Median second difference of neighbouring pixels ``(seeds,)`` in pictures of the walls, in levels of 255."""
+    camera = EquirectangularCamera((64, 128))
+    pictures = [render_camera(make_scene(kind, seed), camera, torch.eye(4)) for seed in SEEDS]
+    return torch.stack([255 * p[:, 16:40].diff(n=2, dim=-1).abs().median() for p in pictures])
+
+
+def test_bare_walls_have_next_to_no_texture() -> None:
+    bare, furnished = roughness("bare"), roughness("room")
+    assert bare.median() < 0.5
+    assert bare.median() < furnished.median() / 2
+
+
+def test_corridors_are_long_and_narrow() -> None:
+    flat = depths("corridor", around())
+    across = flat.nan_to_num(posinf=1e3).quantile(0.2, dim=1)
+    assert (across < 3).all()
+    assert (flat.amax(1) > 4 * across).all()
+    assert (depths("corridor", UP) < 3.2).all()
+
+
+def test_halls_are_wide_and_high() -> None:
+    assert (depths("hall", around()).median(1).values > 2).all()
+    assert depths("hall", around()).median() > 1.5 * depths("room", around()).median()
+    assert (depths("hall", torch.stack([UP, *around(1.4, 20)])).amax(1) > 2.9).all()
+
+
+@pytest.mark.parametrize("kind", SCENE_KINDS)
+def test_scenes_of_any_scale_look_alike(kind: str) -> None:
+    directions = torch.nn.functional.normalize(torch.randn(400, 3), dim=-1)
+    once, thrice = (make_scene(kind, 5, scale=scale) for scale in (1.0, 3.0))
+    near, far = (ray_depth(scene, ORIGIN, directions) for scene in (once, thrice))
+    assert torch.isclose(3 * near, far, rtol=1e-3).float().mean() > 0.99
+    colors = [render_directions(scene, ORIGIN, directions) for scene in (once, thrice)]
+    assert ((colors[0] - colors[1]).abs() < 0.05).float().mean() > 0.97

@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes: seeds, light and shadow, textures, and agreement of pictures with rays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, EquirectangularCamera, FisheyeCamera
+from sphericalvision.core import ArgumentError, MissingFileError
+from sphericalvision.scenes.recipes import (
+    SCENE_KINDS,
+    make_scene,
+    ray_depth,
+    render_camera,
+    render_directions,
+    render_rig,
+)
+from sphericalvision.scenes.rendering.primitives import Part, pack
+from sphericalvision.scenes.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.textures import PATTERNS, PHOTOGRAPHS, pattern, photograph, texture_bank
+
+ORIGIN = torch.zeros(3)
+DOWN = torch.tensor([0.0, 1.0, 0.0])
+
+
+def linear(picture: Tensor) -> Tensor:
+    """Undo the display curve."""
+    return picture**2.2
+
+
+def plain(
+    parts: list[Part], lamps: list[Lamp], ambient: float = 0.0, materials: list[Material] | None = None
+) -> Scene:
+    """A scene of white (or given) materials on black ground."""
+    white = Material(texture=0, dark=(1.0, 1.0, 1.0), bright=(1.0, 1.0, 1.0))
+    return Scene(
+        primitives=pack(parts),
+        materials=pack_materials(materials or [white]),
+        lamps=pack_lamps(lamps),
+        ambient=torch.full((3,), ambient),
+        background=torch.zeros(2, 3),
+        exposure=torch.tensor(1.0),
+    )
+
+
+def floor(y: float = 1.0, size: float = 10.0, material: int = 0) -> Part:
+    return Part("box", (0.0, y + 0.5, 0.0), (size, 0.5, size), material)
+
+
+@pytest.mark.parametrize("kind", SCENE_KINDS)
+def test_same_seed_same_picture_and_another_seed_another(kind: str) -> None:
+    directions = torch.nn.functional.normalize(torch.randn(500, 3), dim=-1)
+    first, again, other = (
+        render_directions(make_scene(kind, seed), ORIGIN, directions) for seed in (7, 7, 8)
+    )
+    assert torch.equal(first, again)
+    assert (first - other).abs().mean() > 0.05
+
+
+@pytest.mark.parametrize("kind", SCENE_KINDS)
+def test_making_a_scene_leaves_the_global_generator_alone(kind: str) -> None:
+    state = torch.get_rng_state()
+    make_scene(kind, 0)
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+@pytest.mark.parametrize("kind", SCENE_KINDS)
+@pytest.mark.parametrize("seed", range(6))
+def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: str, seed: int) -> None:
+    scene = make_scene(kind, seed)
+    depth = ray_depth(scene, ORIGIN, EquirectangularCamera((64, 128)).unproject(_pixels(64, 128)).directions)
+    assert depth.min() >= 0.6 - 1e-4
+    least = {"outdoors": 0.5, "skies": 0.5, "patchwork": 0.5, "rough": 0.5, "glazed": 0.7}.get(kind, 0.95)
+    assert depth.isfinite().float().mean() > least
+    assert depth.min() < 2
+    assert depth[depth.isfinite()].max() > 2.0
+
+
+@pytest.mark.parametrize("kind", [kind for kind in SCENE_KINDS if kind != "skies"])  # those may be white
+def test_pictures_are_neither_dark_nor_washed_out(kind: str) -> None:
+    directions = torch.nn.functional.normalize(torch.randn(2000, 3), dim=-1)
+    pictures = torch.stack(
+        [render_directions(make_scene(kind, seed), ORIGIN, directions) for seed in range(8)]
+    )
+    assert ((pictures.mean((1, 2)) > 0.25) & (pictures.mean((1, 2)) < 0.7)).all()
+    assert (pictures.std(-1).mean(-1) > 0.05).all()
+    assert (pictures.amin(1) == 1).float().mean() < 0.1
+
+
+def _pixels(height: int, width: int) -> Tensor:
+    down, across = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    return torch.stack([across, down], -1).float()
+
+
+def test_depth_of_an_empty_room_is_that_of_a_box(generator: torch.Generator) -> None:
+    """Six rectangles against the closed form."""
+    half = torch.tensor([2.0, 1.3, 3.0])
+    turn = {
+        0: [[0.0, 0, 1], [0, 1, 0], [1, 0, 0]],
+        1: [[1.0, 0, 0], [0, 0, 1], [0, 1, 0]],
+        2: torch.eye(3).tolist(),
+    }
+    parts = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            center = [0.0, 0.0, 0.0]
+            center[axis] = side * half[axis].item()
+            size = (torch.tensor(turn[axis]) @ half).tolist()
+            parts.append(Part("rectangle", tuple(center), (size[0], size[1], 1.0), rotation=turn[axis]))
+    directions = torch.nn.functional.normalize(torch.randn(1000, 3, generator=generator), dim=-1)
+    torch.testing.assert_close(
+        ray_depth(plain(parts, []), ORIGIN, directions),
+        (half / directions.abs()).amin(-1),
+        rtol=1e-5,
+        atol=1e-5,
+    )
+
+
+def test_depth_does_not_depend_on_the_grid_that_asks(generator: torch.Generator) -> None:
+    scene = make_scene("room", 2)
+    directions = torch.nn.functional.normalize(torch.randn(30000, 3, generator=generator), dim=-1)
+    order = torch.randperm(30000, generator=generator)
+    torch.testing.assert_close(
+        ray_depth(scene, ORIGIN, directions)[order],
+        ray_depth(scene, ORIGIN, directions[order].reshape(3, 100, 100, 3)).flatten(),
+    )
+
+
+def test_two_camera_models_see_the_same_along_one_ray() -> None:
+    """Pixels of a fisheye, looked up as rays and as an equirectangular picture of the same place."""
+    scene = make_scene("room", 5)
+    # Without textures' level of detail, that depends on the pixel's size.
+    materials = replace(scene.materials, dark=scene.materials.bright)
+    scene = replace(scene, materials=materials)
+    fisheye = FisheyeCamera.from_field_of_view((48, 48), math.radians(200))
+    picture = render_camera(scene, fisheye, torch.eye(4))
+    seen = fisheye.unproject(_pixels(48, 48))
+    along = render_directions(scene, ORIGIN, seen.directions[seen.valid])
+    torch.testing.assert_close(picture[:, seen.valid], along, rtol=1e-4, atol=1e-4)
+    panorama = EquirectangularCamera((256, 512))
+    wide = render_camera(scene, panorama, torch.eye(4))
+    values, valid = panorama.sample(wide[None], seen.directions[seen.valid][None])
+    assert valid.all()
+    assert (values[0] - along).abs().median() < 0.01
+
+
+def test_pixels_that_the_camera_does_not_see_are_black() -> None:
+    camera = FisheyeCamera.from_field_of_view((32, 40), math.radians(200))
+    picture = render_camera(make_scene("room", 0), camera, torch.eye(4), samples_per_pixel=4)
+    assert (picture[:, 0, 0] == 0).all()
+    assert (picture[:, 16, 20] > 0).any()
+    assert picture.shape == (3, 32, 40)
+
+
+def test_a_rig_takes_the_pictures_of_its_cameras(make_rig: Callable[..., CameraRig]) -> None:
+    rig, scene = make_rig(image_size=(24, 24)), make_scene("floating", 1)
+    pictures = render_rig(scene, rig)
+    assert list(pictures) == list(rig.names)
+    pose = rig.world_from_camera[2]
+    assert torch.equal(pictures[rig.names[2]], render_camera(scene, rig.cameras[rig.names[2]], pose))
+
+
+def test_more_samples_approach_the_mean_over_a_pixel() -> None:
+    """Anti-aliasing: a finer picture, averaged over 8 x 8 pixels, is the reference."""
+    scene = make_scene("floating", 4)
+    scene = replace(scene, exposure=0.2 * scene.exposure)  # so that nothing is clipped before the mean
+    reference = linear(render_camera(scene, EquirectangularCamera((256, 512)), torch.eye(4)))
+    reference = torch.nn.functional.avg_pool2d(reference, 8)
+    errors = []
+    for samples in (1, 4, 16):
+        picture = render_camera(
+            scene, EquirectangularCamera((32, 64)), torch.eye(4), samples_per_pixel=samples
+        )
+        errors.append((linear(picture) - reference).square().mean().sqrt().item())
+    assert errors[0] > 1.3 * errors[1] > 1.3 * errors[2]
+
+
+def test_lambert_and_distance_law() -> None:
+    """Light from a lamp straight above is color / (reach² + d²); at an angle, times the cosine."""
+    height, reach, power = 2.0, 0.5, 3.0
+    scene = plain([floor()], [Lamp((0.0, 1.0 - height, 0.0), (power,) * 3, reach)])
+    x = torch.tensor([0.0, 0.5, 1.0, 3.0])
+    points = torch.stack([x, torch.ones(4), torch.zeros(4)], -1)
+    seen = linear(render_directions(scene, ORIGIN, torch.nn.functional.normalize(points, dim=-1)))
+    squared = height**2 + x**2
+    expected = power * height / squared.sqrt() / (reach**2 + squared)
+    torch.testing.assert_close(seen[0], expected.clamp(max=1), rtol=2e-3, atol=1e-4)
+
+
+def test_a_known_ball_casts_its_shadow_and_nothing_else() -> None:
+    """The shadow of a ball right under a lamp is the disc inside the lamp's tangent cone."""
+    lamp, middle, radius, ground = -2.0, -0.5, 0.4, 1.0
+    ball = Part("ellipsoid", (0.0, middle, 0.0), (radius,) * 3)
+    scene = plain([floor(ground), ball], [Lamp((0.0, lamp, 0.0), (20.0,) * 3)])
+    edge = (ground - lamp) * math.tan(math.asin(radius / (middle - lamp)))
+    x = torch.linspace(0.0, 2 * edge, 41)
+    points = torch.stack([x, torch.full_like(x, ground), torch.zeros_like(x)], -1)
+    eye = torch.tensor([0.0, 0.5, 3.0])
+    seen = render_directions(scene, eye, torch.nn.functional.normalize(points - eye, dim=-1))[0]
+    assert torch.equal(seen > 0, x > edge)
+    through = replace(scene.primitives, casts_shadow=torch.tensor([True, False]))
+    assert (render_directions(replace(scene, primitives=through), eye, points - eye)[0] > 0).all()
+
+
+def test_a_mirror_shows_what_lies_in_the_reflected_direction() -> None:
+    white = Material(texture=0, dark=(1.0, 1.0, 1.0), bright=(1.0, 1.0, 1.0))
+    black_mirror = Material(texture=0, dark=(0.0,) * 3, bright=(0.0,) * 3, mirror=0.5)
+    glow = Material(texture=0, dark=(0.8, 0.4, 0.2), bright=(0.8, 0.4, 0.2), emission=1.0)
+    target = Part("ellipsoid", (0.0, 0.0, 4.0), (0.3, 0.3, 0.3), 2)
+    scene = plain([floor(1.0, 10.0, 1), target], [], materials=[white, black_mirror, glow])
+    # The floor point half-way reflects the ray to the ball at equal height.
+    direction = torch.nn.functional.normalize(torch.tensor([0.0, 1.0, 2.0]), dim=-1)
+    seen = linear(render_directions(scene, ORIGIN, direction[None]))[:, 0]
+    torch.testing.assert_close(seen, torch.tensor([0.4, 0.2, 0.1]), rtol=1e-3, atol=1e-4)
+
+
+def test_scaling_scene_and_rig_together_changes_no_picture() -> None:
+    camera = FisheyeCamera.from_field_of_view((32, 32), math.radians(220))
+    pose = torch.eye(4)
+    pose[:3, 3] = torch.tensor([0.1, 0.0, 0.2])
+    large = pose.clone()
+    large[:3, 3] *= 3
+    first = render_camera(make_scene("room", 4), camera, pose)
+    second = render_camera(make_scene("room", 4, scale=3.0), camera, large)
+    assert ((first - second).abs().amax(0) < 0.02).float().mean() > 0.99
+    directions = torch.nn.functional.normalize(torch.randn(200, 3), dim=-1)
+    torch.testing.assert_close(
+        ray_depth(make_scene("room", 4, scale=3.0), ORIGIN, directions),
+        3 * ray_depth(make_scene("room", 4), ORIGIN, directions),
+        rtol=1e-3,
+        atol=1e-3,
+    )
+
+
+def test_center_moves_the_scene_to_the_rig() -> None:
+    center, directions = (
+        torch.tensor([1.0, -2.0, 3.0]),
+        torch.nn.functional.normalize(torch.randn(200, 3), dim=-1),
+    )
+    moved = ray_depth(make_scene("floating", 4, center=center), center, directions)
+    torch.testing.assert_close(
+        moved, ray_depth(make_scene("floating", 4), ORIGIN, directions), rtol=1e-3, atol=1e-3
+    )
+
+
+def test_convention_down_is_the_floor() -> None:
+    """The floor is 0.75 to 1.7 m below the rig, the ceiling higher above than any floor's clutter, or an object."""
+    for seed in range(5):
+        scene = make_scene("room", seed)
+        assert 0.6 < ray_depth(scene, ORIGIN, DOWN) <= 1.7
+        assert scene.lamps.position[0, 1] < 0
+
+
+def test_bad_arguments_are_named() -> None:
+    with pytest.raises(ArgumentError, match=r"kind.*'room', 'floating'"):
+        make_scene("street")
+    with pytest.raises(ArgumentError, match="scale"):
+        make_scene(scale=0.0)
+    with pytest.raises(ArgumentError, match="clear_radius"):
+        make_scene(clear_radius=2.0)
+    with pytest.raises(ArgumentError, match="samples_per_pixel"):
+        render_camera(make_scene(), EquirectangularCamera((4, 8)), torch.eye(4), samples_per_pixel=0)
+    with pytest.raises(ArgumentError, match="name"):
+        pattern("tartan", torch.Generator())
+    with pytest.raises(MissingFileError, match="scikit-image"):
+        photograph("eagle.png")
+
+
+@pytest.mark.parametrize("name", PATTERNS)
+def test_patterns_vary_within_the_unit_interval(name: str, generator: torch.Generator) -> None:
+    image = pattern(name, generator, size=64)
+    assert image.shape == (3, 64, 64)
+    assert image.min() >= 0
+    assert image.max() <= 1
+    assert image.std() > 0.03
+
+
+def test_photographs_ship_with_scikit_image() -> None:
+    for name in PHOTOGRAPHS:
+        assert photograph(name, 16).shape == (3, 16, 16)
+
+
+def test_texture_lookup_at_texel_centres_and_over_everything(generator: torch.Generator) -> None:
+    bank = texture_bank()
+    image = photograph("coffee.png")
+    number = torch.full((100,), bank.names.index("coffee.png"))
+    column, row = torch.randint(0, bank.size, (2, 100), generator=generator)
+    uv = (torch.stack([column, row], -1) + 0.5) / bank.size
+    fine = bank.sample(number, uv, torch.zeros(100))
+    torch.testing.assert_close(fine, image[:, row, column].T, rtol=0, atol=0.005)
+    mirrored = bank.sample(number, -uv, torch.zeros(100))
+    torch.testing.assert_close(mirrored, fine)
+    coarse = bank.sample(number, uv, torch.full((100,), 5.0))
+    torch.testing.assert_close(coarse, image.mean((1, 2)).expand(100, 3), rtol=0, atol=0.005)
+
+
+def test_texture_lookup_is_trilinear_between_mirrored_texels(generator: torch.Generator) -> None:
+    """One look-up after another in float64, from the texels' bytes."""
+    bank = texture_bank()
+    uv = 6 * torch.rand(300, 2, generator=generator) - 3
+    footprint = 2.0 ** (10 * torch.rand(300, generator=generator) - 9)
+    texture = torch.randint(0, len(bank.names), (300,), generator=generator)
+    levels = [bank.size >> k for k in range(bank.num_levels)]
+
+    def texel(number: int, level: int, row: int, column: int) -> Tensor:
+        side = levels[level]
+        row, column = (min(k % (2 * side), 2 * side - 1 - k % (2 * side)) for k in (row, column))
+        start = number * sum(s * s for s in levels) + sum(s * s for s in levels[:level])
+        return (bank.texels[start + row * side + column, :3].double() / 255) ** 2
+
+    for k, seen in enumerate(bank.sample(texture, uv, footprint)):
+        exact = min(max(math.log2(footprint[k].item() * bank.size), 0.0), bank.num_levels - 1.0)
+        expected = torch.zeros(3, dtype=torch.float64)
+        for level in {math.floor(exact), math.ceil(exact)}:
+            x, y = (uv[k].double() * levels[level] - 0.5).tolist()
+            for row in (math.floor(y), math.floor(y) + 1):
+                for column in (math.floor(x), math.floor(x) + 1):
+                    share = (1 - abs(exact - level)) * (1 - abs(y - row)) * (1 - abs(x - column))
+                    expected += share * texel(int(texture[k]), level, row, column)
+        torch.testing.assert_close(seen.double(), expected, rtol=1e-3, atol=1e-3)

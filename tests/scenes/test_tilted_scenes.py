@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes seen by cameras whose tilt is drawn for each: what studies train with, so that tilts are no surprise."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError
+from sphericalvision.scenes import FisheyeSceneDataset, SceneDataset, make_scene, render_rig
+
+TILTS = (math.radians(-15), math.radians(45))
+
+
+def test_each_scene_has_a_tilt_of_its_own_and_the_same_depth(rig: CameraRig) -> None:
+    tilted, level = (SceneDataset(3, rig, level=3, tilts=tilts, first_seed=5) for tilts in (TILTS, None))
+    looks = [[math.degrees(math.asin(axis[1])) for axis in tilted[k]["rig"].axes] for k in range(3)]
+    assert all(-23 <= angle <= 53 for angles in looks for angle in angles)
+    assert all(max(angles) - min(angles) <= 16 for angles in looks)
+    assert abs(looks[0][0] - looks[1][0]) > 1
+    assert abs(looks[1][0] - looks[2][0]) > 1
+    for k in range(3):
+        assert torch.equal(tilted[k]["inverse_depth"], level[k]["inverse_depth"])
+        assert torch.equal(tilted[k]["rig"].positions, rig.positions)
+        assert not torch.equal(tilted[k]["seen"], level[k]["seen"])
+
+
+def test_images_are_taken_by_the_tilted_cameras(tmp_path: Path, rig: CameraRig) -> None:
+    """From the cache, too, where each scene has another rig; cameras' images and those on the sphere alike."""
+    scenes = FisheyeSceneDataset(2, rig, level=3, panorama=(8, 16), tilts=TILTS, cache_dir=tmp_path)
+    for _ in range(2):
+        sample = scenes[1]
+        pictures = render_rig(make_scene("room", 1, center=rig.center), sample["rig"])
+        expected = torch.stack(list(pictures.values())) * 2 - 1
+        seen = sample["fisheye_seen"][:, None]
+        assert ((sample["fisheye"] - expected) * seen).abs().max() <= 0.51 / 127
+    assert len(list(tmp_path.glob("fisheye-*"))) == 1
+    other = FisheyeSceneDataset(2, rig, level=3, panorama=(8, 16), cache_dir=tmp_path)
+    assert not torch.equal(other[1]["fisheye"], sample["fisheye"])
+
+
+def test_wrong_tilts_are_told(rig: CameraRig) -> None:
+    with pytest.raises(ArgumentError, match="tilts"):
+        SceneDataset(1, rig, tilts=(0.4, 0.1))
+    with pytest.raises(ArgumentError, match="carrier"):
+        SceneDataset(1, rig, tilts=TILTS, carrier="pole")

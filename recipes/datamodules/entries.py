@@ -6,15 +6,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import torch
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import ToSphere
-from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
+from sphericalvision.sphere.intake import Intake
 
 __all__ = ["ENTRIES", "ChosenEntries", "Wanted", "images_of", "truth_of"]
 
@@ -147,8 +145,7 @@ class ChosenEntries:
         for entry in self.entries:
             check_choice("data.entries", entry, ENTRIES)
         self.to_sphere = ToSphere(level, depth_level) if "sphere" in self.entries else None
-        self._rig: CameraRig | None = None
-        self._seen = torch.empty(0)
+        self._intake: Intake | None = None
 
     def __call__(self, sample: Sample) -> Sample:
         chosen = {
@@ -159,16 +156,10 @@ class ChosenEntries:
         if self.to_sphere is not None:
             chosen = self.to_sphere(sample)
         if "fisheye" in self.entries:
-            chosen["fisheye"] = self._stacked(sample["images"], sample["rig"])
-            chosen["fisheye_seen"] = self._seen
+            rig = sample["rig"]
+            if self._intake is None or self._intake.rig is not rig:
+                self._intake = Intake(rig, None)
+            chosen |= {"fisheye": self._intake(sample["images"]), "fisheye_seen": self._intake.seen}
         if "panorama" in self.entries:
             chosen |= {"panorama_inverse_depth": sample["inverse_depth"], "panorama_valid": sample["valid"]}
         return chosen
-
-    def _stacked(self, images: dict[str, Tensor], rig: CameraRig) -> Tensor:
-        sizes = sorted({tuple(image.shape[-2:]) for image in images.values()})
-        if len(sizes) > 1:
-            raise ArgumentError(f"data: images of one size are wanted for the entry 'fisheye', got {sizes}")
-        if self._rig is not rig:
-            self._rig, self._seen = rig, torch.stack(list(pixels_seen(rig).values()))
-        return (torch.stack([images[name] for name in rig.names]) * 2 - 1) * self._seen[:, None]

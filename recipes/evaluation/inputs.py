@@ -16,6 +16,7 @@ from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.datamodules.entries import images_of
 from sphericalvision.recipes.training.rig_tables import RigTables
+from sphericalvision.sphere.intake import unsigned
 
 __all__ = ["PredictorEstimator", "VertexEstimator", "photographs_of"]
 
@@ -105,6 +106,6 @@ class PredictorEstimator(VertexEstimator):
 
 def photographs_of(batch: Sample) -> list[tuple[CameraRig, dict[str, Tensor]]]:
     """The rig and the images by camera of each frame of a batch, in [0, 1], black where lenses show nothing."""
-    light = ((batch["fisheye"] + 1) / 2).clamp(0, 1) * batch["fisheye_seen"].unsqueeze(2)
+    light = unsigned(batch["fisheye"]).clamp(0, 1) * batch["fisheye_seen"].unsqueeze(2)
     rigs = [batch["rig"].select(frame) for frame in range(len(light))]
     return [(rig, dict(zip(rig.names, images, strict=True))) for rig, images in zip(rigs, light, strict=True)]

@@ -34,6 +34,7 @@ from sphericalvision.recipes.study.tables import (
 )
 from sphericalvision.recipes.study.training import Training, write_json
 from sphericalvision.sphere import Equirectangular
+from sphericalvision.sphere.intake import unsigned
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama
 
 __all__ = ["model_table", "panel_column", "report"]
@@ -126,7 +127,7 @@ def panel_column(config: DictConfig, view: View, estimates: dict[str, Any]) -> P
     rig = batch["rig"].select(0)
     height = config.panel_height
     depth = icosphere_to_panorama(truth.inverse_depth[0].float(), height).reciprocal()
-    images = {name: (image + 1) / 2 for name, image in zip(rig.names, batch["fisheye"][0], strict=True)}
+    images = {name: unsigned(image) for name, image in zip(rig.names, batch["fisheye"][0], strict=True)}
     colors, seen = rgb_panorama(rig, images, height, depth)
     picture = (
         (colors.where(seen, torch.tensor(0.6)).clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()

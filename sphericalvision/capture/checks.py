@@ -11,10 +11,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.capture.depth import Depth
-from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
+from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import photo_consistency_share, semi_global_sweep, semi_global_tables
 
 __all__ = [
@@ -118,11 +118,11 @@ def pose_agreement(images: Mapping[str, Float[Tensor, "3 _ _"]], rig: CameraRig)
         >>> pose_agreement(images, rig) > 1.2 * pose_agreement(swapped, rig)
         True
     """
-    lookups = _lookups(rig, LEVEL)
-    seen = torch.stack([look.seen for look in lookups])
-    on_sphere = _on_sphere(images, rig, lookups)
+    intake = Intake(rig, Icosphere(LEVEL))
     nearest = 1.2 * float((rig.positions - rig.center).norm(dim=-1).max())
-    estimate = semi_global_sweep(on_sphere, rig, HYPOTHESES, nearest, level=LEVEL - 1, substeps=1, seen=seen)
+    estimate = semi_global_sweep(
+        intake(images)[None], rig, HYPOTHESES, nearest, level=LEVEL - 1, substeps=1, seen=intake.seen
+    )
     return float((estimate.confidence * estimate.seen).sum() / estimate.seen.sum().clamp(min=1))
 
 
@@ -158,26 +158,12 @@ class PhotoConsistency:
         """
         rig, near = depth.rig, depth.min_depth
         if self._made_for is None or self._made_for[0] is not rig or self._made_for[1] != near:
-            self._lookups = _lookups(rig, self.level)
+            self._intake = Intake(rig, Icosphere(self.level))
             self._tables = semi_global_tables(rig, JUDGED_WITH, near, self.level)
             self._made_for = rig, near
-        images = _on_sphere(depth.images, rig, self._lookups)
-        seen = torch.stack([look.seen for look in self._lookups])
-        vertices = icosphere_vertices(self.level - 1, torch.float32, images.device)
-        index, _ = depth.network.index_at(depth.index[None].float(), vertices)
+        index, _ = depth.network.index_at(depth.index[None].float(), Icosphere(self.level - 1).vertices)
         index = index * ((JUDGED_WITH - 1) / (depth.network.num_hypotheses - 1))
-        return float(photo_consistency_share(index, images, self._tables, JUDGED_WITH, near, seen))
-
-
-def _lookups(rig: CameraRig, level: int) -> list[SphereLookup]:
-    vertices = icosphere_vertices(level, torch.float32, rig.world_from_camera.device)
-    return sphere_lookups(rig, vertices.to(rig.world_from_camera), antialias=True)
-
-
-def _on_sphere(images: Mapping[str, Tensor], rig: CameraRig, lookups: list[SphereLookup]) -> Tensor:
-    """``(1, n, 3, V)`` in [-1, 1], 0 where nothing was seen."""
-    values = [
-        look(images[name].float(), 0) * 2 - look.seen.float()
-        for name, look in zip(rig.names, lookups, strict=True)
-    ]
-    return torch.stack(values)[None]
+        images = self._intake(depth.images)[None]
+        return float(
+            photo_consistency_share(index, images, self._tables, JUDGED_WITH, near, self._intake.seen)
+        )

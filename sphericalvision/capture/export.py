@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,11 @@ from torch.func import functional_call
 from torch.fx import GraphModule, Interpreter, Node
 from torch.utils import _pytree
 
-from sphericalvision.cameras.sphere_images import SphereLookup
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, compact_kernels
 from sphericalvision.io.files import atomic_write
 from sphericalvision.sphere import Equirectangular
+from sphericalvision.sphere.intake import signed
 from sphericalvision.sweep import inverse_depth_from_index
 
 __all__ = [
@@ -79,7 +78,7 @@ class RigProgram(nn.Module):
         check_choice("tables", tables, TABLES)
         self.net, self.inputs, self.tables = predictor.network, inputs, tables
         self.shape: tuple[int, int] | None = None
-        lookups, of_network, seen = predictor.tables
+        self.intake = predictor.intake
         if inputs == "sphere" and self.net.images != "sphere":
             raise ArgumentError(
                 f"inputs: {type(self.net).__name__} takes images of cameras, not of icospheres"
@@ -90,17 +89,16 @@ class RigProgram(nn.Module):
                 f"inputs: expected cameras with images of one size, got {sizes}; export inputs=sphere"
             )
         self.image_size, self.num_cameras = sizes[0], len(predictor.rig)
-        self.lookups = lookups if inputs == "camera" else []
         # So that their tables are of this module.
-        self.places = nn.ModuleList(look.places for look in self.lookups)
-        self.register_buffer("seen", seen)
-        leaves, self.structure = _pytree.tree_flatten(of_network)
+        self.places = nn.ModuleList(look.places for look in self.intake.lookups if inputs == "camera")
+        self.register_buffer("seen", self.intake.seen)
+        leaves, self.structure = _pytree.tree_flatten(predictor.tables)
         self.leaves = [None if isinstance(leaf, Tensor) else leaf for leaf in leaves]
         for number, leaf in enumerate(leaves):
             if isinstance(leaf, Tensor):
                 self.register_buffer(f"table{number}", leaf.contiguous())
         if height is not None:
-            view = Equirectangular(height, 2 * height, device=seen.device)
+            view = Equirectangular(height, 2 * height, device=self.seen.device)
             self.shape = view.shape
             self.register_buffer("rays", view.directions.reshape(-1, 3).clone())
 
@@ -116,7 +114,8 @@ class RigProgram(nn.Module):
         if tables is not None:
             return functional_call(self, tables, (images,))  # type: ignore[no-any-return]
         if self.inputs == "camera":
-            images = self._on_grid(images)
+            named = dict(zip(self.intake.rig.names, images.unbind(1), strict=True))
+            images = signed(self.intake.looked_up(named), self.seen)
         leaves = [getattr(self, f"table{k}") if leaf is None else leaf for k, leaf in enumerate(self.leaves)]
         index, confidence, seen = self.net.predict(
             images, _pytree.tree_unflatten(leaves, self.structure), self.seen
@@ -133,14 +132,6 @@ class RigProgram(nn.Module):
             confidence.view(shape),
             ((both > 0.5) & reached).view(shape),
         )
-
-    def _on_grid(self, images: Tensor) -> Tensor:
-        """Images of cameras as the network takes them."""
-        seen = self.seen.unsqueeze(1)
-        if not self.lookups:
-            return (images * 2 - 1) * seen
-        values = [look(images[:, number], 0) for number, look in enumerate(self.lookups)]
-        return torch.stack(values, 1) * 2 - seen.to(images)
 
 
 def rig_tables(program: RigProgram, like: RigProgram | None = None) -> dict[str, Shaped[Tensor, " ..."]]:
@@ -169,7 +160,7 @@ def rig_tables(program: RigProgram, like: RigProgram | None = None) -> dict[str,
         if name != "rays" and not name.startswith("net.")
     }
     if like is not None:
-        given, expected = (_layout(rig_tables(one), one.lookups) for one in (program, like))
+        given, expected = (_layout(one) for one in (program, like))
         if given != expected:
             name = next(name for name in {**expected, **given} if given.get(name) != expected.get(name))
             raise ArgumentError(
@@ -179,16 +170,17 @@ def rig_tables(program: RigProgram, like: RigProgram | None = None) -> dict[str,
     return tables
 
 
-def _layout(tables: Mapping[str, Tensor], lookups: Sequence[SphereLookup]) -> dict[str, str]:
-    layout = {name: f"{table.dtype} {tuple(table.shape)}" for name, table in tables.items()}
-    return layout | {f"shrinking of camera {k}": str(look.shrink) for k, look in enumerate(lookups)}
+def _layout(program: RigProgram) -> dict[str, str]:
+    layout = {name: f"{table.dtype} {tuple(table.shape)}" for name, table in rig_tables(program).items()}
+    looks = program.intake.lookups if program.inputs == "camera" else []
+    return layout | {f"shrinking of camera {k}": str(look.shrink) for k, look in enumerate(looks)}
 
 
 def example_images(program: RigProgram, batch: int = 1) -> Float[Tensor, "B n 3 *size"]:
     """Return random images of the shape and range that a program takes."""
     if program.inputs == "sphere":
         shape: tuple[int, ...] = program.seen.shape[1:]
-        return 2 * torch.rand(batch, program.num_cameras, 3, *shape, device=program.seen.device) - 1
+        return signed(torch.rand(batch, program.num_cameras, 3, *shape, device=program.seen.device))
     return torch.rand(batch, program.num_cameras, 3, *program.image_size, device=program.seen.device)
 
 

@@ -18,7 +18,6 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
-from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.capture import PhotometricCalibration
 from sphericalvision.capture.depth import Depth
 from sphericalvision.capture.photographs import as_photographs
@@ -36,14 +35,14 @@ from sphericalvision.capture.preparation.nearest import (
     check_places,
     nearest_hypothesis,
 )
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_type
+from sphericalvision.core import ArgumentError, check_choice, check_type
 from sphericalvision.crown.options import native_pays_at_once
-from sphericalvision.data.seen import pixels_seen
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.models.weights.checkpoints import read_network
+from sphericalvision.sphere.intake import Intake, signed
 from sphericalvision.sweep.hypotheses import check_hypotheses
 
 __all__ = ["METHODS", "Predictor"]
@@ -52,12 +51,11 @@ METHODS = ("network", "semi_global")
 
 
 class _Ready(NamedTuple):
-    """What is made once for a rig: the network at its scale, its tables, and where the images are looked up."""
+    """What is made once for a rig: the network at its scale, its tables, and what makes images into those it takes."""
 
     net: DepthNetwork
     tables: Any
-    lookups: list[SphereLookup]
-    seen: Tensor
+    intake: Intake
     angles: Tensor
     """``(n, V)`` radians from each camera's axis; empty for networks that take images as they are."""
 
@@ -185,24 +183,25 @@ class Predictor:
         Raises:
             ArgumentError: the scale is not known before the first images came (``min_depth="auto"`` or ``"scene"``).
         """
-        if self._ready is None and self._min_depth is None:
-            raise ArgumentError(
-                "network: min_depth is found in the first images; call the predictor or its find_min_depth"
-            )
-        return self._prepared(None).net
+        return self._ready_now().net
 
     @property
-    def tables(self) -> tuple[list[SphereLookup], Any, Bool[Tensor, " n *size"]]:
-        """What is made once: lookups of the images, none for networks that take them as they are; the network's tables;
-        and what the images show.
+    def tables(self) -> Any:
+        """The network's tables of the rig, made once.
 
         Raises:
             ArgumentError: as ``network``.
         """
-        if self._ready is None and self._min_depth is None:
-            _ = self.network
-        ready = self._prepared(None)
-        return ready.lookups, ready.tables, ready.seen
+        return self._ready_now().tables
+
+    @property
+    def intake(self) -> Intake:
+        """What makes images of the cameras into those that the network takes, made once.
+
+        Raises:
+            ArgumentError: as ``network``.
+        """
+        return self._ready_now().intake
 
     def with_rig(self, rig: CameraRig) -> Predictor:
         """The same for another rig, such as the next window of a camera that moves; the network is shared.
@@ -284,7 +283,7 @@ class Predictor:
         inputs = self._inputs(ready, photographs)
         with self._turn():
             estimate = ready.net.predict(
-                inputs.reshape(-1, *inputs.shape[len(batch) :]), ready.tables, ready.seen
+                inputs.reshape(-1, *inputs.shape[len(batch) :]), ready.tables, ready.intake.seen
             )
         index, confidence, seen = (values.reshape(*batch, *values.shape[1:]) for values in estimate)
         return Depth(index.float(), confidence.float(), seen, ready.net, self._rig, photographs)
@@ -295,7 +294,7 @@ class Predictor:
         """Return images as the network takes them, in [-1, 1], and what of them was seen; arguments as of a call."""
         photographs = self._photographs(images)
         ready = self._prepared(photographs)
-        return self._inputs(ready, photographs), ready.seen
+        return self._inputs(ready, photographs), ready.intake.seen
 
     def __repr__(self) -> str:
         near = (
@@ -318,16 +317,12 @@ class Predictor:
             photographs = without_noise(self._rig, photographs)
         lights = self._lights(photographs)
         if ready.net.images == "camera":
-            photographs = evened_batch(self._rig, photographs, lights)
-            stacked = torch.stack(list(photographs.values()), -4) * 2 - 1
-            return stacked * ready.seen[:, None]
-        looked = [look(image, 0) for look, image in zip(ready.lookups, photographs.values(), strict=True)]
-        values = torch.stack(looked, -3)
-        frames = values.view(-1, *values.shape[-3:])
-        for frame, light in zip(frames, lights, strict=True):
+            return ready.intake(evened_batch(self._rig, photographs, lights))
+        values = ready.intake.looked_up(photographs)
+        for frame, light in zip(values.view(-1, *values.shape[-3:]), lights, strict=True):
             if light is not None:
                 frame.div_(light.light(ready.angles)).clamp_(0, 1)
-        return values.mul_(2).sub_(ready.seen.unsqueeze(1).float())
+        return signed(values, ready.intake.seen)
 
     def light(self, images: Mapping[str, Any]) -> PhotometricCalibration | None:
         """Return what of exposure and vignetting is compensated in a frame, None where nothing is.
@@ -361,6 +356,13 @@ class Predictor:
             for frame in range(count)
         ]
 
+    def _ready_now(self) -> _Ready:
+        if self._ready is None and self._min_depth is None:
+            raise ArgumentError(
+                "network: min_depth is found in the first images; call the predictor or its find_min_depth"
+            )
+        return self._prepared(None)
+
     def _prepared(self, photographs: Mapping[str, Tensor] | None) -> _Ready:
         """Network and tables, made by the first call; others wait for it."""
         ready = self._ready
@@ -391,17 +393,13 @@ class Predictor:
 
     def _made(self) -> _Ready:
         net = self._network()
+        intake, angles = net.intake(self._rig, self._antialias), torch.empty(0)
         if net.images == "sphere":
-            vertices = icosphere_vertices(net.level, torch.float32, self._device)
-            lookups = sphere_lookups(self._rig, vertices.to(self._rig.world_from_camera), self._antialias)
-            local = vertices.to(self._rig.world_from_camera) @ self._rig.world_from_camera[:, :3, :3]
-            seen = torch.stack([look.seen for look in lookups])
-            return _Ready(net, net.tables(self._rig), lookups, seen, angle_from_axis(local).float())
-        sizes = sorted({camera.image_size for camera in self._rig.cameras.values()})
-        if len(sizes) > 1:
-            raise ShapeError(f"images: {type(net).__name__} wants images of one size, got {sizes}")
-        seen = torch.stack(list(pixels_seen(self._rig).values()))
-        return _Ready(net, net.tables(self._rig), [], seen, torch.empty(0))
+            vertices = icosphere_vertices(net.level, torch.float32, self._device).to(
+                self._rig.world_from_camera
+            )
+            angles = angle_from_axis(vertices @ self._rig.world_from_camera[:, :3, :3]).float()
+        return _Ready(net, net.tables(self._rig), intake, angles)
 
 
 def check_number(net: DepthNetwork, rig: CameraRig) -> None:

@@ -14,14 +14,14 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError, check_dtype, check_floating, check_tensor
 from sphericalvision.crown import set_kernel_options
 from sphericalvision.crown.options import kernel_option
-from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.icosphere import Icosphere, num_icosphere_vertices
 from sphericalvision.models.arguments import RemembersArguments
+from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate, depth_from_index
 from sphericalvision.sweep.hypotheses import check_hypotheses
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
-    from sphericalvision.icosphere import Icosphere
     from sphericalvision.sphere import Equirectangular
 
 __all__ = ["DepthNetwork"]
@@ -164,6 +164,18 @@ class DepthNetwork(RemembersArguments):
         Values are on icospheres, their last dimension; turns by 72 degrees must turn them as they turn the images.
         """
         return {}
+
+    def intake(self, rig: CameraRig, antialias: bool = True) -> Intake:
+        """Return what makes images of a rig's cameras into those that this network takes.
+
+        Args:
+            rig: unbatched.
+            antialias: whether images finer than the icosphere are averaged over the area between its vertices.
+
+        Raises:
+            ShapeError: the network takes images as they are, and their sizes differ.
+        """
+        return Intake(rig, Icosphere(self.level) if self.images == "sphere" else None, antialias)
 
     def tables(self, rig: CameraRig) -> Any:
         """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""

@@ -19,7 +19,6 @@ from sphericalvision.cameras.fingerprint import rig_fingerprint, rounded_text
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.augmentation.transforms import ToSphere
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
-from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.scenes.cache import ArrayCache, decode, encode
@@ -28,6 +27,7 @@ from sphericalvision.scenes.rendering.mesh_scene import MeshScene
 from sphericalvision.scenes.rendering.scene import Scene
 from sphericalvision.scenes.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, MeshFiles, SeededScenes
 from sphericalvision.sphere import Equirectangular
+from sphericalvision.sphere.intake import pixels_seen, signed
 
 __all__ = ["ENTRIES", "FisheyeSceneDataset", "SceneDataset"]
 
@@ -215,10 +215,10 @@ class SceneDataset(Dataset[dict[str, Any]]):
         """Images as bytes: by camera, or all on the icosphere."""
         pictures = render_rig(scene, rig, self.samples_per_pixel)
         if self.stored == "camera":
-            return {name: encode(picture * 2 - 1) for name, picture in pictures.items()}
+            return {name: encode(signed(picture)) for name, picture in pictures.items()}
         directions, antialias = Icosphere(self.level).vertices, self.to_sphere.antialias
         values, _ = rig.sample_sphere(pictures, directions, antialias=antialias)
-        return {"images": encode(values * 2 - 1)}
+        return {"images": encode(signed(values))}
 
     def _measure(self, scene: Callable[[], Scene | MeshScene], key: str) -> dict[str, Tensor]:
         directions = self._directions()[key]()

@@ -28,9 +28,9 @@ from sphericalvision.data import (
     write_omnistereo,
 )
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere
-from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import FisheyeSceneDataset, SceneDataset
+from sphericalvision.sphere.intake import pixels_seen
 
 LEVEL = 4
 Sample = dict[str, Any]

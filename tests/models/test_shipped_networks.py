@@ -11,10 +11,10 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import ToSphere
-from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.sphere.intake import pixels_seen
 from sphericalvision.sweep import index_from_depth
 
 Room = tuple[CameraRig, Mapping[str, Tensor]]

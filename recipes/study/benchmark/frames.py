@@ -15,8 +15,6 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.capture.preparation.compensation import compensated
-from sphericalvision.data import ToSphere
-from sphericalvision.data.seen import pixels_seen
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
 from sphericalvision.recipes.study.benchmark.tracks import Track
@@ -82,17 +80,6 @@ class Frame(NamedTuple):
     colors: Tensor
     shared_rigs: tuple[CameraRig, ...]
 
-    def on_sphere(self, level: int) -> tuple[Tensor, Tensor]:
-        """Images ``(n, 3, V_level)`` in [-1, 1] on the icosphere, and where they show anything ``(n, V_level)``."""
-        to_sphere = _to_sphere(level)
-        return to_sphere.images(self.images, self.rig), to_sphere.seen(self.rig)
-
-    def of_cameras(self) -> tuple[Tensor, Tensor]:
-        """Images ``(n, 3, h, w)`` in [-1, 1], 0 where not seen ``(n, h, w)``; cameras must have one size."""
-        seen = torch.stack(list(pixels_seen(self.rig).values()))
-        stacked = torch.stack([self.images[name] for name in self.rig.names])
-        return (stacked * 2 - 1) * seen[:, None], seen
-
 
 def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Path | None = None) -> Frame:
     """Make a frame of a track; what cameras see is kept in ``cache``, the rest is soon computed.
@@ -106,8 +93,8 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
     Examples:
         >>> from sphericalvision.recipes.study.benchmark.tracks import TRACKS
         >>> frame = render_frame(TRACKS["room"], 0, Size(level=3, panorama_rows=8, image_rows=16, align=False))
-        >>> frame.name, frame.on_sphere(3)[0].shape, frame.panorama.shape
-        ('room-10000000', torch.Size([4, 3, 642]), torch.Size([8, 16]))
+        >>> frame.name, frame.images["cam1"].shape, frame.panorama.shape
+        ('room-10000000', torch.Size([3, 16, 16]), torch.Size([8, 16]))
     """
     seed = track.seed(number)
     recipe = track if size.image_rows is None else track.smaller(size.image_rows)
@@ -172,8 +159,3 @@ def _aligned(rig: CameraRig, images: Mapping[str, Tensor]) -> CameraRig:
 def aligner() -> DepthNetwork:
     """The network by whose depth cameras are turned."""
     return pretrained()
-
-
-@lru_cache(maxsize=4)
-def _to_sphere(level: int) -> ToSphere:
-    return ToSphere(level, antialias=True)

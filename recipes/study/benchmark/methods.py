@@ -120,8 +120,8 @@ class Method:
 
     def inputs(self, frame: Frame) -> tuple[Tensor, Tensor]:
         """Images and what was seen, as the network wants them, a batch of one."""
-        images, seen = frame.on_sphere(self.net.level) if self.net.images == "sphere" else frame.of_cameras()
-        return images[None], seen[None]
+        intake = self.net.intake(frame.rig)
+        return intake(frame.images)[None], intake.seen[None]
 
     @torch.no_grad()
     def cost(self, frame: Frame) -> Cost:

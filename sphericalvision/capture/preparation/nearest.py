@@ -11,10 +11,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.cameras.sphere_images import sphere_lookups
 from sphericalvision.core import ArgumentError
-from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
+from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep.nearest_depth import nearest_depth
 
 __all__ = [
@@ -112,14 +112,8 @@ def nearest_in_frames(
         >>> nearest_in_frames([render_rig(make_scene("hall", seed=1), rig)], rig) > 0.06
         True
     """
-    vertices = icosphere_vertices(SCENE_LEVEL, torch.float32, rig.world_from_camera.device)
-    lookups = sphere_lookups(rig, vertices.to(rig.world_from_camera), antialias)
-    seen = torch.stack([look.seen for look in lookups])
-    images = [
-        torch.stack([look(frame[name], 0) for name, look in zip(rig.names, lookups, strict=True)])
-        for frame in frames
-    ]
-    return nearest_depth(torch.stack(images).mul_(2).sub_(seen.unsqueeze(1).float()), rig, seen)
+    intake = Intake(rig, Icosphere(SCENE_LEVEL), antialias)
+    return nearest_depth(torch.stack([intake(frame) for frame in frames]), rig, intake.seen)
 
 
 def scaled_min_depth(net: DepthNetwork, rig: CameraRig, trained_radius: float = 0.2) -> float:

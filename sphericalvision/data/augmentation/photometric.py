@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from sphericalvision.core import ShapeError
+from sphericalvision.sphere.intake import signed, unsigned
 
 __all__ = ["PhotometricAugmentation"]
 
@@ -92,7 +93,7 @@ class PhotometricAugmentation(nn.Module):
     ) -> Tensor | dict[str, Tensor]:
         if isinstance(images, Tensor):
             flat = images if images.ndim == 4 else images[:, :, None]
-            colored = (self.apply_to((flat + 1) / 2, seed) * 2 - 1).view(images.shape)
+            colored = signed(self.apply_to(unsigned(flat), seed)).view(images.shape)
             return colored if seen is None else torch.where(seen[:, None], colored, images)
         height, width = (max(image.shape[axis] for image in images.values()) for axis in (-2, -1))
         padded = [

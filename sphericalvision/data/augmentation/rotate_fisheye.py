@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Remap
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data.seen import pixels_seen
+from sphericalvision.sphere.intake import pixels_seen
 
 __all__ = ["RotateFisheye"]
 

@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
+from sphericalvision.sphere.intake import Intake
 
 __all__ = ["Compose", "RandomShift", "ShuffleCameras", "ToSphere"]
 
@@ -91,11 +91,10 @@ class ToSphere:
                 f"level: expected at least 2, so that depth_level = level - 2 exists, got {level}"
             )
         self.antialias = antialias
-        self._directions = Icosphere(level).vertices
+        self._grid = Icosphere(level)
         self._depth_directions = Icosphere(self.depth_level, torch.float64).vertices
         self._panorama: Equirectangular | None = None
-        self._rig: CameraRig | None = None
-        self._lookups: list[SphereLookup] = []
+        self._intake: Intake | None = None
 
     def __call__(self, sample: Sample) -> Sample:
         inverse_depth, valid = self.ground_truth(sample["inverse_depth"], sample["valid"])
@@ -112,17 +111,7 @@ class ToSphere:
         Raises:
             ShapeError: other cameras than the rig's, or another image size than the calibration's.
         """
-        if set(images) != set(rig.names):
-            raise ShapeError(f"images: expected those of the cameras {list(rig.names)}, got {list(images)}")
-        for name in rig.names:
-            if tuple(images[name].shape[-2:]) != tuple(rig.cameras[name].image_size):
-                raise ShapeError(
-                    f"images[{name!r}]: expected (h, w) = {tuple(rig.cameras[name].image_size)} from the "
-                    f"calibration, got {tuple(images[name].shape[-2:])}"
-                )
-        lookups = self._tables(rig)
-        values = torch.stack([look(images[name], 0) for name, look in zip(rig.names, lookups, strict=True)])
-        return values.mul_(2).sub_(self.seen(rig).unsqueeze(1).to(values))  # 0 stays 0 where nothing is seen
+        return self._intake_of(rig)(images)
 
     def seen(self, rig: CameraRig) -> Bool[Tensor, "n V"]:
         """Tell what of ``images`` was seen.
@@ -139,15 +128,13 @@ class ToSphere:
             >>> seen.shape, bool(seen.any(0).all()), bool(seen.all())
             (torch.Size([4, 642]), True, False)
         """
-        return torch.stack([look.seen for look in self._tables(rig)])
+        return self._intake_of(rig).seen
 
-    def _tables(self, rig: CameraRig) -> list[SphereLookup]:
+    def _intake_of(self, rig: CameraRig) -> Intake:
         """The tables of a rig, kept until another one comes."""
-        if self._rig is not rig:
-            directions = self._directions.to(rig.world_from_camera)
-            self._lookups = sphere_lookups(rig, directions, self.antialias)
-            self._rig = rig
-        return self._lookups
+        if self._intake is None or self._intake.rig is not rig:
+            self._intake = Intake(rig, self._grid, self.antialias)
+        return self._intake
 
     def ground_truth(
         self, inverse_depth: Float[Tensor, "H W"], valid: Bool[Tensor, "H W"]

@@ -21,8 +21,8 @@ from sphericalvision.data.omnistereo.files import (
     split_frames,
 )
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
-from sphericalvision.data.seen import pixels_seen
 from sphericalvision.io.images import read_image
+from sphericalvision.sphere.intake import pixels_seen
 
 __all__ = ["OmniStereoDataset"]
 

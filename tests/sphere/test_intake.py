@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``Intake``: ranges, what is seen, and that a network's own is the one it asks for."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.core import ShapeError
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import SemiGlobalSweep
+from sphericalvision.sphere.intake import Intake, signed, unsigned
+
+MASK = torch.arange(32)[None].expand(32, 32) > 12
+RIG = ring_rig(3, image_size=(32, 32))
+MASKED = CameraRig(RIG.cameras, RIG.world_from_camera, {"cam2": MASK})
+
+
+@pytest.mark.parametrize("grid", [Icosphere(3), None], ids=["sphere", "camera"])
+def test_convention_images_are_in_minus_one_to_one_and_zero_where_not_seen(grid: Icosphere | None) -> None:
+    intake = Intake(MASKED, grid)
+    white = intake({name: torch.ones(3, 32, 32) for name in RIG.names})
+    black = intake({name: torch.zeros(3, 32, 32) for name in RIG.names})
+    seen = intake.seen[:, None].expand_as(white)
+    torch.testing.assert_close(white, seen.float())
+    torch.testing.assert_close(black, -seen.float())
+    assert 0 < seen[1].sum() < seen[0].sum()
+
+
+@pytest.mark.parametrize("grid", [Icosphere(3), None], ids=["sphere", "camera"])
+def test_a_batch_is_its_images_one_by_one_in_the_order_of_the_rig(
+    grid: Icosphere | None, generator: torch.Generator
+) -> None:
+    images = {name: torch.rand(2, 3, 32, 32, generator=generator) for name in reversed(RIG.names)}
+    intake = Intake(RIG, grid)
+    for frame, found in enumerate(intake(images)):
+        assert torch.equal(found, intake({name: image[frame] for name, image in images.items()}))
+    only_second = intake({name: (image * (name == "cam2"))[0] for name, image in images.items()})
+    assert torch.equal(only_second[1], intake(images)[0, 1])
+
+
+def test_signed_has_an_inverse(generator: torch.Generator) -> None:
+    images = torch.rand(3, 3, 10, generator=generator)
+    torch.testing.assert_close(unsigned(signed(images)), images)
+
+
+def test_other_cameras_and_sizes_are_refused() -> None:
+    intake = Intake(RIG, None)
+    images = {name: torch.ones(3, 32, 32) for name in RIG.names}
+    with pytest.raises(ShapeError, match="cam3"):
+        intake({name: images[name] for name in ("cam1", "cam2")})
+    with pytest.raises(ShapeError, match=r"cam2.*calibration"):
+        intake(images | {"cam2": torch.ones(3, 32, 16)})
+    with pytest.raises(ShapeError, match="one size"):
+        Intake(RIG.resized({"cam1": (16, 16)}), None)
+
+
+def test_a_network_says_which_it_takes() -> None:
+    assert torch.equal(SemiGlobalSweep(4, 8, 0.5).intake(RIG).seen, Intake(RIG, Icosphere(4)).seen)

@@ -154,9 +154,13 @@ SIGNATURES = {
 
 def public_names() -> list[str]:
     """What every public package offers now, as lines of the inventory."""
-    return sorted(
-        f"{package}: {name}" for package in PACKAGES for name in importlib.import_module(package).__all__
-    )
+    found = []
+    for package in PACKAGES:
+        module = importlib.import_module(package)
+        found += [
+            f"{package}: {name}" for name in module.__all__ if not inspect.ismodule(getattr(module, name))
+        ]
+    return sorted(found)
 
 
 def resolve(dotted: str) -> object:

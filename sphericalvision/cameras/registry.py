@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from importlib import metadata
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.core import ArgumentError
+from sphericalvision.extensions import Registry
 
 __all__ = ["ENTRY_POINTS", "camera_model", "camera_model_names", "check_registered", "register_camera"]
 
@@ -16,7 +16,18 @@ ENTRY_POINTS = "sphericalvision.cameras"
 
 AnyModel = TypeVar("AnyModel", bound=type[Camera])
 
-_MODELS: dict[str, type[Camera]] = {}
+
+def _fits(name: str, model: Any) -> bool:
+    return bool(name) and isinstance(model, type) and issubclass(model, Camera) and model.model == name
+
+
+MODELS: Registry[type[Camera]] = Registry(
+    "model",
+    "a subclass of Camera whose `model` is its name in files",
+    _fits,
+    ENTRY_POINTS,
+    folder="sphericalvision.cameras.models",
+)
 
 
 def register_camera(model: AnyModel) -> AnyModel:
@@ -39,35 +50,18 @@ def register_camera(model: AnyModel) -> AnyModel:
         >>> camera_model("periscope").__name__
         'Periscope'
     """
-    name = getattr(model, "model", None)
-    if not isinstance(name, str) or not name:
-        raise ArgumentError(f"model: expected {model.__name__}.model to be its name in files, got {name!r}")
-    known = _MODELS.get(name)
-    if known is not None and (known.__module__, known.__qualname__) != (model.__module__, model.__qualname__):
-        raise ArgumentError(
-            f"model: {known.__name__} is named {name!r} already; give {model.__name__}.model another name"
-        )
-    _MODELS[name] = model
+    MODELS.add(getattr(model, "model", ""), model)
     return model
 
 
 def camera_model(name: str) -> type[Camera] | None:
     """The camera model of a name, or None."""
-    if name not in _MODELS:
-        for entry in metadata.entry_points(group=ENTRY_POINTS, name=name):
-            model = entry.load()
-            if not (isinstance(model, type) and issubclass(model, Camera) and model.model == name):
-                raise ArgumentError(
-                    f"model: the entry point {name!r} of {ENTRY_POINTS} ({entry.value}) is no subclass of Camera "
-                    f"whose model is {name!r}"
-                )
-            register_camera(model)
-    return _MODELS.get(name)
+    return MODELS.find(name)
 
 
 def camera_model_names() -> tuple[str, ...]:
     """The names of all models, in alphabetical order."""
-    return tuple(sorted({*_MODELS, *metadata.entry_points(group=ENTRY_POINTS).names}))
+    return MODELS.names()
 
 
 def check_registered(camera: Camera) -> None:

@@ -16,7 +16,6 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import image_edges
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.cameras.verbs import implements
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.lookup import ImageLookup
 
@@ -73,7 +72,6 @@ def sphere_lookups(
     return lookups
 
 
-@implements("CameraRig.sample_sphere")
 def sample_sphere(
     rig: CameraRig,
     images: Mapping[str, Shaped[Tensor, "*#batch c _ _"]] | Sequence[Shaped[Tensor, "*#batch c _ _"]],

@@ -1,31 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Methods of ``Camera`` and ``CameraRig`` that are written in modules above them, which import both.
-
-Such a module registers its function here under the method's name; the method looks it up when it is called.
-"""
+"""Methods of ``Camera`` and ``CameraRig`` that are written in modules above them, which import both."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from importlib import import_module
+from typing import Any
 
-__all__ = ["implements", "verb"]
+__all__ = ["verb"]
 
-AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
-
-_VERBS: dict[str, Callable[..., Any]] = {}
-
-
-def implements(name: str) -> Callable[[AnyFunction], AnyFunction]:
-    """Decorate the function behind the method ``name``, such as ``"Camera.convert"``."""
-
-    def register(function: AnyFunction) -> AnyFunction:
-        _VERBS[name] = function
-        return function
-
-    return register
+_FUNCTIONS = {
+    "Camera.convert": ("conversion.convert", "convert"),
+    "CameraRig.sample_sphere": ("sphere_images", "sample_sphere"),
+    "CameraRig.to_yaml": ("calibration.native", "write_rig"),
+}
+"""Module, within ``sphericalvision.cameras``, and name of the function behind each method."""
 
 
 def verb(name: str) -> Callable[..., Any]:
-    """The function behind the method ``name``; importing ``sphericalvision.cameras`` registers all of them."""
-    return _VERBS[name]
+    """The function behind a method, such as ``"Camera.convert"``; its module is imported now."""
+    module, function = _FUNCTIONS[name]
+    found: Callable[..., Any] = getattr(import_module(f"sphericalvision.cameras.{module}"), function)
+    return found

@@ -4,54 +4,31 @@
 from importlib import import_module
 from typing import Any
 
-from sphericalvision.data.augmentation.fivefold import RotateFivefold
-from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
-from sphericalvision.data.augmentation.rotate_fisheye import RotateFisheye
-from sphericalvision.data.augmentation.sphere_rotation import random_rotations
-from sphericalvision.data.augmentation.sphere_transforms import RandomSphereRotation, RandomYaw
-from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
-from sphericalvision.data.collate import collate_samples
-from sphericalvision.data.omnistereo.dataset import OmniStereoDataset
-from sphericalvision.data.omnistereo.writer import write_omnistereo
-from sphericalvision.io.images import read_image, write_image
+from lazy_loader import attach_stub
 
-__all__ = [
-    "Compose",
-    "OmniStereoDataset",
-    "PhotometricAugmentation",
-    "RandomShift",
-    "RandomSphereRotation",
-    "RandomYaw",
-    "RotateFisheye",
-    "RotateFivefold",
-    "ShuffleCameras",
-    "ToSphere",
-    "collate_samples",
-    "random_rotations",
-    "read_image",
-    "write_image",
-    "write_omnistereo",
-]
+_own, __dir__, __all__ = attach_stub(__name__, __file__)
+__all__ += ["read_image", "write_image"]
 
-_MOVED = (
-    "FisheyeSceneDataset",
-    "MeshScene",
-    "SURFACE_LABELS",
-    "Scene",
-    "SceneDataset",
-    "make_scene",
-    "mesh_from_scene",
-    "ray_depth",
-    "ray_labels",
-    "read_mesh_scene",
-    "render_camera",
-    "render_directions",
-    "render_rig",
+_MOVED = dict.fromkeys(("read_image", "write_image"), "sphericalvision.io.images") | dict.fromkeys(
+    (
+        "FisheyeSceneDataset",
+        "MeshScene",
+        "SURFACE_LABELS",
+        "Scene",
+        "SceneDataset",
+        "make_scene",
+        "mesh_from_scene",
+        "ray_depth",
+        "ray_labels",
+        "read_mesh_scene",
+        "render_camera",
+        "render_directions",
+        "render_rig",
+    ),
+    "sphericalvision.scenes",
 )
-"""Names that are in ``sphericalvision.scenes`` since, and may still be asked for here."""
+"""Names that may be asked for here, and where they are."""
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MOVED:
-        return getattr(import_module("sphericalvision.scenes"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MOVED[name]), name) if name in _MOVED else _own(name)

@@ -5,28 +5,6 @@ Numerics that cameras and grids are made of are in the modules: ``directions``, 
 ``least_squares``.
 """
 
-from sphericalvision.geometry.directions import (
-    angle_from_axis,
-    directions_from_longitude_latitude,
-    longitude_latitude_from_directions,
-    normalize,
-)
-from sphericalvision.geometry.interpolation import bilinear_sample
-from sphericalvision.geometry.transforms import (
-    invert_transform,
-    transform_from_axis_angle,
-    transform_from_quaternion,
-    transform_points,
-)
+from lazy_loader import attach_stub
 
-__all__ = [
-    "angle_from_axis",
-    "bilinear_sample",
-    "directions_from_longitude_latitude",
-    "invert_transform",
-    "longitude_latitude_from_directions",
-    "normalize",
-    "transform_from_axis_angle",
-    "transform_from_quaternion",
-    "transform_points",
-]
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Losses on hypothesis indices, and losses on any grid weighted by solid angle."""
 
-from sphericalvision.losses.depth import depth_index_huber, solid_angle_cross_entropy, solid_angle_mean
+from lazy_loader import attach_stub
 
-__all__ = ["depth_index_huber", "solid_angle_cross_entropy", "solid_angle_mean"]
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

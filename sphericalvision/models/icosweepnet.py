@@ -15,6 +15,7 @@ from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.per_camera import camera_by_camera
 from sphericalvision.models.regularization import CostRegularizer
+from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     Aggregation,
     DepthEstimate,
@@ -139,3 +140,6 @@ class IcoSweepNet(DepthNetwork):
     def extract_features(self, images: Float[Tensor, "B n 3 V_image"]) -> Float[Tensor, "B n C V"]:
         """Return the features ``(B, n, C, V_{level-feature_coarsening})`` of images ``(B, n, 3, V_level)``."""
         return camera_by_camera(self.features, images)
+
+
+register_network("icosweepnet", IcoSweepNet)

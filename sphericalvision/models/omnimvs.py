@@ -13,6 +13,7 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures, Transference
+from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     Aggregation,
     DepthEstimate,
@@ -218,3 +219,6 @@ def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int
             f"got {list(sizes)}; choose other sizes or another num_scales"
         )
     return sizes[0], sizes[1]
+
+
+register_network("omnimvs", OmniMVS)

@@ -23,6 +23,7 @@ from sphericalvision.models.candidate_refinement import (
 )
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.logit_fusion import FusedLogits, LogitFusion, SweepClues, two_modes
+from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     DepthEstimate,
     SweepTables,
@@ -358,3 +359,6 @@ def _bytes(values: Tensor) -> Tensor:
 def _from_bytes(fixed: Mapping[str, Tensor], prior: Tensor) -> SweepClues:
     cost, best, mean = (fixed[name].float() / 255 for name in ("cost", "best", "mean"))
     return SweepClues(cost * COST_RANGE, best, mean * 2 - 1, fixed["cameras"].float(), prior.float())
+
+
+register_network("refinedsweepnet", RefinedSweepNet)

@@ -14,6 +14,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import DepthEstimate, photo_consistency, semi_global_sweep, semi_global_tables
 from sphericalvision.sweep.semi_global import SemiGlobalTables
 
@@ -167,3 +168,7 @@ class WinnerTakesAll(_SweepWithoutTraining):
             self.subhypothesis,
             seen,
         )
+
+
+register_network("semi-global-sweep", SemiGlobalSweep)
+register_network("winner-takes-all", WinnerTakesAll)

@@ -13,10 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.core import ShapeError, check_choice
+from sphericalvision.extensions import Registry
 from sphericalvision.sweep.sphere_sweep import SweepVolume
 
 __all__ = [
+    "ENTRY_POINTS",
     "Aggregation",
     "Concatenation",
     "MeanVariance",
@@ -163,11 +165,23 @@ def mean_and_variance(volume: SweepVolume) -> Float[Tensor, "B C_out N *grid"]:
     return torch.cat((mean, total / divisor, count / values.shape[1]), 1)
 
 
-_AGGREGATIONS: dict[str, type[Aggregation]] = {"concatenation": Concatenation, "variance": MeanVariance}
+ENTRY_POINTS = "sphericalvision.aggregations"
+"""Group of entry points, name -> subclass of ``Aggregation``, in which other packages offer theirs."""
+
+AGGREGATIONS: Registry[type[Aggregation]] = Registry(
+    "aggregation",
+    "a subclass of Aggregation",
+    lambda name, aggregation: isinstance(aggregation, type) and issubclass(aggregation, Aggregation),
+    ENTRY_POINTS,
+)
+AGGREGATIONS.add("concatenation", Concatenation)
+AGGREGATIONS.add("variance", MeanVariance)
 
 
 def register_aggregation(name: str, aggregation: type[Aggregation]) -> None:
     """Give a class of aggregations a name, by which networks and their files of weights then know it.
+
+    A package that others install names its classes as entry points of ``sphericalvision.aggregations`` instead.
 
     Args:
         name: as in ``IcoSweepNet(aggregation=name)``.
@@ -186,12 +200,7 @@ def register_aggregation(name: str, aggregation: type[Aggregation]) -> None:
         >>> named_aggregation("first-camera", channels=8, num_cameras=4)
         FirstCamera(out_channels=8)
     """
-    known = _AGGREGATIONS.get(name, aggregation)
-    if (known.__module__, known.__qualname__) != (aggregation.__module__, aggregation.__qualname__):
-        raise ArgumentError(f"name: {name!r} is {known.__name__} already, choose another name")
-    _AGGREGATIONS[name] = (
-        aggregation  # also where the class was defined anew, as when a notebook's cell runs again
-    )
+    AGGREGATIONS.add(name, aggregation)
 
 
 def named_aggregation(
@@ -216,8 +225,10 @@ def named_aggregation(
     """
     if isinstance(aggregation, Aggregation):
         return aggregation
-    check_choice("aggregation", aggregation, tuple(_AGGREGATIONS))
-    made = _AGGREGATIONS[aggregation]
+    made = AGGREGATIONS.find(aggregation) if isinstance(aggregation, str) else None
+    if made is None:
+        check_choice("aggregation", aggregation, AGGREGATIONS.names())
+    assert made is not None
     offered = {"channels": channels, "num_cameras": num_cameras, "shuffle": shuffle}
     wanted = inspect.signature(made).parameters
     return made(**{name: value for name, value in offered.items() if name in wanted})

@@ -121,5 +121,5 @@ def test_a_rig_is_read_back_as_written(tmp_path: Path, format: FileFormat) -> No
 
 
 def test_a_name_is_given_once() -> None:
-    with pytest.raises(ArgumentError, match="'kalibr' is registered already"):
+    with pytest.raises(ArgumentError, match=r"'kalibr' is .*already"):
         register_format(FileFormat("kalibr", "another"))

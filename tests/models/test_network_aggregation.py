@@ -15,7 +15,7 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.models import IcoSweepNet, OmniMVS, load_weights, save_weights
 from sphericalvision.sweep import Aggregation, SweepVolume, register_aggregation
-from sphericalvision.sweep.aggregation import _AGGREGATIONS, named_aggregation
+from sphericalvision.sweep.aggregation import AGGREGATIONS, named_aggregation
 
 
 @torch.no_grad()
@@ -99,7 +99,7 @@ def strongest() -> Iterator[str]:
     name = "strongest of the tests"  # the guide's example of this class is named "strongest"
     register_aggregation(name, Strongest)
     yield name
-    del _AGGREGATIONS[name]
+    del AGGREGATIONS.things[name]
 
 
 def test_an_aggregation_of_ones_own(generator: torch.Generator, tmp_path: Path, strongest: str) -> None:

@@ -24,7 +24,7 @@ from sphericalvision.models import (
     save_weights,
 )
 from sphericalvision.models.weights import network_names
-from sphericalvision.models.weights.registry import network_class, network_name
+from sphericalvision.models.weights.registry import NETWORKS, network_class, network_name
 
 BUILT_IN = network_names()
 
@@ -64,10 +64,9 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., No
     yield make  # type: ignore[misc]
     for module in ("somebodys", "broken"):
         sys.modules.pop(module, None)
-    networks = sys.modules["sphericalvision.models.weights.registry"]._NETWORKS
-    for name in [name for name in networks if name not in BUILT_IN]:
-        if networks[name].__module__ in ("somebodys", __name__):
-            del networks[name]
+    for name in [name for name in NETWORKS.things if name not in BUILT_IN]:
+        if NETWORKS.things[name].__module__ in ("somebodys", __name__):
+            del NETWORKS.things[name]
 
 
 def test_the_names_of_this_package() -> None:

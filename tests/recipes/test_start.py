@@ -95,7 +95,7 @@ def test_rooms_of_the_package_are_there_after_a_bare_import() -> None:
 
     rooms = {path.parent.name for path in Path(sphericalvision.__file__).parent.glob("*/__init__.py")}
     assert rooms <= set(dir(sphericalvision))
-    with pytest.raises(AttributeError, match="no attribute 'camera'"):
+    with pytest.raises(AttributeError, match=r"attribute.*camera"):
         _ = sphericalvision.camera  # type: ignore[attr-defined]
 
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sphericalvision.models import load_weights
-from sphericalvision.models.weights import registry
+from sphericalvision.models.weights.registry import NETWORKS
 from sphericalvision.recipes.app.checkpoints import load_network
 from tests.recipes.tiny import Run
 
@@ -56,7 +56,7 @@ def configs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.syspath_prepend(tmp_path)
     yield tmp_path / "conf"
     sys.modules.pop("edited_network", None)
-    registry._NETWORKS.pop("squashed", None)
+    NETWORKS.things.pop("squashed", None)
 
 
 def test_a_new_hyperparameter_is_two_edits(

@@ -11,9 +11,13 @@ from typing import Any
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError
+from sphericalvision.extensions import Registry
 
-__all__ = ["FileFormat", "file_format", "file_formats", "known_formats", "register_format"]
+__all__ = ["ENTRY_POINTS", "FileFormat", "file_format", "file_formats", "known_formats", "register_format"]
+
+
+ENTRY_POINTS = "sphericalvision.formats"
+"""Group of entry points, name -> ``FileFormat``, in which other packages offer theirs."""
 
 
 @dataclass(frozen=True)
@@ -47,29 +51,37 @@ class FileFormat:
     holds_masks: bool = False
 
 
-_FORMATS: dict[str, FileFormat] = {}
+FORMATS: Registry[FileFormat] = Registry(
+    "format",
+    "a FileFormat that has its name",
+    lambda name, format: isinstance(format, FileFormat) and format.name == name,
+    ENTRY_POINTS,
+    folder="sphericalvision.cameras.calibration",
+)
 
 
 def register_format(format: FileFormat) -> FileFormat:
     """Make a format known to ``read_camera``, ``read_rig``, ``save_camera`` and ``save_rig``.
 
+    A package that others install names its formats as entry points of the group ``sphericalvision.formats`` instead.
+
     Raises:
         ArgumentError: another format has its name.
     """
-    if _FORMATS.get(format.name, format) != format:
-        raise ArgumentError(f"format: {format.name!r} is registered already; give this one another name")
-    _FORMATS[format.name] = format
+    FORMATS.add(format.name, format)
     return format
 
 
 def file_formats() -> list[FileFormat]:
     """All formats, the package's own first."""
-    return sorted(_FORMATS.values(), key=lambda format: (format.name != "native", format.name))
+    return sorted(FORMATS.all(), key=lambda format: format.name != "native")
 
 
 def file_format(name: str) -> FileFormat:
     """The format of a name that is known."""
-    return _FORMATS[name]
+    format = FORMATS.find(name)
+    assert format is not None
+    return format
 
 
 def known_formats() -> str:

@@ -28,7 +28,6 @@ from sphericalvision.cameras.calibration.parsing import (
 )
 from sphericalvision.cameras.registry import camera_model, camera_model_names, check_registered
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.cameras.verbs import implements
 from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.io.files import part_of_name, write_yaml
 from sphericalvision.io.images import read_mask, write_mask
@@ -115,7 +114,6 @@ def write_camera(camera: Camera, path: str | Path) -> None:
     write_yaml(path, content)
 
 
-@implements("CameraRig.to_yaml")
 def write_rig(rig: CameraRig, path: str | Path) -> None:
     """Write a rig as YAML, which ``read_rig`` reads, and its masks as ``<stem>_<name>_mask.png`` beside it.
 

@@ -19,7 +19,6 @@ from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.models.ocam_polynomials import InverseFit, fit_direct, fit_inverse_polynomial
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.registry import camera_model, camera_model_names
-from sphericalvision.cameras.verbs import implements
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.rootfinding import polynomial
@@ -29,7 +28,6 @@ __all__ = ["InverseFit", "convert", "fit_inverse_polynomial"]
 _HELD_OUT = 12_000  # directions in the cap of the field of view; fewer are on the image
 
 
-@implements("Camera.convert")
 @torch.no_grad()
 def convert(
     camera: Camera,

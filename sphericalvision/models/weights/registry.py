@@ -3,27 +3,22 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, entry_points
-
 from sphericalvision.core import ArgumentError
+from sphericalvision.extensions import Registry
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.models.icosweepnet import IcoSweepNet
-from sphericalvision.models.omnimvs import OmniMVS
-from sphericalvision.models.refinedsweepnet import RefinedSweepNet
-from sphericalvision.models.training_free import SemiGlobalSweep, WinnerTakesAll
 
 __all__ = ["ENTRY_POINTS", "network_class", "network_name", "network_names", "register_network"]
 
 ENTRY_POINTS = "sphericalvision.networks"
 """Group of entry points by which installed packages offer their networks, name = "module:class"."""
 
-_NETWORKS: dict[str, type[DepthNetwork]] = {
-    "icosweepnet": IcoSweepNet,
-    "omnimvs": OmniMVS,
-    "refinedsweepnet": RefinedSweepNet,
-    "semi-global-sweep": SemiGlobalSweep,
-    "winner-takes-all": WinnerTakesAll,
-}
+NETWORKS: Registry[type[DepthNetwork]] = Registry(
+    "network",
+    "a subclass of DepthNetwork",
+    lambda name, network: isinstance(network, type) and issubclass(network, DepthNetwork),
+    ENTRY_POINTS,
+    folder="sphericalvision.models",
+)
 
 
 def register_network(name: str, network: type[DepthNetwork]) -> None:
@@ -42,7 +37,7 @@ def register_network(name: str, network: type[DepthNetwork]) -> None:
         ArgumentError: if the class is no ``DepthNetwork``, or the name belongs to another one.
 
     Examples:
-        >>> from sphericalvision.models import load_weights, save_weights
+        >>> from sphericalvision.models import IcoSweepNet, load_weights, save_weights
         >>> class Mine(IcoSweepNet):
         ...     "Changes what you like."
         >>> register_network("mine", Mine)
@@ -50,22 +45,12 @@ def register_network(name: str, network: type[DepthNetwork]) -> None:
         >>> type(load_weights("mine.safetensors")).__name__
         'Mine'
     """
-    if not (isinstance(network, type) and issubclass(network, DepthNetwork)):
-        raise ArgumentError(
-            f"network: expected a subclass of DepthNetwork for the name {name!r}, got {network!r}"
-        )
-    known = _NETWORKS.get(name, network)
-    if (known.__module__, known.__qualname__) != (network.__module__, network.__qualname__):
-        raise ArgumentError(
-            f"name: {name!r} is {known.__module__}.{known.__qualname__} already, choose another name for "
-            f"{network.__module__}.{network.__qualname__}"
-        )
-    _NETWORKS[name] = network  # also where the class was defined anew, as when a notebook's cell runs again
+    NETWORKS.add(name, network)
 
 
 def network_names() -> tuple[str, ...]:
     """Return the names of all known networks, those of installed packages included."""
-    return tuple(sorted({*_NETWORKS, *(point.name for point in entry_points(group=ENTRY_POINTS))}))
+    return NETWORKS.names()
 
 
 def network_class(name: str) -> type[DepthNetwork]:
@@ -78,15 +63,13 @@ def network_class(name: str) -> type[DepthNetwork]:
         >>> network_class("icosweepnet").__name__
         'IcoSweepNet'
     """
-    if name not in _NETWORKS:
-        for point in entry_points(group=ENTRY_POINTS, name=name):
-            register_network(name, _imported(point))
-    if name not in _NETWORKS:
+    found = NETWORKS.find(name)
+    if found is None:
         raise ArgumentError(
             f"name: expected one of {', '.join(map(repr, network_names()))}, got {name!r}; if the network is from "
             "another package, install that, or call register_network"
         )
-    return _NETWORKS[name]
+    return found
 
 
 def network_name(network: DepthNetwork | type[DepthNetwork]) -> str:
@@ -96,32 +79,16 @@ def network_name(network: DepthNetwork | type[DepthNetwork]) -> str:
         ArgumentError: if it has none.
 
     Examples:
+        >>> from sphericalvision.models import OmniMVS
         >>> network_name(OmniMVS)
         'omnimvs'
     """
     wanted = network if isinstance(network, type) else type(network)
-    for name, known in _NETWORKS.items():
-        if known is wanted:
-            return name
-    for point in entry_points(group=ENTRY_POINTS):
-        # A package that offers the class has been imported, so only its entry points are worth following.
-        if (
-            point.module.partition(".")[0] == wanted.__module__.partition(".")[0]
-            and _imported(point) is wanted
-        ):
-            register_network(point.name, wanted)
-            return point.name
-    raise ArgumentError(
-        f"network: {wanted.__module__}.{wanted.__qualname__} has no name by which a file could say which network its "
-        f"weights are of; call register_network, or add an entry point of the group {ENTRY_POINTS} to its package"
-    )
-
-
-def _imported(point: EntryPoint) -> type[DepthNetwork]:
-    try:
-        return point.load()  # type: ignore[no-any-return]
-    except (ImportError, AttributeError) as error:
-        package = point.dist.name if point.dist else point.module
+    name = NETWORKS.name_of(wanted)
+    if name is None:
         raise ArgumentError(
-            f"name: {point.name!r} is {point.value} of the package {package}, which cannot be imported: {error}"
-        ) from error
+            f"network: {wanted.__module__}.{wanted.__qualname__} has no name by which a file could say which network "
+            f"its weights are of; call register_network, or add an entry point of the group {ENTRY_POINTS} to its "
+            "package"
+        )
+    return name

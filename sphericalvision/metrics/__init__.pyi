@@ -1,0 +1,13 @@
+from .depth import DepthError as DepthError
+from .depth import DepthIndexError as DepthIndexError
+from .depth import depth_error as depth_error
+from .depth import depth_index_error as depth_index_error
+from .masks import evaluation_mask as evaluation_mask
+from .masks import seam_mask as seam_mask
+from .omnimvs import OmniMVSError as OmniMVSError
+from .omnimvs import omnimvs_error as omnimvs_error
+from .regions import ByRegion as ByRegion
+from .sphere import LatitudeProfile as LatitudeProfile
+from .sphere import SolidAngleIoU as SolidAngleIoU
+from .sphere import SolidAngleMean as SolidAngleMean
+from .sphere import angular_error as angular_error

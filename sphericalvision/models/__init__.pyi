@@ -1,0 +1,16 @@
+from . import weights as weights
+from .base import DepthNetwork as DepthNetwork
+from .classifier import SphereClassifier as SphereClassifier
+from .icosweepnet import IcoSweepNet as IcoSweepNet
+from .omnimvs import OmniMVS as OmniMVS
+from .refinedsweepnet import RefinedSweepNet as RefinedSweepNet
+from .segmenter import SphereSegmenter as SphereSegmenter
+from .training_free import SemiGlobalSweep as SemiGlobalSweep
+from .training_free import WinnerTakesAll as WinnerTakesAll
+from .weights import available_weights as available_weights
+from .weights import load_reference_checkpoint as load_reference_checkpoint
+from .weights import load_weights as load_weights
+from .weights import pretrained as pretrained
+from .weights import register_network as register_network
+from .weights import save_weights as save_weights
+from .weights import state_dict_from_reference as state_dict_from_reference

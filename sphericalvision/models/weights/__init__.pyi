@@ -1,0 +1,10 @@
+from .files import load_weights as load_weights
+from .files import save_weights as save_weights
+from .pretrained import available_weights as available_weights
+from .pretrained import pretrained as pretrained
+from .reference import load_reference_checkpoint as load_reference_checkpoint
+from .reference import state_dict_from_reference as state_dict_from_reference
+from .registry import network_class as network_class
+from .registry import network_name as network_name
+from .registry import network_names as network_names
+from .registry import register_network as register_network

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What importing each room loads: what it is made of, and nothing that only others need."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+LOADED = """
+import sys
+from importlib import import_module
+import_module(sys.argv[1])
+print(*sys.modules)
+"""
+
+HEAVY = ("matplotlib", "trimesh", "kornia", "cv2", "skimage", "torchmetrics", "hydra", "pytorch_lightning")
+
+ROOMS = {
+    "sphericalvision": ((), 1),
+    "sphericalvision.cameras": ((), 4),
+    "sphericalvision.crown": ((), 4),
+    "sphericalvision.models": ((), 4),
+    "sphericalvision.cameras.models.ocam": (("cameras", "geometry", "extensions"), 35),
+    "sphericalvision.cameras.rig": (("cameras", "geometry", "extensions"), 30),
+    "sphericalvision.icosphere.icosphere": (("icosphere", "geometry"), 30),
+    "sphericalvision.crown.conv": (("crown", "icosphere", "geometry"), 60),
+    "sphericalvision.crown.hexconv": (("crown", "icosphere", "geometry"), 60),
+    "sphericalvision.sphere.grids.healpix": (("sphere", "geometry"), 30),
+    "sphericalvision.losses.depth": (("losses", "sphere", "icosphere", "geometry"), 40),
+    "sphericalvision.sweep.regression": (("sweep",), 10),
+    "sphericalvision.sweep.aggregation": (("sweep", "cameras", "icosphere", "geometry", "extensions"), 50),
+    "sphericalvision.models.icosweepnet": (
+        ("models", "crown", "sweep", "icosphere", "cameras", "geometry", "extensions"),
+        110,
+    ),
+}
+"""The modules and rooms that may be loaded with it, and how many modules of this package in all."""
+
+
+def loaded(module: str) -> set[str]:
+    result = subprocess.run(
+        [sys.executable, "-c", LOADED, module], capture_output=True, text=True, check=True
+    )
+    return set(result.stdout.split())
+
+
+@pytest.mark.parametrize("module", ROOMS)
+def test_a_room_loads_what_it_is_made_of(module: str) -> None:
+    rooms, most = ROOMS[module]
+    found = loaded(module)
+    ours = {name for name in found if name.split(".")[0] == "sphericalvision"}
+    allowed = {"sphericalvision", "sphericalvision.core", *(f"sphericalvision.{room}" for room in rooms)}
+    strange = {name for name in ours - {module} if ".".join(name.split(".")[:2]) not in allowed}
+    assert not strange
+    assert not found & set(HEAVY)
+    assert not {name for name in ours if name.startswith("sphericalvision.cameras.calibration")}
+    assert len(ours) <= most, f"{len(ours)} modules: {sorted(ours)}"
+
+
+def test_calibration_formats_and_cameras_are_found_without_having_been_imported() -> None:
+    program = """
+from sphericalvision.cameras.registry import camera_model, camera_model_names
+assert camera_model("ocam").__name__ == "OCamCamera"
+import sys
+assert "sphericalvision.cameras.models.atan" not in sys.modules
+assert {"atan", "ocam", "pinhole"} <= set(camera_model_names())
+from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
+assert {"native", "kalibr"} <= set(CAMERA_FORMATS) & set(RIG_FORMATS)
+from sphericalvision.models.weights.registry import network_class
+assert network_class("semi-global-sweep").__name__ == "SemiGlobalSweep"
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)

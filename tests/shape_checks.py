@@ -198,6 +198,8 @@ def check_class(kind: type) -> None:
             new = type(value)(checked(value.__func__))
         elif inspect.isfunction(value):
             new = checked(value)
+        elif name == "functions":  # the pure functions of a camera model
+            new = tuple(map(checked, value))
         else:
             continue
         setattr(kind, name, new)

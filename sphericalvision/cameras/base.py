@@ -5,20 +5,36 @@ from __future__ import annotations
 
 import copy
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, dataclass_transform
 
 import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.checks import check_precision, checked_angle, checked_numbers, checked_size
+from sphericalvision.cameras.declaration import (
+    ANY,
+    Choice,
+    Declared,
+    ImageSize,
+    Intrinsic,
+    MaxAngle,
+    OptionalIntrinsic,
+    constructor,
+)
 from sphericalvision.cameras.precision import at_least_float32
 from sphericalvision.cameras.verbs import verb
-from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError, check_last_dim, check_tensor
+from sphericalvision.core import (
+    ArgumentError,
+    ArgumentTypeError,
+    ShapeError,
+    check_choice,
+    check_last_dim,
+    check_tensor,
+)
 from sphericalvision.geometry.broadcasting import broadcast_shapes
-from sphericalvision.geometry.directions import components, holds, is_at_least, is_greater
+from sphericalvision.geometry.directions import components, is_at_least, is_greater
 from sphericalvision.geometry.interpolation import bilinear_sample
 
 __all__ = ["Camera", "Conversion", "Projection", "Unprojection", "check_single"]
@@ -74,7 +90,10 @@ class Conversion(NamedTuple):
     original's view where the new model cannot reach as far."""
 
 
-class Camera(ABC):
+@dataclass_transform(
+    eq_default=False, field_specifiers=(Choice, ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic)
+)
+class Camera:
     """A central camera. It maps points or directions, not the plane z = 1, so fields of view beyond 180° are possible.
 
     Intrinsics are tensors whose batch dimensions ``*b`` broadcast with each other (none for a single camera); points
@@ -87,8 +106,10 @@ class Camera(ABC):
         the image covers [−0.5, w − 0.5] x [−0.5, h − 0.5]. ``max_angle`` is measured from the optical axis in radians:
         half the field of view.
 
-    A model is a subclass with two methods, ``_project`` and ``_unproject``, which need not consider the image borders
-    and ``max_angle``. ``register_camera`` makes it known to the readers and writers of files.
+    A model is a subclass that declares its intrinsics and names its two pure ``functions``, which need not consider the
+    image borders and ``max_angle``. Its constructor takes what is declared, in that order; ``image_size`` is (height,
+    width), and ``max_angle`` is by default where the model ends. A model may also write its own ``__init__``,
+    ``_project`` and ``_unproject``. ``register_camera`` makes it known to the readers and writers of files.
 
     Examples:
         >>> from sphericalvision.cameras import FisheyeCamera
@@ -100,6 +121,12 @@ class Camera(ABC):
 
     model: ClassVar[str]
     """Name of the model in files."""
+    functions: ClassVar[tuple[Callable[..., Projection], Callable[..., Unprojection]]]
+    """The model's pure functions of projection and unprojection; after the points or pixels they take the intrinsics,
+    but for a skew, and then the options."""
+    declared: ClassVar[Mapping[str, Declared]] = {}
+    """The arguments of the constructor, in order. What follows comes from them, or is written by models that have a
+    constructor of their own."""
     intrinsic_names: ClassVar[tuple[str, ...]] = ()
     """The tensor attributes, in the constructor's order."""
     option_names: ClassVar[tuple[str, ...]] = ()
@@ -112,8 +139,23 @@ class Camera(ABC):
     default_names: ClassVar[tuple[str, ...]] = ()
     """Those of ``optional_names`` that files leave out where they are ``None``."""
 
-    image_size: tuple[int, int]
-    max_angle: Tensor
+    image_size: ImageSize
+    max_angle: MaxAngle
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, Declared)}
+        if not own:
+            return
+        cls.declared = {**cls.declared, **own}
+        intrinsics = {name: value for name, value in cls.declared.items() if isinstance(value, Intrinsic)}
+        cls.intrinsic_names = tuple(intrinsics)
+        cls.option_names = tuple(name for name, value in cls.declared.items() if isinstance(value, Choice))
+        cls.sizes = {name: value.sizes for name, value in intrinsics.items() if value.sizes != (ANY,)}
+        cls.optional_names = tuple(name for name, value in intrinsics.items() if value.optional)
+        cls.default_names = tuple(name for name in cls.optional_names if intrinsics[name].default is None)
+        if "__init__" not in vars(cls):
+            cls.__init__ = constructor(cls.declared, cls._fill)  # type: ignore[method-assign]
 
     def __init__(
         self, image_size: Sequence[int], max_angle: float | Float[Tensor, "*#batch"], **intrinsics: Any
@@ -128,19 +170,28 @@ class Camera(ABC):
                 raise ArgumentError(f"{name}: expected numbers, got None; a {type(self).__name__} needs them")
             setattr(self, name, None if value is None else checked_numbers(name, value, like))
         self.max_angle = checked_angle(max_angle, like)
-        self._check_sizes()
+        self._check_intrinsics()
         self._broadcast()
 
-    def _check_sizes(self) -> None:
-        """Raise unless the last dimensions are those of the model, and focal lengths above 0."""
-        for name, sizes in self.sizes.items():
-            tensor = getattr(self, name)
-            if tensor is not None and sizes and (tensor.ndim == 0 or tensor.shape[-1] not in sizes):
-                shapes = " or ".join(f"(*, {size})" for size in sizes)
-                raise ShapeError(f"{name}: expected shape {shapes}, got {tuple(tensor.shape)}")
-        focal_length: Any = getattr(self, "focal_length", None)
-        if isinstance(focal_length, Tensor) and not holds(focal_length > 0):
-            raise ArgumentError(f"focal_length: expected pixels above 0, got {focal_length.tolist()}")
+    def _fill(self, given: dict[str, Any]) -> None:
+        """What the constructor does with the values of what is declared."""
+        for name, declared in self.declared.items():
+            if isinstance(declared, Choice):
+                check_choice(name, given[name], declared.choices)
+                setattr(self, name, given[name])
+        max_angle = given["max_angle"]
+        intrinsics = {name: given[name] for name in self.intrinsic_names}
+        Camera.__init__(self, given["image_size"], math.pi if max_angle is None else max_angle, **intrinsics)
+        if max_angle is None:
+            self.max_angle = self._model_end()
+
+    def _check_intrinsics(self) -> None:
+        """Raise unless sizes and numbers are those of the model."""
+        for name in self.intrinsic_names:
+            above = 0.0 if name == "focal_length" else -math.inf
+            declared = self.declared.get(name) or Intrinsic(*self.sizes.get(name, (ANY,)), above=above)
+            if isinstance(declared, Intrinsic) and getattr(self, name) is not None:
+                declared.check(name, getattr(self, name))
 
     def _broadcast(self) -> None:
         """Give all intrinsics and ``max_angle`` the batch dimensions that they share."""
@@ -178,13 +229,23 @@ class Camera(ABC):
         """The intrinsics' floating point type."""
         return self.max_angle.dtype
 
-    @abstractmethod
     def _project(self, points: Tensor) -> Projection:
         """The model's pixels, valid where the model itself is defined."""
+        return self.functions[0](points, *self._arguments(points))
 
-    @abstractmethod
     def _unproject(self, pixels: Tensor) -> Unprojection:
         """The model's unit directions, valid where the model itself is defined."""
+        return self.functions[1](pixels, *self._arguments(pixels))
+
+    def _arguments(self, values: Tensor) -> list[Any]:
+        """What the model's functions take after ``values``."""
+        tensors = dict(zip(self.intrinsic_names, self._aligned(values), strict=True))
+        tensors.pop("skew", None)
+        return [*tensors.values(), *(getattr(self, name) for name in self.option_names)]
+
+    def _model_end(self) -> Tensor:
+        """Where the model ends, in radians from the axis: the default of ``max_angle``, which is π until then."""
+        return self.max_angle
 
     def project(self, points: Float[Tensor, "*points 3"]) -> Projection:
         """Pixels (*, 2) of ``points`` (*, 3) in the camera's frame, of any length.

@@ -10,6 +10,7 @@ Convention:
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -17,9 +18,9 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import check_floating, check_tensor
+from sphericalvision.core import check_floating, check_last_dim, check_tensor
 
-__all__ = ["HALF", "at_least_float32", "computed_in_float32"]
+__all__ = ["HALF", "at_least_float32", "model_function"]
 
 HALF = (torch.float16, torch.bfloat16)
 
@@ -40,25 +41,29 @@ def at_least_float32(name: str, values: Shaped[Tensor, "*batch"]) -> Float[Tenso
     return values.float() if values.dtype in HALF else values
 
 
-def computed_in_float32(function: AnyFunction) -> AnyFunction:
-    """Decorate a function of tensors, the first of which has a name in errors, so that it gets no half precision."""
-    names = function.__code__.co_varnames  # type: ignore[attr-defined]
+def model_function(function: AnyFunction) -> AnyFunction:
+    """Decorate a function of ``points`` (*, 3) or ``pixels`` (*, 2) and intrinsics, so that it gets no half precision.
+
+    It then raises ``ShapeError`` where the last dimension is another one, and ``ArgumentError`` for
+    integers and for lists in place of tensors.
+    """
+    names = tuple(inspect.signature(function).parameters)
+    size = {"points": 3, "pixels": 2}[names[0]]
 
     @functools.wraps(function)
-    def with_float32(*arguments: Any, **options: Any) -> Any:
-        if arguments and isinstance(arguments[0], Tensor):
-            at_least_float32(names[0], arguments[0])
-            for name, value in zip(names, arguments, strict=False):
-                if (
-                    isinstance(value, list | tuple) and name != "image_size"
-                ):  # would be indexed as tensors are
-                    check_tensor(name, value, "(*,) or (*, n)")
+    def checked(*arguments: Any, **options: Any) -> Any:
+        values: Any = arguments[0] if arguments else options.get(names[0])
+        check_last_dim(names[0], values, size)
+        at_least_float32(names[0], values)
+        for name, value in zip(names, arguments, strict=False):
+            if isinstance(value, list | tuple) and name != "image_size":  # would be indexed as tensors are
+                check_tensor(name, value, "(*,) or (*, n)")
         return function(
             *(_raised(value) for value in arguments),
             **{key: _raised(value) for key, value in options.items()},
         )
 
-    return with_float32  # type: ignore[return-value]
+    return checked  # type: ignore[return-value]
 
 
 def _raised(value: Any) -> Any:

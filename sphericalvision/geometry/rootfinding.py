@@ -17,6 +17,7 @@ __all__ = [
     "polynomial_value",
     "polynomial_with_curvature",
     "refine_root",
+    "with_leading_one",
 ]
 
 
@@ -43,6 +44,16 @@ def _horner(coefficients: Tensor, x: Tensor, order: int) -> list[Tensor]:
         zero = torch.zeros_like(taylor[0] + x)
         taylor = [value + zero for value in taylor] + [zero] * (order + 1 - len(taylor))
     return taylor
+
+
+def with_leading_one(coefficients: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch m"]:
+    """The coefficients (*, n + 1) of 1 + c1 x + c2 x² + ..., of which (*, n) the first is left out.
+
+    Examples:
+        >>> with_leading_one(torch.tensor([3.0])).tolist()
+        [1.0, 3.0]
+    """
+    return torch.cat((torch.ones_like(coefficients[..., :1]), coefficients), dim=-1)
 
 
 def polynomial_value(

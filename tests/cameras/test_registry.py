@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import ClassVar
 
 import pytest
 import torch
@@ -26,7 +24,8 @@ from sphericalvision.cameras import (
     register_camera,
     save_camera,
 )
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle
+from sphericalvision.cameras.fitting.model import fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.registry import MODELS
 from sphericalvision.core import ArgumentError, FileFormatError
@@ -43,40 +42,26 @@ def project_parabolic(
     return Projection(pixels, total > 1e-6)
 
 
+def unproject_parabolic(
+    pixels: Tensor, focal_length: Tensor, principal_point: Tensor, bend: Tensor
+) -> Unprojection:
+    raise NotImplementedError
+
+
 class ParabolicCamera(Camera):
     """The camera of ``project_parabolic``."""
 
     model = "parabolic mirror"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "bend")
+    functions = project_parabolic, unproject_parabolic
 
-    focal_length: Tensor
-    principal_point: Tensor
-    bend: Tensor
-
-    def __init__(
-        self,
-        focal_length: Sequence[float] | Tensor,
-        principal_point: Sequence[float] | Tensor,
-        bend: float | Tensor,
-        image_size: Sequence[int],
-        max_angle: float | Tensor,
-    ) -> None:
-        super().__init__(
-            image_size, max_angle, focal_length=focal_length, principal_point=principal_point, bend=bend
-        )
-
-    def _project(self, points: Tensor) -> Projection:
-        return project_parabolic(points, *self._aligned(points))
-
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        raise NotImplementedError
+    focal_length: Intrinsic = Intrinsic(2, above=0)
+    principal_point: Intrinsic = Intrinsic(2)
+    bend: Intrinsic = Intrinsic()
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle()
 
 
-@fitted(ParabolicCamera)
-def _fitted_parabolic(num_coefficients: int, projection: str) -> FittedModel:
-    return FittedModel(
-        ParabolicCamera, project_parabolic, FOCAL | {"bend": None}, shape_grid((0.8, 1.0, 1.2))
-    )
+fitted(ParabolicCamera, shape_grid((0.8, 1.0, 1.2)))
 
 
 @pytest.fixture

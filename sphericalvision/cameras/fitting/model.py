@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -14,12 +15,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection
+from sphericalvision.cameras.declaration import ANY, Choice, Intrinsic
 from sphericalvision.geometry import angle_from_axis
 
-__all__ = ["FOCAL", "FitChoices", "FittedModel", "Samples", "fit_choices", "fitted", "fitted_classes"]
-
-FOCAL: dict[str, int | None] = {"focal_length": 2, "principal_point": 2}
-"""The first ``sizes`` of most models."""
+__all__ = ["FitChoices", "FittedModel", "Samples", "fit_choices", "fitted", "fitted_classes"]
 
 
 class Samples(NamedTuple):
@@ -62,11 +61,11 @@ class FittedModel:
 
     camera_class: type[Camera]
     project: Callable[..., Projection]
-    sizes: dict[str, int | None]
+    sizes: Mapping[str, int | None]
     starts: Callable[[FittedModel, Samples], Iterable[Tensor]]
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     reach: float = math.pi
-    constants: dict[str, Any] = field(default_factory=dict)
+    constants: Mapping[str, Any] = field(default_factory=dict)
     complete: Callable[[dict[str, Any]], dict[str, Any]] | None = None
 
     def intrinsics(self, vector: Float[Tensor, "*batch p"]) -> dict[str, Tensor]:
@@ -121,36 +120,76 @@ class FittedModel:
     ) -> Camera:
         """The camera of a vector, in the dtype and on the device of ``like``."""
         vector = vector.to(like.device, like.dtype)
-        intrinsics: dict[str, Any] = self.intrinsics(vector) | self.constants
+        intrinsics: dict[str, Any] = {**self.intrinsics(vector), **self.constants}
         if self.complete is not None:
             intrinsics = self.complete(intrinsics)
         return self.camera_class(**intrinsics, image_size=image_size, max_angle=max_angle)
 
 
-class FitChoices(NamedTuple):
-    """How a model is fitted, with the options that it leaves open."""
+@dataclass(frozen=True)
+class FitChoices:
+    """How a model is fitted, with the options that it leaves open.
 
-    make: Callable[[int, str], FittedModel]
-    """From a number of coefficients and a projection, of which most models heed none."""
+    Attributes:
+        camera_class: the model.
+        starts: vectors to start from, made from samples.
+        num_coefficients: numbers of coefficients that are allowed, the default first.
+        projections: projections that are allowed, of which the best is the default.
+        bounds: name -> (smallest, largest).
+        reach: the widest angle from the axis that is tried, in radians; of a projection, if there are several.
+        sizes: name -> how many numbers, where the model leaves that open.
+        project: the model's function by default.
+        left_out: names that are not fitted but follow, by ``complete``.
+        complete: see ``FittedModel``.
+    """
+
+    camera_class: type[Camera]
+    starts: Callable[[FittedModel, Samples], Iterable[Tensor]]
     num_coefficients: tuple[int, ...] = ()
-    """Allowed numbers of coefficients, the default first."""
     projections: tuple[str, ...] = ()
-    """Allowed projections, of which the best is the default."""
+    bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
+    reach: float | Callable[[str], float] = math.pi
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    project: Callable[..., Projection] | None = None
+    left_out: tuple[str, ...] = ()
+    complete: Callable[[dict[str, Any]], dict[str, Any]] | None = None
+
+    def make(self, num_coefficients: int, projection: str) -> FittedModel:
+        """The model of a number of coefficients and a projection, which most models do not heed."""
+        sizes: dict[str, int | None] = {}
+        missing: dict[str, None] = {}
+        words: dict[str, str] = {}
+        for name, declared in self.camera_class.declared.items():
+            if isinstance(declared, Choice):
+                words[name] = projection or declared.default
+            elif (
+                isinstance(declared, Intrinsic) and name not in self.left_out and declared.default is not None
+            ):
+                size = self.sizes.get(name, num_coefficients)
+                if len(declared.sizes) < 2 and declared.sizes != (ANY,):
+                    sizes[name] = declared.sizes[0] if declared.sizes else None
+                elif size:
+                    sizes[name] = size
+                else:
+                    missing[name] = None
+        return FittedModel(
+            self.camera_class,
+            self.project or partial(self.camera_class.functions[0], **words),
+            sizes,
+            self.starts,
+            self.bounds,
+            self.reach(projection) if callable(self.reach) else self.reach,
+            constants=missing | words,
+            complete=self.complete,
+        )
 
 
 _CHOICES: dict[type[Camera], FitChoices] = {}
 
 
-def fitted(
-    camera_class: type[Camera], num_coefficients: tuple[int, ...] = (), projections: tuple[str, ...] = ()
-) -> Callable[[Callable[[int, str], FittedModel]], Callable[[int, str], FittedModel]]:
-    """Decorate the function that makes the ``FittedModel`` of a camera class: ``convert`` then converts to it."""
-
-    def register(make: Callable[[int, str], FittedModel]) -> Callable[[int, str], FittedModel]:
-        _CHOICES[camera_class] = FitChoices(make, num_coefficients, projections)
-        return make
-
-    return register
+def fitted(camera_class: type[Camera], *arguments: Any, **options: Any) -> None:
+    """Say how a camera class is fitted, by the arguments of ``FitChoices``: ``convert`` then converts to it."""
+    _CHOICES[camera_class] = FitChoices(camera_class, *arguments, **options)
 
 
 def fit_choices(camera_class: type[Camera]) -> FitChoices | None:

@@ -43,11 +43,11 @@ def with_shapes(
     return [vector for *_, vector in sorted(tried, key=lambda entry: entry[:2])[:2]]
 
 
-def shape_grid(*axes: Sequence[float], then: int = 0) -> Callable[[FittedModel, Samples], list[Tensor]]:
-    """Starts from all combinations of shape numbers, with ``then`` zeros behind them."""
+def shape_grid(*axes: Sequence[float]) -> Callable[[FittedModel, Samples], list[Tensor]]:
+    """Starts from all combinations of shape numbers, with zeros behind them."""
 
     def starts(model: FittedModel, samples: Samples) -> list[Tensor]:
-        zeros = (0.0,) * then
+        zeros = (0.0,) * (sum(size or 1 for size in model.sizes.values()) - 4 - len(axes))
         return with_shapes(model, samples, [(*shape, *zeros) for shape in itertools.product(*axes)])
 
     return starts

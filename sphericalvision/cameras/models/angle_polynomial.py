@@ -4,37 +4,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, Samples, fitted
+from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle
+from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import solve_linear
 from sphericalvision.cameras.models.image_plane import (
-    IMAGE_PLANE,
+    PlaneCamera,
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
 )
 from sphericalvision.cameras.models.radial_polynomial import _radius, _start
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import check_last_dim
 from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, lifted_radius
-from sphericalvision.geometry.rootfinding import increasing_limit, polynomial_value, refine_root
+from sphericalvision.geometry.rootfinding import (
+    increasing_limit,
+    polynomial_value,
+    refine_root,
+    with_leading_one,
+)
 
 __all__ = ["AnglePolynomialCamera", "project_angle_polynomial", "unproject_angle_polynomial"]
 
 MAX_RADIUS = 8.0
 """In focal lengths; a tangent ends here at 83°, twice the tangent of the half angle at 152°."""
-
-
-def _with_leading_one(distortion: Tensor) -> Tensor:
-    return torch.cat((torch.ones_like(distortion[..., :1]), distortion), dim=-1)
 
 
 def _widest_radius(coefficients: Tensor) -> Tensor:
@@ -52,7 +51,7 @@ def _angle(coefficients: Tensor, radius: Tensor) -> Tensor:
     return radius * polynomial_value(coefficients, radius)
 
 
-@computed_in_float32
+@model_function
 def project_angle_polynomial(
     points: Float[Tensor, "*#batch 3"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -75,11 +74,10 @@ def project_angle_polynomial(
         >>> project_angle_polynomial(torch.tensor([0.0, 0.0, 1.0]), *lens).pixels.tolist()
         [320.0, 240.0]
     """
-    check_last_dim("points", points, 3)
     x, y, z = components(points)
     radius = lifted_radius(x, y, z)
     target = torch.atan2(radius, z)
-    coefficients = _with_leading_one(distortion)
+    coefficients = with_leading_one(distortion)
     widest = _widest_radius(coefficients)
     largest = _angle(coefficients, widest).detach()
     inside = (target <= largest * (1 + 16 * torch.finfo(target.dtype).eps)) & (target < math.pi)
@@ -92,7 +90,7 @@ def project_angle_polynomial(
     )
 
 
-@computed_in_float32
+@model_function
 def unproject_angle_polynomial(
     pixels: Float[Tensor, "*#batch 2"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -106,9 +104,8 @@ def unproject_angle_polynomial(
         >>> unproject_angle_polynomial(torch.tensor([320.0, 240.0]), *lens).directions.tolist()
         [0.0, 0.0, 1.0]
     """
-    check_last_dim("pixels", pixels, 2)
     x, y = plane_from_pixels(pixels, focal_length, principal_point)
-    coefficients = _with_leading_one(distortion)
+    coefficients = with_leading_one(distortion)
     widest = _widest_radius(coefficients)
     radius = torch.sqrt(torch.addcmul(x * x, y, y) + torch.finfo(x.dtype).eps ** 2)
     inside = radius <= widest * (1 + 16 * torch.finfo(x.dtype).eps)
@@ -119,15 +116,10 @@ def unproject_angle_polynomial(
 
 
 @register_camera
-class AnglePolynomialCamera(Camera):
+class AnglePolynomialCamera(PlaneCamera):
     """Camera whose polynomial goes from the image radius to the angle: Blender's fisheye, NVIDIA's f-theta.
 
-    Args:
-        focal_length: (*b, 2) in pixels, of the image near the axis.
-        principal_point: (*b, 2) as (u, v).
-        distortion: (*b, k) as (k1, ..., kk): θ = ρ (1 + k1 ρ + k2 ρ² + ...), ρ being the image radius in focal lengths.
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default where the angle stops growing.
+    See ``project_angle_polynomial``.
 
     Examples:
         >>> camera = AnglePolynomialCamera([200.0, 200.0], [319.5, 239.5], [0.0, 0.02], (480, 640))
@@ -136,37 +128,15 @@ class AnglePolynomialCamera(Camera):
     """
 
     model = "angle_polynomial"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = IMAGE_PLANE
+    functions = project_angle_polynomial, unproject_angle_polynomial
 
-    focal_length: Float[Tensor, "*batch 2"]
-    principal_point: Float[Tensor, "*batch 2"]
-    distortion: Float[Tensor, "*batch k"]
+    distortion: Intrinsic = Intrinsic(ANY)
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
 
-    def __init__(
-        self,
-        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        distortion: Sequence[float] | Float[Tensor, "*#batch k"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        super().__init__(
-            image_size,
-            math.pi if max_angle is None else max_angle,
-            focal_length=focal_length,
-            principal_point=principal_point,
-            distortion=distortion,
-        )
-        if max_angle is None:
-            coefficients = _with_leading_one(self.distortion.detach())
-            self.max_angle = _angle(coefficients, _widest_radius(coefficients)).clamp_max(math.pi)
-
-    def _project(self, points: Tensor) -> Projection:
-        return project_angle_polynomial(points, *self._aligned(points))
-
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        return unproject_angle_polynomial(pixels, *self._aligned(pixels))
+    def _model_end(self) -> Tensor:
+        coefficients = with_leading_one(self.distortion.detach())
+        return _angle(coefficients, _widest_radius(coefficients)).clamp_max(math.pi)
 
 
 def _power_start(model: FittedModel, samples: Samples) -> list[Tensor]:
@@ -178,7 +148,4 @@ def _power_start(model: FittedModel, samples: Samples) -> list[Tensor]:
     return [model.vector(parts | {"distortion": coefficients})]
 
 
-@fitted(AnglePolynomialCamera, num_coefficients=(4, 1, 2, 3, *range(5, 10)))
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    sizes = FOCAL | {"distortion": num_coefficients}
-    return FittedModel(AnglePolynomialCamera, project_angle_polynomial, sizes, _power_start)
+fitted(AnglePolynomialCamera, _power_start, num_coefficients=(4, 1, 2, 3, *range(5, 10)))

@@ -3,24 +3,21 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, Samples, fitted
+from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
+from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import PLANE_REACH, solve_linear, with_shapes
 from sphericalvision.cameras.models.image_plane import (
-    IMAGE_PLANE,
+    PlaneCamera,
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
-    with_skew,
-    without_skew,
 )
 from sphericalvision.cameras.models.plane_distortion import (
     distort_inside,
@@ -28,9 +25,9 @@ from sphericalvision.cameras.models.plane_distortion import (
     radius_limit,
     undistort,
 )
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import components, is_greater
 
 __all__ = ["BrownConradyCamera", "project_brown_conrady", "unproject_brown_conrady"]
@@ -85,7 +82,7 @@ def _untilt(u: Tensor, v: Tensor, angles: Tensor) -> tuple[Tensor, Tensor, Tenso
     return x / depth, y / depth, valid
 
 
-@computed_in_float32
+@model_function
 def project_brown_conrady(
     points: Float[Tensor, "*#batch 3"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -119,7 +116,6 @@ def project_brown_conrady(
         >>> project_brown_conrady(torch.tensor([1.0, 0.0, 2.0]), *lens).pixels
         tensor([367.5000, 240.0000])
     """
-    check_last_dim("points", points, 3)
     _check_distortion(distortion)
     x, y, z = components(points)
     shrink = z.clamp_min(torch.finfo(z.dtype).tiny ** 0.4).reciprocal()
@@ -131,7 +127,7 @@ def project_brown_conrady(
     return Projection(pixels_from_plane(u, v, focal_length, principal_point), valid)
 
 
-@computed_in_float32
+@model_function
 def unproject_brown_conrady(
     pixels: Float[Tensor, "*#batch 2"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -147,7 +143,6 @@ def unproject_brown_conrady(
         >>> unproject_brown_conrady(torch.tensor([320.0, 240.0]), *lens).directions
         tensor([0., 0., 1.])
     """
-    check_last_dim("pixels", pixels, 2)
     _check_distortion(distortion)
     u, v = plane_from_pixels(pixels, focal_length, principal_point)
     meets = None
@@ -159,18 +154,11 @@ def unproject_brown_conrady(
 
 
 @register_camera
-class BrownConradyCamera(Camera):
+class BrownConradyCamera(PlaneCamera):
     """A pinhole camera with distortion, as calibrated by OpenCV, COLMAP, ROS and many others; up to 89.99°.
 
-    Args:
-        focal_length: (*b, 2) in pixels.
-        principal_point: (*b, 2) as (u, v).
-        distortion: (*b, k), k in 4, 5, 8, 12, 14, in OpenCV's order (k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4,
-            τx, τy).
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default, and at most, the angle up to which
-            the distortion is one-to-one.
-        skew: (*b,), pixels by which u grows for each focal length of v, Metashape's b2; or None.
+    See ``project_brown_conrady``; ``skew`` is Metashape's b2. The view ends at the latest between the first fold of the
+    radial distortion and where it turns again, by default at the first fold.
 
     Raises:
         ArgumentError: another number of coefficients.
@@ -182,37 +170,23 @@ class BrownConradyCamera(Camera):
     """
 
     model = "brown_conrady"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion", "skew")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "skew": ()}
-    optional_names: ClassVar[tuple[str, ...]] = ("skew",)
-    default_names: ClassVar[tuple[str, ...]] = ("skew",)
+    functions = project_brown_conrady, unproject_brown_conrady
 
-    focal_length: Float[Tensor, "*batch 2"]
-    principal_point: Float[Tensor, "*batch 2"]
-    distortion: Float[Tensor, "*batch k"]
-    skew: Float[Tensor, "*batch"] | None
+    distortion: Intrinsic = Intrinsic(ANY)
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
+    skew: OptionalIntrinsic = OptionalIntrinsic(default=None)
 
-    def __init__(
-        self,
-        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        distortion: Sequence[float] | Float[Tensor, "*#batch k"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-        skew: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        super().__init__(
-            image_size,
-            math.pi / 2 if max_angle is None else max_angle,
-            focal_length=focal_length,
-            principal_point=principal_point,
-            distortion=distortion,
-            skew=skew,
-        )
-        _check_distortion(self.distortion)
-        if max_angle is None:
-            self.max_angle = torch.atan(fold_radius(self.distortion))
+    def _fill(self, given: dict[str, Any]) -> None:
+        super()._fill(given)
         self._end_before_second_fold()
+
+    def _check_intrinsics(self) -> None:
+        super()._check_intrinsics()
+        _check_distortion(self.distortion)
+
+    def _model_end(self) -> Tensor:
+        return torch.atan(fold_radius(self.distortion))
 
     def with_max_angle(self, max_angle: float | Float[Tensor, "*#batch"]) -> BrownConradyCamera:
         """The same camera with another limit of its field of view, in radians from the optical axis.
@@ -227,19 +201,13 @@ class BrownConradyCamera(Camera):
         self.max_angle = torch.minimum(self.max_angle, torch.atan(radius_limit(self.distortion)))
 
     def _project(self, points: Tensor) -> Projection:
-        focal_length, center, distortion, skew = self._aligned(points)
-        max_tangent = torch.tan(self._widest(points))
-        projection = project_brown_conrady(points, focal_length, center, distortion, max_tangent)
-        return with_skew(projection, focal_length, center, skew)
+        arguments = [*self._arguments(points), torch.tan(self._widest(points))]
+        pixels, valid = project_brown_conrady(points, *arguments)
+        return Projection(self._skewed(pixels, 1), valid)
 
     def _within_max_angle(self, points: Tensor) -> Tensor:
         """Known from the radius in the plane: not asked for again."""
         return torch.ones((), dtype=torch.bool, device=points.device)
-
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        focal_length, center, distortion, skew = self._aligned(pixels)
-        pixels = without_skew(pixels, focal_length, center, skew)
-        return unproject_brown_conrady(pixels, focal_length, center, distortion)
 
 
 def _plane_start(model: FittedModel, samples: Samples) -> list[Tensor]:
@@ -262,7 +230,4 @@ def _plane_start(model: FittedModel, samples: Samples) -> list[Tensor]:
     return with_shapes(model, samples, [distortion.tolist(), [0.0] * size])
 
 
-@fitted(BrownConradyCamera, num_coefficients=(8, 4, 5, 12, 14))
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    sizes = FOCAL | {"distortion": num_coefficients}
-    return FittedModel(BrownConradyCamera, project_brown_conrady, sizes, _plane_start, reach=PLANE_REACH)
+fitted(BrownConradyCamera, _plane_start, num_coefficients=(8, 4, 5, 12, 14), reach=PLANE_REACH)

@@ -3,29 +3,27 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, Samples, fitted
+from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle
+from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import solve_linear, with_shapes
 from sphericalvision.cameras.models.image_plane import (
-    IMAGE_PLANE,
+    PlaneCamera,
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
 )
 from sphericalvision.cameras.models.ocam import _inverse_table, _scale_by_root
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import check_last_dim
 from sphericalvision.geometry.directions import components
-from sphericalvision.geometry.rootfinding import increasing_limit, polynomial
+from sphericalvision.geometry.rootfinding import increasing_limit, polynomial, with_leading_one
 
 __all__ = ["DivisionCamera", "project_division", "unproject_division"]
 
@@ -33,7 +31,7 @@ __all__ = ["DivisionCamera", "project_division", "unproject_division"]
 def _direct_polynomial(distortion: Tensor) -> Tensor:
     """Of an OCam lens of focal length 1, −(1 + λ1 ρ² + λ2 ρ⁴ + ...): the two models are one but for odd powers."""
     odd = torch.zeros_like(distortion)
-    even = torch.cat((torch.ones_like(distortion[..., :1]), distortion), dim=-1)
+    even = with_leading_one(distortion)
     return -torch.cat((torch.stack((even[..., :-1], odd), -1).flatten(-2), even[..., -1:]), dim=-1)
 
 
@@ -41,10 +39,6 @@ def _turn(coefficients: Tensor, squared: Tensor) -> tuple[Tensor, Tensor]:
     """z of the ray of image radius ρ, from ρ², and what has the sign of the angle's derivative."""
     z, slope = polynomial(coefficients, squared)
     return z, torch.addcmul(z, squared, slope, value=-2)
-
-
-def _with_leading_one(distortion: Tensor) -> Tensor:
-    return torch.cat((torch.ones_like(distortion[..., :1]), distortion), dim=-1)
 
 
 def _for_each_camera(max_radius: Tensor | float, distortion: Tensor) -> Tensor:
@@ -58,7 +52,7 @@ def _widest_radius(coefficients: Tensor, max_radius: Tensor) -> Tensor:
     return increasing_limit(lambda rho: _turn(coefficients, rho * rho)[1], max_radius, samples=256)
 
 
-@computed_in_float32
+@model_function
 def project_division(
     points: Float[Tensor, "*#batch 3"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -84,14 +78,13 @@ def project_division(
         >>> project_division(torch.tensor([1.0, 0.0, 0.0]), *lens).pixels  # 1 - r²/4 is 0 at two focal lengths
         tensor([520., 240.])
     """
-    check_last_dim("points", points, 3)
     x, y, z = components(points)
     limit = _for_each_camera(max_radius, distortion)
     scale, valid = _scale_by_root(x, y, z, _direct_polynomial(distortion), limit)
     return Projection(pixels_from_plane(x * scale, y * scale, focal_length, principal_point), valid)
 
 
-@computed_in_float32
+@model_function
 def unproject_division(
     pixels: Float[Tensor, "*#batch 2"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -108,10 +101,9 @@ def unproject_division(
         >>> unproject_division(torch.tensor([520.0, 240.0]), *lens).directions.tolist()
         [1.0, 0.0, 0.0]
     """
-    check_last_dim("pixels", pixels, 2)
     x, y = plane_from_pixels(pixels, focal_length, principal_point)
     squared = torch.addcmul(x * x, y, y)
-    coefficients = _with_leading_one(distortion)
+    coefficients = with_leading_one(distortion)
     z, _ = _turn(coefficients, squared)
     limit = _for_each_camera(max_radius, distortion)
     widest = _widest_radius(coefficients, limit) * (1 + 16 * torch.finfo(z.dtype).eps)
@@ -119,16 +111,10 @@ def unproject_division(
 
 
 @register_camera
-class DivisionCamera(Camera):
-    """A division camera of one parameter or several, past 90° where they lead there.
+class DivisionCamera(PlaneCamera):
+    """A division camera of up to six parameters, past 90° where they lead there; see ``project_division``.
 
-    Args:
-        focal_length: (*b, 2) in pixels.
-        principal_point: (*b, 2) as (u, v).
-        distortion: (*b, k) as (λ1, ..., λk), k up to 6, of radii in focal lengths.
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default the angle at the farthest corner of
-            the image, or where the angle stops growing before.
+    By default its view ends at the farthest corner of the image, or where the angle stops growing before.
 
     Examples:
         >>> camera = DivisionCamera([300.0, 300.0], [319.5, 239.5], [-0.3], (480, 640))
@@ -137,31 +123,15 @@ class DivisionCamera(Camera):
     """
 
     model = "division"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "distortion": tuple(range(1, 7))}
+    functions = project_division, unproject_division
 
-    focal_length: Float[Tensor, "*batch 2"]
-    principal_point: Float[Tensor, "*batch 2"]
-    distortion: Float[Tensor, "*batch k"]
+    distortion: Intrinsic = Intrinsic(*range(1, 7))
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
 
-    def __init__(
-        self,
-        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        distortion: Sequence[float] | Float[Tensor, "*#batch k"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        super().__init__(
-            image_size,
-            math.pi if max_angle is None else max_angle,
-            focal_length=focal_length,
-            principal_point=principal_point,
-            distortion=distortion,
-        )
-        if max_angle is None:
-            direct = _direct_polynomial(self.distortion.detach())
-            self.max_angle = _inverse_table(direct, self._max_radius(self.distortion)).limit
+    def _model_end(self) -> Tensor:
+        direct = _direct_polynomial(self.distortion.detach())
+        return _inverse_table(direct, self._max_radius(self.distortion)).limit
 
     def _max_radius(self, values: Tensor) -> Tensor:
         """An image radius (*) in focal lengths beyond the farthest corner."""
@@ -171,15 +141,8 @@ class DivisionCamera(Camera):
         corner = torch.hypot(torch.maximum(u, width - u) / focal_u, torch.maximum(v, height - v) / focal_v)
         return 1.05 * corner.detach()
 
-    def _project(self, points: Tensor) -> Projection:
-        focal_length, principal_point, distortion = self._aligned(points)
-        limit = self._max_radius(points)
-        return project_division(points, focal_length, principal_point, distortion, limit)
-
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        focal_length, principal_point, distortion = self._aligned(pixels)
-        limit = self._max_radius(pixels)
-        return unproject_division(pixels, focal_length, principal_point, distortion, limit)
+    def _arguments(self, values: Tensor) -> list[Any]:
+        return [*super()._arguments(values), self._max_radius(values)]
 
 
 def _linear_start(model: FittedModel, samples: Samples) -> list[Tensor]:
@@ -193,8 +156,4 @@ def _linear_start(model: FittedModel, samples: Samples) -> list[Tensor]:
     ]
 
 
-@fitted(DivisionCamera, num_coefficients=(2, 1, 3, 4, 5, 6))
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    return FittedModel(
-        DivisionCamera, project_division, FOCAL | {"distortion": num_coefficients}, _linear_start
-    )
+fitted(DivisionCamera, _linear_start, num_coefficients=(2, 1, 3, 4, 5, 6))

@@ -3,27 +3,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import ClassVar
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle
+from sphericalvision.cameras.fitting.model import fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import (
-    IMAGE_PLANE,
+    PlaneCamera,
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
 )
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry.directions import components, holds, is_greater, safe_sqrt
+from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
 
 __all__ = ["DoubleSphereCamera", "project_double_sphere", "unproject_double_sphere"]
 
@@ -34,7 +30,7 @@ def _widest_cosine(xi: Tensor, alpha: Tensor) -> Tensor:
     return (w1 + xi) / safe_sqrt(2 * w1 * xi + xi * xi + 1)
 
 
-@computed_in_float32
+@model_function
 def project_double_sphere(
     points: Float[Tensor, "*#batch 3"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -59,7 +55,6 @@ def project_double_sphere(
         >>> project_double_sphere(torch.tensor([0.0, 0.0, 1.0]), *intrinsics).pixels.tolist()
         [320.0, 240.0]
     """
-    check_last_dim("points", points, 3)
     limits = torch.finfo(points.dtype)
     x, y, z = components(points)
     squared = (
@@ -75,7 +70,7 @@ def project_double_sphere(
     return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), valid)
 
 
-@computed_in_float32
+@model_function
 def unproject_double_sphere(
     pixels: Float[Tensor, "*#batch 2"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -90,7 +85,6 @@ def unproject_double_sphere(
         >>> unproject_double_sphere(torch.tensor([320.0, 240.0]), *intrinsics).directions.tolist()
         [0.0, 0.0, 1.0]
     """
-    check_last_dim("pixels", pixels, 2)
     x, y = plane_from_pixels(pixels, focal_length, principal_point)
     squared = torch.addcmul(x * x, y, y)
     under_root = 1 - (2 * alpha - 1) * squared
@@ -101,19 +95,8 @@ def unproject_double_sphere(
 
 
 @register_camera
-class DoubleSphereCamera(Camera):
-    """A double sphere camera, as calibrated by Basalt and Kalibr.
-
-    Args:
-        focal_length: (*b, 2) in pixels.
-        principal_point: (*b, 2) as (u, v).
-        xi: (*b,).
-        alpha: (*b,) in [0, 1].
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default where the model ends.
-
-    Raises:
-        ArgumentError: ``alpha`` outside [0, 1] or |``xi``| not below 1.
+class DoubleSphereCamera(PlaneCamera):
+    """A double sphere camera, as calibrated by Basalt and Kalibr; see ``project_double_sphere``.
 
     Examples:
         >>> camera = DoubleSphereCamera([200.0, 200.0], [319.5, 239.5], -0.2, 0.6, (480, 640), 1.7)
@@ -122,48 +105,19 @@ class DoubleSphereCamera(Camera):
     """
 
     model = "double_sphere"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "xi", "alpha")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "xi": (), "alpha": ()}
+    functions = project_double_sphere, unproject_double_sphere
 
-    focal_length: Float[Tensor, "*batch 2"]
-    principal_point: Float[Tensor, "*batch 2"]
-    xi: Float[Tensor, "*batch"]
-    alpha: Float[Tensor, "*batch"]
+    xi: Intrinsic = Intrinsic(above=-1, below=1)
+    alpha: Intrinsic = Intrinsic(least=0, most=1)
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
 
-    def __init__(
-        self,
-        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        xi: float | Float[Tensor, "*#batch"],
-        alpha: float | Float[Tensor, "*#batch"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        super().__init__(
-            image_size,
-            math.pi if max_angle is None else max_angle,
-            focal_length=focal_length,
-            principal_point=principal_point,
-            xi=xi,
-            alpha=alpha,
-        )
-        if not holds((self.alpha >= 0) & (self.alpha <= 1)):
-            raise ArgumentError(f"alpha: expected numbers in [0, 1], got {self.alpha.tolist()}")
-        if not holds(self.xi.abs() < 1):
-            raise ArgumentError(f"xi: expected numbers in (-1, 1), got {self.xi.tolist()}")
-        if max_angle is None:
-            self.max_angle = torch.acos(-_widest_cosine(self.xi, self.alpha)).detach()
-
-    def _project(self, points: Tensor) -> Projection:
-        return project_double_sphere(points, *self._aligned(points))
-
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        return unproject_double_sphere(pixels, *self._aligned(pixels))
+    def _model_end(self) -> Tensor:
+        return torch.acos(-_widest_cosine(self.xi, self.alpha)).detach()
 
 
-@fitted(DoubleSphereCamera)
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    starts = shape_grid((-0.4, -0.2, 0.0, 0.2, 0.5, 0.8), (0.0, 0.3, 0.5, 0.6, 0.7, 0.8))
-    bounds = {"xi": (-0.999, 0.999), "alpha": (0.0, 1.0)}
-    sizes = FOCAL | {"xi": None, "alpha": None}
-    return FittedModel(DoubleSphereCamera, project_double_sphere, sizes, starts, bounds)
+fitted(
+    DoubleSphereCamera,
+    shape_grid((-0.4, -0.2, 0.0, 0.2, 0.5, 0.8), (0.0, 0.3, 0.5, 0.6, 0.7, 0.8)),
+    bounds={"xi": (-0.999, 0.999), "alpha": (0.0, 1.0)},
+)

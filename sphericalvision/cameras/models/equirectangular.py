@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import (
@@ -26,7 +26,7 @@ from sphericalvision.geometry.directions import components, from_components
 __all__ = ["EquirectangularCamera", "project_equirectangular", "unproject_equirectangular"]
 
 
-@computed_in_float32
+@model_function
 def project_equirectangular(
     points: Float[Tensor, "*#batch 3"], image_size: Sequence[int], vertical_field_of_view: float = math.pi
 ) -> Projection:
@@ -47,7 +47,7 @@ def project_equirectangular(
     return Projection(from_components(u, v), x.abs() + y.abs() + z.abs() > 0)
 
 
-@computed_in_float32
+@model_function
 def unproject_equirectangular(
     pixels: Float[Tensor, "*#batch 2"], image_size: Sequence[int], vertical_field_of_view: float = math.pi
 ) -> Unprojection:

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -15,12 +14,13 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.checks import checked_size
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.declaration import Choice, ImageSize, Intrinsic, MaxAngle
+from sphericalvision.cameras.fitting.model import fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import ArgumentError, check_choice, check_last_dim, check_type
+from sphericalvision.core import ArgumentError, check_choice, check_type
 from sphericalvision.geometry import normalize
 from sphericalvision.geometry.directions import (
     components,
@@ -73,7 +73,7 @@ def _length_plus_z(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Ten
     return length, torch.maximum(total, least), total > least
 
 
-@computed_in_float32
+@model_function
 def project_fisheye(
     points: Float[Tensor, "*#batch 3"],
     focal_length: Float[Tensor, "*#batch #2"],
@@ -102,7 +102,6 @@ def project_fisheye(
         ([477.08, 240.0], True)
     """
     check_choice("projection", projection, FISHEYE_PROJECTIONS)
-    check_last_dim("points", points, 3)
     x, y, z = components(points)
     if projection == "equidistant":
         radius = lifted_radius(x, y, z)
@@ -120,7 +119,7 @@ def project_fisheye(
     return Projection(pixels_from_plane(x * scale, y * scale, focal_length, principal_point), valid)
 
 
-@computed_in_float32
+@model_function
 def unproject_fisheye(
     pixels: Float[Tensor, "*#batch 2"],
     focal_length: Float[Tensor, "*#batch #2"],
@@ -135,7 +134,6 @@ def unproject_fisheye(
         [0.0, 0.0, 1.0]
     """
     check_choice("projection", projection, FISHEYE_PROJECTIONS)
-    check_last_dim("pixels", pixels, 2)
     x, y = plane_from_pixels(pixels, focal_length, principal_point)
     squared = torch.addcmul(x * x, y, y)
     if projection == "equidistant":
@@ -180,14 +178,9 @@ def _shape_of(values: Any) -> tuple[int, ...]:
 
 @register_camera
 class FisheyeCamera(Camera):
-    """An ideal fisheye camera.
+    """An ideal fisheye camera; see ``project_fisheye``.
 
-    Args:
-        projection: ``"equidistant"``, ``"equisolid"``, ``"stereographic"`` or ``"orthographic"``.
-        focal_length: (*b,), or (*b, 2) for different scales along u and v, in pixels.
-        principal_point: (*b, 2) as (u, v).
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default where the projection ends.
+    A batch may have one focal length a camera, (*b,), or different scales along u and v, (*b, 2).
 
     Examples:
         >>> camera = FisheyeCamera.from_field_of_view((800, 800), math.radians(220))
@@ -197,30 +190,19 @@ class FisheyeCamera(Camera):
     """
 
     model = "fisheye"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {"focal_length": (1, 2), "principal_point": (2,)}
-    option_names: ClassVar[tuple[str, ...]] = ("projection",)
+    functions = project_fisheye, unproject_fisheye
 
-    projection: str
-    focal_length: Float[Tensor, "*batch _"]
-    principal_point: Float[Tensor, "*batch 2"]
+    projection: Choice = Choice(*FISHEYE_PROJECTIONS)
+    focal_length: Intrinsic = Intrinsic(1, 2, above=0)
+    principal_point: Intrinsic = Intrinsic(2)
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
 
-    def __init__(
-        self,
-        projection: str,
-        focal_length: float | Float[Tensor, " ..."],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        check_choice("projection", projection, FISHEYE_PROJECTIONS)
-        super().__init__(
-            image_size,
-            _WIDEST[projection] if max_angle is None else max_angle,
-            focal_length=_along_both(focal_length, principal_point),
-            principal_point=principal_point,
-        )
-        self.projection = projection
+    def _fill(self, given: dict[str, Any]) -> None:
+        super()._fill(given | {"focal_length": _along_both(given["focal_length"], given["principal_point"])})
+
+    def _model_end(self) -> Tensor:
+        return torch.full_like(self.max_angle, _WIDEST[self.projection])
 
     @classmethod
     def from_field_of_view(
@@ -252,23 +234,11 @@ class FisheyeCamera(Camera):
         principal_point = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=dtype)
         return cls(projection, focal_length, principal_point, image_size, min(field_of_view / 2, widest))
 
-    def _project(self, points: Tensor) -> Projection:
-        focal_length, principal_point = self._aligned(points)
-        return project_fisheye(points, focal_length, principal_point, self.projection)
 
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        focal_length, principal_point = self._aligned(pixels)
-        return unproject_fisheye(pixels, focal_length, principal_point, self.projection)
-
-
-@fitted(FisheyeCamera, projections=FISHEYE_PROJECTIONS)
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    reach = {"orthographic": math.pi / 2, "stereographic": math.radians(179)}.get(projection, math.pi)
-    return FittedModel(
-        FisheyeCamera,
-        partial(project_fisheye, projection=projection),
-        FOCAL,
-        shape_grid(),
-        reach=reach,
-        constants={"projection": projection},
-    )
+fitted(
+    FisheyeCamera,
+    shape_grid(),
+    projections=FISHEYE_PROJECTIONS,
+    sizes={"focal_length": 2},
+    reach=lambda projection: _WIDEST[projection],
+)

@@ -7,21 +7,37 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.base import Projection
+from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.declaration import Intrinsic
 from sphericalvision.geometry.directions import components, from_components
 
-__all__ = [
-    "IMAGE_PLANE",
-    "pixels_from_plane",
-    "plane_from_pixels",
-    "unit_directions",
-    "with_skew",
-    "without_skew",
-]
+__all__ = ["PlaneCamera", "pixels_from_plane", "plane_from_pixels", "unit_directions"]
 
 
-IMAGE_PLANE: dict[str, tuple[int, ...]] = {"focal_length": (2,), "principal_point": (2,)}
-"""Sizes of the intrinsics of models that end in ``pixels_from_plane``."""
+class PlaneCamera(Camera):
+    """A model that ends in ``pixels_from_plane``; some have a skew."""
+
+    focal_length: Intrinsic = Intrinsic(2, above=0, unit="pixels")
+    principal_point: Intrinsic = Intrinsic(2)
+
+    def _project(self, points: Tensor) -> Projection:
+        pixels, valid = super()._project(points)
+        return Projection(self._skewed(pixels, 1), valid)
+
+    def _unproject(self, pixels: Tensor) -> Unprojection:
+        return super()._unproject(self._skewed(pixels, -1))
+
+    def _skewed(self, pixels: Tensor, sign: int) -> Tensor:
+        """Pixels whose u grows, or falls, by ``skew`` for each focal length of v."""
+        skew: Tensor | None = getattr(self, "skew", None)
+        if skew is None:
+            return pixels
+        focal_length, center, skew = (
+            self._align(x, pixels) for x in (self.focal_length, self.principal_point, skew)
+        )
+        u, v = components(pixels)
+        along = (v - center[..., 1]) / focal_length[..., 1]
+        return from_components(torch.addcmul(u, skew, along, value=sign), v)
 
 
 def pixels_from_plane(
@@ -69,44 +85,3 @@ def unit_directions(
     """
     shrink = torch.addcmul(torch.addcmul(x * x, y, y), z, z).rsqrt()
     return from_components(x * shrink, y * shrink, z * shrink)
-
-
-def with_skew(
-    projection: Projection,
-    focal_length: Float[Tensor, "*#batch 2"],
-    principal_point: Float[Tensor, "*#batch 2"],
-    skew: Float[Tensor, "*#batch"] | None,
-) -> Projection:
-    """A projection whose u grows by ``skew`` (*) pixels for each focal length of v, if there is a skew.
-
-    Examples:
-        >>> seen = Projection(torch.tensor([105.0, 220.0]), torch.tensor(True))
-        >>> lens = torch.tensor([10.0, 20.0]), torch.tensor([100.0, 200.0]), torch.tensor(0.5)
-        >>> with_skew(seen, *lens).pixels.tolist()  # v is one focal length from the principal point
-        [105.5, 220.0]
-    """
-    if skew is None:
-        return projection
-    u, v = components(projection.pixels)
-    along = (v - principal_point[..., 1]) / focal_length[..., 1]
-    return Projection(from_components(torch.addcmul(u, skew, along), v), projection.valid)
-
-
-def without_skew(
-    pixels: Float[Tensor, "*#batch 2"],
-    focal_length: Float[Tensor, "*#batch 2"],
-    principal_point: Float[Tensor, "*#batch 2"],
-    skew: Float[Tensor, "*#batch"] | None,
-) -> Float[Tensor, "*batch 2"]:
-    """The pixels (*, 2) that ``with_skew`` made of others, as they were.
-
-    Examples:
-        >>> lens = torch.tensor([10.0, 20.0]), torch.tensor([100.0, 200.0]), torch.tensor(0.5)
-        >>> without_skew(torch.tensor([105.5, 220.0]), *lens).tolist()
-        [105.0, 220.0]
-    """
-    if skew is None:
-        return pixels
-    u, v = components(pixels)
-    along = (v - principal_point[..., 1]) / focal_length[..., 1]
-    return from_components(torch.addcmul(u, skew, along, value=-1), v)

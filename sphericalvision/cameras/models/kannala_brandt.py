@@ -3,96 +3,39 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, Samples, fitted
-from sphericalvision.cameras.fitting.starts import solve_linear, with_shapes
+from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
+from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
+from sphericalvision.cameras.fitting.starts import with_shapes
 from sphericalvision.cameras.models.image_plane import (
-    IMAGE_PLANE,
+    PlaneCamera,
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
-    with_skew,
-    without_skew,
 )
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.models.odd_polynomial import (
+    radial_solution,
+    squared_radius,
+    tabulated,
+    widest_angle,
+)
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import check_last_dim
 from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, lifted_radius
-from sphericalvision.geometry.inverse_table import InverseTable, samples_towards, tabulate_inverse
 from sphericalvision.geometry.rootfinding import (
-    increasing_limit,
-    polynomial,
     polynomial_value,
-    polynomial_with_curvature,
     refine_root,
+    with_leading_one,
 )
 
-__all__ = ["KannalaBrandtCamera", "project_kannala_brandt", "radial_solution", "unproject_kannala_brandt"]
+__all__ = ["KannalaBrandtCamera", "project_kannala_brandt", "unproject_kannala_brandt"]
 
 
-def _with_leading_one(distortion: Tensor) -> Tensor:
-    """Coefficients of g with radius = θ g(θ²)."""
-    return torch.cat((torch.ones_like(distortion[..., :1]), distortion), dim=-1)
-
-
-def _radius_slope(coefficients: Tensor, squared: Tensor) -> Tensor:
-    """Derivative of θ g(θ²) with respect to θ, from θ²."""
-    value, derivative = polynomial(coefficients, squared)
-    return value + 2 * squared * derivative
-
-
-def _squared_radius(coefficients: Tensor, squared: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The squared image radius s g(s)² of a squared angle s, and its first two derivatives with respect to s."""
-    g, slope, curvature = polynomial_with_curvature(coefficients, squared)
-    radius_slope = torch.addcmul(g, squared, slope, value=2)  # of θ g(θ²) with respect to θ
-    scaled = squared * g
-    further = slope * torch.add(radius_slope, g, alpha=3)
-    return scaled * g, g * radius_slope, torch.addcmul(further, scaled, curvature, value=2)
-
-
-def _widest_angle(coefficients: Tensor) -> Tensor:
-    """The angle (*) in [0, π] up to which the image radius grows."""
-    start = torch.full_like(coefficients[..., 0], math.pi)
-    return increasing_limit(
-        lambda angle: _radius_slope(coefficients.unsqueeze(-2), angle * angle), start, samples=256
-    )
-
-
-class _Inverse(NamedTuple):
-    """Squared angles of squared image radii q, to some digits, and the largest q (*)."""
-
-    table: InverseTable
-    most: Tensor
-
-    def lookup(self, squared_radius: Tensor) -> Tensor:
-        """The squared angle (*)."""
-        return self.table.lookup(_spread(squared_radius, self.most))
-
-
-def _spread(squared_radius: Tensor, most: Tensor) -> Tensor:
-    """Grows with q, half for q around 1 and half for larger ones: at π the radius may be hundreds of focal lengths."""
-    middle = (1 + most).sqrt()
-    return squared_radius / (1 + squared_radius) + squared_radius / (middle + squared_radius)
-
-
-def _tabulated(coefficients: Tensor, widest: Tensor) -> _Inverse:
-    with torch.no_grad():
-        angle = samples_towards(widest)
-        squared = angle * angle
-        squared_radius = squared * polynomial_value(coefficients.unsqueeze(-2), squared).square()
-        most = squared_radius[..., -1:]
-        return _Inverse(tabulate_inverse(squared, _spread(squared_radius, most)), most.squeeze(-1))
-
-
-@computed_in_float32
+@model_function
 def project_kannala_brandt(
     points: Float[Tensor, "*#batch 3"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -118,17 +61,16 @@ def project_kannala_brandt(
         >>> project_kannala_brandt(torch.tensor([0.0, 0.0, 1.0]), *ideal).pixels.tolist()
         [320.0, 240.0]
     """
-    check_last_dim("points", points, 3)
-    coefficients = _with_leading_one(distortion)
+    coefficients = with_leading_one(distortion)
     x, y, z = components(points)
     radius = lifted_radius(x, y, z)
     angle = torch.atan2(radius, z)
     scale = angle * polynomial_value(coefficients, angle * angle) / radius
     pixels = pixels_from_plane(x * scale, y * scale, focal_length, principal_point)
-    return Projection(pixels, angle <= _widest_angle(coefficients))
+    return Projection(pixels, angle <= widest_angle(coefficients))
 
 
-@computed_in_float32
+@model_function
 def unproject_kannala_brandt(
     pixels: Float[Tensor, "*#batch 2"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -145,16 +87,15 @@ def unproject_kannala_brandt(
         >>> unproject_kannala_brandt(torch.tensor([320.0, 240.0]), *ideal).directions.tolist()
         [0.0, 0.0, 1.0]
     """
-    check_last_dim("pixels", pixels, 2)
-    coefficients = _with_leading_one(distortion)
+    coefficients = with_leading_one(distortion)
     x, y = plane_from_pixels(pixels, focal_length, principal_point)
     target = torch.addcmul(x * x, y, y)
-    widest = _widest_angle(coefficients)
-    inverse = _tabulated(coefficients, widest)
+    widest = widest_angle(coefficients)
+    inverse = tabulated(coefficients, widest)
     inside = target <= inverse.most * (1 + 16 * torch.finfo(target.dtype).eps)
     target = torch.minimum(target, inverse.most)
     squared, converged = refine_root(
-        lambda squared: _squared_radius(coefficients, squared),
+        lambda squared: squared_radius(coefficients, squared),
         target,
         inverse.lookup(target.detach()),
         widest * widest,
@@ -165,16 +106,10 @@ def unproject_kannala_brandt(
 
 
 @register_camera
-class KannalaBrandtCamera(Camera):
-    """A Kannala-Brandt camera, correct past 90°.
+class KannalaBrandtCamera(PlaneCamera):
+    """A Kannala-Brandt camera of up to nine coefficients, correct past 90°; see ``project_kannala_brandt``.
 
-    Args:
-        focal_length: (*b, 2) in pixels.
-        principal_point: (*b, 2) as (u, v).
-        distortion: (*b, k) as (k1, ..., kk), k up to 9; with four of them OpenCV's fisheye and Kalibr's equidistant.
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default where the radius stops growing.
-        skew: (*b,), pixels by which u grows for each focal length of v, the second number of OpenCV's matrix; or None.
+    With four coefficients OpenCV's fisheye and Kalibr's equidistant; ``skew`` is the second number of OpenCV's matrix.
 
     Examples:
         >>> camera = KannalaBrandtCamera([190.0, 190.0], [255.0, 257.0], [0.003, 0.0, -0.002, 0.0], (512, 512), 1.7)
@@ -183,49 +118,15 @@ class KannalaBrandtCamera(Camera):
     """
 
     model = "kannala_brandt"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "distortion", "skew")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {
-        **IMAGE_PLANE,
-        "distortion": tuple(range(1, 10)),
-        "skew": (),
-    }
-    optional_names: ClassVar[tuple[str, ...]] = ("skew",)
-    default_names: ClassVar[tuple[str, ...]] = ("skew",)
+    functions = project_kannala_brandt, unproject_kannala_brandt
 
-    focal_length: Float[Tensor, "*batch 2"]
-    principal_point: Float[Tensor, "*batch 2"]
-    distortion: Float[Tensor, "*batch k"]
-    skew: Float[Tensor, "*batch"] | None
+    distortion: Intrinsic = Intrinsic(*range(1, 10))
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
+    skew: OptionalIntrinsic = OptionalIntrinsic(default=None)
 
-    def __init__(
-        self,
-        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        distortion: Sequence[float] | Float[Tensor, "*#batch k"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-        skew: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        super().__init__(
-            image_size,
-            math.pi if max_angle is None else max_angle,
-            focal_length=focal_length,
-            principal_point=principal_point,
-            distortion=distortion,
-            skew=skew,
-        )
-        if max_angle is None:
-            self.max_angle = _widest_angle(_with_leading_one(self.distortion))
-
-    def _project(self, points: Tensor) -> Projection:
-        focal_length, center, *shape, skew = self._aligned(points)
-        projection = project_kannala_brandt(points, focal_length, center, *shape)
-        return with_skew(projection, focal_length, center, skew)
-
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        focal_length, center, *shape, skew = self._aligned(pixels)
-        pixels = without_skew(pixels, focal_length, center, skew)
-        return unproject_kannala_brandt(pixels, focal_length, center, *shape)
+    def _model_end(self) -> Tensor:
+        return widest_angle(with_leading_one(self.distortion))
 
 
 def _radial_start(model: FittedModel, samples: Samples) -> list[Tensor]:
@@ -237,14 +138,4 @@ def _radial_start(model: FittedModel, samples: Samples) -> list[Tensor]:
     ]
 
 
-def radial_solution(samples: Samples, size: int) -> Float[Tensor, " k"]:
-    """So many coefficients (size,) by linear least squares."""
-    angle = samples.angle
-    powers = torch.stack([angle ** (2 * k + 3) for k in range(size)], dim=-1)
-    return solve_linear(powers, samples.radius - angle)
-
-
-@fitted(KannalaBrandtCamera, num_coefficients=(4, 1, 2, 3, 5, 6, 7, 8, 9))
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    sizes = FOCAL | {"distortion": num_coefficients}
-    return FittedModel(KannalaBrandtCamera, project_kannala_brandt, sizes, _radial_start)
+fitted(KannalaBrandtCamera, _radial_start, num_coefficients=(4, 1, 2, 3, 5, 6, 7, 8, 9))

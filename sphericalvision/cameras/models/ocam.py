@@ -10,19 +10,19 @@ Convention:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
 from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import solve_linear
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import normalize
 from sphericalvision.geometry.directions import components, from_components, holds, lifted_radius
 from sphericalvision.geometry.inverse_table import InverseTable, samples_towards, tabulate_inverse
@@ -106,7 +106,7 @@ def _scale_by_root(
     return scale * shrink, inside & converged
 
 
-@computed_in_float32
+@model_function
 def project_ocam(
     points: Float[Tensor, "*#batch 3"],
     direct_polynomial: Float[Tensor, "*#batch k"],
@@ -137,7 +137,6 @@ def project_ocam(
         tensor([[320., 240.],
                 [520., 240.]])
     """
-    check_last_dim("points", points, 3)
     x, y, z = components(points)
     if inverse_polynomial is None:
         scale, valid = _scale_by_root(x, y, z, direct_polynomial, torch.as_tensor(max_radius).to(points))
@@ -149,7 +148,7 @@ def project_ocam(
     return Projection(from_components(e * row + column + cu, c * row + d * column + cv), valid)
 
 
-@computed_in_float32
+@model_function
 def unproject_ocam(
     pixels: Float[Tensor, "*#batch 2"],
     direct_polynomial: Float[Tensor, "*#batch k"],
@@ -165,7 +164,6 @@ def unproject_ocam(
         >>> unproject_ocam(center, direct, center, torch.tensor([1.0, 0.0, 0.0])).directions
         tensor([0., 0., 1.])
     """
-    check_last_dim("pixels", pixels, 2)
     column, row = _undo_affine(pixels, principal_point, affine)
     squared = torch.addcmul(column * column, row, row)
     radius = (squared + torch.finfo(squared.dtype).tiny).sqrt()
@@ -182,14 +180,8 @@ class OCamCamera(Camera):
     well as the file's two polynomials agree with each other: in real files to between 0.01 and a few pixels.
     ``exact()`` gives the camera that inverts the direct polynomial instead.
 
-    Args:
-        polynomial: (*b, n) direct polynomial, ascending, first coefficient negative, of any degree.
-        inverse_polynomial: (*b, m), ascending, or ``None`` for the exact inverse.
-        principal_point: (*b, 2) as (u, v); files say (row, column).
-        affine: (*b, 3) as (c, d, e).
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default a little beyond the angle at the
-            farthest corner of the image, or where the angle stops growing with the image radius before.
+    See ``project_ocam`` and ``unproject_ocam``, whose direct polynomial is ``polynomial``. By default the view ends a
+    little beyond the angle at the farthest corner of the image, or before where the angle stops growing.
 
     Raises:
         ArgumentError: the first coefficient is not negative, or the affine part is singular.
@@ -202,37 +194,16 @@ class OCamCamera(Camera):
     """
 
     model = "ocam"
-    intrinsic_names: ClassVar[tuple[str, ...]] = (
-        "polynomial",
-        "inverse_polynomial",
-        "principal_point",
-        "affine",
-    )
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {"principal_point": (2,), "affine": (3,)}
-    optional_names: ClassVar[tuple[str, ...]] = ("inverse_polynomial",)
 
-    polynomial: Float[Tensor, "*batch n"]
-    inverse_polynomial: Float[Tensor, "*batch m"] | None
-    principal_point: Float[Tensor, "*batch 2"]
-    affine: Float[Tensor, "*batch 3"]
+    polynomial: Intrinsic = Intrinsic(ANY)
+    inverse_polynomial: OptionalIntrinsic = OptionalIntrinsic(ANY)
+    principal_point: Intrinsic = Intrinsic(2)
+    affine: Intrinsic = Intrinsic(3)
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
 
-    def __init__(
-        self,
-        polynomial: Sequence[float] | Float[Tensor, "*#batch n"],
-        inverse_polynomial: Sequence[float] | Float[Tensor, "*#batch m"] | None,
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        affine: Sequence[float] | Float[Tensor, "*#batch 3"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        super().__init__(
-            image_size,
-            math.pi if max_angle is None else max_angle,
-            polynomial=polynomial,
-            inverse_polynomial=inverse_polynomial,
-            principal_point=principal_point,
-            affine=affine,
-        )
+    def _check_intrinsics(self) -> None:
+        super()._check_intrinsics()
         c, d, e = self.affine.detach().unbind(-1)
         if not holds(self.polynomial.detach()[..., 0] < 0):
             raise ArgumentError(
@@ -241,8 +212,9 @@ class OCamCamera(Camera):
             )
         if not holds(c - d * e != 0):
             raise ArgumentError(f"affine: expected c − d·e ≠ 0, got (c, d, e) = {self.affine.tolist()}")
-        if max_angle is None:
-            self.max_angle = _inverse_table(self.polynomial.detach(), self._max_radius(self.polynomial)).limit
+
+    def _model_end(self) -> Tensor:
+        return _inverse_table(self.polynomial.detach(), self._max_radius(self.polynomial)).limit
 
     def exact(self) -> OCamCamera:
         """This camera with the exact inverse of its direct polynomial in place of the inverse polynomial."""
@@ -274,15 +246,11 @@ class OCamCamera(Camera):
         return 1.25 * corner
 
     def _project(self, points: Tensor) -> Projection:
-        direct, center, affine = (
-            self._align(tensor, points) for tensor in (self.polynomial, self.principal_point, self.affine)
-        )
-        inverse = None if self.inverse_polynomial is None else self._align(self.inverse_polynomial, points)
-        return project_ocam(points, direct, inverse, center, affine, self._max_radius(points))
+        return project_ocam(points, *[*self._aligned(points), self._max_radius(points)])
 
     def _unproject(self, pixels: Tensor) -> Unprojection:
-        tensors = (self.polynomial, self.principal_point, self.affine)
-        return unproject_ocam(pixels, *(self._align(tensor, pixels) for tensor in tensors))
+        direct, _, center, affine = self._aligned(pixels)
+        return unproject_ocam(pixels, direct, center, affine)
 
 
 def _ocam_start(model: FittedModel, samples: Samples) -> list[Tensor]:
@@ -307,11 +275,11 @@ def _before_direct_fit(intrinsics: dict[str, Any]) -> dict[str, Any]:
     return intrinsics | {"polynomial": -intrinsics["inverse_polynomial"].new_ones(1)}
 
 
-@fitted(OCamCamera, num_coefficients=(12, *range(2, 12), *range(13, 19)))
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    sizes: dict[str, int | None] = {
-        "inverse_polynomial": num_coefficients,
-        "principal_point": 2,
-        "affine": 3,
-    }
-    return FittedModel(OCamCamera, _project_inverse, sizes, _ocam_start, complete=_before_direct_fit)
+fitted(
+    OCamCamera,
+    _ocam_start,
+    num_coefficients=(12, *range(2, 12), *range(13, 19)),
+    left_out=("polynomial",),
+    project=_project_inverse,
+    complete=_before_direct_fit,
+)

@@ -5,32 +5,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.declaration import ImageSize, MaxAngle, OptionalIntrinsic
+from sphericalvision.cameras.fitting.model import fitted
 from sphericalvision.cameras.fitting.starts import PLANE_REACH, shape_grid
 from sphericalvision.cameras.models.image_plane import (
-    IMAGE_PLANE,
+    PlaneCamera,
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
-    with_skew,
-    without_skew,
 )
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import components, is_greater
 
 __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
 
 
-@computed_in_float32
+@model_function
 def project_pinhole(
     points: Float[Tensor, "*#batch 3"],
     focal_length: Float[Tensor, "*#batch #2"],
@@ -44,7 +42,6 @@ def project_pinhole(
         >>> project_pinhole(torch.tensor([1.0, 0.0, 2.0]), torch.tensor([100.0]), torch.tensor([320.0, 240.0])).pixels
         tensor([370., 240.])
     """
-    check_last_dim("points", points, 3)
     x, y, z = components(points)
     shrink = z.clamp_min(torch.finfo(z.dtype).tiny ** 0.4).reciprocal()
     return Projection(
@@ -52,7 +49,7 @@ def project_pinhole(
     )
 
 
-@computed_in_float32
+@model_function
 def unproject_pinhole(
     pixels: Float[Tensor, "*#batch 2"],
     focal_length: Float[Tensor, "*#batch #2"],
@@ -65,21 +62,13 @@ def unproject_pinhole(
         >>> unproject_pinhole(center, torch.tensor([100.0]), center).directions
         tensor([0., 0., 1.])
     """
-    check_last_dim("pixels", pixels, 2)
     x, y = plane_from_pixels(pixels, focal_length, principal_point)
     return Unprojection(unit_directions(x, y, torch.ones_like(x)), torch.ones_like(x, dtype=torch.bool))
 
 
 @register_camera
-class PinholeCamera(Camera):
-    """A pinhole camera; images must be undistorted before.
-
-    Args:
-        focal_length: (*b, 2) in pixels.
-        principal_point: (*b, 2) as (u, v).
-        image_size: (height, width).
-        max_angle: half the field of view in radians, below π/2; the image border is the limit by default.
-        skew: (*b,), pixels by which u grows for each focal length of v, the second number of a camera matrix; or None.
+class PinholeCamera(PlaneCamera):
+    """A pinhole camera; images must be undistorted before. The border of the image is the limit of its view by default.
 
     Examples:
         >>> camera = PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640))
@@ -88,30 +77,14 @@ class PinholeCamera(Camera):
     """
 
     model = "pinhole"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("focal_length", "principal_point", "skew")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "skew": ()}
-    optional_names: ClassVar[tuple[str, ...]] = ("skew",)
-    default_names: ClassVar[tuple[str, ...]] = ("skew",)
+    functions = project_pinhole, unproject_pinhole
 
-    focal_length: Float[Tensor, "*batch 2"]
-    principal_point: Float[Tensor, "*batch 2"]
-    skew: Float[Tensor, "*batch"] | None
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
+    skew: OptionalIntrinsic = OptionalIntrinsic(default=None)
 
-    def __init__(
-        self,
-        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-        skew: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        super().__init__(
-            image_size,
-            math.pi / 2 if max_angle is None else max_angle,
-            focal_length=focal_length,
-            principal_point=principal_point,
-            skew=skew,
-        )
+    def _model_end(self) -> Tensor:
+        return torch.full_like(self.max_angle, math.pi / 2)
 
     @classmethod
     def from_field_of_view(
@@ -135,15 +108,5 @@ class PinholeCamera(Camera):
         center = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=dtype)
         return cls([focal_length, focal_length], center, image_size)
 
-    def _project(self, points: Tensor) -> Projection:
-        focal_length, center, skew = self._aligned(points)
-        return with_skew(project_pinhole(points, focal_length, center), focal_length, center, skew)
 
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        focal_length, center, skew = self._aligned(pixels)
-        return unproject_pinhole(without_skew(pixels, focal_length, center, skew), focal_length, center)
-
-
-@fitted(PinholeCamera)
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    return FittedModel(PinholeCamera, project_pinhole, FOCAL, shape_grid(), reach=PLANE_REACH)
+fitted(PinholeCamera, shape_grid(), reach=PLANE_REACH)

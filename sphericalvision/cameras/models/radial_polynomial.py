@@ -4,20 +4,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle
 from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import solve_linear
 from sphericalvision.cameras.models.image_plane import unit_directions
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, holds, lifted_radius
 from sphericalvision.geometry.inverse_table import samples_towards, tabulate_inverse
 from sphericalvision.geometry.rootfinding import (
@@ -61,7 +60,7 @@ def _start(coefficients: Tensor, widest: Tensor, target: Tensor) -> Tensor:
         )
 
 
-@computed_in_float32
+@model_function
 def project_radial_polynomial(
     points: Float[Tensor, "*#batch 3"],
     coefficients: Float[Tensor, "*#batch k"],
@@ -87,7 +86,6 @@ def project_radial_polynomial(
         >>> project_radial_polynomial(torch.tensor([0.0, 0.0, 1.0]), *lens).pixels.tolist()
         [320.0, 240.0]
     """
-    check_last_dim("points", points, 3)
     x, y, z = components(points)
     radius = lifted_radius(x, y, z)
     angle = torch.atan2(radius, z)
@@ -98,7 +96,7 @@ def project_radial_polynomial(
     return Projection(torch.stack((u, v), dim=-1), valid)
 
 
-@computed_in_float32
+@model_function
 def unproject_radial_polynomial(
     pixels: Float[Tensor, "*#batch 2"],
     coefficients: Float[Tensor, "*#batch k"],
@@ -114,8 +112,6 @@ def unproject_radial_polynomial(
         >>> unproject_radial_polynomial(torch.tensor([320.0, 240.0]), *lens).directions.tolist()
         [0.0, 0.0, 1.0]
     """
-    check_last_dim("pixels", pixels, 2)
-
     u, v = components(pixels)
     x, y = u - principal_point[..., 0], (v - principal_point[..., 1]) / aspect_ratio
     target = torch.sqrt(torch.addcmul(x * x, y, y) + torch.finfo(x.dtype).eps ** 2)
@@ -134,15 +130,7 @@ def unproject_radial_polynomial(
 class RadialPolynomialCamera(Camera):
     """A camera whose image radius is a polynomial of the angle from the axis: WoodScape, and Aria's radial part.
 
-    Args:
-        polynomial: (*b, k) as (k1, ..., kk), the radius in pixels being k1 θ + k2 θ² + ...
-        principal_point: (*b, 2) as (u, v).
-        aspect_ratio: (*b,), the radius along v over that along u.
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default where the radius stops growing.
-
-    Raises:
-        ArgumentError: a first coefficient or an aspect ratio that is not above 0.
+    See ``project_radial_polynomial``, whose coefficients are ``polynomial``.
 
     Examples:
         >>> camera = RadialPolynomialCamera([339.7, -32.0, 48.3, -7.2], [643.4, 479.1], 1.0, (966, 1280))
@@ -151,43 +139,24 @@ class RadialPolynomialCamera(Camera):
     """
 
     model = "radial_polynomial"
-    intrinsic_names: ClassVar[tuple[str, ...]] = ("polynomial", "principal_point", "aspect_ratio")
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {"principal_point": (2,), "aspect_ratio": ()}
+    functions = project_radial_polynomial, unproject_radial_polynomial
 
-    polynomial: Float[Tensor, "*batch n"]
-    principal_point: Float[Tensor, "*batch 2"]
-    aspect_ratio: Float[Tensor, "*batch"]
+    polynomial: Intrinsic = Intrinsic(ANY)
+    principal_point: Intrinsic = Intrinsic(2)
+    aspect_ratio: Intrinsic = Intrinsic(above=0)
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
 
-    def __init__(
-        self,
-        polynomial: Sequence[float] | Float[Tensor, "*#batch n"],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        aspect_ratio: float | Float[Tensor, "*#batch"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        super().__init__(
-            image_size,
-            math.pi if max_angle is None else max_angle,
-            polynomial=polynomial,
-            principal_point=principal_point,
-            aspect_ratio=aspect_ratio,
-        )
+    def _check_intrinsics(self) -> None:
+        super()._check_intrinsics()
         if self.polynomial.ndim == 0 or not holds(self.polynomial[..., 0] > 0):
             raise ArgumentError(
                 "polynomial: expected coefficients (*, k) of θ, θ², ... in pixels, the first above 0, got "
                 f"{self.polynomial.tolist()}"
             )
-        if not holds(self.aspect_ratio > 0):
-            raise ArgumentError(f"aspect_ratio: expected numbers above 0, got {self.aspect_ratio.tolist()}")
-        if max_angle is None:
-            self.max_angle = _widest_angle(self.polynomial)
 
-    def _project(self, points: Tensor) -> Projection:
-        return project_radial_polynomial(points, *self._aligned(points))
-
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        return unproject_radial_polynomial(pixels, *self._aligned(pixels))
+    def _model_end(self) -> Tensor:
+        return _widest_angle(self.polynomial)
 
     def _on_pixels(
         self, scale: tuple[float, float], offset: tuple[float, float], image_size: tuple[int, int]
@@ -213,7 +182,4 @@ def _power_start(model: FittedModel, samples: Samples) -> list[Tensor]:
     return [model.vector(parts)]
 
 
-@fitted(RadialPolynomialCamera, num_coefficients=(4, 1, 2, 3, *range(5, 13)))
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    sizes = {"polynomial": num_coefficients, "principal_point": 2, "aspect_ratio": None}
-    return FittedModel(RadialPolynomialCamera, project_radial_polynomial, sizes, _power_start)
+fitted(RadialPolynomialCamera, _power_start, num_coefficients=(4, 1, 2, 3, *range(5, 13)))

@@ -12,42 +12,35 @@ Convention:
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import ClassVar, Literal, get_args
+from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, addcmul
 
-from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, Samples, fitted
+from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.declaration import Choice, ImageSize, Intrinsic, MaxAngle
+from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import with_shapes
 from sphericalvision.cameras.models.image_plane import (
-    IMAGE_PLANE,
+    PlaneCamera,
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
 )
-from sphericalvision.cameras.models.kannala_brandt import (
-    _tabulated,
-    _widest_angle,
-    _with_leading_one,
-    radial_solution,
-    unproject_kannala_brandt,
-)
+from sphericalvision.cameras.models.kannala_brandt import unproject_kannala_brandt
+from sphericalvision.cameras.models.odd_polynomial import radial_solution, tabulated, widest_angle
 from sphericalvision.cameras.models.plane_distortion import Jacobian, invert_plane_map
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import check_choice, check_last_dim
+from sphericalvision.core import check_choice
 from sphericalvision.geometry.directions import (
     components,
     cosine_and_lifted_sinc,
     from_components,
     lifted_radius,
 )
-from sphericalvision.geometry.rootfinding import polynomial
+from sphericalvision.geometry.rootfinding import polynomial, with_leading_one
 
 __all__ = ["ThinPrismFisheyeCamera", "project_thin_prism_fisheye", "unproject_thin_prism_fisheye"]
 
@@ -101,7 +94,7 @@ def _additive(x: Tensor, y: Tensor, coefficients: Tensor, tangential: Tensor, th
     return addcmul(u, factor, x), addcmul(v, factor, y), jacobian
 
 
-@computed_in_float32
+@model_function
 def project_thin_prism_fisheye(
     points: Float[Tensor, "*#batch 3"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -137,8 +130,7 @@ def project_thin_prism_fisheye(
         tensor([399.1567, 240.0000])
     """
     check_choice("composition", composition, COMPOSITIONS)
-    check_last_dim("points", points, 3)
-    coefficients = _with_leading_one(distortion)
+    coefficients = with_leading_one(distortion)
     x, y, z = components(points)
     radius = lifted_radius(x, y, z)
     angle = torch.atan2(radius, z)
@@ -149,11 +141,11 @@ def project_thin_prism_fisheye(
         u, v, slopes = _sequential(x * factor, y * factor, tangential, thin_prism)
     else:
         u, v, slopes = _additive(x, y, coefficients, tangential, thin_prism)
-    valid = (angle <= _widest_angle(coefficients)) & (slopes.determinant > 0)
+    valid = (angle <= widest_angle(coefficients)) & (slopes.determinant > 0)
     return Projection(pixels_from_plane(u, v, focal_length, principal_point), valid)
 
 
-@computed_in_float32
+@model_function
 def unproject_thin_prism_fisheye(
     pixels: Float[Tensor, "*#batch 2"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -173,8 +165,7 @@ def unproject_thin_prism_fisheye(
         [0.0, 0.0, 1.0]
     """
     check_choice("composition", composition, COMPOSITIONS)
-    check_last_dim("pixels", pixels, 2)
-    coefficients = _with_leading_one(distortion)
+    coefficients = with_leading_one(distortion)
     u, v = plane_from_pixels(pixels, focal_length, principal_point)
     u, v, near = _within_reach(u, v, coefficients)
     if composition == "sequential":
@@ -191,7 +182,7 @@ def unproject_thin_prism_fisheye(
     )
     squared = addcmul(found.x * found.x, found.y, found.y)
     cosine, sinc = cosine_and_lifted_sinc(squared)
-    widest = _widest_angle(coefficients) * (1 + 16 * torch.finfo(u.dtype).eps)
+    widest = widest_angle(coefficients) * (1 + 16 * torch.finfo(u.dtype).eps)
     valid = found.converged & near & (squared <= widest * widest)
     return Unprojection(unit_directions(found.x * sinc, found.y * sinc, cosine), valid)
 
@@ -199,7 +190,7 @@ def unproject_thin_prism_fisheye(
 def _within_reach(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """(u, v), brought to 1.5 of the largest radius of the lens where they are farther, and whether they are not."""
     with torch.no_grad():
-        widest = _widest_angle(coefficients)
+        widest = widest_angle(coefficients)
         most = 1.5 * widest * polynomial(coefficients, widest * widest)[0]
         squared = addcmul(u * u, v, v)
         near = squared <= most * most
@@ -212,7 +203,7 @@ def _radial_start(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, T
     """p were there no tangential and thin prism distortion, to some digits."""
     with torch.no_grad():
         squared = addcmul(u * u, v, v)
-        inverse = _tabulated(coefficients, _widest_angle(coefficients))
+        inverse = tabulated(coefficients, widest_angle(coefficients))
         inside = inverse.lookup(torch.minimum(squared, inverse.most)).clamp_min(0)
         scale = (inside / squared.clamp_min(torch.finfo(u.dtype).tiny)).sqrt()
         scale = torch.where(squared > torch.finfo(u.dtype).eps, scale, 1.0)
@@ -220,22 +211,10 @@ def _radial_start(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, T
 
 
 @register_camera
-class ThinPrismFisheyeCamera(Camera):
+class ThinPrismFisheyeCamera(PlaneCamera):
     """A fisheye camera with tangential and thin prism distortion: Aria's Fisheye624, COLMAP's THIN_PRISM_FISHEYE.
 
-    Args:
-        focal_length: (*b, 2) in pixels.
-        principal_point: (*b, 2) as (u, v).
-        distortion: (*b, k) as (k1, ..., kk), k up to 9.
-        tangential: (*b, 2) as (p1, p2), OpenCV's order.
-        thin_prism: (*b, 4) as (s1, s2, s3, s4), OpenCV's order.
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default where the radius stops growing.
-        composition: ``"sequential"``: the terms act on the radially distorted image, as in Project Aria;
-            ``"additive"``: on the undistorted one, as in COLMAP and Metashape.
-
-    Raises:
-        ArgumentError: another ``composition``.
+    See ``project_thin_prism_fisheye``, also for ``composition``.
 
     Examples:
         >>> lens = ([240.0, 240.0], [319.5, 239.5], [-0.02, 0.1, -0.08, 0.02], [1e-4, -2e-4], [1e-3, 0, 5e-4, 0])
@@ -247,62 +226,17 @@ class ThinPrismFisheyeCamera(Camera):
     """
 
     model = "thin_prism_fisheye"
-    intrinsic_names: ClassVar[tuple[str, ...]] = (
-        "focal_length",
-        "principal_point",
-        "distortion",
-        "tangential",
-        "thin_prism",
-    )
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {
-        **IMAGE_PLANE,
-        "distortion": tuple(range(1, 10)),
-        "tangential": (2,),
-        "thin_prism": (4,),
-    }
-    option_names: ClassVar[tuple[str, ...]] = ("composition",)
+    functions = project_thin_prism_fisheye, unproject_thin_prism_fisheye
 
-    focal_length: Float[Tensor, "*batch 2"]
-    principal_point: Float[Tensor, "*batch 2"]
-    distortion: Float[Tensor, "*batch k"]
-    tangential: Float[Tensor, "*batch 2"]
-    thin_prism: Float[Tensor, "*batch 4"]
-    composition: str
+    distortion: Intrinsic = Intrinsic(*range(1, 10))
+    tangential: Intrinsic = Intrinsic(2)
+    thin_prism: Intrinsic = Intrinsic(4)
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
+    composition: Choice = Choice(*COMPOSITIONS, default="sequential")
 
-    def __init__(
-        self,
-        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        distortion: Sequence[float] | Float[Tensor, "*#batch k"],
-        tangential: Sequence[float] | Float[Tensor, "*#batch 2"],
-        thin_prism: Sequence[float] | Float[Tensor, "*#batch 4"],
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-        composition: str = "sequential",
-    ) -> None:
-        check_choice("composition", composition, COMPOSITIONS)
-        super().__init__(
-            image_size,
-            math.pi if max_angle is None else max_angle,
-            focal_length=focal_length,
-            principal_point=principal_point,
-            distortion=distortion,
-            tangential=tangential,
-            thin_prism=thin_prism,
-        )
-        self.composition = composition
-        if max_angle is None:
-            self.max_angle = _widest_angle(_with_leading_one(self.distortion))
-
-    def _project(self, points: Tensor) -> Projection:
-        focal_length, center, radial, tangential, prism = self._aligned(points)
-        lens = (focal_length, center, radial, tangential, prism, self.composition)
-        return project_thin_prism_fisheye(points, *lens)
-
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        focal_length, center, radial, tangential, prism = self._aligned(pixels)
-        lens = (focal_length, center, radial, tangential, prism, self.composition)
-        return unproject_thin_prism_fisheye(pixels, *lens)
+    def _model_end(self) -> Tensor:
+        return widest_angle(with_leading_one(self.distortion))
 
 
 def _starts(model: FittedModel, samples: Samples) -> list[Tensor]:
@@ -316,9 +250,4 @@ def _starts(model: FittedModel, samples: Samples) -> list[Tensor]:
     ]
 
 
-@fitted(ThinPrismFisheyeCamera, num_coefficients=(4, 1, 2, 3, 5, 6, 7, 8, 9))
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    sizes = FOCAL | {"distortion": num_coefficients, "tangential": 2, "thin_prism": 4}
-    project: Callable[..., Projection] = partial(project_thin_prism_fisheye, composition="sequential")
-    constants = {"composition": "sequential"}
-    return FittedModel(ThinPrismFisheyeCamera, project, sizes, _starts, constants=constants)
+fitted(ThinPrismFisheyeCamera, _starts, num_coefficients=(4, 1, 2, 3, 5, 6, 7, 8, 9))

@@ -3,30 +3,25 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import ClassVar
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.fitting.model import FOCAL, FittedModel, fitted
+from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
+from sphericalvision.cameras.fitting.model import fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import (
-    IMAGE_PLANE,
+    PlaneCamera,
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
-    with_skew,
-    without_skew,
 )
 from sphericalvision.cameras.models.plane_distortion import distort_inside, fold_radius, undistort
-from sphericalvision.cameras.precision import computed_in_float32
+from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry.directions import components, holds, is_greater, safe_sqrt
+from sphericalvision.core import ArgumentError
+from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
 
 __all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
 
@@ -45,7 +40,7 @@ def _lift(x: Tensor, y: Tensor, xi: Tensor) -> Unprojection:
     return Unprojection(unit_directions(scale * x, scale * y, scale - xi), under_root >= 0)
 
 
-@computed_in_float32
+@model_function
 def project_unified(
     points: Float[Tensor, "*#batch 3"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -75,7 +70,6 @@ def project_unified(
         >>> project_unified(torch.tensor([1.0, 0.0, 0.0]), *intrinsics).pixels.tolist()  # 90° to the right
         [520.0, 240.0]
     """
-    check_last_dim("points", points, 3)
     x, y, z = components(points)
     squared = torch.addcmul(torch.addcmul(x * x, y, y), z, z)
     length = torch.sqrt(squared.clamp_min(torch.finfo(z.dtype).tiny))
@@ -89,7 +83,7 @@ def project_unified(
     return Projection(pixels_from_plane(x, y, focal_length, principal_point), valid)
 
 
-@computed_in_float32
+@model_function
 def unproject_unified(
     pixels: Float[Tensor, "*#batch 2"],
     focal_length: Float[Tensor, "*#batch 2"],
@@ -106,7 +100,6 @@ def unproject_unified(
         >>> unproject_unified(torch.tensor([520.0, 240.0]), *intrinsics).directions.tolist()
         [1.0, 0.0, 0.0]
     """
-    check_last_dim("pixels", pixels, 2)
     x, y = plane_from_pixels(pixels, focal_length, principal_point)
     if distortion is None:
         return _lift(x, y, xi)
@@ -116,20 +109,13 @@ def unproject_unified(
 
 
 @register_camera
-class UnifiedCamera(Camera):
+class UnifiedCamera(PlaneCamera):
     """A unified (UCM) or, with distortion, Mei camera: fisheyes and mirrors past 90°, as calibrated by ``cv2.omnidir``.
 
-    Args:
-        focal_length: (*b, 2) in pixels; Mei's γ.
-        principal_point: (*b, 2) as (u, v).
-        xi: (*b,), above −1.
-        distortion: (*b, 5) as (k1, k2, p1, p2, k3), (*b, 4) without k3, or None.
-        image_size: (height, width).
-        max_angle: half the field of view in radians, a number or (*b,); by default where the model ends.
-        skew: (*b,), pixels by which u grows for each focal length of v, the second number of OpenCV's matrix; or None.
+    See ``project_unified``; ``skew`` is the second number of OpenCV's matrix.
 
     Raises:
-        ArgumentError: ``xi`` not above −1.
+        ArgumentError: another number of coefficients.
 
     Examples:
         >>> camera = UnifiedCamera([400.0, 400.0], [319.5, 319.5], 1.2, [-0.1, 0.02, 1e-4, 0.0, 0.0], (640, 640))
@@ -138,54 +124,24 @@ class UnifiedCamera(Camera):
     """
 
     model = "unified"
-    intrinsic_names: ClassVar[tuple[str, ...]] = (
-        "focal_length",
-        "principal_point",
-        "xi",
-        "distortion",
-        "skew",
-    )
-    sizes: ClassVar[dict[str, tuple[int, ...]]] = {**IMAGE_PLANE, "xi": (), "skew": ()}
-    optional_names: ClassVar[tuple[str, ...]] = ("distortion", "skew")
-    default_names: ClassVar[tuple[str, ...]] = ("skew",)
+    functions = project_unified, unproject_unified
 
-    focal_length: Float[Tensor, "*batch 2"]
-    principal_point: Float[Tensor, "*batch 2"]
-    xi: Float[Tensor, "*batch"]
-    distortion: Float[Tensor, "*batch k"] | None
-    skew: Float[Tensor, "*batch"] | None
+    xi: Intrinsic = Intrinsic(above=-1)
+    distortion: OptionalIntrinsic = OptionalIntrinsic(ANY)
+    image_size: ImageSize = ImageSize()
+    max_angle: MaxAngle = MaxAngle(default=None)
+    skew: OptionalIntrinsic = OptionalIntrinsic(default=None)
 
-    def __init__(
-        self,
-        focal_length: Sequence[float] | Float[Tensor, "*#batch 2"],
-        principal_point: Sequence[float] | Float[Tensor, "*#batch 2"],
-        xi: float | Float[Tensor, "*#batch"],
-        distortion: Sequence[float] | Float[Tensor, "*#batch k"] | None,
-        image_size: Sequence[int],
-        max_angle: float | Float[Tensor, "*#batch"] | None = None,
-        skew: float | Float[Tensor, "*#batch"] | None = None,
-    ) -> None:
-        super().__init__(
-            image_size,
-            math.pi if max_angle is None else max_angle,
-            focal_length=focal_length,
-            principal_point=principal_point,
-            xi=xi,
-            distortion=distortion,
-            skew=skew,
-        )
+    def _check_intrinsics(self) -> None:
+        super()._check_intrinsics()
         if self.distortion is not None and self.distortion.shape[-1:] not in ((4,), (5,)):
             raise ArgumentError(
                 "distortion: expected (*, 5) coefficients k1 k2 p1 p2 k3, (*, 4) without k3, or None, got shape "
                 f"{tuple(self.distortion.shape)}"
             )
-        if not holds(self.xi > -1):
-            raise ArgumentError(f"xi: expected numbers above -1, got {self.xi.tolist()}")
-        if max_angle is None:
-            self.max_angle = self._widest_angle()
 
     @torch.no_grad()
-    def _widest_angle(self) -> Tensor:
+    def _model_end(self) -> Tensor:
         """Where the denominator vanishes, the radius turns or the distortion folds."""
         end = torch.acos(_widest_cosine(self.xi))
         if self.distortion is None:
@@ -194,24 +150,10 @@ class UnifiedCamera(Camera):
         direction, reached = _lift(radius, torch.zeros_like(radius), self.xi)
         return torch.where(reached, torch.atan2(direction[..., 0], direction[..., 2]), end)
 
-    def _project(self, points: Tensor) -> Projection:
-        focal_length, center, *shape, skew = self._aligned(points)
-        projection = project_unified(points, focal_length, center, *shape)
-        return with_skew(projection, focal_length, center, skew)
 
-    def _unproject(self, pixels: Tensor) -> Unprojection:
-        focal_length, center, *shape, skew = self._aligned(pixels)
-        pixels = without_skew(pixels, focal_length, center, skew)
-        return unproject_unified(pixels, focal_length, center, *shape)
-
-
-@fitted(UnifiedCamera, num_coefficients=(4, 0, 5))
-def _fitted_model(num_coefficients: int, projection: str) -> FittedModel:
-    sizes = FOCAL | {"xi": None}
-    if num_coefficients:
-        sizes |= {"distortion": num_coefficients}
-    starts = shape_grid((0.0, 0.25, 0.5, 0.75, 1.0, 1.3, 1.7, 2.2, 3.0), then=num_coefficients)
-    constants = {} if num_coefficients else {"distortion": None}
-    return FittedModel(
-        UnifiedCamera, project_unified, sizes, starts, {"xi": (0.0, 50.0)}, constants=constants
-    )
+fitted(
+    UnifiedCamera,
+    shape_grid((0.0, 0.25, 0.5, 0.75, 1.0, 1.3, 1.7, 2.2, 3.0)),
+    num_coefficients=(4, 0, 5),
+    bounds={"xi": (0.0, 50.0)},
+)

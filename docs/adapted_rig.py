@@ -19,6 +19,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, read_rig, save_rig, seen_by
 from sphericalvision.capture import Predictor, find_own_body
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.data import read_image, write_image
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import load_weights, pretrained
@@ -79,7 +80,9 @@ def measure(folder: Path, weights: str) -> None:
         "disturbed": (
             FAULTS,
             {
-                "photometric=false": Predictor(OFF, shipped, min_depth=NEAREST, photometric=False),
+                "photometric=false": Predictor(
+                    OFF, shipped, min_depth=NEAREST, preparation=Preparation(photometric=False)
+                ),
                 "as it is": Predictor(OFF, shipped, min_depth=NEAREST),
                 "aligned": Predictor(aligned, shipped, min_depth=NEAREST),
                 "aligned, masked": Predictor(masked, shipped, min_depth=NEAREST),

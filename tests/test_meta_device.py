@@ -325,7 +325,7 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("calibrate_camera", "convert", "fit_inverse_polynomial", "refine", "refine_rig"), FIT),
     **dict.fromkeys(("RayMatcher", "RayMatches", "Trajectory", "align_rig", "read_trajectory"), "features and files"),
     **dict.fromkeys(("PhotometricCalibration", "align_rig_direct", "calibrate_photometry"), FIT),
-    **dict.fromkeys(("OwnBody", "find_own_body"), "looks at images by OpenCV"),
+    **dict.fromkeys(("OwnBody", "Preparation", "find_own_body"), "looks at images by OpenCV"),
     **dict.fromkeys(("from_kornia", "to_kornia"), "looks whether the other library's class can hold the numbers"),
     **dict.fromkeys(("register_camera", "register_network", "register_aggregation"), CLASS),
     **dict.fromkeys(("ArgumentError", "ArgumentTypeError", "FileFormatError", "MissingCompilerError"), CLASS),

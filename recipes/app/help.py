@@ -36,7 +36,8 @@ def print_help(config_name: str, overrides: list[str]) -> None:
         name, _, package = group.partition("@")
         print(f"  {group}={choice}   one of {' | '.join(sources.options(name))}")
         if choice is not None:
-            comments = sources.comments(f"{name}/{choice}", package or name) | comments
+            package = "" if not package and sources.is_global(f"{name}/{choice}") else package or name
+            comments = sources.comments(f"{name}/{choice}", package) | comments
     print("\nKeys (KEY=VALUE):")
     rows = [(f"{key}={value}", comments.get(key, "")) for key, value in _leaves(config)]
     width = min(44, max(len(word) for word, _ in rows))
@@ -106,6 +107,10 @@ class _Sources:
             if "@package" not in line:
                 lines.append(line)
         return lines
+
+    def is_global(self, name: str) -> bool:
+        """Whether the keys of a file are the command's own."""
+        return self._text(name).startswith("# @package _global_")
 
     def comments(self, name: str, package: str) -> dict[str, str]:
         """Key -> the comment beside it, of a file and of those it inherits from."""

@@ -24,7 +24,14 @@ from sphericalvision.recipes.app.schema import AtLeast, Like, NotEmpty
 __all__ = ["GROUPS", "KEYS"]
 
 
-class Predict:
+class Prepared:
+    """The group ``preparation``."""
+
+    photometric: bool
+    align: bool
+
+
+class Predict(Prepared):
     """``sphericalvision-predict``."""
 
     calibration: Text
@@ -48,8 +55,6 @@ class Predict:
     min_depth: Positive | Literal["auto", "scene"]
     trained_radius: Positive
     antialias: bool
-    photometric: bool
-    align: bool
     outputs: list[str] | None
     height: Count
     near: Positive | None
@@ -180,7 +185,7 @@ class Demo:
     device: Device
 
 
-class Evaluate:
+class Evaluate(Prepared):
     """``sphericalvision-evaluate``."""
 
     output: Text
@@ -188,8 +193,6 @@ class Evaluate:
     split: Literal["train", "val", "test"]
     baselines: bool
     masks: Literal["auto"] | None
-    photometric: bool
-    align: bool
     min_confidence: Share
     device: Device
     native: bool
@@ -300,7 +303,7 @@ class Data:
     seed: Number
 
 
-class BenchmarkOfMethods:
+class BenchmarkOfMethods(Prepared):
     """The node ``benchmark`` of ``sphericalvision-study preset=benchmark``."""
 
     methods: list[str]
@@ -312,8 +315,6 @@ class BenchmarkOfMethods:
     panorama_rows: Annotated[int, AtLeast(2)]
     image_rows: Annotated[int, AtLeast(8)]
     samples_per_pixel: Count
-    photometric: bool
-    align: bool
     cache_dir: str | None
     workers: Number
 

@@ -15,6 +15,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.capture.preparation.own_body import MOST
+from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
@@ -32,7 +33,7 @@ from sphericalvision.recipes.evaluation.tables import (
     semi_global_estimator,
     sweep_estimator,
 )
-from sphericalvision.recipes.prediction.own_body import AUTO, with_own_body_masked
+from sphericalvision.recipes.prediction.own_body import with_own_body_masked
 
 __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
 
@@ -48,6 +49,7 @@ class Evaluation(NamedTuple):
     data: SampleDataModule
     min_depth: float | Literal["auto", "scene"]
     """Nearest hypothesis in metres that the network is used with; errors are in hypotheses from ``net.min_depth``."""
+    preparation: Preparation
     as_used: bool
     """Whether the images of the cameras are wanted, as more is done to them than to look them up."""
 
@@ -69,16 +71,17 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     OmegaConf.update(config, "model.level", net.level if net.images == "sphere" else level or 5)
     OmegaConf.update(config, "model.min_depth", net.min_depth)
     data: SampleDataModule = build(config.data, "data")
-    as_used = bool(found or config.photometric or config.align or config.masks)
+    preparation = Preparation.from_keys(config)
+    as_used = bool(found or preparation != AS_IT_IS)
     more = ["sphere" if config.baselines else "depth", *(["fisheye"] if as_used else [])]
     data.serve(net, *more, depth_level=config.model.level - 2)
     if as_used and "fisheye" not in (getattr(data, "entries", None) or ()):
         raise ArgumentError(
-            f"data: masks, photometric, align and model.min_depth=auto or scene want the images of the cameras (the "
+            f"data: the group preparation, masks and model.min_depth=auto or scene want the images of the cameras (the "
             f"entry 'fisheye'), which samples of {type(data).__name__} do not hold; take other data, or leave them out"
         )
     device = choose_device(config.device)
-    return Evaluation(net.to(device), data, found or net.min_depth, as_used)
+    return Evaluation(net.to(device), data, found or net.min_depth, preparation, as_used)
 
 
 def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
@@ -93,13 +96,12 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
     name = type(net).__name__ if config.checkpoint is None else Path(config.checkpoint).stem
     estimator = VertexEstimator(net, config.min_confidence)
     if evaluation.as_used:
-        masks = _masks(config, data.loader(frames))
+        masks = _masks(data.loader(frames)) if evaluation.preparation.own_body else {}
         estimator = PredictorEstimator(
             net,
             config.min_confidence,
             evaluation.min_depth,
-            config.photometric,
-            config.align,
+            evaluation.preparation,
             lambda rig: CameraRig(rig.cameras, rig.world_from_camera, masks or rig.masks),
             config.native,
         )
@@ -128,14 +130,12 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
     return rows
 
 
-def _masks(config: DictConfig, batches: Iterable[dict[str, Any]]) -> Mapping[str, Tensor]:
-    """Masks of the rig's own body, found in up to fifty frames; none where they are not asked for.
+def _masks(batches: Iterable[dict[str, Any]]) -> Mapping[str, Tensor]:
+    """Masks of the rig's own body, found in up to fifty frames.
 
     Raises:
         ArgumentError: the frames are of several rigs.
     """
-    if config.masks != AUTO:
-        return {}
     frames = list(islice((frame for batch in batches for frame in photographs_of(batch)), MOST))
     rig = frames[0][0]
     if any(rig_fingerprint(other) != rig_fingerprint(rig) for other, _ in frames):

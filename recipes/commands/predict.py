@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Depth, PhotometricCalibration, Predictor
 from sphericalvision.capture.outputs import Outputs, Settings, done_file
+from sphericalvision.capture.preparation.preparation import AUTO, Preparation
 from sphericalvision.capture.sources.captures import find_masks
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
 from sphericalvision.capture.sources.threads import Behind, ahead, side_by_side, threads_kept
@@ -23,7 +24,7 @@ from sphericalvision.core import ArgumentError, FileFormatError, check_choice
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.prediction.aligned import aligned
 from sphericalvision.recipes.prediction.moving import open_moving
-from sphericalvision.recipes.prediction.own_body import AUTO, masked_by_itself
+from sphericalvision.recipes.prediction.own_body import masked_by_itself
 from sphericalvision.recipes.prediction.sources import open_source, read_capture_rig, rig_for_images
 
 __all__ = ["load_rig", "nearest_in", "open_capture", "predict", "predictor_for"]
@@ -56,7 +57,7 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
         device=choose_device(config.device),
         antialias=config.antialias,
         native=config.native,
-        photometric=config.photometric,
+        preparation=Preparation.from_keys(config),
         trained_radius=config.trained_radius,
     )
 
@@ -117,7 +118,7 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     """
     check_choice("on_error", config.on_error, ("skip", "stop"))
     source = open_capture(config)
-    if config.masks == AUTO:
+    if Preparation.from_keys(config).own_body:
         source.rig = masked_by_itself(source, folder)
     predictor = predictor_for(source.rig, config)
     before = _settings_before(folder) if config.skip_existing else {}
@@ -129,7 +130,7 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         if predictor.min_depth is None:  # windows have rigs of their own, and share the depth
             predictor = predictor_for(source.rig, config)
     _check_settings(config, before, folder)
-    if config.align and config.poses is None:
+    if config.poses is None:
         predictor = aligned(source, predictor, folder, bool(before))
     print_config(config, folder)
     selection = Selection(config.start, config.stop, config.every)

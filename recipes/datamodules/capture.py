@@ -15,8 +15,8 @@ from torch.utils.data import Dataset
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.predictor import check_number
-from sphericalvision.capture.preparation.compensation import compensated
 from sphericalvision.capture.preparation.nearest import nearest_hypothesis
+from sphericalvision.capture.preparation.preparation import AS_IT_IS, AUTO, Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
@@ -27,7 +27,7 @@ from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Number, P
 from sphericalvision.recipes.app.schema import AtLeast
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.rehearsal import Rehearsal, random_disturbance
-from sphericalvision.recipes.prediction.own_body import AUTO, with_own_body_masked
+from sphericalvision.recipes.prediction.own_body import with_own_body_masked
 from sphericalvision.recipes.prediction.sources import (
     open_source,
     read_capture_rig,
@@ -106,13 +106,13 @@ class CaptureDataModule(SampleDataModule):
         max_angle_deg: half the field of view, where the calibration does not say it.
         min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``.
         trained_radius: rig radius that the network was trained with, metres.
-        photometric: whether noise is smoothed, and differences in exposure and vignetting are compensated, as in
-            ``sphericalvision-predict``; also those of the disturbances, so that what is left of them is learned.
         rendered: share of training samples that are rendered scenes.
         rendered_seed: of the first rendered scene.
         batch_size: samples in a batch: 1, as rigs differ.
         num_workers: processes that prepare samples.
         seed: of order and disturbances.
+        **preparation: what is done to images, as of ``Preparation``; also to the disturbed ones, so that what is left
+            of the disturbances is learned.
     """
 
     has_truth = False
@@ -133,12 +133,12 @@ class CaptureDataModule(SampleDataModule):
         max_angle_deg: HalfAngle | None = None,
         min_depth: Positive | Literal["auto", "scene"] = "auto",
         trained_radius: Positive = 0.2,
-        photometric: bool = True,
         rendered: Share = 0.5,
         rendered_seed: Number = 5_000_000,
         batch_size: int = 1,
         num_workers: int = 0,
         seed: int = 0,
+        **preparation: bool,
     ) -> None:
         if batch_size != 1:
             raise ArgumentError(
@@ -156,10 +156,10 @@ class CaptureDataModule(SampleDataModule):
         self.num_frames, self.held_out_every = num_frames, held_out_every
         self.min_depth, self.trained_radius = min_depth, trained_radius
         self.rendered, self.rendered_seed = rendered, rendered_seed
-        self.photometric, self.find_body = photometric, masks == AUTO
-        rig, mask_files = read_capture_rig(
-            calibration or images, cameras, None if self.find_body else masks, translation_unit, max_angle_deg
-        )
+        self.preparation = Preparation(**preparation, own_body=masks == AUTO)
+        pattern = None if self.preparation.own_body else masks
+        keys = (cameras, pattern, translation_unit, max_angle_deg)
+        rig, mask_files = read_capture_rig(calibration or images, *keys)
         if len(rig) < 2:
             raise ArgumentError("data.cameras: expected two or more that see the same things, got one")
         self.source = open_source(images, rig, frames, mask_files)
@@ -214,16 +214,14 @@ class CaptureDataModule(SampleDataModule):
             photographs[frame.name] = _kept(as_photographs(frame.images, self.source.rig))
         first = photographs[self.names[0]]
         rig = self.source.rig.resized({name: tuple(image.shape[-2:]) for name, image in first.items()})
-        if self.find_body:
+        if self.preparation.own_body:
             rig = with_own_body_masked(rig, map(_floats, photographs.values()))
         self.near = self._nearest(rig, photographs)
         self.rig = rig.scaled(self.net.min_depth / self.near)
         teacher = _Teacher(self.net, self.rig)
         for name in track(self.names, "asking network and sweep", console=console):
-            images = photographs[name]
-            if self.photometric:
-                images = _kept(compensated(self.rig, _floats(images)))
-            self.taught[name] = teacher(name, images)
+            images = self.preparation.images(self.rig, _floats(photographs[name]))
+            self.taught[name] = teacher(name, _kept(images))
         self.grey = float(all(_is_grey(images) for images in photographs.values()))
 
     def _nearest(self, rig: CameraRig, photographs: dict[str, dict[str, Tensor]]) -> float:
@@ -250,9 +248,9 @@ class CaptureDataModule(SampleDataModule):
         assert isinstance(grid, Icosphere)
         natural = _smaller(self.rig.scaled(NATURAL_MIN_DEPTH / self.net.min_depth))
         scenes = Rehearsal(
-            natural, self.net.level, grid.level, self.grey, NUM_RENDERED, self.rendered_seed, self.photometric
+            natural, self.net.level, grid.level, self.grey, NUM_RENDERED, self.rendered_seed, self.preparation
         )
-        frames.disturbed, frames.photometric = self.grey, self.photometric
+        frames.disturbed, frames.preparation = self.grey, self.preparation
         return _Mixed(frames, scenes, self.rendered, self.net.min_depth / NATURAL_MIN_DEPTH)
 
 
@@ -306,8 +304,7 @@ class _Frames(Dataset[Sample]):
         self.to_sphere = ToSphere(level, 2, antialias=True)
         #: How often a disturbed frame is grey; None for frames as they are.
         self.disturbed: float | None = None
-        #: Whether noise of disturbed frames is smoothed, and differences between the cameras are compensated.
-        self.photometric = False
+        self.preparation = AS_IT_IS
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -319,8 +316,7 @@ class _Frames(Dataset[Sample]):
         if self.disturbed is not None:
             faulty = random_disturbance(max(self.disturbed, 0.2))({"images": images, "rig": rig})
             images, rig, more = faulty["images"], faulty["rig"], {}
-            if self.photometric:
-                images = compensated(rig, images)
+            images = self.preparation.images(rig, images)
         return {
             "images": self.to_sphere.images(images, rig),
             "seen": self.to_sphere.seen(rig),

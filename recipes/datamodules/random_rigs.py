@@ -12,7 +12,7 @@ import torch
 from rich.progress import track
 from torch.utils.data import Dataset
 
-from sphericalvision.capture.preparation.compensation import compensated
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
 from sphericalvision.data.augmentation.mirror import Mirror
@@ -71,7 +71,6 @@ class RandomRigDataModule(SampleDataModule):
         disturbed: share of samples with faults of cameras.
         image_size: height and width of the cameras.
         samples_per_pixel: rays per pixel.
-        photometric: smooth noise and compensate exposure and vignetting, as ``Predictor`` does.
         num_train: number of training samples.
         num_val: number of validation samples.
         num_test: number of test samples.
@@ -83,6 +82,7 @@ class RandomRigDataModule(SampleDataModule):
         batch_size: 1.
         num_workers: processes that prepare samples.
         seed: of the order in training.
+        **preparation: what is done to images, as of ``Preparation``.
     """
 
     def __init__(
@@ -94,7 +94,6 @@ class RandomRigDataModule(SampleDataModule):
         disturbed: Share = 0.5,
         image_size: Annotated[Sequence[Count], Exactly(2)] = (256, 256),
         samples_per_pixel: Count = 1,
-        photometric: bool = True,
         num_train: Count = 4000,
         num_val: Count = 28,
         num_test: Count = 56,
@@ -106,6 +105,7 @@ class RandomRigDataModule(SampleDataModule):
         batch_size: int = 1,
         num_workers: int = 0,
         seed: int = 0,
+        **preparation: bool,
     ) -> None:
         if batch_size != 1:
             raise ArgumentError(
@@ -120,7 +120,7 @@ class RandomRigDataModule(SampleDataModule):
             "disturbed": disturbed,
             "image_size": (int(image_size[0]), int(image_size[1])),
             "samples_per_pixel": samples_per_pixel,
-            "prepare": compensated if photometric else None,
+            "prepare": Preparation(**preparation).of_images,
         }
         self.augment, self.cache_dir = augment, cache_dir
         self.scenes = {

@@ -10,7 +10,7 @@ import torch
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.preparation.compensation import compensated
+from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
@@ -63,7 +63,7 @@ class Rehearsal(Dataset[Sample]):
         grey: share of samples without colour.
         num_scenes: number of samples; what one shows is drawn, its disturbances from torch's global generator.
         first_seed: of scene 0.
-        photometric: whether noise and differences between the cameras are compensated, as they are in use.
+        preparation: of the disturbed images, as they are made ready in use.
 
     Raises:
         ArgumentError: a seed is held out for the benchmark.
@@ -77,7 +77,7 @@ class Rehearsal(Dataset[Sample]):
         grey: float,
         num_scenes: int,
         first_seed: int = 5_000_000,
-        photometric: bool = False,
+        preparation: Preparation = AS_IT_IS,
     ) -> None:
         if first_seed + num_scenes > HELD_OUT_SEED:
             raise ArgumentError(
@@ -85,7 +85,7 @@ class Rehearsal(Dataset[Sample]):
                 f"at {first_seed + num_scenes - 1}; take {HELD_OUT_SEED - num_scenes} or less"
             )
         self.rig, self.grey, self.num_scenes, self.first_seed = rig, grey, num_scenes, first_seed
-        self.photometric = photometric
+        self.preparation = preparation
         self.to_sphere = ToSphere(level, depth_level, antialias=True)
         self.directions = Icosphere(depth_level).vertices
 
@@ -105,10 +105,8 @@ class Rehearsal(Dataset[Sample]):
         frame: Sample = {"images": render_rig(scene, self.rig, 1), "rig": self.rig}
         frame = random_disturbance(self.grey)(frame)
         rig = frame["rig"]
-        if self.photometric:
-            frame["images"] = compensated(rig, frame["images"])
         return {
-            "images": self.to_sphere.images(frame["images"], rig),
+            "images": self.to_sphere.images(self.preparation.images(rig, frame["images"]), rig),
             "seen": self.to_sphere.seen(rig),
             "rig": rig,
             "inverse_depth": inverse_depth,

@@ -14,8 +14,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import RotateFivefold
-from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
+from sphericalvision.data import PhotometricAugmentation, RotateFivefold
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Text
 from sphericalvision.recipes.app.schema import Exactly, NotEmpty

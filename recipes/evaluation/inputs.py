@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Predictor
+from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.datamodules.entries import images_of
@@ -70,8 +71,7 @@ class PredictorEstimator(VertexEstimator):
         net: the network; errors are in its hypotheses, whichever the predictor takes.
         min_confidence: as of ``VertexEstimator``.
         min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``, of each frame.
-        photometric: whether noise is smoothed, and exposure and vignetting are compensated, in each frame.
-        align: whether cameras are turned that each frame shows to be turned.
+        preparation: of each frame.
         masked: gives a rig masks, before it is used.
         native: whether to use operators in C++ on a CPU.
     """
@@ -81,14 +81,13 @@ class PredictorEstimator(VertexEstimator):
         net: DepthNetwork,
         min_confidence: float = 0.0,
         min_depth: float | Literal["auto", "scene"] = "auto",
-        photometric: bool = True,
-        align: bool = False,
+        preparation: Preparation = AS_IT_IS,
         masked: Callable[[CameraRig], CameraRig] = lambda rig: rig,
         native: bool = False,
     ) -> None:
         super().__init__(net, min_confidence)
-        self.align, self.masked = align, masked
-        self.options: dict[str, Any] = {"min_depth": min_depth, "photometric": photometric, "native": native}
+        self.masked = masked
+        self.options: dict[str, Any] = {"min_depth": min_depth, "preparation": preparation, "native": native}
 
     def _estimate(self, batch: Sample) -> tuple[Tensor, Tensor]:
         answers = [self._frame(*frame) for frame in photographs_of(batch)]
@@ -97,8 +96,7 @@ class PredictorEstimator(VertexEstimator):
 
     def _frame(self, rig: CameraRig, images: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         predictor = Predictor(self.masked(rig), self.net, **self.options)
-        if self.align:
-            predictor.align([images])
+        predictor.prepare([images])
         depth = predictor(images)
         nearer = self.net.min_depth / depth.min_depth  # the same inverse depth has another index
         return (depth.index * nearer).clamp(max=self.net.num_hypotheses - 1), depth.confidence

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras turned from what the calibration says, found in frames of a capture and turned back: ``align=true``."""
+"""Cameras turned from what the calibration says, found in frames of a capture and turned back."""
 
 from __future__ import annotations
 
@@ -25,9 +25,8 @@ def aligned(source: Source, predictor: Predictor, folder: Path, goes_on: bool) -
             return predictor
         source.rig = CameraRig(source.rig.cameras, read_rig(kept).world_from_camera, source.rig.masks)
         return predictor.with_rig(source.rig)
-    samples = [frame.images for frame in source.samples() if frame.images is not None]
-    with console.status(f"comparing {len(samples)} frame(s) with the calibration"):
-        found = predictor.align(samples)
+    with console.status("comparing frames with the calibration"):
+        found = predictor.prepare(frame.images for frame in source.samples() if frame.images is not None)
     if found is None:
         return predictor
     turned = ", ".join(

@@ -17,10 +17,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import write_mask
 from sphericalvision.recipes.prediction.sources import spread_evenly
 
-__all__ = ["AUTO", "masked_by_itself", "with_own_body_masked"]
-
-AUTO = "auto"
-"""In place of a pattern of masks."""
+__all__ = ["masked_by_itself", "with_own_body_masked"]
 
 
 def masked_by_itself(source: Source, folder: Path) -> CameraRig:

@@ -16,3 +16,4 @@ from .preparation.photometric import (
 from .preparation.photometric import (
     calibrate_photometry as calibrate_photometry,
 )
+from .preparation.preparation import Preparation as Preparation

@@ -35,6 +35,7 @@ from sphericalvision.capture.preparation.nearest import (
     check_places,
     nearest_hypothesis,
 )
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError, check_choice, check_type
 from sphericalvision.crown.options import native_pays_at_once
 from sphericalvision.geometry.directions import angle_from_axis
@@ -83,9 +84,8 @@ class Predictor:
         antialias: whether images finer than the icosphere are averaged over the area between its vertices.
         native: whether to use faster operators in C++ on a CPU, which are compiled once; ``"auto"``: only if they have
             been compiled on this machine already.
-        photometric: whether to smooth noise of more than 1 %, and to compensate differences in exposure and vignetting
-            between the cameras if they exceed 5 %, before depth is estimated. All are estimated from each frame
-            (``cameras.calibrate_photometry``).
+        preparation: how images are made ready before depth is estimated, ``Preparation()`` when not given: noise is
+            smoothed, light compensated. Cameras are turned by ``prepare``, which looks at a few frames.
         channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
         trained_radius: metres; radius of the rigs that the network was trained with.
 
@@ -116,7 +116,7 @@ class Predictor:
         device: torch.device | str | None = None,
         antialias: bool = True,
         native: bool | Literal["auto"] = False,
-        photometric: bool = True,
+        preparation: Preparation | None = None,
         channels: Literal["rgb", "bgr"] = "rgb",
         trained_radius: float = 0.2,
     ) -> None:
@@ -143,7 +143,8 @@ class Predictor:
             check_places(rig)
         self._device = net.device if device is None else checked_device(device)
         self._rig = rig.to(self._device)
-        self._antialias, self._channels, self._photometric = antialias, channels, bool(photometric)
+        self._antialias, self._channels = antialias, channels
+        self.preparation = Preparation() if preparation is None else preparation
         self._lock = threading.Lock()
         self._ready: _Ready | None = None
         self._scaled: DepthNetwork | None = None
@@ -243,6 +244,10 @@ class Predictor:
             self._ready = self._scaled = None
             return self._min_depth
 
+    def prepare(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns | None:
+        """Do with a few frames what ``preparation`` says is done once: ``align``. Arguments and result as of that."""
+        return self.align(frames) if self.preparation.align else None
+
     def align(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns | None:
         """Turn cameras whose images disagree at the depth that the network estimates, and use that rig from now on.
 
@@ -313,7 +318,7 @@ class Predictor:
 
     def _inputs(self, ready: _Ready, photographs: Mapping[str, Tensor]) -> Tensor:
         """``(*b, n, 3, V)`` on icospheres, or ``(*b, n, 3, h, w)``; 0 where nothing was seen."""
-        if self._photometric:
+        if self.preparation.photometric:
             photographs = without_noise(self._rig, photographs)
         lights = self._lights(photographs)
         if ready.net.images == "camera":
@@ -338,7 +343,7 @@ class Predictor:
         Args:
             images: of one frame, as of a call.
         """
-        if not self._photometric:
+        if not self.preparation.photometric:
             return dict.fromkeys(self._rig.names, 0.0)
         masks = self._rig.masks
         found = {n: noise_of(image, masks.get(n)) for n, image in self._photographs(images).items()}
@@ -349,7 +354,7 @@ class Predictor:
         first = next(iter(photographs.values()))
         flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in photographs.items()}
         count = math.prod(first.shape[:-3])
-        if not self._photometric or len(self._rig) < 2:
+        if not self.preparation.photometric or len(self._rig) < 2:
             return [None] * count
         return [
             uneven_light(self._rig, {name: images[frame] for name, images in flat.items()})

@@ -10,6 +10,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.preparation.compensation import LEAST_NOISE, compensated, denoised, noise_of
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.scenes import make_scene, render_rig
 
 
@@ -90,7 +91,8 @@ def test_predictor_smooths_what_it_says(rig: CameraRig, clean: dict[str, Tensor]
     faulty = noisy(clean, 0.04)
     depth = {}
     for photometric in (False, True):
-        predictor = Predictor(rig, method="semi_global", level=5, min_depth=0.5, photometric=photometric)
+        preparation = Preparation(photometric=photometric)
+        predictor = Predictor(rig, method="semi_global", level=5, min_depth=0.5, preparation=preparation)
         truth = predictor(clean).index
         depth[photometric] = (predictor(faulty).index - truth).abs().mean()
         told = predictor.noise(faulty)

@@ -20,6 +20,7 @@ from sphericalvision.capture.export import (
     rig_tables,
     with_constants_folded,
 )
+from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.core import ArgumentError, compact_kernels
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
@@ -37,7 +38,7 @@ def predictor() -> Predictor:
             if isinstance(part, torch.nn.modules.batchnorm._BatchNorm):
                 part.momentum = 1.0
         net.train()(torch.randn(2, 3, 3, 162), RIG)
-    return Predictor(RIG, net.eval(), min_depth=0.5, photometric=False)
+    return Predictor(RIG, net.eval(), min_depth=0.5, preparation=AS_IT_IS)
 
 
 def test_a_program_is_its_predictor() -> None:

@@ -17,6 +17,7 @@ import sphericalvision
 from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, FisheyeCamera, PinholeCamera, ring_rig
 from sphericalvision.capture import predictor as predictor_module
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import ToSphere
 from sphericalvision.models import IcoSweepNet, OmniMVS, SemiGlobalSweep, WinnerTakesAll, save_weights
@@ -309,7 +310,8 @@ def test_differences_between_cameras_are_taken_out(rig: CameraRig, images: Image
     }
     inputs = {}
     for photometric in (False, True):
-        predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5, photometric=photometric)
+        preparation = Preparation(photometric=photometric)
+        predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5, preparation=preparation)
         whole, _ = predictor.inputs(images)
         faulty, _ = predictor.inputs(dark)
         inputs[photometric] = whole, faulty

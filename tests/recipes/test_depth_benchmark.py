@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 
+from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
@@ -30,7 +31,7 @@ from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate
 from tests.recipes.tiny import Run
 
-TINY = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1, align=False)
+TINY = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1, preparation=AS_IT_IS)
 
 
 class Oracle(DepthNetwork):
@@ -83,9 +84,11 @@ def test_tilted_tracks_compare_the_same_points() -> None:
 
 
 def test_differences_between_cameras_are_compensated_for_all_methods_alike() -> None:
-    size = Size(level=3, panorama_rows=8, image_rows=96, samples_per_pixel=1, align=False)
+    size = Size(level=3, panorama_rows=8, image_rows=96, samples_per_pixel=1, preparation=AS_IT_IS)
     clean, with_faults, without = (
-        render_frame(TRACKS[name], 0, size._replace(photometric=photometric)).images
+        render_frame(
+            TRACKS[name], 0, size._replace(preparation=replace(AS_IT_IS, photometric=photometric))
+        ).images
         for name, photometric in (("clean", True), ("exposure", False), ("exposure", True))
     )
     left, before = (
@@ -143,7 +146,8 @@ def test_another_aligner_changes_all_records(monkeypatch: pytest.MonkeyPatch, tm
         monkeypatch.setattr(running, "aligner", lambda p=penalty: SemiGlobalSweep(3, 4, small_penalty=p))
         for align in (True, False):
             running._aligner_identity.cache_clear()
-            keys.append(running.record_of(track, method, tmp_path, TINY._replace(align=align)).key)
+            size = TINY._replace(preparation=replace(AS_IT_IS, align=align))
+            keys.append(running.record_of(track, method, tmp_path, size).key)
     running._aligner_identity.cache_clear()
     assert keys[0] != keys[2]
     assert keys[1] == keys[3]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import torch
 from torch import nn
 
 from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.data import collate_samples
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
@@ -50,7 +52,7 @@ class Constant(DepthNetwork):
 
 
 def test_a_predictor_says_what_the_network_says(frames: dict[str, Any]) -> None:
-    as_used = PredictorEstimator(NET, min_depth=0.55, photometric=False)
+    as_used = PredictorEstimator(NET, min_depth=0.55, preparation=AS_IT_IS)
     torch.testing.assert_close(as_used(frames), VertexEstimator(NET)(frames), atol=2e-3, rtol=0)
 
 
@@ -58,10 +60,10 @@ def test_compensation_takes_out_an_exposure(frames: dict[str, Any]) -> None:
     dark = frames | {"fisheye": frames["fisheye"].clone()}
     dark["fisheye"][:, 1] = ((frames["fisheye"][:, 1] + 1) * 0.5 - 1) * frames["fisheye_seen"][:, 1, None]
     net = WinnerTakesAll(4, 16)  # compares colours as they are
-    truth = PredictorEstimator(net, min_depth=0.55, photometric=False)(frames)
+    truth = PredictorEstimator(net, min_depth=0.55, preparation=AS_IT_IS)(frames)
     wrong, right = (
-        float((PredictorEstimator(net, min_depth=0.55, photometric=on)(dark) - truth).abs().mean())
-        for on in (False, True)
+        float((PredictorEstimator(net, min_depth=0.55, preparation=one)(dark) - truth).abs().mean())
+        for one in (AS_IT_IS, replace(AS_IT_IS, photometric=True))
     )
     assert right < 0.7 * wrong
 
@@ -73,8 +75,8 @@ def test_a_rig_that_is_turned_is_turned_back() -> None:
     wrong = frame | {"rig": CameraRig.stack([turned])}
     truth = PredictorEstimator(NET, min_depth=0.55)(frame)
     untouched, aligned = (
-        float((PredictorEstimator(NET, min_depth=0.55, align=on)(wrong) - truth).abs().mean())
-        for on in (False, True)
+        float((PredictorEstimator(NET, min_depth=0.55, preparation=one)(wrong) - truth).abs().mean())
+        for one in (AS_IT_IS, Preparation())
     )
     assert aligned < 0.7 * untouched
 

@@ -9,6 +9,7 @@ import os
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
 from functools import lru_cache
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import NamedTuple
 
 from omegaconf import DictConfig
 
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.study.benchmark.frames import Size, render_frame
@@ -46,9 +48,8 @@ class Work(NamedTuple):
 def benchmark(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
     """Measure what is missing, write tables and pictures; returns the records by track and method."""
     node = config.benchmark
-    size = Size(
-        node.level, node.panorama_rows, node.image_rows, node.samples_per_pixel, node.photometric, node.align
-    )
+    preparation = Preparation.from_keys(node)
+    size = Size(node.level, node.panorama_rows, node.image_rows, node.samples_per_pixel, preparation)
     cache = None if node.cache_dir is None else Path(node.cache_dir).absolute()
     words = tuple(str(word) for word in node.methods)
     frames = range(node.first_frame, node.first_frame + node.frames)
@@ -98,8 +99,7 @@ def _track(track: Track, work: Work) -> None:
         "track": repr(track),
         **({"carrier": track.carrier} if track.carrier else {}),
         "rows": work.panel_rows,
-        "photometric": work.size.photometric,
-        "align": work.size.align,
+        "preparation": asdict(work.size.preparation),
         "frames": drawn_of(work.frames),
     }
     place = work.folder / "pages" / f"{track.name}.png"

@@ -14,7 +14,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.capture.predictor import Predictor
-from sphericalvision.capture.preparation.compensation import compensated
+from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
 from sphericalvision.recipes.study.benchmark.tracks import Track
@@ -38,18 +38,15 @@ class Size(NamedTuple):
         panorama_rows: of the panorama of true depth.
         image_rows: of fisheye images, None for the track's own.
         samples_per_pixel: rays.
-        photometric: whether noise is smoothed and differences in exposure and vignetting are compensated, for all
-            methods alike, as ``sphericalvision-predict`` does.
-        align: whether cameras are turned that are found to be turned from what methods are told, for all methods
-            alike, by the depth of the network that ships, as ``sphericalvision-predict`` does.
+        preparation: of images and rig, for all methods alike, as ``sphericalvision-predict`` does; cameras are turned
+            by the depth of the network that ships.
     """
 
     level: int = 6
     panorama_rows: int = 320
     image_rows: int | None = None
     samples_per_pixel: int = 2
-    photometric: bool = True
-    align: bool = True
+    preparation: Preparation = Preparation()
 
 
 NATURAL_SIZE = Size()
@@ -92,7 +89,7 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
 
     Examples:
         >>> from sphericalvision.recipes.study.benchmark.tracks import TRACKS
-        >>> frame = render_frame(TRACKS["room"], 0, Size(level=3, panorama_rows=8, image_rows=16, align=False))
+        >>> frame = render_frame(TRACKS["room"], 0, Size(level=3, panorama_rows=8, image_rows=16, preparation=AS_IT_IS))
         >>> frame.name, frame.images["cam1"].shape, frame.panorama.shape
         ('room-10000000', torch.Size([3, 16, 16]), torch.Size([8, 16]))
     """
@@ -106,13 +103,13 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
     told = CameraRig(rig.cameras, rig.world_from_camera, masks if track.masked else {})
     generator = torch.Generator().manual_seed(seed)
     disturbed = track.disturbance({"images": images, "rig": told}, generator)
-    shown = compensated(disturbed["rig"], disturbed["images"]) if size.photometric else disturbed["images"]
+    shown = size.preparation.images(disturbed["rig"], disturbed["images"])
     vertices = Icosphere(size.level).vertices
     around = Equirectangular(size.panorama_rows, 2 * size.panorama_rows).directions
     return Frame(
         name,
         shown,
-        _aligned(disturbed["rig"], shown) if size.align else disturbed["rig"],
+        _aligned(disturbed["rig"], shown) if size.preparation.align else disturbed["rig"],
         CameraRig(rig.cameras, disturbed["rig"].world_from_camera, masks),
         ray_depth(scene, rig.center, vertices).reciprocal(),
         ray_depth(scene, rig.center, around).reciprocal(),
@@ -150,7 +147,7 @@ def _pictures(
 
 def _aligned(rig: CameraRig, images: Mapping[str, Tensor]) -> CameraRig:
     """The rig with cameras turned where its images ask for it."""
-    predictor = Predictor(rig, aligner(), min_depth=NATURAL_MIN_DEPTH, photometric=False)
+    predictor = Predictor(rig, aligner(), min_depth=NATURAL_MIN_DEPTH, preparation=AS_IT_IS)
     predictor.align([{name: image.clamp(0, 1) for name, image in images.items()}])
     return predictor.rig
 

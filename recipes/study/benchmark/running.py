@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.study.benchmark.frames import NATURAL_SIZE, Size, aligner, render_frame
 from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPTH, Method, identity_of
@@ -53,7 +55,7 @@ def scores(
 
     Examples:
         >>> from sphericalvision.models import WinnerTakesAll
-        >>> small = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1, align=False)
+        >>> small = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1, preparation=AS_IT_IS)
         >>> found = scores(WinnerTakesAll(3, 4), "room", frames=1, cache=None, size=small)
         >>> 0 < found["coarse"]["all"]["MAE"] < 100
         True
@@ -69,11 +71,11 @@ def record_of(track: Track, method: Method, folder: Path | None, size: Size) -> 
     key = {
         "track": repr(track),
         "method": method.identity,
-        "size": size._asdict(),
+        "size": {**size._asdict(), "preparation": asdict(size.preparation)},
         "hypotheses": HYPOTHESES,
         "min_depth": MIN_DEPTH,
     }
-    if size.align:
+    if size.preparation != AS_IT_IS:
         key["aligner"] = _aligner_identity()
     if track.carrier is not None:
         key["truth"] = "without the carrier"

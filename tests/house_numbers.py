@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of the house: how long, how wide and how deep it is. ``make house`` prints them; it reports, it is no gate.
+
+python -m tests.house_numbers            # all of them
+python -m tests.house_numbers --chain    # beside them the longest chain of imports, and the files of a frame
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SUFFIXES = (".py", ".cpp", ".h")
+TRAIN = "sphericalvision.recipes.commands.train"
+FRAMES = """
+import sys, threading
+from collections import Counter
+import torch
+from sphericalvision.cameras import ring_rig, save_rig
+from sphericalvision.io.images import write_image
+from sphericalvision.models import IcoSweepNet, save_weights
+from sphericalvision.recipes.predict import main
+rig = ring_rig(4, 0.2, image_size=(64, 64))
+save_rig(rig, "rig.yaml")
+for frame in range(int(sys.argv[1])):
+    for name in rig.names:
+        write_image(f"{frame}_{name}.png", torch.rand(3, 64, 64))
+save_weights(IcoSweepNet(3, 4, feature_channels=2), "net.safetensors")
+calls = Counter()
+def seen(frame, event, arg):
+    if event == "call" and frame.f_code.co_name != "<module>":
+        calls[frame.f_code.co_filename] += 1
+threading.setprofile(seen)
+sys.setprofile(seen)
+sys.argv = ["sphericalvision-predict", "calibration=rig.yaml", "images={frame}_{camera}.png", "output=out", "height=16",
+            "checkpoint=net.safetensors", "min_depth=0.55", "align=false"]
+main()
+sys.setprofile(None)
+for file, number in calls.items():
+    print("CALLS", number, file)
+"""
+"""``sphericalvision-predict`` on frames of four small images, and how often it calls functions of each file."""
+
+
+def files(*prefixes: str) -> list[Path]:
+    """Files under version control whose paths begin so, Python and C++."""
+    listed = subprocess.run(
+        ["git", "ls-files", "--", *prefixes], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return [ROOT / name for name in listed.stdout.splitlines() if name.endswith(SUFFIXES)]
+
+
+def lines(*prefixes: str) -> int:
+    return sum(path.read_text().count("\n") for path in files(*prefixes) if path.exists())
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """The product's modules by name, packages by their ``__init__``."""
+    found = {}
+    for path in files("sphericalvision", "recipes"):
+        if path.suffix == ".py" and path.exists():
+            parts = list(path.relative_to(ROOT).with_suffix("").parts)
+            parts = ["sphericalvision", *parts] if parts[0] == "recipes" else parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def top_level_imports(module: str) -> set[str]:
+    """Modules that importing one imports at once: not those inside functions, nor those for type checkers.
+
+    A name that a package hands on lazily is found where the package's stub says.
+    """
+    found: set[str] = set()
+    todo: list[ast.stmt] = list(ast.parse(modules()[module].read_text()).body)
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.If):
+            checking = "TYPE_CHECKING" in ast.unparse(node.test)
+            todo += node.orelse if checking else [*node.body, *node.orelse]
+        elif isinstance(node, ast.Try):
+            todo += [*node.body, *(part for handler in node.handlers for part in handler.body)]
+        elif isinstance(node, ast.ClassDef):
+            todo += node.body
+        elif isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                found |= {node.module, submodule, *lazy_names(node.module).get(alias.name, ())}
+    return {name for name in found if name in modules() and name != module}
+
+
+@cache
+def lazy_names(package: str) -> dict[str, tuple[str, ...]]:
+    """Where the stub of a package says that its names are."""
+    path = modules().get(package)
+    stub = path.with_suffix(".pyi") if path is not None else None
+    if stub is None or not stub.exists():
+        return {}
+    return {
+        alias.name: (f"{package}.{node.module}",)
+        for node in ast.walk(ast.parse(stub.read_text()))
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }
+
+
+@cache
+def chain(module: str) -> tuple[str, ...]:
+    """The longest chain of imports that begins with a module, packages' ``__init__`` included."""
+    return (module, *max((chain(other) for other in sorted(top_level_imports(module))), key=len, default=()))
+
+
+def loaded(module: str) -> int:
+    """How many modules of the package are loaded after one was imported."""
+    program = (
+        f"import sys, {module}; print(sum(name.split('.')[0] == 'sphericalvision' for name in sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return int(done.stdout.split()[-1])
+
+
+def files_of_a_frame() -> list[str]:
+    """Files of the product whose functions run once more for a frame more: an image's way to its picture."""
+    two, three = calls_of_frames(2), calls_of_frames(3)
+    return sorted(file for file, number in three.items() if number > two.get(file, 0))
+
+
+def calls_of_frames(number: int) -> dict[str, int]:
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", FRAMES, str(number)]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(done.stdout + done.stderr)
+    counts = (line.split(maxsplit=2)[1:] for line in done.stdout.splitlines() if line.startswith("CALLS "))
+    ours = tuple(f"{ROOT / folder}/" for folder in ("sphericalvision", "recipes"))
+    return {str(Path(file).relative_to(ROOT)): int(calls) for calls, file in counts if file.startswith(ours)}
+
+
+def files_with(word: str) -> int:
+    """Python and YAML files of product and configurations in which a word stands."""
+    listed = subprocess.run(
+        ["git", "grep", "-lwi", word, "--", "sphericalvision/**.py", "recipes/**.py", "conf/**.yaml"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return len(listed.stdout.split())
+
+
+def newest_wheel() -> str:
+    """Size of the wheel that ``make dist`` built last."""
+    wheels = sorted((ROOT / "dist").glob("*.whl"), key=lambda path: path.stat().st_mtime)
+    return f"{wheels[-1].stat().st_size / 1e6:.1f} MB" if wheels else "none built (make dist)"
+
+
+def main() -> None:
+    longest = max((chain(module) for module in modules()), key=len)
+    frame = files_of_a_frame()
+    for name, value in {
+        "lines of the product": f"{lines('sphericalvision', 'recipes'):,}",
+        "lines of recipes": f"{lines('recipes'):,}",
+        "lines of cameras and capture": f"{lines('sphericalvision/cameras', 'sphericalvision/capture'):,}",
+        "lines of tests": f"{lines('tests'):,}",
+        "longest chain of imports": len(longest),
+        "modules loaded with models.icosweepnet": loaded("sphericalvision.models.icosweepnet"),
+        "modules loaded with sphericalvision-train": loaded(TRAIN),
+        "files of a frame in predict": len(frame),
+        **{f"files with the word {word!r}": files_with(word) for word in ("photometric", "align", "native")},
+        "wheel": newest_wheel(),
+    }.items():
+        print(f"{name:42} {value:>9}")
+    if "--chain" in sys.argv:
+        print("\nThe longest chain:", *longest, sep="\n  ")
+        print("\nThe files of a frame:", *frame, sep="\n  ")
+
+
+if __name__ == "__main__":
+    main()

@@ -23,7 +23,7 @@ LOWEST_TESTS ?= tests/geometry tests/icosphere tests/cameras/test_camera_laws.py
                 tests/sweep tests/losses tests/metrics tests/models/test_network_laws.py tests/models/test_weights.py tests/io \
                 tests/test_misuse.py tests/recipes/test_cli.py
 
-.PHONY: help demo test test-all test-lowest mutants audit lint format docs notebooks bench dist clean
+.PHONY: help demo test test-all test-lowest mutants audit lint format docs notebooks bench house dist clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

@@ -35,9 +35,13 @@ def copy_sources(target: Path) -> Path:
     return target
 
 
+STUDY = ROOT / "sphericalvision/models/weights/study"
+"""Weights that only the study and the benchmark need, and their cards: beside the source, not in the wheel."""
+
+
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
-    """Names of the files inside a freshly built wheel."""
+def wheel_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A freshly built wheel."""
     source = copy_sources(tmp_path_factory.mktemp("source"))
     result = run(
         sys.executable,
@@ -52,8 +56,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
     )
     assert result.returncode == 0, result.stdout + result.stderr
     (path,) = (source / "dist").glob("*.whl")
-    with zipfile.ZipFile(path) as archive:
+    return path
+
+
+@pytest.fixture(scope="module")
+def wheel(wheel_file: Path) -> set[str]:
+    """Names of the files inside it."""
+    with zipfile.ZipFile(wheel_file) as archive:
         return set(archive.namelist())
+
+
+def test_wheel_is_light(wheel_file: Path, wheel: set[str]) -> None:
+    assert wheel_file.stat().st_size < 12e6
+    assert list(STUDY.glob("*.safetensors"))
+    assert not [name for name in wheel if "-study." in name]
 
 
 def in_wheel(path: Path) -> str:
@@ -78,7 +94,7 @@ def in_wheel(path: Path) -> str:
     ],
 )
 def test_wheel_holds_every_file_of_the_tree(wheel: set[str], folder: str, pattern: str) -> None:
-    expected = {in_wheel(path) for path in (ROOT / folder).glob(pattern)}
+    expected = {in_wheel(path) for path in (ROOT / folder).glob(pattern) if path.parent != STUDY}
     assert expected, f"no {pattern} in {folder}"
     missing = sorted(expected - wheel)
     assert not missing, f"add their folder to [tool.setuptools] packages or package-data: {missing}"

@@ -32,7 +32,7 @@ ROOMS = {
     "sphericalvision.sweep.regression": (("sweep",), 10),
     "sphericalvision.sweep.aggregation": (("sweep", "cameras", "icosphere", "geometry", "extensions"), 50),
     "sphericalvision.models.icosweepnet": (
-        ("models", "crown", "sweep", "icosphere", "cameras", "geometry", "extensions"),
+        ("models", "crown", "sweep", "sphere", "icosphere", "cameras", "geometry", "extensions"),
         110,
     ),
 }

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -217,6 +218,24 @@ def test_shipped_weights_load() -> None:
 def test_the_fine_network_is_the_default_one_a_level_finer() -> None:
     fine, default = pretrained("refinedsweepnet-fine"), pretrained()
     assert fine.hyperparameters == {**default.hyperparameters, "level": 7}
+
+
+def test_weights_of_the_study_are_in_the_source_tree_or_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert pretrained("omnimvs-study").num_cameras == 4
+    module = importlib.import_module("sphericalvision.models.weights.pretrained")
+    monkeypatch.setattr(module, "_HERE", Path("nowhere"))
+    with pytest.raises(MissingFileError, match=r"'omnimvs-study' .* not in the installed package.*checkout"):
+        pretrained("omnimvs-study")
+
+
+def test_half_precision_is_half_the_size_and_read_as_float32(tmp_path: Path) -> None:
+    net = IcoSweepNet(3, 4, feature_channels=32)
+    full, half = (save_weights(net, tmp_path / f"{half}.safetensors", half=half) for half in (False, True))
+    assert half.stat().st_size < 0.8 * full.stat().st_size
+    again = load_weights(half)
+    assert {x.dtype for x in again.state_dict().values() if x.is_floating_point()} == {torch.float32}
+    for name, tensor in net.state_dict().items():
+        torch.testing.assert_close(again.state_dict()[name], tensor, rtol=2**-11, atol=2**-24)
 
 
 def test_unknown_shipped_weights_list_the_known_ones() -> None:

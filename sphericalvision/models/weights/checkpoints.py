@@ -11,7 +11,7 @@ from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.weights.files import load_weights
 from sphericalvision.models.weights.filling import made
-from sphericalvision.models.weights.pretrained import available_weights, pretrained
+from sphericalvision.models.weights.pretrained import STUDY, available_weights, pretrained
 from sphericalvision.models.weights.reference import load_reference_checkpoint
 from sphericalvision.models.weights.registry import network_class
 
@@ -39,7 +39,7 @@ def read_network(source: str | Path | None = None) -> DepthNetwork:
     """
     if source is None:
         return pretrained()
-    if str(source) in available_weights() and not Path(source).exists():
+    if str(source) in (*available_weights(), *STUDY) and not Path(source).exists():
         return pretrained(str(source))
     known = ", ".join(available_weights())
     path = check_file(source, f"a checkpoint (.safetensors, .ckpt, or the authors' format) or one of {known}")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
@@ -21,8 +22,18 @@ PREFIX = "sphericalvision-"
 """What the names of networks begin with in files."""
 
 
-def save_weights(net: DepthNetwork, path: str | Path) -> Path:
+LARGE = 20_000
+"""Numbers in a tensor, from which on half precision is worth it."""
+
+
+def save_weights(net: DepthNetwork, path: str | Path, half: bool = False) -> Path:
     """Write the weights, hyper-parameters and name of a network to a ``.safetensors`` file, folders included.
+
+    Args:
+        net: any network that has a name.
+        path: ends in ``.safetensors``.
+        half: whether tensors of 20,000 numbers and more are stored in half precision, which nearly halves the file.
+            They are read as float32 again; what the network answers may change in the last digits.
 
     Raises:
         ArgumentError: if the file's name does not end in ``.safetensors``, or the network has no name
@@ -38,6 +49,9 @@ def save_weights(net: DepthNetwork, path: str | Path) -> Path:
         raise ArgumentError(f"path: expected a name ending in .safetensors, got {path.name!r}")
     metadata = {"format": PREFIX + network_name(net), "hyperparameters": json.dumps(net.hyperparameters)}
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
+    if half:
+        large = {name: x for name, x in state.items() if x.is_floating_point() and x.numel() >= LARGE}
+        state |= {name: tensor.half() for name, tensor in large.items()}
     with atomic_write(path) as temporary:
         save_file(state, temporary, metadata)
     return path
@@ -60,7 +74,8 @@ def load_weights(path: str | Path) -> DepthNetwork:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+            stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+            state = {name: x.float() if x.dtype == torch.half else x for name, x in stored.items()}
     except SafetensorError as error:
         raise FileFormatError(
             f"{path}: not a readable safetensors file ({error}); for a checkpoint of the authors' release "

@@ -27,8 +27,8 @@ from sphericalvision.recipes.app.rigs import make_corner_rig
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.scenes.disturbances import CameraDisturbance, turned_poses
-from sphericalvision.scenes.recipes import kind_of
-from sphericalvision.scenes.seeded_scenes import CLEAR_RADIUS, HELD_OUT_SEED
+from sphericalvision.scenes.registry import kind_of
+from sphericalvision.scenes.world import CLEAR_RADIUS, HELD_OUT_SEED
 from sphericalvision.sweep import index_from_inverse_depth
 
 RIG = make_corner_rig(image_size=(256, 256))

@@ -21,9 +21,9 @@ from sphericalvision.data import write_omnistereo
 from sphericalvision.io.images import write_image, write_mask
 from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.errors import check_keys
-from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.running import config_space
 from sphericalvision.recipes.app.words import quote_paths, read_words
+from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.board_pictures import write_boards
 from tests.recipes.knocked_capture import write_knocked_capture
 

@@ -17,23 +17,11 @@ from sphericalvision.cameras import (
     remap,
 )
 from sphericalvision.scenes import make_scene, ray_depth, render_camera
+from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.sphere import Equirectangular, resample
 
 __all__ = ["panorama_views", "resampling_modes", "scenes"]
 
-SCENES = {
-    "room": 3,
-    "floating": 5,
-    "hall": 1,
-    "corridor": 2,
-    "bare": 1,
-    "polished": 0,
-    "outdoors": 1,
-    "skies": 2,
-    "patchwork": 5,
-    "rough": 4,
-    "glazed": 3,
-}
 YAWS = (0, 90, 180, 270)
 
 
@@ -86,10 +74,11 @@ def scenes() -> str:
         Equirectangular(60, 120),
     )
     figure = new_figure(8.8, 2.1)
-    for k, (kind, seed) in enumerate(SCENES.items()):
-        scene, place = make_scene(kind, seed), k / len(SCENES)
-        axes = bare_axes(figure, (place, 0.36, 0.98 / len(SCENES), 0.52), kind)
+    kinds = scene_kinds()
+    for k, kind in enumerate(kinds):
+        scene, place = make_scene(kind, seed=3), k / len(kinds)
+        axes = bare_axes(figure, (place, 0.36, 0.98 / len(kinds), 0.52), kind)
         axes.imshow(render_camera(scene, camera, torch.eye(4), samples_per_pixel=2).permute(1, 2, 0))
-        axes = bare_axes(figure, (place, 0.0, 0.98 / len(SCENES), 0.34))
+        axes = bare_axes(figure, (place, 0.0, 0.98 / len(kinds), 0.34))
         axes.imshow(1 / ray_depth(scene, torch.zeros(3), panorama.directions), cmap="turbo", vmin=0, vmax=1.8)
     return to_html(figure, "A fisheye image and the depth all around for each kind of rendered scene")

@@ -21,7 +21,8 @@ from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.benchmark.measuring import Comparison
 from sphericalvision.scenes import SceneDataset
-from sphericalvision.scenes.recipes import SCENE_KINDS, make_scene, render_rig
+from sphericalvision.scenes.recipes import make_scene, render_rig
+from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.sweep import index_from_inverse_depth
 
 __all__ = ["comparisons"]
@@ -48,7 +49,7 @@ def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison
 
 def _rendering(rig: CameraRig, num_frames: int) -> Comparison:
     height, width = next(iter(rig.cameras.values())).image_size
-    turns = {kind: itertools.cycle(range(num_frames)) for kind in SCENE_KINDS}
+    turns = {kind: itertools.cycle(range(num_frames)) for kind in scene_kinds()}
 
     def frame(kind: str) -> float:
         start = time.process_time()
@@ -57,8 +58,8 @@ def _rendering(rig: CameraRig, num_frames: int) -> Comparison:
 
     return Comparison(
         f"rendering: four images of {height} x {width}, one ray a pixel",
-        {kind: partial(frame, kind) for kind in SCENE_KINDS},
-        SCENE_KINDS[0],
+        {kind: partial(frame, kind) for kind in scene_kinds()},
+        scene_kinds()[0],
         note=f"CPU time of frames of seeds 0 to {num_frames - 1}, scenes included. A thousand in 20 minutes on two "
         f"cores are {LIMIT:.1f} s of one core each.",
         unit="reported s",

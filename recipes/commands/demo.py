@@ -22,7 +22,6 @@ from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
-from sphericalvision.recipes.app.frames import RenderedFrames, SceneDepths
 from sphericalvision.recipes.evaluation.inputs import VertexEstimator
 from sphericalvision.recipes.evaluation.tables import (
     Row,
@@ -32,14 +31,14 @@ from sphericalvision.recipes.evaluation.tables import (
     save_rows,
     sweep_estimator,
 )
+from sphericalvision.scenes import SceneDataset
+from sphericalvision.scenes.rendered_frames import RenderedFrames
+from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 from sphericalvision.sweep import index_from_inverse_depth
 from sphericalvision.viz import depth_panorama, error_panorama, sheet
 from sphericalvision.viz.figure import strip
 
 __all__ = ["demo"]
-
-NATURAL_MIN_DEPTH = 0.55
-"""Metres: the nearest hypothesis that scenes of scale 1 are made for."""
 
 
 def demo(config: DictConfig, folder: Path) -> list[Row]:
@@ -65,8 +64,16 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
         views = Views(Predictor(rig, net, min_depth=net.min_depth)(frame["images"]), config.height)
         save_views(folder, "", views, Settings(["depth", "cloud", "npz"], config.height))
         _save_comparison(folder, frame, views, net)
-    depths = SceneDepths(rig, config.baseline_scenes, net.level, config.train_seed, config.kind, scale)
-    rows = _table(net, sample, DataLoader(depths, batch_size=8))
+    depths = SceneDataset(
+        config.baseline_scenes,
+        rig,
+        net.level,
+        config.kind,
+        config.train_seed,
+        min_depth=net.min_depth,
+        entries=("depth",),
+    )
+    rows = _table(net, sample, DataLoader(depths, batch_size=8, collate_fn=collate_samples))
     print_rows(f"errors of this scene, percent of N = {net.num_hypotheses} (smaller is better)", rows)
     save_rows(folder / "metrics", rows)
     _print_contents(folder)

@@ -16,14 +16,14 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.data.omnistereo.files import RELEASES
 from sphericalvision.recipes.app.cli import build, console, print_config
-from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.rendered_sets import (
     check_settings,
     keep_settings,
     missing_frames,
     settings_of,
 )
-from sphericalvision.scenes.seeded_scenes import MeshFiles, mesh_files
+from sphericalvision.scenes.meshes import MeshFiles, mesh_files
+from sphericalvision.scenes.rendered_frames import RenderedFrames
 
 __all__ = ["render"]
 

@@ -35,7 +35,7 @@ from sphericalvision.recipes.prediction.sources import (
     spread_evenly,
 )
 from sphericalvision.recipes.training.rig_tables import RigTables
-from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
+from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.sweep import (
     correlation_evidence,
     inverse_depth_from_index,

@@ -17,8 +17,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.scenes.carriers import CARRIERS, with_carrier
 from sphericalvision.scenes.disturbances import CameraDisturbance
-from sphericalvision.scenes.random_rig_scenes import SHARES
-from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
+from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH, world_values
 
 __all__ = ["Rehearsal", "random_disturbance"]
 
@@ -95,7 +94,8 @@ class Rehearsal(Dataset[Sample]):
     def __getitem__(self, index: int) -> Sample:
         seed = self.first_seed + index
         generator = torch.Generator().manual_seed(seed)
-        kinds, shares = list(SHARES), torch.tensor(list(SHARES.values()))
+        all_shares = world_values("random_rigs")["kind"]
+        kinds, shares = list(all_shares), torch.tensor(list(all_shares.values()))
         kind = kinds[int(torch.multinomial(shares, 1, generator=generator))]
         scene = make_scene(kind, seed, center=self.rig.center)
         inverse_depth = ray_depth(scene, self.rig.center, self.directions).reciprocal()

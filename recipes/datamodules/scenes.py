@@ -21,7 +21,8 @@ from sphericalvision.recipes.app.schema import Exactly, NotEmpty
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import Wanted
 from sphericalvision.scenes import SceneDataset
-from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, mesh_files
+from sphericalvision.scenes.meshes import mesh_files
+from sphericalvision.scenes.world import HELD_OUT_SEED
 
 __all__ = ["Augmented", "SceneDataModule"]
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -15,7 +16,7 @@ from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle
 
-__all__ = ["CameraDisturbance", "turned_poses", "vignetted"]
+__all__ = ["CameraDisturbance", "RandomFaults", "turned_poses", "vignetted"]
 
 Sample = dict[str, Any]
 
@@ -122,6 +123,82 @@ class CameraDisturbance:
             drawn = torch.randn(image.shape, generator=generator)
             image = image + amount(self.noise) * drawn.to(image)
         return image.clamp(0, 1)
+
+
+@dataclass(frozen=True)
+class RandomFaults:
+    """Faults that come now and then: how often, and the largest amount of each, which is drawn from 0.
+
+    Args:
+        disturbed: share of seeds that have any; None: all may.
+        grey: share of these in which all cameras take pictures without colour.
+        vignetting: share, and largest amount, as of ``CameraDisturbance``; so are the others.
+        blur: pixels.
+        exposure: stops.
+        white_balance: stops.
+        noise: of the range [0, 1].
+        pose_error_deg: degrees.
+
+    Raises:
+        ArgumentError: a share that is not from 0 to 1, or a negative amount.
+
+    Examples:
+        >>> never = (0.0, 0.0)
+        >>> faults = RandomFaults(None, 1.0, (0.5, 0.6), never, never, never, never, never)
+        >>> faults.draw(torch.Generator().manual_seed(0)).grey
+        True
+    """
+
+    disturbed: float | None
+    grey: float
+    vignetting: tuple[float, float]
+    blur: tuple[float, float]
+    exposure: tuple[float, float]
+    white_balance: tuple[float, float]
+    noise: tuple[float, float]
+    pose_error_deg: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            share, most = (value, 0.0) if value is None or isinstance(value, int | float) else value
+            if (share is not None and not 0 <= share <= 1) or not most >= 0:
+                raise ArgumentError(
+                    f"faults.{each.name}: expected a share from 0 to 1, and an amount of 0 or more, got {value!r}"
+                )
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> RandomFaults:
+        """Make them of plain values, as a file holds them.
+
+        Raises:
+            ArgumentError: names that are no arguments or are missing, or values that do not fit.
+        """
+        names = [each.name for each in fields(cls)]
+        if set(values) != set(names):
+            raise ArgumentError(f"faults: expected {', '.join(names)}, got {', '.join(values)}")
+        return cls(**values)
+
+    def draw(self, generator: torch.Generator | None = None) -> CameraDisturbance:
+        """Draw the faults of one seed; from torch's global generator when none is given."""
+
+        def uniform() -> float:
+            return torch.rand((), generator=generator).item()
+
+        def sometimes(share: float, most: float) -> float:
+            return most * uniform() if uniform() < share else 0.0
+
+        if self.disturbed is not None and uniform() >= self.disturbed:
+            return CameraDisturbance()
+        return CameraDisturbance(
+            grey=uniform() < self.grey,
+            vignetting=sometimes(*self.vignetting),
+            blur=sometimes(*self.blur),
+            exposure=sometimes(*self.exposure),
+            white_balance=sometimes(*self.white_balance),
+            noise=sometimes(*self.noise),
+            pose_error=math.radians(sometimes(*self.pose_error_deg)),
+        )
 
 
 def vignetted(image: Float[Tensor, "3 h w"], camera: Camera, loss: float) -> Float[Tensor, "3 h w"]:

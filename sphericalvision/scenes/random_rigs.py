@@ -5,14 +5,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 
-from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, FisheyeCamera
+from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, FisheyeCamera, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import transform_from_axis_angle
 
-__all__ = ["random_rig"]
+__all__ = ["TILT_SPREAD", "LevelOrRandomRigs", "random_rig"]
+
+TILT_SPREAD = math.radians(8)
+"""By which a camera may look further up or down than the others."""
 
 
 def random_rig(
@@ -76,3 +80,21 @@ def random_rig(
     world_from_camera = torch.stack(poses)
     world_from_camera[:, :3, 3] -= world_from_camera[:, :3, 3].mean(0)
     return CameraRig([camera] * count, world_from_camera)
+
+
+@dataclass(frozen=True)
+class LevelOrRandomRigs:
+    """Rigs drawn one by one: level rings of four fisheyes of 220°, the common case, or ``random_rig``.
+
+    Args:
+        level: share of level rings.
+        image_size: (height, width) of the cameras.
+    """
+
+    level: float
+    image_size: tuple[int, int]
+
+    def __call__(self, generator: torch.Generator) -> CameraRig:
+        if torch.rand((), generator=generator) < self.level:
+            return ring_rig(4, 0.2, self.image_size, math.radians(220))
+        return random_rig(generator, image_size=self.image_size)

@@ -19,78 +19,19 @@ Examples:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_choice, check_type
-from sphericalvision.scenes.kinds.bare_rooms import random_bare_room
-from sphericalvision.scenes.kinds.corridors import random_corridor
-from sphericalvision.scenes.kinds.floating import random_floating_objects
-from sphericalvision.scenes.kinds.glazed import random_glazed_room
-from sphericalvision.scenes.kinds.halls import random_hall
-from sphericalvision.scenes.kinds.outdoors import random_outdoor_place
-from sphericalvision.scenes.kinds.patchwork import random_patchwork
-from sphericalvision.scenes.kinds.polished_rooms import random_polished_room
-from sphericalvision.scenes.kinds.rooms import random_room
-from sphericalvision.scenes.kinds.rough import random_rough_place
+from sphericalvision.core import ArgumentError, check_type
+from sphericalvision.scenes.registry import scene_kind
 from sphericalvision.scenes.rendering.render import ray_depth, render_camera, render_directions, render_rig
 from sphericalvision.scenes.rendering.scene import Scene
 from sphericalvision.scenes.skies import under_another_sky
 
-__all__ = [
-    "SCENE_KINDS",
-    "Scene",
-    "kind_of",
-    "make_scene",
-    "random_floating_objects",
-    "random_room",
-    "ray_depth",
-    "render_camera",
-    "render_directions",
-    "render_rig",
-]
-
-#: Recipes that `make_scene` knows, by the names of their scenes.
-RECIPES: dict[str, Callable[[torch.Generator, float], Scene]] = {
-    "room": random_room,
-    "floating": random_floating_objects,
-    "hall": random_hall,
-    "corridor": random_corridor,
-    "bare": random_bare_room,
-    "polished": random_polished_room,
-    "outdoors": random_outdoor_place,
-    "skies": random_outdoor_place,
-    "patchwork": random_patchwork,
-    "rough": random_rough_place,
-    "glazed": random_glazed_room,
-}
-SCENE_KINDS = tuple(RECIPES)
-#: Kinds that take turns from seed to seed, by the name of the mixture; the last four come in no other than their own.
-MIXTURES = {"mixed": ("room", "floating"), "all": SCENE_KINDS[:-4]}
-
-
-def kind_of(kind: str, seed: int) -> str:
-    """Tell the kind of scene of a seed: mixtures take turns, any other kind is itself.
-
-    Args:
-        kind: of ``make_scene``; or ``"mixed"``: rooms for even seeds, floating objects for odd ones; or ``"all"``: all
-            kinds of ``make_scene`` but ``"skies"``, ``"patchwork"``, ``"rough"`` and ``"glazed"`` in turn.
-        seed: of the scene.
-
-    Raises:
-        ArgumentError: an unknown kind.
-
-    Examples:
-        >>> kind_of("mixed", 4), kind_of("mixed", 5), kind_of("room", 5)
-        ('room', 'floating', 'room')
-    """
-    check_choice("kind", kind, (*SCENE_KINDS, *MIXTURES))
-    turns = MIXTURES.get(kind, (kind,))
-    return turns[seed % len(turns)]
+__all__ = ["Scene", "exposed", "make_scene", "ray_depth", "render_camera", "render_directions", "render_rig"]
 
 
 def make_scene(
@@ -105,12 +46,9 @@ def make_scene(
     """The scene of a seed, well exposed for a rig at its centre.
 
     Args:
-        kind: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects in mid-air in front of a distant shell),
-            ``"hall"``, ``"corridor"``, ``"bare"`` (plain walls), ``"polished"`` (a reflecting floor) ``"outdoors"``
-            (ground below an infinitely distant sky), ``"skies"`` (the same below a sky that is black, white, of any
-            colour or cloudy), ``"patchwork"`` (plain shapes under arbitrary pictures, seen from any height),
-            ``"rough"`` (caves and slopes under such pictures, nothing level or upright), or ``"glazed"`` (a room with
-            windows to all sides, before such skies).
+        kind: one of ``scenes.registry.scene_kinds()``: ``"room"`` (furnished, lit by lamps), ``"floating"`` (objects
+            in mid-air in front of a distant shell), ``"outdoors"`` (ground below an infinitely distant sky), ...; each
+            is described where it is made, in ``sphericalvision.scenes.kinds``.
         seed: the same seed makes the same scene.
         device: where the scene lives; the CPU by default.
         center: ``(3,)`` where the rig's centre is, metres; the origin by default.
@@ -127,7 +65,7 @@ def make_scene(
         >>> images["cam1"].shape
         torch.Size([3, 16, 16])
     """
-    check_choice("kind", kind, SCENE_KINDS)
+    recipe = scene_kind(kind)
     if not scale > 0:
         raise ArgumentError(f"scale: expected a positive factor, got {scale}")
     if not 0 < clear_radius < 1:
@@ -136,7 +74,7 @@ def make_scene(
         )
     check_type("seed", seed, int)
     generator = torch.Generator().manual_seed(seed)
-    scene = RECIPES[kind](generator, clear_radius)
+    scene = recipe.make(generator, clear_radius)
     yaw = 2 * math.pi * torch.rand((), generator=generator).item()
     sin, cos = math.sin(yaw), math.cos(yaw)
     scene = scene.transformed(torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]))
@@ -146,7 +84,7 @@ def make_scene(
         .scaled(scale)
         .transformed(translation=center.cpu().float() if center is not None else None)
     )
-    if kind in ("skies", "glazed"):
+    if recipe.other_sky:
         scene = under_another_sky(scene, generator)
     return scene if device is None else scene.to(device)
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import functools
-import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -22,10 +21,8 @@ from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.scenes.cache import ArrayCache, decode, encode
-from sphericalvision.scenes.recipes import ray_depth, render_rig
-from sphericalvision.scenes.rendering.mesh_scene import MeshScene
-from sphericalvision.scenes.rendering.scene import Scene
-from sphericalvision.scenes.seeded_scenes import GENERATION, NATURAL_MIN_DEPTH, MeshFiles, SeededScenes
+from sphericalvision.scenes.meshes import MeshFiles
+from sphericalvision.scenes.world import GENERATION, NATURAL_MIN_DEPTH, World, WorldFrame
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import pixels_seen, signed
 
@@ -39,10 +36,6 @@ KEYS = (
     *("panorama_inverse_depth", "panorama_valid"),
 )
 """The tensors of a sample that holds everything, in order."""
-
-
-TILT_SPREAD = math.radians(8)
-"""By which a camera may look further up or down than the others, where tilts are drawn, as in ``random_rig``."""
 
 
 class SceneDataset(Dataset[dict[str, Any]]):
@@ -76,7 +69,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
             45°.
         stored: which images become bytes and are kept: ``"sphere"``, small and for one level, or ``"camera"``, from
             which every level and ``"fisheye"`` are made. ``"camera"`` whenever ``"fisheye"`` is asked for.
-        meshes: of which scenes are made in place of a kind; see ``seeded_scenes.mesh_files``.
+        meshes: of which scenes are made in place of a kind; see ``meshes.mesh_files``.
         carrier: what carries the rig and is in view: "pole", "robot" or "vehicle".
         depth_level: of the icosphere that carries depth; two below ``level`` when not given.
         tilts: least and largest radians by which all cameras look further down, drawn for each scene from its seed;
@@ -123,14 +116,19 @@ class SceneDataset(Dataset[dict[str, Any]]):
         ):
             if value < least:
                 raise ArgumentError(f"{name}: expected at least {least}, got {value}")
-        if tilts is not None and (carrier is not None or not tilts[0] <= tilts[1]):
-            raise ArgumentError(
-                f"tilts: expected (least, largest) in radians and no carrier, got {tuple(tilts)} and {carrier}"
-            )
-        self.scenes, self.tilts = SeededScenes(rig, kind, min_depth, meshes, carrier), tilts
+        self.world = World(
+            rig,
+            kind,
+            min_depth,
+            meshes,
+            tilts,
+            carrier,
+            carrier_counts=True,
+            samples_per_pixel=samples_per_pixel,
+        )
         self.entries = _checked_entries(entries, rig)
         self.num_scenes, self.rig, self.first_seed = num_scenes, rig, first_seed
-        self.samples_per_pixel, self.min_depth, self.level = samples_per_pixel, min_depth, level
+        self.min_depth, self.level = min_depth, level
         self.depth_level = level - 2 if depth_level is None else check_level(depth_level)
         self.panorama = (int(panorama[0]), int(panorama[1]))
         check_panorama_size(*self.panorama)
@@ -139,7 +137,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
         self.to_sphere = ToSphere(level, antialias=antialias)
         root = None if cache_dir is None else Path(cache_dir)
         self._images = self._image_cache(root) if {"sphere", "fisheye"} & set(self.entries) else None
-        self._depths = {key: self._depth_cache(root, key) for key in self._directions()}
+        self._depths = self._depth_caches(root)
         self._frame_seen = torch.stack(list(pixels_seen(rig).values())) if "fisheye" in self.entries else None
 
     def __len__(self) -> int:
@@ -148,51 +146,31 @@ class SceneDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int) -> dict[str, Any]:
         if not -self.num_scenes <= index < self.num_scenes:
             raise IndexError(f"index {index} is outside a data set of {self.num_scenes} scenes")
-        seed = self.first_seed + index % self.num_scenes
-        frame, rig = self.scenes.name(seed), self.rig_of(seed)
-        scene = functools.cache(lambda: self.scenes.make(seed))  # not made at all if the cache has everything
+        frame = self.world.frame(self.first_seed + index % self.num_scenes)
+        name, rig = frame.name, frame.true_rig
         sample: dict[str, Any] = {}
         if self._images is not None:
-            sample |= self._shown(self._images.get(frame, lambda: self._render(scene(), rig)), rig)
-        for key, cache in self._depths.items():
-            inverse_depth = cache.get(frame, functools.partial(self._measure, scene, key))["inverse_depth"]
-            sample[key] = inverse_depth
-            sample[key.replace("inverse_depth", "valid")] = inverse_depth <= 1 / self.min_depth
-        return {key: sample[key] for key in KEYS if key in sample} | {"rig": rig, "frame": frame}
-
-    def rig_of(self, seed: int) -> CameraRig:
-        """The rig that sees the scene of a seed."""
-        if self.tilts is None:
-            return self.rig
-        generator = torch.Generator().manual_seed(seed)
-        least, most = self.tilts
-        tilt = least + (most - least) * torch.rand((), generator=generator)
-        return self.rig.rotated(
-            tilt=tilt + TILT_SPREAD * (2 * torch.rand(len(self.rig), generator=generator) - 1)
-        )
+            sample |= self._shown(self._images.get(name, lambda: self._render(frame)), rig)
+        for key, (directions, cache) in self._depths.items():
+            measure = functools.partial(self._measure, frame, directions)
+            sample[key] = cache.get(name, measure)["inverse_depth"]
+            sample[key.replace("inverse_depth", "valid")] = sample[key] <= 1 / self.min_depth
+        return {key: sample[key] for key in KEYS if key in sample} | {"rig": rig, "frame": name}
 
     def is_cached(self, index: int) -> bool:
         """Whether all that was rendered for a sample lies in the cache; never without one."""
-        frame = self.scenes.name(self.first_seed + index)
-        caches = [*self._depths.values(), *([] if self._images is None else [self._images])]
-        return all(cache.has(frame) for cache in caches)
+        name = self.world.frame(self.first_seed + index).name
+        return all(cache.has(name) for cache in self._caches)
 
     @property
     def cache_folders(self) -> list[Path]:
         """Folders that stand for everything that the samples depend on; none without a cache."""
-        caches = [*([] if self._images is None else [self._images]), *self._depths.values()]
-        return [cache.folder for cache in caches if cache.folder is not None]
+        return [cache.folder for cache in self._caches if cache.folder is not None]
 
-    def _directions(self) -> dict[str, Callable[[], Tensor]]:
-        """The directions in which depths are wanted, by the sample's entry."""
-        wanted: dict[str, Callable[[], Tensor]] = {}
-        if {"sphere", "depth"} & set(self.entries):
-            wanted["inverse_depth"] = lambda: Icosphere(self.depth_level).vertices
-        if "panorama" in self.entries:
-            wanted["panorama_inverse_depth"] = lambda: (
-                Equirectangular.with_square_pixels(*self.panorama).directions
-            )
-        return wanted
+    @property
+    def _caches(self) -> list[ArrayCache]:
+        depths = [cache for _, cache in self._depths.values()]
+        return depths if self._images is None else [self._images, *depths]
 
     def _shown(self, stored: dict[str, Tensor], rig: CameraRig) -> dict[str, Tensor]:
         """The images that a sample holds, of those that are stored."""
@@ -211,23 +189,17 @@ class SceneDataset(Dataset[dict[str, Any]]):
             shown |= {"fisheye": decode(frames, self._frame_seen), "fisheye_seen": self._frame_seen}
         return shown
 
-    def _render(self, scene: Scene | MeshScene, rig: CameraRig) -> dict[str, Tensor]:
+    def _render(self, frame: WorldFrame) -> dict[str, Tensor]:
         """Images as bytes: by camera, or all on the icosphere."""
-        pictures = render_rig(scene, rig, self.samples_per_pixel)
         if self.stored == "camera":
-            return {name: encode(signed(picture)) for name, picture in pictures.items()}
+            return {name: encode(signed(image)) for name, image in frame.images.items()}
         directions, antialias = Icosphere(self.level).vertices, self.to_sphere.antialias
-        values, _ = rig.sample_sphere(pictures, directions, antialias=antialias)
+        values, _ = frame.true_rig.sample_sphere(frame.images, directions, antialias=antialias)
         return {"images": encode(signed(values))}
 
-    def _measure(self, scene: Callable[[], Scene | MeshScene], key: str) -> dict[str, Tensor]:
-        directions = self._directions()[key]()
-        return {"inverse_depth": ray_depth(scene(), self.rig.center, directions).reciprocal()}
-
     def _image_cache(self, root: Path | None) -> ArrayCache:
-        numbers: tuple[object, ...] = (GENERATION, self.samples_per_pixel, self.min_depth)
-        if self.tilts is not None:
-            numbers = (*numbers, *(f"{tilt:.5g}" for tilt in self.tilts))
+        numbers: tuple[object, ...] = (GENERATION, self.world.samples_per_pixel, self.min_depth)
+        numbers = (*numbers, *(f"{tilt:.5g}" for tilt in self.world.tilts or ()))
         holds: dict[str, Any]
         if self.stored == "camera":
             name = "fisheye"
@@ -237,14 +209,31 @@ class SceneDataset(Dataset[dict[str, Any]]):
             holds = {"images": ((len(self.rig), 3, Icosphere(self.level).num_vertices), torch.uint8)}
         return ArrayCache(_below(root, f"{name}-{rig_fingerprint(self.rig, numbers)}"), holds)
 
-    def _depth_cache(self, root: Path | None, key: str) -> ArrayCache:
+    @staticmethod
+    def _measure(frame: WorldFrame, directions: Callable[[], Tensor]) -> dict[str, Tensor]:
+        return {"inverse_depth": frame.inverse_depth(directions())}
+
+    def _depth_caches(self, root: Path | None) -> dict[str, tuple[Callable[[], Tensor], ArrayCache]]:
+        """By the sample's entry, in which directions depth is wanted, and where it is kept."""
+        found: dict[str, tuple[Callable[[], Tensor], ArrayCache]] = {}
+        if {"sphere", "depth"} & set(self.entries):
+            level, shape = self.depth_level, (Icosphere(self.depth_level).num_vertices,)
+            cache = self._depth_cache(root, f"level{level}", shape)
+            found["inverse_depth"] = (lambda: Icosphere(level).vertices), cache
+        if "panorama" in self.entries:
+            size = self.panorama
+            cache = self._depth_cache(root, "x".join(map(str, size)), size)
+            found["panorama_inverse_depth"] = (
+                (lambda: Equirectangular.with_square_pixels(*size).directions),
+                cache,
+            )
+        return found
+
+    def _depth_cache(self, root: Path | None, grid: str, shape: tuple[int, ...]) -> ArrayCache:
         """Depths depend on where the rig's centre is, and on nothing else of it but for the size of its carrier."""
-        on_icosphere = key == "inverse_depth"
-        grid = f"level{self.depth_level}" if on_icosphere else "x".join(map(str, self.panorama))
-        shape = (Icosphere(self.depth_level).num_vertices,) if on_icosphere else self.panorama
         center = rounded_text(self.rig.center).decode().replace(" ", "_")
         name = f"depth-{grid}-min{self.min_depth:.5g}-at{center}-{GENERATION}"
-        if self.scenes.carrier is not None:
+        if self.world.carrier is not None:
             name += f"-{rig_fingerprint(self.rig)}"
         return ArrayCache(_below(root, name), {"inverse_depth": (shape, torch.float32)})
 

@@ -24,7 +24,7 @@ from sphericalvision.recipes.benchmark.measuring import BF16, Comparison, Measur
 from sphericalvision.recipes.benchmark.network import comparisons
 from sphericalvision.recipes.benchmark.plain_setup import plain_charts, plain_sweep_tables
 from sphericalvision.recipes.benchmark.processes import seconds_per_sample
-from sphericalvision.scenes.recipes import SCENE_KINDS
+from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.sweep import SphereSweep
 
 TINY = [
@@ -166,7 +166,7 @@ def test_plain_sweep_tables_point_where_ours_do() -> None:
 
 def test_training_that_waits_for_data(tmp_path: Path) -> None:
     rows = benchmark(config("groups=[data]"), tmp_path)
-    assert {row.name for row in rows if "rendering" in row.title} == set(SCENE_KINDS)
+    assert {row.name for row in rows if "rendering" in row.title} == set(scene_kinds())
     waiting = [row.median for row in rows if row.unit == "%"]
     assert len(waiting) == 2
     assert all(0 <= share <= 100 for share in waiting)

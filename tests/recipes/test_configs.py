@@ -15,12 +15,12 @@ from omegaconf import DictConfig, OmegaConf
 import sphericalvision.conf
 from sphericalvision.data import collate_samples, write_omnistereo
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.keys import KEYS
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.app.schema import check_node
 from sphericalvision.recipes.app.words import PATH_KEYS
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
+from sphericalvision.scenes.rendered_frames import RenderedFrames
 
 CONF = Path(sphericalvision.conf.__file__).parent
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))

@@ -26,7 +26,7 @@ from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPT
 from sphericalvision.recipes.study.benchmark.running import run_track
 from sphericalvision.recipes.study.benchmark.scoring import FrameTruth, score
 from sphericalvision.recipes.study.benchmark.tracks import TRACKS, chosen_tracks
-from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED
+from sphericalvision.scenes.world import HELD_OUT_SEED
 from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate
 from tests.recipes.tiny import Run

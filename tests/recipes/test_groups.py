@@ -19,9 +19,9 @@ from omegaconf import OmegaConf
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.own_files import import_own_files
 from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.tiny import TINY_SCENES, Run
 
 Words = tuple[str, ...]

@@ -13,9 +13,9 @@ import torch
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.data import OmniStereoDataset
 from sphericalvision.io.files import write_yaml
-from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.rigs import make_ring
-from sphericalvision.scenes.recipes import kind_of
+from sphericalvision.scenes.registry import kind_of
+from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.tiny import Run
 
 TINY = ("rig.image_size=[32,32]", "samples_per_pixel=1", "height=32")

@@ -21,7 +21,6 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import save_weights
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.app.frames import RenderedFrames
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.study import jobs as study_jobs
 from sphericalvision.recipes.study import training as study_training
@@ -37,6 +36,7 @@ from sphericalvision.recipes.study.tables import (
     zone_table,
 )
 from sphericalvision.recipes.study.training import training_config, training_words
+from sphericalvision.scenes.rendered_frames import RenderedFrames
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run
 

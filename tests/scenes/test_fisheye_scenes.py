@@ -21,7 +21,7 @@ from sphericalvision.scenes import (
     make_scene,
     ray_depth,
     render_rig,
-    scene_dataset,
+    world,
 )
 from sphericalvision.sphere import Equirectangular
 
@@ -88,8 +88,8 @@ def test_only_what_is_asked_for_is_computed(
     called: set[str] = set()
 
     def watch(name: str) -> None:
-        original = getattr(scene_dataset, name)
-        monkeypatch.setattr(scene_dataset, name, lambda *a: called.add(name) or original(*a))
+        original = getattr(world, name)
+        monkeypatch.setattr(world, name, lambda *a: called.add(name) or original(*a))
 
     watch("render_rig")
     watch("ray_depth")
@@ -109,7 +109,7 @@ def test_cached_and_fresh_samples_are_equal_and_the_cache_is_read(
     assert same(first, cached[0])
     assert cached.is_cached(0)
     assert not cached.is_cached(1)
-    monkeypatch.setattr(scene_dataset.SeededScenes, "make", lambda *_: pytest.fail("made again"))
+    monkeypatch.setattr(world, "make_scene", lambda *_: pytest.fail("made again"))
     assert same(first, scenes(rig, cache_dir=tmp_path)[0])
 
 

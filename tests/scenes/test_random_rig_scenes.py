@@ -9,12 +9,13 @@ from collections import Counter
 import pytest
 import torch
 
+from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes.disturbances import DISPLAY
-from sphericalvision.scenes.random_rig_scenes import SHARES, RandomRigScenes
+from sphericalvision.scenes.random_rig_scenes import RandomRigScenes
 from sphericalvision.scenes.recipes import make_scene, ray_depth, render_directions, render_rig
-from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED
+from sphericalvision.scenes.world import HELD_OUT_SEED, World, world_values
 
 SMALL = {"level": 3, "image_size": (24, 24)}
 
@@ -46,19 +47,20 @@ def test_samples_are_what_they_say():
 
 def test_rigs_and_scenes_are_of_all_kinds():
     scenes = RandomRigScenes(300, **SMALL)
-    kinds = Counter(scenes.frame(seed).rpartition("-")[0] for seed in range(300))
-    assert set(kinds) == set(SHARES)
-    assert all(abs(kinds[kind] / 300 - share) < 0.08 for kind, share in SHARES.items())
-    rigs = [scenes.true_rig(seed) for seed in range(60)]
-    assert {len(rig) for rig in rigs} == {2, 3, 4, 5, 6}
-    off = [not torch.equal(scenes.rig(k).world_from_camera, rigs[k].world_from_camera) for k in range(60)]
+    frames = [scenes.world.frame(seed) for seed in range(300)]
+    shares = world_values("random_rigs")["kind"]
+    kinds = Counter(frame.kind for frame in frames)
+    assert set(kinds) == set(shares)
+    assert all(abs(kinds[kind] / 300 - share) < 0.08 for kind, share in shares.items())
+    assert {len(frame.true_rig) for frame in frames[:60]} == {2, 3, 4, 5, 6}
+    off = [frame.posed_rig is not frame.true_rig for frame in frames[:60]]
     assert 0.1 < sum(off) / 60 < 0.6
 
 
 def test_scenes_have_other_skies_and_some_no_lamps():
     scenes = RandomRigScenes(60, **SMALL, shares={"bare": 1.0})
     own = [make_scene("bare", seed) for seed in range(60)]
-    others = [scenes.scene(seed) for seed in range(60)]
+    others = [scenes.world.frame(seed).scene for seed in range(60)]
     under = [not torch.equal(a.background, b.background) for a, b in zip(own, others, strict=True)]
     assert 0.4 < sum(under) / 60 < 0.8
     dull = [len(scene.lamps.position) == 0 for scene in others]
@@ -73,15 +75,14 @@ def test_scenes_have_other_skies_and_some_no_lamps():
 
 def test_some_samples_are_too_bright():
     scenes = RandomRigScenes(300, **SMALL, disturbed=0.0)
-    stops = torch.tensor([DISPLAY * math.log2(scenes.gain(seed)) for seed in range(300)])
+    stops = torch.tensor([DISPLAY * math.log2(scenes.world.frame(seed).gain) for seed in range(300)])
     bright = stops > 0
     assert 0.2 < bright.float().mean() < 0.4
     assert stops[bright].min() >= 0.3 - 1e-6
     assert stops.max() <= 2.5 + 1e-6
     brightest = int(stops.argmax())
-    usual = render_rig(
-        make_scene(scenes.frame(brightest).rpartition("-")[0], brightest), scenes.true_rig(brightest)
-    )
+    frame = scenes.world.frame(brightest)
+    usual = render_rig(make_scene(frame.kind, brightest), frame.true_rig)
     shown = scenes[brightest]["images"]
     assert (shown.where(shown > -1, 0).mean() + 1) / 2 > torch.stack(list(usual.values())).mean()
 
@@ -109,3 +110,33 @@ def test_seeds_of_the_benchmark_and_unknown_kinds_are_refused():
         RandomRigScenes(2, HELD_OUT_SEED - 1, **SMALL)
     with pytest.raises(ArgumentError, match="shares"):
         RandomRigScenes(1, shares={"forest": 1.0}, **SMALL)
+
+
+def test_what_happens_how_often_is_plain_values():
+    values = world_values("random_rigs")
+    faults = {**values["faults"], "disturbed": 1.0, "grey": 1.0, "noise": [0.0, 0.0]}
+    grey = RandomRigScenes(1, 30, **SMALL, values={**values, "carrier": 1.0, "faults": faults})
+    spread = grey[0]["images"].amax(1) - grey[0]["images"].amin(1)
+    assert spread.max() < 0.02  # but for rounding to bytes
+    assert grey.name != RandomRigScenes(1, 30, **SMALL).name
+    for wrong, name in (
+        ({"carriers": 0.3}, "carriers"),
+        ({"carrier": 1.3}, "carrier"),
+        ({"faults": {"grey": 1.0}}, "faults"),
+        ({"faults": {**faults, "blur": [2.0, 1.0]}}, r"faults\.blur"),
+    ):
+        with pytest.raises(ArgumentError, match=name):
+            RandomRigScenes(1, **SMALL, values={**values, **wrong})
+
+
+def test_a_carrier_is_in_view_and_in_the_truth_where_it_counts():
+    rig, down = ring_rig(3, image_size=(24, 24)), torch.tensor([0.0, 1.0, 0.0])
+    frames = [World(rig, carrier="pole", carrier_counts=counts).frame(3) for counts in (True, False)]
+    near, far = (1 / frame.inverse_depth(down) for frame in frames)
+    assert near < 0.1
+    assert far > 0.6
+    assert torch.equal(frames[0].images["cam1"], frames[1].images["cam1"])
+    assert not frames[0].rig.masks
+    hidden = World(rig, carrier="pole", masked=1.0).frame(3).rig.masks
+    assert set(hidden) == set(rig.names)
+    assert not any(mask.all() for mask in hidden.values())

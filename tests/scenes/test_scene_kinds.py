@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from importlib.metadata import EntryPoint, EntryPoints
 
 import pytest
 import torch
@@ -12,14 +13,9 @@ from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.core import ArgumentError
-from sphericalvision.scenes.recipes import (
-    SCENE_KINDS,
-    kind_of,
-    make_scene,
-    ray_depth,
-    render_camera,
-    render_directions,
-)
+from sphericalvision.scenes import registry
+from sphericalvision.scenes.recipes import make_scene, ray_depth, render_camera, render_directions
+from sphericalvision.scenes.registry import kind_of, register_scene, scene_kind, scene_kinds
 from sphericalvision.scenes.rendering.scene import Scene
 
 ORIGIN = torch.zeros(3)
@@ -41,11 +37,38 @@ def depths(kind: str, directions: Tensor) -> Tensor:
 
 def test_mixtures_take_turns() -> None:
     assert [kind_of("mixed", seed) for seed in range(4)] == ["room", "floating"] * 2
-    assert [kind_of("all", seed) for seed in range(8)] == [*SCENE_KINDS[:7], "room"]
-    assert SCENE_KINDS[7:] == ("skies", "patchwork", "rough", "glazed")
+    turns = ("room", "floating", "hall", "corridor", "bare", "polished", "outdoors")
+    assert tuple(kind_of("all", seed) for seed in range(8)) == (*turns, "room")
     assert kind_of("hall", 3) == "hall"
-    with pytest.raises(ArgumentError, match="'skies', 'patchwork', 'rough', 'glazed', 'mixed', 'all'"):
+    with pytest.raises(ArgumentError, match=r"'outdoors', .*'mixed', 'all'"):
         kind_of("street", 0)
+
+
+def test_a_kind_is_registered_by_one_decorator(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
+
+    @register_scene("twin", other_sky=True)
+    def twin(generator: torch.Generator, clear_radius: float) -> Scene:
+        return scene_kind("outdoors").make(generator, clear_radius)
+
+    assert "twin" in scene_kinds()
+    directions = around()
+    for kind, seed in (("skies", 4), ("twin", 4)):
+        assert kind_of(kind, seed) == kind
+    both = [render_directions(make_scene(kind, 4), ORIGIN, directions) for kind in ("skies", "twin")]
+    assert torch.equal(*both)
+    for taken in ("room", "all"):
+        with pytest.raises(ArgumentError, match=f"'{taken}'"):
+            register_scene(taken)(twin)
+
+
+def test_a_kind_is_found_by_its_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
+    entry = EntryPoint("elsewhere", "sphericalvision.scenes.kinds.halls:random_hall", registry.ENTRY_POINTS)
+    monkeypatch.setattr(registry.metadata, "entry_points", lambda group, **_: EntryPoints([entry]))
+    assert "elsewhere" in scene_kinds()
+    one, other = make_scene("elsewhere", 2), make_scene("hall", 2)
+    assert torch.equal(one.materials.dark, other.materials.dark)
 
 
 def test_skies_are_those_of_outdoors_in_other_colours_at_the_same_depth() -> None:
@@ -212,7 +235,7 @@ def test_halls_are_wide_and_high() -> None:
     assert (depths("hall", torch.stack([UP, *around(1.4, 20)])).amax(1) > 2.9).all()
 
 
-@pytest.mark.parametrize("kind", SCENE_KINDS)
+@pytest.mark.parametrize("kind", scene_kinds())
 def test_scenes_of_any_scale_look_alike(kind: str) -> None:
     directions = torch.nn.functional.normalize(torch.randn(400, 3), dim=-1)
     once, thrice = (make_scene(kind, 5, scale=scale) for scale in (1.0, 3.0))

@@ -13,14 +13,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, FisheyeCamera
 from sphericalvision.core import ArgumentError, MissingFileError
-from sphericalvision.scenes.recipes import (
-    SCENE_KINDS,
-    make_scene,
-    ray_depth,
-    render_camera,
-    render_directions,
-    render_rig,
-)
+from sphericalvision.scenes.recipes import make_scene, ray_depth, render_camera, render_directions, render_rig
+from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
 from sphericalvision.scenes.rendering.textures import PATTERNS, PHOTOGRAPHS, pattern, photograph, texture_bank
@@ -53,7 +47,7 @@ def floor(y: float = 1.0, size: float = 10.0, material: int = 0) -> Part:
     return Part("box", (0.0, y + 0.5, 0.0), (size, 0.5, size), material)
 
 
-@pytest.mark.parametrize("kind", SCENE_KINDS)
+@pytest.mark.parametrize("kind", scene_kinds())
 def test_same_seed_same_picture_and_another_seed_another(kind: str) -> None:
     directions = torch.nn.functional.normalize(torch.randn(500, 3), dim=-1)
     first, again, other = (
@@ -63,14 +57,14 @@ def test_same_seed_same_picture_and_another_seed_another(kind: str) -> None:
     assert (first - other).abs().mean() > 0.05
 
 
-@pytest.mark.parametrize("kind", SCENE_KINDS)
+@pytest.mark.parametrize("kind", scene_kinds())
 def test_making_a_scene_leaves_the_global_generator_alone(kind: str) -> None:
     state = torch.get_rng_state()
     make_scene(kind, 0)
     assert torch.equal(torch.get_rng_state(), state)
 
 
-@pytest.mark.parametrize("kind", SCENE_KINDS)
+@pytest.mark.parametrize("kind", scene_kinds())
 @pytest.mark.parametrize("seed", range(6))
 def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: str, seed: int) -> None:
     scene = make_scene(kind, seed)
@@ -82,7 +76,7 @@ def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: s
     assert depth[depth.isfinite()].max() > 2.0
 
 
-@pytest.mark.parametrize("kind", [kind for kind in SCENE_KINDS if kind != "skies"])  # those may be white
+@pytest.mark.parametrize("kind", [kind for kind in scene_kinds() if kind != "skies"])  # those may be white
 def test_pictures_are_neither_dark_nor_washed_out(kind: str) -> None:
     directions = torch.nn.functional.normalize(torch.randn(2000, 3), dim=-1)
     pictures = torch.stack(

@@ -11,13 +11,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
-from sphericalvision.scenes.recipes import (
-    SCENE_KINDS,
-    make_scene,
-    ray_depth,
-    render_camera,
-    render_directions,
-)
+from sphericalvision.scenes.recipes import make_scene, ray_depth, render_camera, render_directions
+from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, pack
 from sphericalvision.scenes.rendering.ray_packets import (
     RAYS,
@@ -69,7 +64,7 @@ def rays(camera: FisheyeCamera | EquirectangularCamera) -> Tensor:
     return seen.directions[seen.valid]
 
 
-@pytest.mark.parametrize("kind", SCENE_KINDS)
+@pytest.mark.parametrize("kind", scene_kinds())
 def test_depth_is_that_of_testing_everything(kind: str) -> None:
     scene = make_scene(kind, 3)
     directions = rays(FisheyeCamera.from_field_of_view((96, 96), math.radians(220)))
@@ -80,7 +75,7 @@ def test_depth_is_that_of_testing_everything(kind: str) -> None:
     assert close.float().mean() > 0.9995  # rays through edges, by rounding
 
 
-@pytest.mark.parametrize("kind", SCENE_KINDS)
+@pytest.mark.parametrize("kind", scene_kinds())
 @pytest.mark.parametrize("seed", [0, 5])
 def test_light_is_that_of_tracing_every_shadow_ray(kind: str, seed: int) -> None:
     """Points as a camera sees them, in its packets: most on several primitives."""
@@ -109,7 +104,7 @@ def test_light_is_that_of_tracing_every_shadow_ray(kind: str, seed: int) -> None
     assert same.float().mean() > 0.995
 
 
-@pytest.mark.parametrize("kind", SCENE_KINDS)
+@pytest.mark.parametrize("kind", scene_kinds())
 def test_leaving_out_the_own_primitive_changes_no_light(kind: str) -> None:
     """The shadow that a convex primitive throws on itself is where it turns away from the lamp."""
     scene = make_scene(kind, 2)

@@ -21,10 +21,12 @@ from sphericalvision.recipes.study.benchmark.tracks import Track
 from sphericalvision.scenes import MeshScene, ray_depth, render_directions, render_rig
 from sphericalvision.scenes.cache import ArrayCache
 from sphericalvision.scenes.carriers import carrier_masks, with_carrier
-from sphericalvision.scenes.recipes import kind_of, make_scene
+from sphericalvision.scenes.meshes import mesh_files
+from sphericalvision.scenes.recipes import make_scene
+from sphericalvision.scenes.registry import kind_of
 from sphericalvision.scenes.rendering.primitives import Primitives
 from sphericalvision.scenes.rendering.scene import Scene
-from sphericalvision.scenes.seeded_scenes import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH, mesh_files
+from sphericalvision.scenes.world import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH
 from sphericalvision.sphere import Equirectangular
 
 __all__ = ["NATURAL_SIZE", "Frame", "Size", "aligner", "render_frame"]

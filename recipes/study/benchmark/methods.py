@@ -21,8 +21,8 @@ from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.study.benchmark.frames import Frame
 from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.scenes import make_scene, ray_depth
-from sphericalvision.scenes.recipes import kind_of
-from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, NATURAL_MIN_DEPTH
+from sphericalvision.scenes.registry import kind_of
+from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth
 
 __all__ = [

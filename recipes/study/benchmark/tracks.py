@@ -13,9 +13,10 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.rigs import make_corner_rig, make_panorama_ring, make_ring
 from sphericalvision.scenes.disturbances import CameraDisturbance
+from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.random_rigs import random_rig
-from sphericalvision.scenes.recipes import SCENE_KINDS, kind_of
-from sphericalvision.scenes.seeded_scenes import HELD_OUT_SEED, mesh_files
+from sphericalvision.scenes.registry import kind_of, scene_kinds
+from sphericalvision.scenes.world import HELD_OUT_SEED
 
 __all__ = ["GROUPS", "TRACKS", "RigRecipe", "Track", "chosen_tracks"]
 
@@ -106,7 +107,7 @@ class Track:
 
 
 def _scenes() -> list[Track]:
-    kinds = ("room", "floating", "mixed", *SCENE_KINDS[2:])
+    kinds = ("room", "floating", "mixed", *scene_kinds()[2:])
     return [Track(kind, "scenes", kind) for kind in kinds]
 
 

@@ -16,12 +16,14 @@ from sphericalvision.scenes.kinds.rooms import (
     random_opening,
     wall_piece,
 )
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Color, Scene, pack_lamps, pack_materials
 
 __all__ = ["random_bare_room"]
 
 
+@register_scene("bare")
 def random_bare_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A room without pictures on its plain walls, the rig at its origin; not yet exposed (see `make_scene`).
 

@@ -19,12 +19,14 @@ from sphericalvision.scenes.kinds.rooms import (
     hang_small_things,
     random_opening,
 )
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
 
 __all__ = ["random_corridor"]
 
 
+@register_scene("corridor")
 def random_corridor(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A corridor of 10 to 45 m, 1.5 to 3 m wide, around the rig, y down; not yet exposed (see `make_scene`).
 

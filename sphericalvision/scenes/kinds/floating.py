@@ -9,12 +9,14 @@ import math
 import torch
 
 from sphericalvision.scenes.kinds.palette import Palette
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, pack
 from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
 
 __all__ = ["random_floating_objects"]
 
 
+@register_scene("floating")
 def random_floating_objects(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """Many textured objects and thin rods in mid-air, the rig at the origin; not yet exposed (see
     `make_scene`).

@@ -23,6 +23,7 @@ from sphericalvision.scenes.kinds.rooms import (
     random_opening,
     wall_piece,
 )
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Scene, pack_lamps, pack_materials
 
@@ -32,6 +33,7 @@ OUTSIDE = 80.0
 """Metres to the sides that the ground outside has."""
 
 
+@register_scene("glazed", other_sky=True)
 def random_glazed_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A room with windows to two or more sides, y down, the rig at its origin; not yet exposed.
 

@@ -10,12 +10,14 @@ import torch
 from sphericalvision.scenes.kinds.furniture import place
 from sphericalvision.scenes.kinds.palette import Palette
 from sphericalvision.scenes.kinds.rooms import Room, build_shell, decorate, furnish, hang_small_things
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
 
 __all__ = ["random_hall"]
 
 
+@register_scene("hall")
 def random_hall(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A hall of 10 to 40 m with the rig somewhere in it, y down; not yet exposed (see `make_scene`).
 

@@ -13,6 +13,7 @@ import torch
 
 from sphericalvision.scenes.kinds.furniture import footprint_radius, place
 from sphericalvision.scenes.kinds.palette import Palette
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Color, Lamp, Material, Scene, pack_lamps, pack_materials
 from sphericalvision.scenes.rendering.textures import PHOTOGRAPHS
@@ -47,6 +48,8 @@ class _Place:
             self.circles.append((x, z, radius))
 
 
+@register_scene("skies", other_sky=True)
+@register_scene("outdoors")
 def random_outdoor_place(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A street, yard or meadow with the rig at its origin, y down; not yet exposed (see `make_scene`).
 

@@ -10,6 +10,7 @@ import torch
 from sphericalvision.scenes.kinds.furniture import footprint_radius, place
 from sphericalvision.scenes.kinds.palette import Palette
 from sphericalvision.scenes.kinds.rooms import Room, wall_piece
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
 
@@ -23,6 +24,7 @@ GROUND = 120.0
 """Metres to the sides that the ground of an open place has."""
 
 
+@register_scene("patchwork")
 def random_patchwork(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A box room, or open ground, with boxes, columns and balls; y down, the rig at the origin; not yet exposed.
 

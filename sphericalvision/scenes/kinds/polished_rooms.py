@@ -19,12 +19,14 @@ from sphericalvision.scenes.kinds.rooms import (
     hang_small_things,
     random_opening,
 )
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Material, Scene, pack_lamps, pack_materials
 
 __all__ = ["random_polished_room"]
 
 
+@register_scene("polished")
 def random_polished_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A room on a floor that mirrors a third to three quarters of its light; not yet exposed (see `make_scene`).
 

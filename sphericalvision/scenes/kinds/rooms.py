@@ -17,6 +17,7 @@ from sphericalvision.scenes.kinds.furniture import (
 )
 from sphericalvision.scenes.kinds.labels import labelled
 from sphericalvision.scenes.kinds.palette import Palette
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
 
@@ -93,6 +94,7 @@ def _from_floor_to_ceiling(part: Part, height: float) -> Part:
     )
 
 
+@register_scene("room")
 def random_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A furnished room with the rig at its origin, y down; not yet exposed (see `make_scene`).
 

@@ -9,6 +9,7 @@ import torch
 
 from sphericalvision.scenes.kinds.palette import Palette
 from sphericalvision.scenes.kinds.patchwork import LAMPLESS, any_picture, lamps_near
+from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Scene, pack_lamps, pack_materials
 
@@ -24,6 +25,7 @@ GROUND = 150.0
 Vector = tuple[float, float, float]
 
 
+@register_scene("rough")
 def random_rough_place(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A cave, or a slope below the sky, with boulders and beams; y down, the rig at the origin; not yet exposed.
 

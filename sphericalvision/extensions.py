@@ -131,5 +131,5 @@ class Registry(Generic[Thing]):
 
 
 def _identity(thing: Any) -> Any:
-    """What tells two things apart: a class by where it is defined, anything else by itself."""
-    return f"{thing.__module__}.{thing.__qualname__}" if isinstance(thing, type) else thing
+    """What tells two things apart: a class or function by where it is defined, anything else by itself."""
+    return f"{thing.__module__}.{thing.__qualname__}" if hasattr(thing, "__qualname__") else thing

@@ -26,7 +26,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_type
-from sphericalvision.scenes.registry import scene_kind
+from sphericalvision.scenes.registry import scene_recipe, under_other_skies
 from sphericalvision.scenes.rendering.render import ray_depth, render_camera, render_directions, render_rig
 from sphericalvision.scenes.rendering.scene import Scene
 from sphericalvision.scenes.skies import under_another_sky
@@ -65,7 +65,7 @@ def make_scene(
         >>> images["cam1"].shape
         torch.Size([3, 16, 16])
     """
-    recipe = scene_kind(kind)
+    recipe = scene_recipe(kind)
     if not scale > 0:
         raise ArgumentError(f"scale: expected a positive factor, got {scale}")
     if not 0 < clear_radius < 1:
@@ -74,7 +74,7 @@ def make_scene(
         )
     check_type("seed", seed, int)
     generator = torch.Generator().manual_seed(seed)
-    scene = recipe.make(generator, clear_radius)
+    scene = recipe(generator, clear_radius)
     yaw = 2 * math.pi * torch.rand((), generator=generator).item()
     sin, cos = math.sin(yaw), math.cos(yaw)
     scene = scene.transformed(torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]))
@@ -84,7 +84,7 @@ def make_scene(
         .scaled(scale)
         .transformed(translation=center.cpu().float() if center is not None else None)
     )
-    if recipe.other_sky:
+    if under_other_skies(kind):
         scene = under_another_sky(scene, generator)
     return scene if device is None else scene.to(device)
 

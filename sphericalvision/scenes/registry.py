@@ -3,23 +3,31 @@
 
 from __future__ import annotations
 
-import pkgutil
 from collections.abc import Callable
-from functools import cache
-from importlib import import_module, metadata
-from typing import NamedTuple
+from typing import Any
 
 import torch
 
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.core import check_choice
+from sphericalvision.extensions import Registry
 from sphericalvision.scenes.rendering.scene import Scene
 
-__all__ = ["ENTRY_POINTS", "MIXTURES", "SceneKind", "kind_of", "register_scene", "scene_kind", "scene_kinds"]
+__all__ = [
+    "ENTRY_POINTS",
+    "MIXTURES",
+    "kind_of",
+    "register_scene",
+    "scene_kinds",
+    "scene_recipe",
+    "under_other_skies",
+]
 
 ENTRY_POINTS = "sphericalvision.scenes"
 """Group of entry points, name -> recipe of a scene, in which other packages offer theirs."""
 
 Recipe = Callable[[torch.Generator, float], Scene]
+"""From a generator of randomness and the free space around the rig in metres to a scene: the rig at its origin, y down,
+not yet exposed."""
 
 #: Kinds that take turns from seed to seed, by the name of the mixture. Lists that stay as they are, whatever kinds are
 #: added: so a seed of a mixture means the same scene for ever.
@@ -29,20 +37,19 @@ MIXTURES = {
 }
 
 
-class SceneKind(NamedTuple):
-    """A kind of scene.
-
-    Attributes:
-        make: from a generator of randomness and the free space around the rig in metres to a scene, the rig at its
-            origin, y down, not yet exposed.
-        other_sky: whether it comes under a sky of any colour, or a cloudy one, in place of its own.
-    """
-
-    make: Recipe
-    other_sky: bool = False
+def _fits(name: str, make: Any) -> bool:
+    return bool(name) and name not in MIXTURES and callable(make)
 
 
-_KINDS: dict[str, SceneKind] = {}
+KINDS: Registry[Recipe] = Registry(
+    "kind",
+    "a function that makes a scene, and no name of a mixture,",
+    _fits,
+    ENTRY_POINTS,
+    folder="sphericalvision.scenes.kinds",
+)
+
+_UNDER_OTHER_SKIES: set[str] = set()
 
 
 def register_scene(name: str, *, other_sky: bool = False) -> Callable[[Recipe], Recipe]:
@@ -69,22 +76,12 @@ def register_scene(name: str, *, other_sky: bool = False) -> Callable[[Recipe], 
     """
 
     def register(make: Recipe) -> Recipe:
-        known = _KINDS.get(name, SceneKind(make)).make
-        mine = (make.__module__, make.__qualname__)
-        if name in MIXTURES or (known.__module__, known.__qualname__) != mine:
-            raise ArgumentError(f"name: {name!r} is a kind or mixture of scenes already; choose another name")
-        _KINDS[name] = SceneKind(make, other_sky)
+        KINDS.add(name, make)
+        if other_sky:
+            _UNDER_OTHER_SKIES.add(name)
         return make
 
     return register
-
-
-@cache
-def _read_folder() -> None:
-    """Import every module of the folder of kinds, which register themselves."""
-    folder = import_module("sphericalvision.scenes.kinds")
-    for module in pkgutil.iter_modules(folder.__path__, f"{folder.__name__}."):
-        import_module(module.name)
 
 
 def scene_kinds() -> tuple[str, ...]:
@@ -94,26 +91,25 @@ def scene_kinds() -> tuple[str, ...]:
         >>> scene_kinds()[:3]
         ('room', 'floating', 'hall')
     """
-    _read_folder()
-    others = {*_KINDS, *metadata.entry_points(group=ENTRY_POINTS).names} - set(MIXTURES["all"])
-    return (*MIXTURES["all"], *sorted(others))
+    return (*MIXTURES["all"], *(name for name in KINDS.names() if name not in MIXTURES["all"]))
 
 
-def scene_kind(name: str) -> SceneKind:
-    """The kind of a name.
+def scene_recipe(name: str) -> Recipe:
+    """What makes the scenes of a kind.
 
     Raises:
-        ArgumentError: there is none.
+        ArgumentError: there is no such kind, or the package that offers it cannot be imported.
     """
-    _read_folder()
-    if name not in _KINDS:
-        for entry in metadata.entry_points(group=ENTRY_POINTS, name=name):
-            make = entry.load()  # which may register itself, to say more than the name
-            if name not in _KINDS:
-                register_scene(name)(make)
-    if name not in _KINDS:
+    make = KINDS.find(name)
+    if make is None:
         check_choice("kind", name, scene_kinds())
-    return _KINDS[name]
+    assert make is not None
+    return make
+
+
+def under_other_skies(name: str) -> bool:
+    """Whether scenes of a kind come under a sky of any colour, or a cloudy one, in place of their own."""
+    return name in _UNDER_OTHER_SKIES
 
 
 def kind_of(kind: str, seed: int) -> str:

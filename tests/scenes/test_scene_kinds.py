@@ -15,7 +15,7 @@ from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.scenes import registry
 from sphericalvision.scenes.recipes import make_scene, ray_depth, render_camera, render_directions
-from sphericalvision.scenes.registry import kind_of, register_scene, scene_kind, scene_kinds
+from sphericalvision.scenes.registry import kind_of, register_scene, scene_kinds, scene_recipe
 from sphericalvision.scenes.rendering.scene import Scene
 
 ORIGIN = torch.zeros(3)
@@ -45,11 +45,11 @@ def test_mixtures_take_turns() -> None:
 
 
 def test_a_kind_is_registered_by_one_decorator(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
+    monkeypatch.setattr(registry.KINDS, "things", dict(registry.KINDS.things))
 
     @register_scene("twin", other_sky=True)
     def twin(generator: torch.Generator, clear_radius: float) -> Scene:
-        return scene_kind("outdoors").make(generator, clear_radius)
+        return scene_recipe("outdoors")(generator, clear_radius)
 
     assert "twin" in scene_kinds()
     directions = around()
@@ -58,14 +58,14 @@ def test_a_kind_is_registered_by_one_decorator(monkeypatch: pytest.MonkeyPatch) 
     both = [render_directions(make_scene(kind, 4), ORIGIN, directions) for kind in ("skies", "twin")]
     assert torch.equal(*both)
     for taken in ("room", "all"):
-        with pytest.raises(ArgumentError, match=f"'{taken}'"):
+        with pytest.raises(ArgumentError, match=f"kind: .*'{taken}'"):
             register_scene(taken)(twin)
 
 
 def test_a_kind_is_found_by_its_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
+    monkeypatch.setattr(registry.KINDS, "things", dict(registry.KINDS.things))
     entry = EntryPoint("elsewhere", "sphericalvision.scenes.kinds.halls:random_hall", registry.ENTRY_POINTS)
-    monkeypatch.setattr(registry.metadata, "entry_points", lambda group, **_: EntryPoints([entry]))
+    monkeypatch.setattr("sphericalvision.extensions.entry_points", lambda group, **_: EntryPoints([entry]))
     assert "elsewhere" in scene_kinds()
     one, other = make_scene("elsewhere", 2), make_scene("hall", 2)
     assert torch.equal(one.materials.dark, other.materials.dark)

@@ -52,10 +52,11 @@ audit: $(VENV)/.installed-all ## known vulnerabilities of everything that the te
 	@$(BIN)/python -m pip_audit --version > /dev/null 2>&1 || $(PIP) pip-audit
 	@$(BIN)/python -m pip_audit --no-deps --disable-pip -r tests/versions.txt $(ARGS)
 
-lint: $(VENV)/.installed-all ## ruff, mypy and the import layers
+lint: $(VENV)/.installed-all ## ruff, mypy, dead code and the import layers
 	@echo "==> ruff check"   && $(BIN)/ruff check .
 	@echo "==> ruff format"  && $(BIN)/ruff format --check .
 	@echo "==> mypy"         && $(BIN)/mypy
+	@echo "==> vulture"      && $(BIN)/vulture
 	@echo "==> lint-imports"
 	@# The linter reads folders, not the package-dir mapping of pyproject.toml: show it the installed layout.
 	@rm -rf build/layers && mkdir -p build/layers && cp -R sphericalvision build/layers/

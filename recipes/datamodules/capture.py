@@ -151,7 +151,7 @@ class CaptureDataModule(SampleDataModule):
                 f"scenes follow this one; set {HELD_OUT_SEED - NUM_RENDERED} or less, got {rendered_seed}"
             )
         super().__init__(batch_size, num_workers, seed)
-        self.images, self.frame_names = images, frames
+        self.images = images
         self.selection = Selection(start, stop, every)
         self.num_frames, self.held_out_every = num_frames, held_out_every
         self.min_depth, self.trained_radius = min_depth, trained_radius

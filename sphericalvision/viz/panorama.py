@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
@@ -17,7 +16,6 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
-from sphericalvision.io.images import write_image
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color, fade
 from sphericalvision.viz.figure import add_scale_bar, sheet
@@ -31,8 +29,6 @@ __all__ = [
     "error_to_color",
     "icosphere_to_panorama",
     "rgb_panorama",
-    "save_depth_panorama",
-    "save_error_panorama",
     "sheet",
 ]
 
@@ -93,18 +89,6 @@ _UNSURE, _SURE = 0.4, 0.9
 """Confidence at which it keeps the least, and all: nearly everything that networks see well has more than 0.9."""
 
 
-def save_depth_panorama(
-    path: str | Path,
-    depth: Float[Tensor, "H W"],
-    min_depth: float,
-    max_depth: float = math.inf,
-    title: str | None = None,
-) -> Path:
-    """Write the picture that ``depth_panorama`` makes and return its path."""
-    write_image(path, depth_panorama(depth, min_depth, max_depth, title))
-    return Path(path)
-
-
 def error_panorama(
     error: Float[Tensor, "H W"], max_error: float, label: str = "error (% of N)", title: str | None = None
 ) -> Picture:
@@ -127,18 +111,6 @@ def error_panorama(
     _check_panorama("error", error)
     ticks = [(k / 5, f"{max_error * k / 5:.3g}") for k in range(5)] + [(1.0, f"≥ {max_error:.3g}")]
     return add_scale_bar(error_to_color(error, max_error), ERROR_MAP, ticks, label, title)
-
-
-def save_error_panorama(
-    path: str | Path,
-    error: Float[Tensor, "H W"],
-    max_error: float,
-    label: str = "error (% of N)",
-    title: str | None = None,
-) -> Path:
-    """Write the picture that ``error_panorama`` makes and return its path."""
-    write_image(path, error_panorama(error, max_error, label, title))
-    return Path(path)
 
 
 def icosphere_to_panorama(values: Float[Tensor, "*batch V"], height: int) -> Float[Tensor, "*batch H W"]:

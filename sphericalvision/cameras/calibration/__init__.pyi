@@ -1,4 +1,3 @@
-from .basalt import read_basalt as read_basalt
 from .basalt import write_basalt as write_basalt
 from .colmap import write_colmap as write_colmap
 from .colmap import write_colmap_rig as write_colmap_rig
@@ -8,7 +7,6 @@ from .detect import read_rig as read_rig
 from .kalibr import write_kalibr as write_kalibr
 from .native import write_camera as write_camera
 from .native import write_rig as write_rig
-from .ocam_text import read_ocam_folder as read_ocam_folder
 from .ocam_text import read_ocam_text as read_ocam_text
 from .ocam_text import write_ocam_text as write_ocam_text
 from .omnimvs import write_omnimvs as write_omnimvs

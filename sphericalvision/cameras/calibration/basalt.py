@@ -19,7 +19,6 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
     entry,
@@ -42,12 +41,12 @@ from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, check_file, short_repr
+from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import transform_from_quaternion
 from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import read_mask, write_mask
 
-__all__ = ["contents", "read_basalt", "recognizes", "write_basalt"]
+__all__ = ["contents", "recognizes", "write_basalt"]
 
 _PARAMETERS = {
     "ds": ("xi", "alpha"),
@@ -58,25 +57,6 @@ _PARAMETERS = {
     "pinhole-radtan8": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "rpmax"),
 }
 _POSITION, _QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
-
-
-def read_basalt(
-    path: str | Path, *, max_angle: float | None = None, dtype: torch.dtype | None = None
-) -> CameraRig:
-    """The rig of a Basalt json.
-
-    Args:
-        path: the file.
-        max_angle: half the field of view in radians, which the file does not tell; by default the angle at the
-            farthest pixel of each image, within the mask if there is one.
-        dtype: of intrinsics and poses, by default torch's default.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: the file is not such a json, or of a camera type that is not known.
-    """
-    path = check_file(path, "a Basalt calibration json")
-    return contents(load(path), path, Options(max_angle, dtype)).rig(path, dtype)
 
 
 def recognizes(content: dict[str, Any]) -> bool:

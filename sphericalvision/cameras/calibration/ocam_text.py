@@ -26,7 +26,6 @@ from sphericalvision.cameras.calibration.parsing import (
 from sphericalvision.cameras.calibration.supported_models import check_holds, numbers_of
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.ocam import OCamCamera
-from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.io.files import atomic_write
@@ -35,7 +34,6 @@ __all__ = [
     "contents",
     "make_ocam",
     "ocam_numbers",
-    "read_ocam_folder",
     "read_ocam_text",
     "recognizes",
     "write_ocam_text",
@@ -155,32 +153,6 @@ def read_ocam_text(
 
 def _natural(path: Path) -> list[int | str]:
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.stem)]
-
-
-def read_ocam_folder(
-    folder: str | Path,
-    *,
-    translation_unit: str | None,
-    max_angle: float | None = None,
-    dtype: torch.dtype | None = None,
-) -> CameraRig:
-    """The rig of a folder with ``ocam1.txt``, ``ocam2.txt``, ... and ``poses.txt``; cameras are ``cam1``, ``cam2``, ...
-
-    Each line of ``poses.txt`` is rx ry rz tx ty tz, axis-angle in radians and translation, camera to rig.
-
-    Args:
-        folder: the folder.
-        translation_unit: ``"m"``, ``"cm"`` or ``"mm"``; published files use the latter two and do not say which.
-        max_angle: half the field of view in radians; by default the 110° of the omnidirectional stereo sets.
-        dtype: of intrinsics and poses, by default torch's default.
-
-    Raises:
-        ArgumentError: ``translation_unit`` is not given.
-        FileFormatError: files and poses differ in number, or a file is broken; the message names file and line.
-    """
-    folder = Path(folder)
-    options = Options(max_angle, dtype, translation_unit)
-    return _folder_contents(folder, options).rig(folder / _POSES, dtype)
 
 
 def _folder_contents(folder: Path, options: Options) -> Contents:

@@ -153,11 +153,6 @@ class TextureBank:
     def num_levels(self) -> int:
         return self.size.bit_length()
 
-    @property
-    def num_photographs(self) -> int:
-        """How many come first that are photographs."""
-        return sum("." in name for name in self.names)
-
     def sample(self, texture: Tensor, uv: Tensor, footprint: Tensor) -> Tensor:
         """Trilinear look-up, mirrored beyond [0, 1].
 

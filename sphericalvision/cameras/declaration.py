@@ -60,6 +60,7 @@ class Intrinsic(Declared):
         least: the smallest number that may be.
         most: the largest number that may be.
         unit: of the numbers, in errors.
+        named: what files call the numbers, in order; one number a camera is called like the intrinsic.
     """
 
     optional = False
@@ -72,8 +73,9 @@ class Intrinsic(Declared):
         least: float = -math.inf,
         most: float = math.inf,
         unit: str = "numbers",
+        named: str = "",
     ) -> None:
-        self.sizes, self.unit = sizes, unit
+        self.sizes, self.unit, self.named = sizes, unit, named
         self.above, self.below, self.least, self.most = above, below, least, most
 
     if TYPE_CHECKING:
@@ -81,6 +83,10 @@ class Intrinsic(Declared):
         def __get__(self, camera: object, owner: object) -> Tensor: ...
 
         def __set__(self, camera: object, value: float | Sequence[float] | Tensor) -> None: ...
+
+    def names(self, name: str) -> list[str]:
+        """Of the numbers of the intrinsic ``name``."""
+        return self.named.split() or [name]
 
     def check(self, name: str, value: Tensor) -> None:
         """Raise for another size, and for numbers out of bounds."""
@@ -106,8 +112,8 @@ class OptionalIntrinsic(Intrinsic):
 
     optional = True
 
-    def __init__(self, *sizes: int, default: Any = _REQUIRED) -> None:
-        super().__init__(*sizes)
+    def __init__(self, *sizes: int, named: str = "", default: Any = _REQUIRED) -> None:
+        super().__init__(*sizes, named=named)
         self.default = default
 
     if TYPE_CHECKING:

@@ -94,7 +94,7 @@ def test_what_basalt_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"'basalt' has no ocam model.*'native' or 'ocamcalib' or 'omnimvs'"):
         save_camera(lens, tmp_path / "calibration.json", format="basalt")
     mei = UnifiedCamera([100.0, 100.0], [49.5, 49.5], 1.0, [0.1, 0.0, 0.0, 0.0, 0.0], (100, 100))
-    with pytest.raises(ValueError, match="holds 0 numbers of distortion"):
+    with pytest.raises(ValueError, match=r"holds fx fy cx cy xi, and this one has k1="):
         save_camera(mei, tmp_path / "calibration.json", format="basalt")
 
 

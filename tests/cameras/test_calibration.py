@@ -25,8 +25,8 @@ from sphericalvision.cameras import (
     read_camera,
     read_rig,
     ring_rig,
+    save_camera,
 )
-from sphericalvision.cameras.calibration import write_camera
 from sphericalvision.core import SphericalVisionError
 
 OCAM = """#polynomial coefficients for the DIRECT mapping function
@@ -234,7 +234,7 @@ def test_own_yaml_returns_the_same_rig(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", models())
 def test_own_yaml_returns_the_same_camera(tmp_path: Path, name: str) -> None:
     camera = models()[name]
-    write_camera(camera, tmp_path / "camera.yaml")
+    save_camera(camera, tmp_path / "camera.yaml")
     assert read_camera(tmp_path / "camera.yaml").equals(camera)
 
 

@@ -139,7 +139,7 @@ def test_what_kalibr_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"'kalibr' has no fisheye model.*'native'.*convert\(to=\.\.\.\)"):
         save_camera(fisheye, tmp_path / "camchain.yaml", format="kalibr")
     with_k3 = BrownConradyCamera([300.0, 300.0], [49.5, 49.5], [0.0, 0.0, 0.0, 0.0, 0.1], (100, 100), 0.3)
-    with pytest.raises(ValueError, match=r"holds 4 numbers of distortion"):
+    with pytest.raises(ValueError, match="holds fx fy cx cy k1 k2 p1 p2, and this one has k3="):
         save_camera(with_k3, tmp_path / "camchain.yaml", format="kalibr")
     assert not list(tmp_path.iterdir())
 
@@ -153,7 +153,7 @@ def test_what_kalibr_cannot_hold_is_refused(tmp_path: Path) -> None:
             "cam0, distortion_model: expected none or radtan or equidistant with pinhole",
         ),
         ({"intrinsics": [1.0, 2.0, 3.0]}, "cam0, intrinsics (fu fv pu pv): expected 4 numbers, got 3"),
-        ({"intrinsics": [0.0, 2.0, 3.0, 4.0]}, "cam0, intrinsics: expected positive focal lengths"),
+        ({"intrinsics": [0.0, 2.0, 3.0, 4.0]}, "cam0, fu and fv: expected positive focal lengths"),
         ({"distortion_coeffs": [0.1]}, "cam0, distortion_coeffs: expected 4 numbers, got 1"),
         ({"resolution": [752]}, "cam0, resolution: expected 2 numbers"),
         ({"resolution": [752.5, 480]}, "cam0, resolution: expected the width and height"),

@@ -139,7 +139,7 @@ def test_matrix_without_distortion_is_a_pinhole(tmp_path: Path) -> None:
 def test_image_size_can_be_given_where_the_file_does_not_tell(tmp_path: Path) -> None:
     path = write(tmp_path / "intrinsics.yml", K=MATRIX, D=PLAIN)
     with pytest.raises(
-        ValueError, match=r"intrinsics\.yml has no image_width .* image_size=\(height, width\)"
+        ValueError, match=r"intrinsics\.yml does not tell image_width .* image_size=\(height, width\)"
     ):
         read_camera(path)
     assert read_camera(path, image_size=(240, 320)).image_size == (240, 320)

@@ -15,7 +15,6 @@ References:
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +24,23 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.parsing import entry, errors_of_file, focal_lengths, numbers
+from sphericalvision.cameras.calibration.lenses import Lens, lens_called
+from sphericalvision.cameras.calibration.parsing import chosen, entry, numbers
+from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.thin_prism_fisheye import ThinPrismFisheyeCamera
-from sphericalvision.core import ArgumentError, FileFormatError, short_repr
-from sphericalvision.geometry import transform_from_quaternion
+from sphericalvision.core import FileFormatError, short_repr
 
 __all__ = ["contents", "recognizes"]
 
-_COUNTS = {"FisheyeRadTanThinPrism": 15, "KannalaBrandtK3": 8}
+_LENSES = (
+    Lens(
+        "FisheyeRadTanThinPrism",
+        "thin_prism_fisheye",
+        "f cx cy k1 k2 k3 k4 k5 k6 p2 p1 s1 s2 s3 s4",
+        options={"composition": "sequential"},
+    ),
+    Lens("KannalaBrandtK3", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
+)
 _SIZES = {"camera-slam": (480, 640), "camera-rgb": (2880, 2880), "camera-et": (240, 320)}
 """(height, width) by the beginning of the label."""
 
@@ -48,7 +54,6 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed file.
 
     Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
         ArgumentError: the size of a camera is not known by its label, and not given.
     """
     entries = content["CameraCalibrations"]
@@ -68,39 +73,21 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 
 def _camera(values: Any, label: str, where: str, options: Options) -> Camera:
-    kind = entry(values, "Name", where)
-    if not isinstance(kind, str) or kind not in _COUNTS:
-        raise FileFormatError(f"{where}, Name: expected {' or '.join(_COUNTS)}, got {short_repr(kind)}")
-    found = numbers(entry(values, "Params", where), f"{where}, Params", _COUNTS[kind])
+    kinds = [lens.name for lens in _LENSES]
+    lens = lens_called(_LENSES, chosen(entry(values, "Name", where), kinds, f"{where}, Name"))
+    found = numbers(entry(values, "Params", where), f"{where}, Params", len(lens.keys))
     size = options.image_size or next((s for start, s in _SIZES.items() if label.startswith(start)), None)
-    if size is None:
-        raise ArgumentError(
-            f"image_size: {where} does not tell it for {label!r}; pass image_size=(height, width)"
-        )
-    with errors_of_file(where):
-        if kind == "KannalaBrandtK3":
-            focal_length = torch.tensor(focal_lengths(found[:2], where), dtype=torch.float64)
-            return KannalaBrandtCamera(focal_length, found[2:4], found[4:], size, math.pi)
-        focal_length = torch.tensor(focal_lengths(found[:1] * 2, where), dtype=torch.float64)
-        p0, p1 = found[9:11]
-        terms = (found[3:9], [p1, p0], found[11:])
-        return ThinPrismFisheyeCamera(focal_length, found[1:3], *terms, size, math.pi)
+    return lens.camera(found, size or options.given_size(f"{where} of {label!r}"), where)
 
 
 def _pose(values: Any, where: str) -> Tensor:
     translation = numbers(entry(values, "Translation", where), f"{where}, Translation", 3)
     quaternion = entry(values, "UnitQuaternion", where)
+    where = f"{where}, UnitQuaternion"
     if not isinstance(quaternion, list) or len(quaternion) != 2:
-        raise FileFormatError(
-            f"{where}, UnitQuaternion: expected [w, [x, y, z]], got {short_repr(quaternion)}"
-        )
-    w = numbers(quaternion[0], f"{where}, UnitQuaternion", 1)
-    found = [*w, *numbers(quaternion[1], f"{where}, UnitQuaternion", 3)]
-    if not 0.99 < (length := math.hypot(*found)) < 1.01:
-        raise FileFormatError(f"{where}, UnitQuaternion: expected length 1, got {length:.3g}")
-    return transform_from_quaternion(
-        torch.tensor(found, dtype=torch.float64), torch.tensor(translation, dtype=torch.float64)
-    )
+        raise FileFormatError(f"{where}: expected [w, [x, y, z]], got {short_repr(quaternion)}")
+    found = [*numbers(quaternion[0], where, 1), *numbers(quaternion[1], where, 3)]
+    return transform_from_numbers(found, translation, where)
 
 
 register_format(

@@ -11,7 +11,6 @@ References:
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -21,32 +20,28 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import Lens, lens_called, lens_of, models_of, numbers_of
 from sphericalvision.cameras.calibration.opencv_keys import matrix
 from sphericalvision.cameras.calibration.parsing import (
+    chosen,
     entry,
-    errors_of_file,
-    focal_lengths,
     numbers,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.supported_models import (
-    check_holds,
-    numbers_of,
-    without_trailing_zeros,
-)
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.io.files import write_yaml
 
 __all__ = ["contents", "files_of_rig", "recognizes", "write_asl_camera", "write_asl_rig"]
 
 _NAME = "sensor.yaml"
-_DISTORTIONS = ("none", "radial-tangential", "equidistant")
+_LENSES = (
+    Lens("none", "pinhole", "fu=fx fv=fy cu=cx cv=cy"),
+    Lens("radial-tangential", "brown_conrady", "fu=fx fv=fy cu=cx cv=cy k1 k2 p1 p2"),
+    Lens("equidistant", "kannala_brandt", "fu=fx fv=fy cu=cx cv=cy k1 k2 k3 k4"),
+)
+"""By the model of distortion, whose numbers are a list of their own."""
 
 
 def recognizes(content: dict[str, Any]) -> bool:
@@ -60,15 +55,9 @@ def files_of_rig(folder: Path) -> list[Path]:
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
-    """The camera of a parsed file, called like the folder that it is in, and its pose if the file has one.
-
-    Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
-    """
+    """The camera of a parsed file, called like the folder that it is in, and its pose if the file has one."""
     where = str(path)
-    kind = content.get("sensor_type", "camera")
-    if kind != "camera":
-        raise FileFormatError(f"{where}, sensor_type: expected camera, got {short_repr(kind)}")
+    chosen(content.get("sensor_type", "camera"), ("camera",), f"{where}, sensor_type")
     camera = bounded(_camera(content, where), options.max_angle, where)
     pose = None
     if "T_BS" in content:
@@ -78,25 +67,15 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 
 def _camera(content: dict[str, Any], where: str) -> Camera:
-    model = entry(content, "camera_model", where)
-    if model != "pinhole":
-        raise FileFormatError(f"{where}, camera_model: expected pinhole, got {short_repr(model)}")
-    fu, fv, *center = numbers(entry(content, "intrinsics", where), f"{where}, intrinsics (fu fv cu cv)", 4)
-    focal_length = torch.tensor(focal_lengths([fu, fv], f"{where}, intrinsics"), dtype=torch.float64)
+    chosen(entry(content, "camera_model", where), ("pinhole",), f"{where}, camera_model")
+    found = numbers(entry(content, "intrinsics", where), f"{where}, intrinsics (fu fv cu cv)", 4)
     size = size_from_width_height(entry(content, "resolution", where), f"{where}, resolution")
-    distortion = content.get("distortion_model", "none")
-    if distortion not in _DISTORTIONS:
-        raise FileFormatError(
-            f"{where}, distortion_model: expected {' or '.join(_DISTORTIONS)}, got {short_repr(distortion)}"
-        )
-    with errors_of_file(where):
-        if distortion == "none":
-            return PinholeCamera(focal_length, center, size)
+    kinds = [lens.name for lens in _LENSES]
+    distortion = chosen(content.get("distortion_model", "none"), kinds, f"{where}, distortion_model")
+    if distortion != "none":
         key = "distortion_coefficients"
-        coefficients = numbers(entry(content, key, where), f"{where}, {key}", 4)
-        if distortion == "equidistant":
-            return KannalaBrandtCamera(focal_length, center, coefficients, size, math.pi)
-        return BrownConradyCamera(focal_length, center, coefficients, size)
+        found += numbers(entry(content, key, where), f"{where}, {key}", 4)
+    return lens_called(_LENSES, distortion).camera(found, size, where)
 
 
 def write_asl_camera(camera: Camera, path: str | Path) -> None:
@@ -125,24 +104,15 @@ def write_asl_rig(rig: CameraRig, folder: str | Path) -> None:
 
 
 def _values(camera: Camera, body_from_camera: Tensor) -> dict[str, Any]:
-    check_holds("asl", camera)
-    assert isinstance(camera, PinholeCamera | BrownConradyCamera | KannalaBrandtCamera)
-    distortion, coefficients = "none", []
-    if isinstance(camera, BrownConradyCamera):
-        distortion = "radial-tangential"
-        coefficients = without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion (k1 k2 p1 p2)")
-    elif isinstance(camera, KannalaBrandtCamera):
-        distortion = "equidistant"
-        coefficients = without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion")
-    height, width = camera.image_size
+    lens, found = lens_of(camera, _LENSES, "asl")
     return {
         "sensor_type": "camera",
         "T_BS": {"rows": 4, "cols": 4, "data": numbers_of(body_from_camera)},
-        "resolution": [width, height],
+        "resolution": list(camera.image_size[::-1]),
         "camera_model": "pinhole",
-        "intrinsics": [*numbers_of(camera.focal_length), *numbers_of(camera.principal_point)],
-        "distortion_model": distortion,
-        "distortion_coefficients": coefficients,
+        "intrinsics": found[:4],
+        "distortion_model": lens.name,
+        "distortion_coefficients": found[4:],
     }
 
 
@@ -154,7 +124,7 @@ register_format(
         contents_of_keys=contents,
         files_of_rig=files_of_rig,
         usual_names=(_NAME,),
-        models=("pinhole", "brown_conrady", "kannala_brandt"),
+        models=models_of(_LENSES),
         write_camera=write_asl_camera,
         write_rig=write_asl_rig,
     )

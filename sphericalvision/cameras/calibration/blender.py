@@ -29,6 +29,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
+    chosen,
     entry,
     errors_of_file,
     focal_lengths,
@@ -62,11 +63,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
-    """Cameras and poses of a parsed file.
-
-    Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
-    """
+    """Cameras and poses of a parsed file."""
     cameras: dict[str, Camera] = {}
     poses = []
     for name, values in content["cameras"].items():
@@ -91,13 +88,9 @@ def _pose(rows: Any, where: str) -> Tensor:
 def _camera(values: Any, where: str, options: Options) -> Camera:
     kind = entry(values, "type", where)
     if kind == "PANO":
-        kind = entry(values, "panorama_type", where)
-        if kind not in _PANORAMAS:
-            raise FileFormatError(
-                f"{where}, panorama_type: expected {' or '.join(_PANORAMAS)}, got {short_repr(kind)}"
-            )
-    elif kind != "PERSP":
-        raise FileFormatError(f"{where}, type: expected PERSP or PANO, got {short_repr(kind)}")
+        kind = chosen(entry(values, "panorama_type", where), _PANORAMAS, f"{where}, panorama_type")
+    else:
+        chosen(kind, ("PERSP", "PANO"), f"{where}, type")
     size = _image_size(values, where)
     height, width = size
     center = [(width - 1) / 2, (height - 1) / 2]
@@ -155,9 +148,7 @@ def _image_size(values: Any, where: str) -> tuple[int, int]:
 
 def _pixels_per_millimetre(values: Any, size: tuple[int, int], where: str) -> tuple[float, int]:
     """Pixels in a millimetre on the sensor, and in the side of the image that the sensor is fitted to."""
-    fit = entry(values, "sensor_fit", where)
-    if fit not in _FITS:
-        raise FileFormatError(f"{where}, sensor_fit: expected {' or '.join(_FITS)}, got {short_repr(fit)}")
+    fit = chosen(entry(values, "sensor_fit", where), _FITS, f"{where}, sensor_fit")
     height, width = size
     horizontal = fit == "HORIZONTAL" or (fit == "AUTO" and width > height)
     key = "sensor_height" if fit == "VERTICAL" else "sensor_width"

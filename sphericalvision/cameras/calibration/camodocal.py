@@ -13,7 +13,6 @@ References:
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -23,25 +22,27 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.cameras.calibration.parsing import (
+    chosen,
     entry,
-    errors_of_file,
-    focal_lengths,
     number,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.unified import UnifiedCamera
-from sphericalvision.core import FileFormatError, MissingFileError, short_repr
+from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.io.files import part_of_name
 
 __all__ = ["KITTI360_POSES", "contents", "kitti360_contents", "recognizes"]
 
 KITTI360_POSES = "calib_cam_to_pose.txt"
-_MODELS = ("MEI", "PINHOLE", "KANNALA_BRANDT")
+_LENSES = (
+    Lens("MEI", "unified", "xi k1 k2 p1 p2 gamma1=fx gamma2=fy u0=cx v0=cy", zeros="k3"),
+    Lens("PINHOLE", "brown_conrady", "k1 k2 p1 p2 fx fy cx cy"),
+    Lens("KANNALA_BRANDT", "kannala_brandt", "k2=k1 k3=k2 k4=k3 k5=k4 mu=fx mv=fy u0=cx v0=cy"),
+)
+_KINDS = tuple(lens.name for lens in _LENSES)
 _SECTIONS = ("mirror_parameters", "projection_parameters", "distortion_parameters")
 
 
@@ -54,11 +55,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
-    """The camera of a parsed file, called by its ``camera_name``; or several cameras by name.
-
-    Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
-    """
+    """The camera of a parsed file, called by its ``camera_name``; or several cameras by name."""
     if "model_type" in content or any(key in content for key in _SECTIONS):
         camera = bounded(_camera(content, str(path)), options.max_angle, str(path))
         return Contents({str(content.get("camera_name") or path.stem): camera})
@@ -73,35 +70,20 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 def _camera(values: dict[str, Any], where: str) -> Camera:
     kind = entry(values, "model_type", where)
-    if not isinstance(kind, str) or kind.upper() not in _MODELS:
-        raise FileFormatError(
-            f"{where}, model_type: expected one of {', '.join(_MODELS)}, got {short_repr(kind)}"
-        )
+    kind = chosen(kind.upper() if isinstance(kind, str) else kind, _KINDS, f"{where}, model_type")
     size = size_from_width_height(
         [entry(values, key, where) for key in ("image_width", "image_height")],
         f"{where}, image_width and image_height",
     )
-
-    def get(section: str, *keys: str) -> list[float]:
-        inside = f"{where}, {section}"
-        return [number(entry(values, section, where), key, inside) for key in keys]
-
-    def focal(*keys: str) -> torch.Tensor:
-        found = focal_lengths(get("projection_parameters", *keys), f"{where}, {' and '.join(keys)}")
-        return torch.tensor(found, dtype=torch.float64)
-
-    with errors_of_file(where):
-        if kind.upper() == "KANNALA_BRANDT":
-            coefficients = get("projection_parameters", "k2", "k3", "k4", "k5")
-            center = get("projection_parameters", "u0", "v0")
-            return KannalaBrandtCamera(focal("mu", "mv"), center, coefficients, size, math.pi)
-        coefficients = get("distortion_parameters", "k1", "k2", "p1", "p2")
-        if kind.upper() == "PINHOLE":
-            center = get("projection_parameters", "cx", "cy")
-            return BrownConradyCamera(focal("fx", "fy"), center, coefficients, size)
-        center = get("projection_parameters", "u0", "v0")
-        xi = get("mirror_parameters", "xi")[0]
-        return UnifiedCamera(focal("gamma1", "gamma2"), center, xi, [*coefficients, 0.0], size)
+    lens = lens_called(_LENSES, kind)
+    found = []
+    for key, name in zip(lens.keys, lens.names, strict=True):
+        section = "mirror" if name == "xi" else "distortion"
+        if name in ("fx", "fy", "cx", "cy") or kind == "KANNALA_BRANDT":
+            section = "projection"
+        section += "_parameters"
+        found.append(number(entry(values, section, where), key, f"{where}, {section}"))
+    return lens.camera(found, size, where)
 
 
 def kitti360_contents(path: Path, options: Options) -> Contents:

@@ -15,7 +15,6 @@ References:
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
@@ -39,42 +38,57 @@ from sphericalvision.cameras.calibration.colmap_records import (
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.parsing import errors_of_file, focal_lengths, size_from_width_height
-from sphericalvision.cameras.calibration.poses import quaternion_from_rotation
-from sphericalvision.cameras.calibration.supported_models import (
-    check_holds,
+from sphericalvision.cameras.calibration.lenses import (
+    Lens,
+    check_whole_panorama,
+    lens_called,
+    lens_of,
+    models_of,
     numbers_of,
-    without_trailing_zeros,
 )
+from sphericalvision.cameras.calibration.parsing import size_from_width_height
+from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.atan import AtanCamera
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.models.division import DivisionCamera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.cameras.models.extended_unified import ExtendedUnifiedCamera
-from sphericalvision.cameras.models.fisheye import FisheyeCamera
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
-from sphericalvision.cameras.models.thin_prism_fisheye import ThinPrismFisheyeCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
-from sphericalvision.geometry import invert_transform, transform_from_quaternion
+from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import atomic_write
 
 __all__ = ["contents", "recognizes", "write_colmap", "write_colmap_rig"]
 
 _PARTS = ("cameras", "rigs", "images", "frames")
 _BY_NAME = (*(f"{part}.bin" for part in _PARTS), "rigs.txt", "images.txt", "frames.txt")
-_Models = (
-    AtanCamera
-    | BrownConradyCamera
-    | DivisionCamera
-    | ExtendedUnifiedCamera
-    | FisheyeCamera
-    | KannalaBrandtCamera
-    | PinholeCamera
-    | ThinPrismFisheyeCamera
+_LENSES = (
+    Lens("PINHOLE", "pinhole", MODELS["PINHOLE"][1]),
+    Lens("SIMPLE_PINHOLE", "pinhole", MODELS["SIMPLE_PINHOLE"][1]),
+    Lens("OPENCV", "brown_conrady", MODELS["OPENCV"][1]),
+    Lens("FULL_OPENCV", "brown_conrady", MODELS["FULL_OPENCV"][1]),
+    Lens("SIMPLE_RADIAL", "brown_conrady", MODELS["SIMPLE_RADIAL"][1]),
+    Lens("RADIAL", "brown_conrady", MODELS["RADIAL"][1]),
+    Lens("OPENCV_FISHEYE", "kannala_brandt", MODELS["OPENCV_FISHEYE"][1]),
+    Lens("SIMPLE_RADIAL_FISHEYE", "kannala_brandt", MODELS["SIMPLE_RADIAL_FISHEYE"][1], "k2 k3 k4"),
+    Lens("RADIAL_FISHEYE", "kannala_brandt", MODELS["RADIAL_FISHEYE"][1], "k3 k4"),
+    Lens("FOV", "atan", MODELS["FOV"][1]),
+    Lens("DIVISION", "division", MODELS["DIVISION"][1]),
+    Lens("SIMPLE_DIVISION", "division", MODELS["SIMPLE_DIVISION"][1]),
+    Lens("EUCM", "extended_unified", MODELS["EUCM"][1]),
+    Lens("FISHEYE", "fisheye", MODELS["FISHEYE"][1], options={"projection": "equidistant"}),
+    Lens("SIMPLE_FISHEYE", "fisheye", MODELS["SIMPLE_FISHEYE"][1], options={"projection": "equidistant"}),
+    Lens(
+        "THIN_PRISM_FISHEYE",
+        "thin_prism_fisheye",
+        MODELS["THIN_PRISM_FISHEYE"][1],
+        options={"composition": "additive"},
+    ),
+    Lens(
+        "RAD_TAN_THIN_PRISM_FISHEYE",
+        "thin_prism_fisheye",
+        MODELS["RAD_TAN_THIN_PRISM_FISHEYE"][1],
+        options={"composition": "sequential"},
+    ),
 )
+"""Of several for one class the first that holds a camera is written."""
 
 
 def recognizes(path: Path) -> bool:
@@ -150,7 +164,7 @@ def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path) -> C
         if sensor.pose is None:
             raise FileFormatError(f"{rig.where}: camera {sensor.id} has no pose in the rig")
         named[name] = cameras[name]
-        poses.append(_inverse_pose(sensor.pose, rig.where))
+        poses.append(_world_from(sensor.pose, rig.where))
     if not named:
         raise FileFormatError(f"{rig.where}: the rig has no camera")
     return Contents(named, torch.stack(poses))
@@ -169,18 +183,15 @@ def _of_images(images: list[ImageRecord], cameras: dict[str, Camera], path: Path
                 f"{image.where}: there is no camera {image.camera} in cameras{path.suffix}; it has {', '.join(cameras)}"
             )
         named[name] = cameras[f"cam{image.camera}"]
-        poses.append(_inverse_pose(image.pose, image.where))
+        poses.append(_world_from(image.pose, image.where))
     if not named:
         raise FileFormatError(f"{path}: no image in it")
     return Contents(named, torch.stack(poses))
 
 
-def _inverse_pose(values: list[float], where: str) -> Tensor:
+def _world_from(pose: list[float], where: str) -> Tensor:
     """Camera to world (4, 4) of a quaternion and a translation, world to camera."""
-    if not 0.99 < (length := math.hypot(*values[:4])) < 1.01:
-        raise FileFormatError(f"{where}: expected a quaternion of length 1, got one of length {length:.3g}")
-    table = torch.tensor(values, dtype=torch.float64)
-    return invert_transform(transform_from_quaternion(table[:4], table[4:]))
+    return invert_transform(transform_from_numbers(pose[:4], pose[4:], where))
 
 
 def _camera(record: CameraRecord) -> Camera:
@@ -192,33 +203,16 @@ def _camera(record: CameraRecord) -> Camera:
                 f"{where}, w and h: expected the image's width and height, got {record.parameters}"
             )
         return EquirectangularCamera(size)
-    found = record.parameters
-    focal = 1 if MODELS[model][1].startswith("f ") else 2
-    checked = focal_lengths([found[0], found[focal - 1]], where)
-    focal_length = torch.tensor(checked, dtype=torch.float64)
-    center = [found[focal] - 0.5, found[focal + 1] - 0.5]
-    k = found[focal + 2 :]
-    with errors_of_file(where):
-        if model.endswith("PINHOLE"):
-            return PinholeCamera(focal_length, center, size)
-        if model == "FOV":
-            return AtanCamera(focal_length, center, k[0], size)
-        if model.endswith("DIVISION"):
-            return DivisionCamera(focal_length, center, k, size)
-        if model == "EUCM":
-            return ExtendedUnifiedCamera(focal_length, center, k[0], k[1], size)
-        if model in ("SIMPLE_FISHEYE", "FISHEYE"):
-            return FisheyeCamera("equidistant", focal_length, center, size)
-        if model == "THIN_PRISM_FISHEYE":
-            k1, k2, p1, p2, k3, k4, sx1, sy1 = k
-            terms = ([k1, k2, k3, k4], [p1, p2], [sx1, 0.0, sy1, 0.0])
-            return ThinPrismFisheyeCamera(focal_length, center, *terms, size, math.pi, "additive")
-        if model == "RAD_TAN_THIN_PRISM_FISHEYE":
-            return ThinPrismFisheyeCamera(focal_length, center, k[:6], [k[7], k[6]], k[8:], size, math.pi)
-        k += [0.0] * (4 - len(k))
-        if model.endswith("FISHEYE"):
-            return KannalaBrandtCamera(focal_length, center, k, size, math.pi)
-        return BrownConradyCamera(focal_length, center, k, size)
+    lens = lens_called(_LENSES, model)
+    found = _shifted(lens, record.parameters, -0.5)
+    return lens.camera(found, size, where)
+
+
+def _shifted(lens: Lens, numbers: list[float], by: float) -> list[float]:
+    """The numbers with another principal point."""
+    return [
+        value + by if name in ("cx", "cy") else value for name, value in zip(lens.names, numbers, strict=True)
+    ]
 
 
 def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> None:
@@ -283,49 +277,12 @@ def _records(named: Mapping[str, Camera]) -> list[CameraRecord]:
 
 
 def _record(id: int, camera: Camera) -> CameraRecord:
-    check_holds("colmap", camera)
     height, width = camera.image_size
     if isinstance(camera, EquirectangularCamera):
-        if camera.vertical_field_of_view != math.pi:
-            raise ArgumentError("camera: COLMAP's panoramas are whole, this one is a band; write 'native'")
+        check_whole_panorama(camera, "COLMAP")
         return CameraRecord("", id, "EQUIRECTANGULAR", (width, height), [float(width), float(height)])
-    assert isinstance(camera, _Models)
-    model, more = _model(camera)
-    focal_length = (numbers_of(camera.focal_length) * 2)[:2]
-    center = [value + 0.5 for value in numbers_of(camera.principal_point)]
-    return CameraRecord("", id, model, (width, height), [*focal_length, *center, *more])
-
-
-def _model(camera: _Models) -> tuple[str, list[float]]:
-    """COLMAP's name of the model, and the parameters behind the principal point."""
-    if isinstance(camera, PinholeCamera):
-        return "PINHOLE", []
-    if isinstance(camera, FisheyeCamera):
-        if camera.projection != "equidistant":
-            raise ArgumentError(
-                f"camera: of the ideal fisheyes COLMAP holds the equidistant one, got {camera.projection!r}; write it "
-                "as 'native', or convert the camera first: camera.convert(to=...)"
-            )
-        return "FISHEYE", []
-    if isinstance(camera, AtanCamera):
-        return "FOV", numbers_of(camera.omega)
-    if isinstance(camera, ExtendedUnifiedCamera):
-        return "EUCM", [*numbers_of(camera.alpha), *numbers_of(camera.beta)]
-    k = numbers_of(camera.distortion)
-    if isinstance(camera, DivisionCamera):
-        return "DIVISION", without_trailing_zeros(k, (1,), "distortion")
-    if isinstance(camera, KannalaBrandtCamera):
-        return "OPENCV_FISHEYE", without_trailing_zeros(k, (4,), "distortion")
-    if isinstance(camera, ThinPrismFisheyeCamera):
-        (p1, p2), (s1, s2, s3, s4) = numbers_of(camera.tangential), numbers_of(camera.thin_prism)
-        if camera.composition == "sequential":
-            k = without_trailing_zeros(k, (6,), "distortion")
-            return "RAD_TAN_THIN_PRISM_FISHEYE", [*k, p2, p1, s1, s2, s3, s4]
-        without_trailing_zeros([s2, s4], (0,), "thin prism distortion of the fourth order (s2 and s4)")
-        k1, k2, k3, k4 = without_trailing_zeros(k, (4,), "distortion")
-        return "THIN_PRISM_FISHEYE", [k1, k2, p1, p2, k3, k4, s1, s3]
-    k = without_trailing_zeros(k, (4, 8), "distortion")
-    return "OPENCV" if len(k) == 4 else "FULL_OPENCV", k
+    lens, found = lens_of(camera, _LENSES, "colmap")
+    return CameraRecord("", id, lens.name, (width, height), _shifted(lens, found, 0.5))
 
 
 register_format(
@@ -335,17 +292,7 @@ register_format(
         recognizes_file=recognizes,
         contents_of_file=contents,
         usual_names=("cameras.txt", "cameras.bin"),
-        models=(
-            "pinhole",
-            "brown_conrady",
-            "kannala_brandt",
-            "atan",
-            "division",
-            "equirectangular",
-            "extended_unified",
-            "fisheye",
-            "thin_prism_fisheye",
-        ),
+        models=(*models_of(_LENSES), "equirectangular"),
         write_camera=write_colmap,
         write_rig=write_colmap_rig,
     )

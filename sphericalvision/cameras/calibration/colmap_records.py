@@ -37,16 +37,19 @@ MODELS: dict[str, tuple[int, str]] = {
     "FOV": (7, "fx fy cx cy omega"),
     "SIMPLE_RADIAL_FISHEYE": (8, "f cx cy k1"),
     "RADIAL_FISHEYE": (9, "f cx cy k1 k2"),
-    "THIN_PRISM_FISHEYE": (10, "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1"),
-    "RAD_TAN_THIN_PRISM_FISHEYE": (11, "fx fy cx cy k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3"),
-    "SIMPLE_DIVISION": (12, "f cx cy k"),
-    "DIVISION": (13, "fx fy cx cy k"),
+    "THIN_PRISM_FISHEYE": (10, "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1=s1 sy1=s3"),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (
+        11,
+        "fx fy cx cy k0=k1 k1=k2 k2=k3 k3=k4 k4=k5 k5=k6 p0=p2 p1 s0=s1 s1=s2 s2=s3 s3=s4",
+    ),
+    "SIMPLE_DIVISION": (12, "f cx cy k=k1"),
+    "DIVISION": (13, "fx fy cx cy k=k1"),
     "SIMPLE_FISHEYE": (14, "f cx cy"),
     "FISHEYE": (15, "fx fy cx cy"),
     "EUCM": (16, "fx fy cx cy alpha beta"),
     "EQUIRECTANGULAR": (17, "w h"),
 }
-"""Name -> number in binary files, and names of the parameters."""
+"""Name -> number in binary files, and the parameters, ``k=k1`` being one that COLMAP calls k and we k1."""
 _SENSOR_TYPES = ("CAMERA", "IMU")
 
 
@@ -91,6 +94,10 @@ class RigRecord(NamedTuple):
     """All others."""
 
 
+def _parameters(model: str) -> list[str]:
+    return [word.split("=")[0] for word in MODELS[model][1].split()]
+
+
 def cameras_in(path: Path) -> list[CameraRecord]:
     """Of ``cameras.txt`` or ``cameras.bin``."""
     if path.suffix == ".bin":
@@ -106,8 +113,8 @@ def cameras_in(path: Path) -> list[CameraRecord]:
             raise FileFormatError(f"{where}: expected a camera number of its own first, got {words[0]!r}")
         if words[1] not in MODELS:
             raise FileFormatError(f"{where}: expected a model among {', '.join(MODELS)}, got {words[1]}")
-        names = MODELS[words[1]][1]
-        parameters = numbers(words[4:], f"{where}, {words[1]} ({names})", len(names.split()))
+        names = _parameters(words[1])
+        parameters = numbers(words[4:], f"{where}, {words[1]} ({' '.join(names)})", len(names))
         found.append(CameraRecord(where, int(words[0]), words[1], words[2:4], parameters))
     return found
 
@@ -222,7 +229,7 @@ class _Bytes:
 
 
 def _binary_cameras(file: _Bytes) -> list[CameraRecord]:
-    by_number = {number: (name, names.split()) for name, (number, names) in MODELS.items()}
+    by_number = {number: (name, _parameters(name)) for name, (number, _) in MODELS.items()}
     found = []
     for _ in range(file.take("Q")[0]):
         where = file.where

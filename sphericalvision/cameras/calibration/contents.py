@@ -13,7 +13,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.parsing import check_radius, errors_of_file
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, short_repr
+from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 
 __all__ = ["Contents", "Options", "joined"]
 
@@ -28,6 +28,16 @@ class Options:
     image_size: tuple[int, int] | None = None
     rig: bool = False
     """Whether poses are wanted, where a file has fewer cameras than images with poses."""
+
+    def given_size(self, where: str, keys: str = "it") -> tuple[int, int]:
+        """The size of the images, of which the file at ``where`` does not tell ``keys``.
+
+        Raises:
+            ArgumentError: the caller has not told it either.
+        """
+        if self.image_size is None:
+            raise ArgumentError(f"image_size: {where} does not tell {keys}; pass image_size=(height, width)")
+        return self.image_size
 
 
 @dataclass(frozen=True)

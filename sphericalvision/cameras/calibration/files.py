@@ -17,8 +17,9 @@ from xml.etree import ElementTree
 import yaml
 
 from sphericalvision.core import FileFormatError
+from sphericalvision.io.files import atomic_write
 
-__all__ = ["STRUCTURED", "data_lines", "load", "looks_structured", "read_text"]
+__all__ = ["STRUCTURED", "data_lines", "load", "looks_structured", "parse_xml", "read_text", "write_json"]
 
 STRUCTURED = (".yaml", ".yml", ".json", ".xml")
 """Suffixes of files that hold keys with values."""
@@ -55,7 +56,7 @@ def load(path: Path) -> Any:
     start = text.lstrip()
     try:
         if start.startswith(("<?xml", "<opencv_storage")):
-            return _parse_xml(text, path)
+            return _opencv_xml(text, path)
         if path.suffix.lower() == ".json":
             return json.loads(text)
         if start.startswith("%YAML"):  # "%YAML:1.0" is no directive that YAML knows
@@ -68,8 +69,6 @@ def load(path: Path) -> Any:
         raise FileFormatError(f"{path}: not valid json ({error}); is it truncated?") from None
     except yaml.YAMLError as error:
         raise FileFormatError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
-    except ElementTree.ParseError as error:
-        raise FileFormatError(f"{path}: not valid XML ({error}); is it truncated?") from None
     except FileFormatError:
         raise
     except (ValueError, RecursionError) as error:  # a date that does not exist; nesting without end
@@ -109,10 +108,28 @@ for _name in ("opencv-matrix", "opencv-nd-matrix"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_name}", _Loader.construct_matrix)
 
 
-def _parse_xml(text: str, path: Path) -> Any:
+def parse_xml(text: str, path: Path) -> ElementTree.Element:
+    """The root of an XML, which must not have what expands without end.
+
+    Raises:
+        FileFormatError: it has a document type or entities, or cannot be parsed; the message names the line.
+    """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise FileFormatError(f"{path}: OpenCV's XML has no document type or entities, this file has")
-    root = ElementTree.fromstring(text)
+        raise FileFormatError(f"{path}: a calibration has no document type or entities, this file has")
+    try:
+        return ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise FileFormatError(f"{path}: not valid XML ({error}); is it truncated?") from None
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write keys with values as JSON, replacing the file at once."""
+    with atomic_write(path) as unfinished:
+        unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _opencv_xml(text: str, path: Path) -> Any:
+    root = parse_xml(text, path)
     if root.tag != "opencv_storage":
         raise FileFormatError(f"{path}: expected OpenCV's <opencv_storage>, got <{root.tag}>")
     return _from_element(root)

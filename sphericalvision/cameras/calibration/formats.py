@@ -25,7 +25,8 @@ class FileFormat:
     """What a module of ``calibration/`` says of its format; readers and writers are there if it has them.
 
     A file of keys with values (YAML, JSON, OpenCV's XML) is parsed once and offered to all formats; any other file is
-    offered as it is.
+    offered as it is. Readers raise ``FileFormatError`` where a key or a line is missing or makes no sense, and name
+    file and key or line; writers raise ``ArgumentError`` for what the format cannot hold, and name what does.
     """
 
     name: str

@@ -12,7 +12,6 @@ References:
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 from typing import Any
@@ -23,54 +22,31 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import Lens, as_rig, lens_called, lens_of, models_of
 from sphericalvision.cameras.calibration.parsing import (
+    chosen,
     entry,
-    errors_of_file,
-    focal_lengths,
     numbers,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.supported_models import (
-    check_holds,
-    numbers_of,
-    without_trailing_zeros,
-)
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.models.double_sphere import DoubleSphereCamera
-from sphericalvision.cameras.models.extended_unified import ExtendedUnifiedCamera
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
-from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import write_yaml
 
 __all__ = ["contents", "recognizes", "write_kalibr"]
 
-_INTRINSICS = {  # in Kalibr's order; the last four are always the focal lengths and the principal point
-    "pinhole": ("fu", "fv", "pu", "pv"),
-    "omni": ("xi", "fu", "fv", "pu", "pv"),
-    "eucm": ("alpha", "beta", "fu", "fv", "pu", "pv"),
-    "ds": ("xi", "alpha", "fu", "fv", "pu", "pv"),
-}
-_DISTORTIONS = {
-    "pinhole": ("none", "radtan", "equidistant"),
-    "omni": ("none", "radtan"),
-    "eucm": ("none",),
-    "ds": ("none",),
-}
-
-_Known = (
-    PinholeCamera
-    | BrownConradyCamera
-    | KannalaBrandtCamera
-    | DoubleSphereCamera
-    | ExtendedUnifiedCamera
-    | UnifiedCamera
+_LENSES = (
+    Lens("pinhole none", "pinhole", "fu=fx fv=fy pu=cx pv=cy"),
+    Lens("pinhole radtan", "brown_conrady", "fu=fx fv=fy pu=cx pv=cy k1 k2 p1 p2"),
+    Lens("pinhole equidistant", "kannala_brandt", "fu=fx fv=fy pu=cx pv=cy k1 k2 k3 k4"),
+    Lens("omni radtan", "unified", "xi fu=fx fv=fy pu=cx pv=cy k1 k2 p1 p2", zeros="k3"),
+    Lens("omni none", "unified", "xi fu=fx fv=fy pu=cx pv=cy"),
+    Lens("eucm none", "extended_unified", "alpha beta fu=fx fv=fy pu=cx pv=cy"),
+    Lens("ds none", "double_sphere", "xi alpha fu=fx fv=fy pu=cx pv=cy"),
 )
+"""The camera's and the distortion's model, and both lists of numbers: distortion is four or none."""
 
 
 def _names(content: dict[str, Any]) -> list[str]:
@@ -84,11 +60,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
-    """Cameras and poses of a parsed camchain.
-
-    Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
-    """
+    """Cameras and poses of a parsed camchain."""
     names = _names(content)
     cameras = {}
     for name in names:
@@ -98,40 +70,23 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 
 def _camera(values: Any, where: str) -> Camera:
-    kind = entry(values, "camera_model", where)
-    if not isinstance(kind, str) or kind not in _INTRINSICS:
-        raise FileFormatError(
-            f"{where}, camera_model: expected one of {', '.join(_INTRINSICS)}, got {short_repr(kind)}"
-        )
-    distortion = values.get("distortion_model", "none")
-    if distortion not in _DISTORTIONS[kind]:
-        raise FileFormatError(
-            f"{where}, distortion_model: expected {' or '.join(_DISTORTIONS[kind])} with {kind}, got "
-            f"{short_repr(distortion)}"
-        )
-    order = _INTRINSICS[kind]
+    kinds = dict.fromkeys(lens.name.split()[0] for lens in _LENSES)
+    kind = chosen(entry(values, "camera_model", where), kinds, f"{where}, camera_model")
+    fitting = [name for lens in _LENSES for first, name in [lens.name.split()] if first == kind]
+    distortion = chosen(
+        values.get("distortion_model", "none"), fitting, f"{where}, distortion_model with {kind}"
+    )
+    lens = lens_called(_LENSES, f"{kind} {distortion}")
+    last = 0 if distortion == "none" else 4
+    order = lens.keys[: len(lens.keys) - last]
     found = numbers(
         entry(values, "intrinsics", where), f"{where}, intrinsics ({' '.join(order)})", len(order)
     )
-    focal_length = torch.tensor(focal_lengths(found[-4:-2], f"{where}, intrinsics"), dtype=torch.float64)
-    center = found[-2:]
     size = size_from_width_height(entry(values, "resolution", where), f"{where}, resolution")
-    with errors_of_file(where):
-        if kind == "ds":
-            return DoubleSphereCamera(focal_length, center, found[0], found[1], size, math.pi)
-        if kind == "eucm":
-            return ExtendedUnifiedCamera(focal_length, center, found[0], found[1], size)
-        if distortion == "none":
-            if kind == "omni":
-                return UnifiedCamera(focal_length, center, found[0], None, size)
-            return PinholeCamera(focal_length, center, size)
+    if last:
         key = "distortion_coeffs"
-        coefficients = numbers(entry(values, key, where), f"{where}, {key}", 4)
-        if kind == "omni":
-            return UnifiedCamera(focal_length, center, found[0], [*coefficients, 0.0], size)
-        if distortion == "radtan":
-            return BrownConradyCamera(focal_length, center, coefficients, size)
-        return KannalaBrandtCamera(focal_length, center, coefficients, size, math.pi)
+        found += numbers(entry(values, key, where), f"{where}, {key}", last)
+    return lens.camera(found, size, where)
 
 
 def _poses(content: dict[str, Any], names: list[str], path: Path) -> Tensor | None:
@@ -171,7 +126,7 @@ def write_kalibr(cameras: Camera | CameraRig, path: str | Path) -> None:
     Raises:
         ArgumentError: Kalibr has no such model; the message names formats that have it.
     """
-    rig = cameras if isinstance(cameras, CameraRig) else CameraRig([cameras], torch.eye(4)[None])
+    rig = as_rig(cameras)
     content: dict[str, Any] = {}
     from_world = rig.camera_from_world.detach().cpu().double()
     world_from = rig.world_from_camera.detach().cpu().double()
@@ -184,35 +139,15 @@ def write_kalibr(cameras: Camera | CameraRig, path: str | Path) -> None:
 
 
 def _values(camera: Camera) -> dict[str, Any]:
-    check_holds("kalibr", camera)
-    assert isinstance(camera, _Known)
-    kind, distortion = "pinhole", "none"
-    before: list[float] = []
-    coefficients: list[float] = []
-    if isinstance(camera, BrownConradyCamera):
-        distortion = "radtan"
-        coefficients = without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion (k1 k2 p1 p2)")
-    elif isinstance(camera, KannalaBrandtCamera):
-        distortion = "equidistant"
-        coefficients = without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion (k1 k2 k3 k4)")
-    elif isinstance(camera, UnifiedCamera):
-        kind, before = "omni", numbers_of(camera.xi)
-        if camera.distortion is not None:
-            distortion = "radtan"
-            coefficients = without_trailing_zeros(
-                numbers_of(camera.distortion), (4,), "distortion (k1 k2 p1 p2)"
-            )
-    elif isinstance(camera, ExtendedUnifiedCamera):
-        kind, before = "eucm", [*numbers_of(camera.alpha), *numbers_of(camera.beta)]
-    elif isinstance(camera, DoubleSphereCamera):
-        kind, before = "ds", [*numbers_of(camera.xi), *numbers_of(camera.alpha)]
-    height, width = camera.image_size
+    lens, found = lens_of(camera, _LENSES, "kalibr")
+    kind, distortion = lens.name.split()
+    first = len(found) if distortion == "none" else len(found) - 4
     return {
         "camera_model": kind,
-        "intrinsics": [*before, *numbers_of(camera.focal_length), *numbers_of(camera.principal_point)],
+        "intrinsics": found[:first],
         "distortion_model": distortion,
-        "distortion_coeffs": coefficients,
-        "resolution": [width, height],
+        "distortion_coeffs": found[first:],
+        "resolution": list(camera.image_size[::-1]),
     }
 
 
@@ -223,7 +158,7 @@ register_format(
         recognizes_keys=recognizes,
         contents_of_keys=contents,
         usual_names=("camchain.yaml",),
-        models=("pinhole", "brown_conrady", "kannala_brandt", "double_sphere", "extended_unified", "unified"),
+        models=models_of(_LENSES),
         write_camera=write_kalibr,
         write_rig=write_kalibr,
     )

@@ -48,11 +48,7 @@ def recognizes(path: Path) -> bool:
 
 
 def contents(path: Path, options: Options) -> Contents:
-    """The cameras of unrectified images and their poses.
-
-    Raises:
-        FileFormatError: a key is missing, or its values make no sense; the message names the line.
-    """
+    """The cameras of unrectified images and their poses."""
     table: dict[str, tuple[int, list[str]]] = {}
     for line, (label, *words) in data_lines(path):
         if not label.endswith(":") or label[:-1] in table:

@@ -15,7 +15,6 @@ References:
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,26 +23,30 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import read_text
+from sphericalvision.cameras.calibration.files import parse_xml, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import Lens
 from sphericalvision.cameras.calibration.parsing import (
-    errors_of_file,
-    focal_lengths,
     numbers,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
-from sphericalvision.cameras.models.thin_prism_fisheye import ThinPrismFisheyeCamera
 from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "recognizes"]
 
 _TYPES = ("frame", "fisheye", "spherical")
 _KEYS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
+_PLAIN = Lens("frame", "pinhole", "f+b1=fx f=fy cx cy")
+_FRAME = Lens("frame", "brown_conrady", "f+b1=fx f=fy cx cy k1 k2 k3 p1=p2 p2=p1")
+_FISHEYE = Lens(
+    "fisheye",
+    "thin_prism_fisheye",
+    "f+b1=fx f=fy cx cy k1 k2 k3 p1=p2 p2=p1 k4",
+    options={"composition": "additive"},
+)
 
 
 def recognizes(path: Path) -> bool:
@@ -56,18 +59,9 @@ def recognizes(path: Path) -> bool:
 
 
 def contents(path: Path, options: Options) -> Contents:
-    """The calibration of a file, or the sensors of a chunk; the chunk's cameras by label if poses are wanted.
-
-    Raises:
-        FileFormatError: an element is missing, or its value makes no sense; the message names it.
-    """
+    """The calibration of a file, or the sensors of a chunk; the chunk's cameras by label if poses are wanted."""
     text = read_text(path)
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise FileFormatError(f"{path}: Metashape's XML has no document type or entities, this file has")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise FileFormatError(f"{path}: not valid XML ({error}); is it truncated?") from None
+    root = parse_xml(text, path)
     if root.tag == "calibration":
         return Contents({path.stem: _camera(root, str(path), options)})
     chunk = root.find("chunk")
@@ -137,18 +131,13 @@ def _camera(
             f"{where}: b2 (skew) of a fisheye, and k4 of a frame camera, have no place in a camera here, got "
             f"b2 = {b2:g} and k4 = {k4:g}; calibrate without them"
         )
-    skew = b2 or None
-    focal_length = torch.tensor(focal_lengths([f + b1, f], f"{where}, f and f + b1"), dtype=torch.float64)
-    center = [size[1] / 2 + cx - 0.5, size[0] / 2 + cy - 0.5]
-    with errors_of_file(where):
-        if kind == "fisheye":
-            terms = ([k1, k2, k3, k4], [p2, p1], [0.0] * 4)
-            fisheye = ThinPrismFisheyeCamera(focal_length, center, *terms, size, math.pi, "additive")
-            return bounded(fisheye, options.max_angle, where)
-        if not any((k1, k2, k3, p1, p2)):
-            return bounded(PinholeCamera(focal_length, center, size, skew=skew), options.max_angle, where)
-        frame = BrownConradyCamera(focal_length, center, [k1, k2, p2, p1, k3], size, skew=skew)
-        return bounded(frame, options.max_angle, where)
+    found = [f + b1, f, size[1] / 2 + cx - 0.5, size[0] / 2 + cy - 0.5, k1, k2, k3, p1, p2]
+    if kind == "fisheye":
+        camera = _FISHEYE.camera([*found, k4], size, where)
+    else:
+        lens = _FRAME if any(found[4:]) else _PLAIN
+        camera = lens.camera(found, size, where, skew=b2 or None)
+    return bounded(camera, options.max_angle, where)
 
 
 register_format(

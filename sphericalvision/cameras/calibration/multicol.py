@@ -49,7 +49,6 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """The camera of a parsed file, or the rig of one with poses, whose cameras are in files beside it.
 
     Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
         MissingFileError: there are poses, but the file of a camera is not beside them.
     """
     if any(str(key).startswith("CameraSystem.") for key in content):

@@ -16,7 +16,6 @@ References:
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
@@ -26,33 +25,39 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.files import write_json
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import (
+    Lens,
+    as_rig,
+    check_whole_panorama,
+    lens_called,
+    lens_of,
+    models_of,
+)
 from sphericalvision.cameras.calibration.parsing import (
+    chosen,
     entry,
-    errors_of_file,
     focal_lengths,
     mapping,
     number,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV, transform_from_rows
-from sphericalvision.cameras.calibration.supported_models import (
-    check_holds,
-    numbers_of,
-    without_trailing_zeros,
-)
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
-from sphericalvision.io.files import atomic_write
 
 __all__ = ["contents", "recognizes", "write_nerfstudio"]
 
-_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "OPENCV", "OPENCV_FISHEYE", "EQUIRECTANGULAR")
+_LENSES = (
+    Lens("PINHOLE", "pinhole", "fl_x=fx fl_y=fy cx cy"),
+    Lens("SIMPLE_PINHOLE", "pinhole", "fl_x=fx fl_y=fy cx cy"),
+    Lens("OPENCV", "brown_conrady", "fl_x=fx fl_y=fy cx cy k1 k2 p1 p2 k3"),
+    Lens("OPENCV_FISHEYE", "kannala_brandt", "fl_x=fx fl_y=fy cx cy k1 k2 k3 k4"),
+)
+_KINDS = (*(lens.name for lens in _LENSES), "EQUIRECTANGULAR")
 _OWN = ("fl_x", "fl_y", "camera_angle_x", "cx", "k1", "w")
 """Keys by which a frame has a lens of its own."""
 
@@ -66,7 +71,6 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """A camera for each frame if poses are wanted, else the lenses.
 
     Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
         ArgumentError: the size of the images is neither in the file nor given.
     """
     frames = content["frames"]
@@ -107,36 +111,29 @@ def _unbounded_camera(values: Mapping[str, Any], where: str, options: Options) -
     size = _image_size(values, where, options)
     height, width = size
     kind = values.get("camera_model") or ("OPENCV_FISHEYE" if values.get("is_fisheye") else "OPENCV")
-    if kind not in _MODELS:
-        raise FileFormatError(
-            f"{where}, camera_model: expected one of {', '.join(_MODELS)}, got {short_repr(kind)}"
-        )
+    kind = chosen(kind, _KINDS, f"{where}, camera_model")
     if kind == "EQUIRECTANGULAR":
         return EquirectangularCamera(size)
-    focal_length = torch.tensor(_focal_lengths(values, width, height, where), dtype=torch.float64)
     middle = {"cx": width / 2, "cy": height / 2}
     center = [(number(values, key, where) if key in values else middle[key]) - 0.5 for key in middle]
+    plane = [*_focal_lengths(values, width, height, where), *center]
 
     def get(*keys: str) -> list[float]:
         return [number(values, key, where) if values.get(key) is not None else 0.0 for key in keys]
 
-    with errors_of_file(where):
-        if kind == "OPENCV_FISHEYE":
-            return KannalaBrandtCamera(focal_length, center, get("k1", "k2", "k3", "k4"), size, math.pi)
-        k1, k2, k3, k4, p1, p2 = get("k1", "k2", "k3", "k4", "p1", "p2")
-        if k4:
+    if kind != "OPENCV_FISHEYE":
+        if k4 := get("k4")[0]:
             raise FileFormatError(f"{where}, k4: expected 0 in a lens that is no fisheye, got {k4:g}")
-        if kind.endswith("PINHOLE") or not any((k1, k2, k3, p1, p2)):
-            return PinholeCamera(focal_length, center, size)
-        return BrownConradyCamera(focal_length, center, [k1, k2, p1, p2, k3], size)
+        if not any(get("k1", "k2", "k3", "p1", "p2")):
+            kind = "PINHOLE"
+    lens = lens_called(_LENSES, kind)
+    return lens.camera([*plane, *get(*lens.keys[4:])], size, where)
 
 
 def _image_size(values: Mapping[str, Any], where: str, options: Options) -> tuple[int, int]:
     if "w" in values or "h" in values:
         return size_from_width_height([entry(values, key, where) for key in ("w", "h")], f"{where}, w and h")
-    if options.image_size is None:
-        raise ArgumentError(f"image_size: {where} has no w and h; pass image_size=(height, width)")
-    return options.image_size
+    return options.given_size(where, "w and h")
 
 
 def _focal_lengths(values: Mapping[str, Any], width: int, height: int, where: str) -> list[float]:
@@ -163,7 +160,7 @@ def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
     Raises:
         ArgumentError: nerfstudio has no such model, or the rig has several.
     """
-    rig = cameras if isinstance(cameras, CameraRig) else CameraRig({"cam1": cameras}, torch.eye(4)[None])
+    rig = as_rig(cameras)
     kinds = {}
     frames = []
     poses = rig.world_from_camera.detach().cpu().double() @ OPENGL_FROM_OPENCV
@@ -176,35 +173,18 @@ def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
             "camera.convert(to=...), or write 'native'"
         )
     content = {"camera_model": next(iter(kinds.values())), "frames": frames}
-    with atomic_write(path) as unfinished:
-        unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_json(Path(path), content)
 
 
 def _values(camera: Camera) -> tuple[str, dict[str, Any]]:
     """Nerfstudio's name of the model, and the keys of its parameters."""
-    check_holds("nerfstudio", camera)
     height, width = camera.image_size
     size = {"w": width, "h": height}
     if isinstance(camera, EquirectangularCamera):
-        if camera.vertical_field_of_view != math.pi:
-            raise ArgumentError(
-                "camera: nerfstudio's panoramas are whole, this one is a band; write 'native'"
-            )
+        check_whole_panorama(camera, "nerfstudio")
         return "EQUIRECTANGULAR", size
-    assert isinstance(camera, PinholeCamera | BrownConradyCamera | KannalaBrandtCamera)
-    names = ["fl_x", "fl_y", "cx", "cy"]
-    values = [
-        *numbers_of(camera.focal_length),
-        *(value + 0.5 for value in numbers_of(camera.principal_point)),
-    ]
-    kind = "PINHOLE"
-    if isinstance(camera, KannalaBrandtCamera):
-        kind, names = "OPENCV_FISHEYE", [*names, "k1", "k2", "k3", "k4"]
-        values += without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion")
-    elif isinstance(camera, BrownConradyCamera):
-        kind, names = "OPENCV", [*names, "k1", "k2", "p1", "p2", "k3"]
-        values += without_trailing_zeros(numbers_of(camera.distortion), (5,), "distortion (k1 k2 p1 p2 k3)")
-    return kind, {**size, **dict(zip(names, values, strict=True))}
+    lens, (fx, fy, cx, cy, *more) = lens_of(camera, _LENSES, "nerfstudio")
+    return lens.name, {**size, **dict(zip(lens.keys, [fx, fy, cx + 0.5, cy + 0.5, *more], strict=True))}
 
 
 register_format(
@@ -214,7 +194,7 @@ register_format(
         recognizes_keys=recognizes,
         contents_of_keys=contents,
         usual_names=("transforms.json",),
-        models=("pinhole", "brown_conrady", "kannala_brandt", "equirectangular"),
+        models=(*models_of(_LENSES), "equirectangular"),
         write_camera=write_nerfstudio,
         write_rig=write_nerfstudio,
     )

@@ -17,13 +17,13 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import check_holds, numbers_of
 from sphericalvision.cameras.calibration.parsing import (
     errors_of_file,
     metres_per,
     numbers,
     size_from_width_height,
 )
-from sphericalvision.cameras.calibration.supported_models import check_holds, numbers_of
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
@@ -34,7 +34,6 @@ __all__ = [
     "contents",
     "make_ocam",
     "ocam_numbers",
-    "read_ocam_text",
     "recognizes",
     "write_ocam_text",
 ]
@@ -66,7 +65,6 @@ def contents(path: Path, options: Options) -> Contents:
     """The camera of a text file, or those of the folder in which ``poses.txt`` lies.
 
     Raises:
-        FileFormatError: a file is broken; the message names the line.
         ArgumentError: the unit of ``poses.txt`` is not given.
     """
     if path.name == _POSES:
@@ -75,7 +73,7 @@ def contents(path: Path, options: Options) -> Contents:
         raise ArgumentError(
             f"translation_unit: {path} is one camera without a translation, got {options.translation_unit!r}"
         )
-    return Contents({path.stem: read_ocam_text(path, max_angle=options.max_angle, dtype=torch.float64)})
+    return Contents({path.stem: _ocam(path, options.max_angle)})
 
 
 def _counted(values: list[float], where: str) -> list[float]:
@@ -100,7 +98,6 @@ def make_ocam(
     size: list[float],
     max_angle: float | None,
     where: str,
-    dtype: torch.dtype | None = None,
 ) -> OCamCamera:
     """A camera from numbers as files hold them: polynomials with their count in front, centre as (row, column)."""
     row, column = center
@@ -115,25 +112,10 @@ def make_ocam(
             image_size=image_size,
             max_angle=math.pi,
         )
-    return bounded(camera, max_angle, where).to(dtype or torch.get_default_dtype())
+    return bounded(camera, max_angle, where)
 
 
-def read_ocam_text(
-    path: str | Path, *, max_angle: float | None = None, dtype: torch.dtype | None = None
-) -> OCamCamera:
-    """The camera of an OCamCalib text file.
-
-    Args:
-        path: the file.
-        max_angle: half the field of view in radians, which the file does not tell; by default the angle at the
-            farthest pixel of the image.
-        dtype: of the intrinsics, by default torch's default.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is truncated, or holds something else than numbers; the message names the line.
-    """
-    path = check_file(path, "an OCamCalib text file")
+def _ocam(path: Path, max_angle: float | None) -> OCamCamera:
     lines = data_lines(path)
     if len(lines) < len(_LINES):
         last = lines[-1][0] if lines else 0
@@ -148,7 +130,7 @@ def read_ocam_text(
     )
     for values, (number, _), name in zip((direct, inverse), lines, _LINES, strict=False):
         _counted(values, f"{path}, line {number}, {name}")
-    return make_ocam(direct, inverse, center, affine, size, max_angle, str(path), dtype)
+    return make_ocam(direct, inverse, center, affine, size, max_angle, str(path))
 
 
 def _natural(path: Path) -> list[int | str]:
@@ -179,9 +161,7 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
     world_from_camera = transform_from_axis_angle(poses[:, :3], poses[:, 3:] * unit)
     angle = STEREO_SETS_MAX_ANGLE if options.max_angle is None else options.max_angle
     cameras: dict[str, Camera] = {
-        f"cam{file.stem.removeprefix('ocam').lstrip('_') or number}": read_ocam_text(
-            file, max_angle=angle, dtype=torch.float64
-        )
+        f"cam{file.stem.removeprefix('ocam').lstrip('_') or number}": _ocam(file, angle)
         for number, file in enumerate(files, start=1)
     }
     return Contents(cameras, world_from_camera)

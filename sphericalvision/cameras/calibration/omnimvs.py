@@ -19,11 +19,11 @@ from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
-from sphericalvision.cameras.calibration.parsing import entry, numbers
+from sphericalvision.cameras.calibration.parsing import chosen, entry, numbers
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, short_repr
+from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.io.files import write_yaml
 from sphericalvision.io.images import read_mask, write_mask
@@ -40,9 +40,6 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed ``config.yaml``; cameras are named ``cam<cam_id>``.
 
     ``invalid_mask`` images, white where a pixel must not be used, are read where they exist; they are seldom shipped.
-
-    Raises:
-        FileFormatError: a key is missing, or a value makes no sense; the message names file and key.
     """
     cameras: dict[str, Camera] = {}
     poses, masks = [], {}
@@ -65,9 +62,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 
 def _camera(values: Any, where: str, max_angle: float | None) -> OCamCamera:
-    model = values.get("model", "ocam")
-    if model != "ocam":
-        raise FileFormatError(f"{where}, model: expected ocam, got {short_repr(model)}")
+    chosen(values.get("model", "ocam"), ("ocam",), f"{where}, model")
     if max_angle is None and "max_fov" in values:
         max_angle = math.radians(numbers(values["max_fov"], f"{where}, max_fov", 1)[0]) / 2
     inverse = numbers(values["inv_poly"], f"{where}, inv_poly") if values.get("inv_poly") else None
@@ -79,7 +74,6 @@ def _camera(values: Any, where: str, max_angle: float | None) -> OCamCamera:
         numbers(entry(values, "image_size", where), f"{where}, image_size", 2),
         max_angle,
         where,
-        torch.float64,
     )
 
 

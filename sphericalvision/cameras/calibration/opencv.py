@@ -68,7 +68,6 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """The camera or the two cameras of a parsed file.
 
     Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
         ArgumentError: the unit of the translation, or the size of the images, is neither in the file nor given.
     """
     content = _with_other_half(content, path)
@@ -119,11 +118,7 @@ def _image_size(content: Mapping[str, Any], index: str, where: str, options: Opt
         both = find(content, SIZE, suffix)
         if both:
             return size_from_width_height(matrix(content[both], f"{where}, {both}", 2), f"{where}, {both}")
-    if options.image_size is None:
-        raise ArgumentError(
-            f"image_size: {where} has no image_width and image_height; pass image_size=(height, width)"
-        )
-    return options.image_size
+    return options.given_size(where, "image_width and image_height")
 
 
 def _is_fisheye(content: Mapping[str, Any], index: str, distortion_key: str, count: int) -> bool:

@@ -11,21 +11,16 @@ import numpy as np
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.files import STRUCTURED
-from sphericalvision.cameras.calibration.supported_models import (
-    check_holds,
-    numbers_of,
-    without_trailing_zeros,
-)
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
-from sphericalvision.cameras.models.unified import UnifiedCamera
+from sphericalvision.cameras.calibration.lenses import check_holds, numbers_of
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import atomic_write
 
 __all__ = ["write_opencv"]
+
+_FOUR = ("kannala_brandt", "unified")
+"""Models of ``cv2.fisheye`` and ``cv2.omnidir``, which have so many coefficients."""
 
 
 def write_opencv(cameras: Camera | CameraRig, path: str | Path) -> None:
@@ -69,23 +64,24 @@ def write_opencv(cameras: Camera | CameraRig, path: str | Path) -> None:
 
 def _values(camera: Camera, suffix: str) -> dict[str, Any]:
     check_holds("opencv", camera)
-    assert isinstance(camera, PinholeCamera | BrownConradyCamera | KannalaBrandtCamera | UnifiedCamera)
-    (fx, fy), (cx, cy) = numbers_of(camera.focal_length), numbers_of(camera.principal_point)
+    tensors = {name: getattr(camera, name) for name in camera.intrinsic_names}
+    numbers = {name: numbers_of(tensor) for name, tensor in tensors.items() if tensor is not None}
+    (fx, fy), (cx, cy), (skew,) = (
+        numbers.get(name, [0.0]) for name in ("focal_length", "principal_point", "skew")
+    )
+    coefficients = numbers.get("distortion", [0.0] * 4 if "xi" in numbers else [])
+    if camera.model in _FOUR:
+        if any(coefficients[4:]):
+            raise ArgumentError(
+                f"camera: OpenCV holds 4 numbers of distortion of {camera.model}, got {coefficients}; write it "
+                "as 'native', or convert the camera first: camera.convert(to=...)"
+            )
+        coefficients = (coefficients + [0.0] * 4)[:4]
     height, width = camera.image_size
-    own_skew = getattr(camera, "skew", None)
-    skew = 0.0 if own_skew is None else numbers_of(own_skew)[0]
-    coefficients: list[float] = []
-    if isinstance(camera, UnifiedCamera):
-        coefficients = [0.0] * 4 if camera.distortion is None else numbers_of(camera.distortion)
-        coefficients = without_trailing_zeros(coefficients, (4,), "distortion (k1 k2 p1 p2)")
-    elif isinstance(camera, KannalaBrandtCamera):
-        coefficients = without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion (k1 k2 k3 k4)")
-    elif isinstance(camera, BrownConradyCamera):
-        coefficients = numbers_of(camera.distortion)
     values: dict[str, Any] = {f"image_width{suffix}": width, f"image_height{suffix}": height}
-    values[f"fisheye_model{suffix}"] = int(isinstance(camera, KannalaBrandtCamera))
+    values[f"fisheye_model{suffix}"] = int(camera.model == "kannala_brandt")
     values[f"camera_matrix{suffix}"] = np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]])
     values[f"distortion_coefficients{suffix}"] = np.array(coefficients).reshape(-1, 1)
-    if isinstance(camera, UnifiedCamera):
-        values[f"xi{suffix}"] = numbers_of(camera.xi)[0]
+    if "xi" in numbers:
+        values[f"xi{suffix}"] = numbers["xi"][0]
     return values

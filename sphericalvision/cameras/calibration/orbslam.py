@@ -12,7 +12,6 @@ References:
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -22,24 +21,15 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import Lens, lens_of, models_of, numbers_of
 from sphericalvision.cameras.calibration.opencv_keys import matrix
 from sphericalvision.cameras.calibration.parsing import (
     entry,
-    errors_of_file,
-    focal_lengths,
     number,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.supported_models import (
-    check_holds,
-    numbers_of,
-    without_trailing_zeros,
-)
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
@@ -47,7 +37,13 @@ from sphericalvision.io.files import atomic_write
 
 __all__ = ["contents", "recognizes", "write_orbslam"]
 
-_TYPES = ("pinhole", "kannalabrandt8", "rectified")
+_LENSES = (
+    Lens("KannalaBrandt8", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
+    Lens("Rectified", "pinhole", "fx fy cx cy"),
+    Lens("PinHole", "brown_conrady", "fx fy cx cy k1 k2 p1 p2"),
+    Lens("PinHole", "brown_conrady", "fx fy cx cy k1 k2 p1 p2 k3"),
+)
+"""An undistorted pinhole is written without k1, and then read as ``Rectified`` is."""
 _STEREO, _BODY = ("Stereo.T_c1_c2", "Tlr"), ("IMU.T_b_c1", "Tbc")
 
 
@@ -57,11 +53,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
-    """The camera or the two cameras of a parsed file, and their poses as far as the file has any.
-
-    Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
-    """
+    """The camera or the two cameras of a parsed file, and their poses as far as the file has any."""
     first = "Camera1" if "Camera1.fx" in content else "Camera"
     cameras: dict[str, Camera] = {}
     for name, prefix in (("cam1", first), ("cam2", "Camera2")):
@@ -84,25 +76,20 @@ def _transform(content: dict[str, Any], keys: tuple[str, ...], path: Path) -> Te
 
 def _camera(content: dict[str, Any], prefix: str, where: str) -> Camera:
     kind = entry(content, "Camera.type", where)
-    if not isinstance(kind, str) or kind.lower() not in _TYPES:
+    kinds = {lens.name.lower(): lens for lens in reversed(_LENSES)}
+    if not isinstance(kind, str) or kind.lower() not in kinds:
         raise FileFormatError(
             f"{where}: Camera.type: expected PinHole, KannalaBrandt8 or Rectified, got {short_repr(kind)}"
         )
+    lens = kinds[kind.lower()]
     sides = [entry(content, key, where) for key in ("Camera.width", "Camera.height")]
     size = size_from_width_height(sides, f"{where}: Camera.width and Camera.height")
-
-    def get(*keys: str) -> list[float]:
-        return [number(content, f"{prefix}.{key}", where) for key in keys]
-
-    focal_length = torch.tensor(focal_lengths(get("fx", "fy"), where), dtype=torch.float64)
-    center = get("cx", "cy")
-    with errors_of_file(where):
-        if kind.lower() == "kannalabrandt8":
-            return KannalaBrandtCamera(focal_length, center, get("k1", "k2", "k3", "k4"), size, math.pi)
-        if kind.lower() == "rectified" or f"{prefix}.k1" not in content:
-            return PinholeCamera(focal_length, center, size)
-        third = get("k3") if f"{prefix}.k3" in content else []
-        return BrownConradyCamera(focal_length, center, [*get("k1", "k2", "p1", "p2"), *third], size)
+    if lens.name == "PinHole" and f"{prefix}.k1" not in content:
+        lens = kinds["rectified"]
+    elif lens.name == "PinHole" and f"{prefix}.k3" in content:
+        lens = _LENSES[-1]
+    found = [number(content, f"{prefix}.{key}", where) for key in lens.keys]
+    return lens.camera(found, size, where)
 
 
 def write_orbslam(cameras: Camera | CameraRig, path: str | Path) -> None:
@@ -115,19 +102,18 @@ def write_orbslam(cameras: Camera | CameraRig, path: str | Path) -> None:
         ArgumentError: ORB-SLAM3 has no such model, the two differ in model or size, or there are more than two.
     """
     several = list(cameras.cameras.values()) if isinstance(cameras, CameraRig) else [cameras]
-    for camera in several:
-        check_holds("orbslam", camera)
+    written = [lens_of(camera, _LENSES, "orbslam") for camera in several]
     if len(several) > 2 or len({(type(camera), camera.image_size) for camera in several}) > 1:
         raise ArgumentError(
             f"rig: ORB-SLAM3 holds one camera, or two of one model and image size, got {several}; choose two with "
             "rig.subset([...]), or write 'kalibr', 'basalt' or 'native'"
         )
-    kind = "KannalaBrandt8" if isinstance(several[0], KannalaBrandtCamera) else "PinHole"
+    kind = "KannalaBrandt8" if written[0][0].name == "KannalaBrandt8" else "PinHole"
     height, width = several[0].image_size
     lines = ["%YAML:1.0", 'File.version: "1.0"', f'Camera.type: "{kind}"']
     lines += [f"Camera.width: {width}", f"Camera.height: {height}"]
-    for index, camera in enumerate(several, start=1):
-        lines += [f"Camera{index}.{key}: {value!r}" for key, value in _values(camera).items()]
+    for index, (lens, found) in enumerate(written, start=1):
+        lines += [f"Camera{index}.{key}: {value!r}" for key, value in zip(lens.keys, found, strict=True)]
     if isinstance(cameras, CameraRig):
         poses = cameras.world_from_camera.detach().cpu().double()
         lines += _matrix_lines(_BODY[0], poses[0])
@@ -142,26 +128,13 @@ def _matrix_lines(key: str, transform: Tensor) -> list[str]:
     return [f"{key}: !!opencv-matrix", "   rows: 4", "   cols: 4", "   dt: d", f"   data: [ {data} ]"]
 
 
-def _values(camera: Camera) -> dict[str, float]:
-    assert isinstance(camera, PinholeCamera | BrownConradyCamera | KannalaBrandtCamera)
-    values = [*numbers_of(camera.focal_length), *numbers_of(camera.principal_point)]
-    keys = ["fx", "fy", "cx", "cy"]
-    if isinstance(camera, KannalaBrandtCamera):
-        keys += ["k1", "k2", "k3", "k4"]
-        values += without_trailing_zeros(numbers_of(camera.distortion), (4,), "distortion")
-    elif isinstance(camera, BrownConradyCamera):
-        keys += ["k1", "k2", "p1", "p2", "k3"]
-        values += without_trailing_zeros(numbers_of(camera.distortion), (4, 5), "distortion (k1 k2 p1 p2 k3)")
-    return dict(zip(keys, values, strict=False))
-
-
 register_format(
     FileFormat(
         "orbslam",
         "ORB-SLAM3 settings",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
-        models=("pinhole", "brown_conrady", "kannala_brandt"),
+        models=models_of(_LENSES),
         write_camera=write_orbslam,
         write_rig=write_orbslam,
     )

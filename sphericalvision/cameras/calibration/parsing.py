@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from sphericalvision.core import FileFormatError, SphericalVisionError, check_ch
 __all__ = [
     "METRES_PER_UNIT",
     "check_radius",
+    "chosen",
     "entry",
     "errors_of_file",
     "focal_lengths",
@@ -88,6 +89,18 @@ def size_from_width_height(values: Any, where: str) -> tuple[int, int]:
             f"{where}: expected the width and height of the image in pixels, got {width:g} and {height:g}"
         )
     return int(height), int(width)
+
+
+def chosen(value: Any, choices: Iterable[str], where: str) -> str:
+    """``value`` if it is one of the words ``choices``, else ``FileFormatError``; ``where`` names file and key."""
+    words = tuple(choices)
+    if not isinstance(value, str) or value not in words:
+        raise FileFormatError(f"{where}: expected {_listed(words)}, got {short_repr(value)}")
+    return value
+
+
+def _listed(words: tuple[str, ...]) -> str:
+    return " or ".join(words) if len(words) < 4 else f"one of {', '.join(words)}"
 
 
 def mapping(value: Any, where: str) -> Mapping[str, Any]:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -11,12 +13,14 @@ from torch import Tensor
 
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError
+from sphericalvision.geometry import transform_from_quaternion
 
 __all__ = [
     "OPENGL_FROM_OPENCV",
     "axis_angle_from_rotation",
     "checked_rigid",
     "quaternion_from_rotation",
+    "transform_from_numbers",
     "transform_from_rows",
 ]
 
@@ -56,6 +60,21 @@ def transform_from_rows(values: Any, where: str) -> Float[Tensor, "4 4"]:
     last = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)
     upper = torch.tensor(flat[:12], dtype=torch.float64).reshape(3, 4)
     return checked_rigid(torch.cat((upper, last)), where)
+
+
+def transform_from_numbers(
+    quaternion: Sequence[float], translation: Sequence[float], where: str
+) -> Float[Tensor, "4 4"]:
+    """A rigid transform (4, 4), float64, of (w, x, y, z) and a translation.
+
+    Examples:
+        >>> transform_from_numbers([1, 0, 0, 0], [0.5, 0, 0], "here")[0, 3].item()
+        0.5
+    """
+    if not 0.99 < (length := math.hypot(*quaternion)) < 1.01:
+        raise FileFormatError(f"{where}: expected a quaternion of length 1, got one of length {length:.3g}")
+    table = torch.tensor([*quaternion, *translation], dtype=torch.float64)
+    return transform_from_quaternion(table[:4], table[4:])
 
 
 def quaternion_from_rotation(rotation: Float[Tensor, "3 3"]) -> list[float]:

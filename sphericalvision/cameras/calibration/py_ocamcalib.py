@@ -27,7 +27,7 @@ from sphericalvision.cameras.calibration.formats import FileFormat, register_for
 from sphericalvision.cameras.calibration.parsing import entry, errors_of_file, numbers
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.ocam import OCamCamera
-from sphericalvision.core import ArgumentError, FileFormatError, short_repr
+from sphericalvision.core import FileFormatError, short_repr
 
 __all__ = ["contents", "recognizes"]
 
@@ -41,7 +41,6 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """The camera of a parsed file, called by its ``camera_name``.
 
     Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
         ArgumentError: the size of the images is not given.
     """
     where = str(path)
@@ -52,13 +51,12 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         )
     u, v = numbers(entry(content, "distortion_center", where), f"{where}, distortion_center", 2)
     c, d, e = _stretch(entry(content, "stretch_matrix", where), f"{where}, stretch_matrix")
-    if options.image_size is None:
-        raise ArgumentError(f"image_size: {where} does not tell it; pass image_size=(height, width)")
+    size = options.given_size(where)
     with errors_of_file(where):
         direct = [-value * c ** (1 - power) for power, value in enumerate(taylor)]
         affine = [1 / c, e / c, d / c]
         polynomial = torch.tensor(direct, dtype=torch.float64)
-        camera = OCamCamera(polynomial, None, [u, v], affine, options.image_size, math.pi)
+        camera = OCamCamera(polynomial, None, [u, v], affine, size, math.pi)
     name = content.get("camera_name")
     return Contents(
         {name if isinstance(name, str) and name else path.stem: bounded(camera, options.max_angle, where)}

@@ -17,25 +17,25 @@ References:
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
 
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import read_text
+from sphericalvision.cameras.calibration.files import parse_xml, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.parsing import errors_of_file, focal_lengths, numbers
+from sphericalvision.cameras.calibration.lenses import Lens
+from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
-from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
 
 _XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
+_PERSPECTIVE = Lens("perspective", "pinhole", "FocalLength35mm=fx AspectRatio=fy cx cy")
+_BROWN = Lens("brown3t2", "brown_conrady", "FocalLength35mm=fx AspectRatio=fy cx cy k1 k2 k3 t1=p2 t2=p1")
 _MODELS = ("perspective", "brown3", "brown4", "brown3t2", "brown4t2")
 
 
@@ -53,16 +53,9 @@ def contents(path: Path, options: Options) -> Contents:
     """The camera of a file, called like it, and its pose if the file has one.
 
     Raises:
-        FileFormatError: an attribute is missing, or its value makes no sense; the message names it.
         ArgumentError: the size of the image is not given.
     """
-    text = read_text(path)
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise FileFormatError(f"{path}: an XMP has no document type or entities, this file has")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise FileFormatError(f"{path}: not valid XML ({error}); is it truncated?") from None
+    root = parse_xml(read_text(path), path)
     values: dict[str, str] = {}
     for element in root.iter():  # an attribute or an element, from version to version
         if element.tag.startswith(_XCR):
@@ -94,9 +87,7 @@ def _camera(values: dict[str, str], path: Path, options: Options) -> Camera:
         )
     if get("Skew", "0")[0]:
         raise FileFormatError(f"{path}, Skew: expected 0, got {values['Skew']!r:.80}; align without it")
-    if options.image_size is None:
-        raise ArgumentError(f"image_size: {path} does not tell it; pass image_size=(height, width)")
-    height, width = options.image_size
+    height, width = size = options.given_size(str(path))
     side = max(height, width)
     focal = get("FocalLength35mm")[0] * side / 36
     aspect = get("AspectRatio", "1")[0]
@@ -104,12 +95,10 @@ def _camera(values: dict[str, str], path: Path, options: Options) -> Camera:
         width / 2 + get("PrincipalPointU", "0")[0] * side - 0.5,
         height / 2 + get("PrincipalPointV", "0")[0] * side - 0.5,
     ]
-    where = f"{path}, FocalLength35mm and AspectRatio"
-    focal_length = torch.tensor(focal_lengths([focal, focal * aspect], where), dtype=torch.float64)
-    with errors_of_file(str(path)):
-        if not any(coefficients):
-            return PinholeCamera(focal_length, center, options.image_size)
-        return BrownConradyCamera(focal_length, center, [k1, k2, t2, t1, k3], options.image_size)
+    plane = [focal, focal * aspect, *center]
+    if not any(coefficients):
+        return _PERSPECTIVE.camera(plane, size, str(path))
+    return _BROWN.camera([*plane, k1, k2, k3, t1, t2], size, str(path))
 
 
 def _pose(values: dict[str, str], path: Path) -> Tensor:

@@ -20,10 +20,10 @@ from torch import Tensor
 from sphericalvision.cameras.calibration.colmap_records import images_in
 from sphericalvision.cameras.calibration.files import data_lines
 from sphericalvision.cameras.calibration.parsing import numbers
-from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.poses import transform_from_numbers, transform_from_rows
 from sphericalvision.cameras.trajectory import Trajectory
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
-from sphericalvision.geometry import invert_transform, transform_from_quaternion
+from sphericalvision.geometry import invert_transform
 
 __all__ = ["read_trajectory"]
 
@@ -82,7 +82,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
         values = numbers(words, where, count)
         if count == 8:
             names.append(words[0])
-            poses.append(_from_quaternion([values[7], *values[4:7]], values[1:4], where))
+            poses.append(transform_from_numbers([values[7], *values[4:7]], values[1:4], where))
         else:
             names.append(str(row) if count % 4 == 0 else words[0])
             poses.append(transform_from_rows(values[count % 4 :], where))
@@ -94,19 +94,13 @@ def _of_images(path: Path) -> Trajectory:
     named: list[tuple[str, Tensor]] = []
     for image in images_in(path):
         name = str(PurePosixPath(image.name).with_suffix("").name) if image.name.strip("/.") else ""
-        named.append((name, invert_transform(_from_quaternion(image.pose[:4], image.pose[4:], image.where))))
+        named.append(
+            (name, invert_transform(transform_from_numbers(image.pose[:4], image.pose[4:], image.where)))
+        )
     if not named:
         raise FileFormatError(f"{path}: no image in it")
     named.sort(key=lambda pair: [(len(part), part) for part in re.split(r"(\d+)", pair[0])])
     return _trajectory([name for name, _ in named], [pose for _, pose in named], path)
-
-
-def _from_quaternion(quaternion: list[float], translation: list[float], where: str) -> Tensor:
-    """A transform (4, 4) of (w, x, y, z) and a translation."""
-    table = torch.tensor([*quaternion, *translation], dtype=torch.float64)
-    if not 0.99 < (length := float(table[:4].norm())) < 1.01:
-        raise FileFormatError(f"{where}: expected a quaternion of length 1, got one of length {length:.3g}")
-    return transform_from_quaternion(table[:4], table[4:])
 
 
 def _trajectory(names: list[str], poses: list[Tensor], path: Path) -> Trajectory:

@@ -38,7 +38,6 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """The cameras ``cam0`` and ``cam1`` of a parsed file, and their poses.
 
     Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
         MissingFileError: the file of a camera is not where this one says.
     """
     cameras: dict[str, Camera] = {}

@@ -22,6 +22,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.parsing import (
+    chosen,
     entry,
     errors_of_file,
     mapping,
@@ -29,10 +30,10 @@ from sphericalvision.cameras.calibration.parsing import (
     numbers,
     size_from_width_height,
 )
+from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
-from sphericalvision.core import FileFormatError, short_repr
-from sphericalvision.geometry import transform_from_quaternion
+from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
 
@@ -46,16 +47,10 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
-    """The camera of a parsed file, called by its ``name``, and its pose if the file has one.
-
-    Raises:
-        FileFormatError: a key is missing, or its value makes no sense; the message names file and key.
-    """
+    """The camera of a parsed file, called by its ``name``, and its pose if the file has one."""
     where = f"{path}, intrinsic"
     values = mapping(entry(content, "intrinsic", str(path)), where)
-    model = values.get("model", "radial_poly")
-    if model != "radial_poly":
-        raise FileFormatError(f"{where}, model: expected radial_poly, got {short_repr(model)}")
+    chosen(values.get("model", "radial_poly"), ("radial_poly",), f"{where}, model")
     order = number(values, "poly_order", where) if "poly_order" in values else 4
     if order != int(order) or not 1 <= order <= 20:
         raise FileFormatError(f"{where}, poly_order: expected a count from 1 to 20, got {order:g}")
@@ -81,14 +76,7 @@ def _pose(content: dict[str, Any], path: Path) -> torch.Tensor:
     values = content["extrinsic"]
     x, y, z, w = numbers(entry(values, "quaternion", where), f"{where}, quaternion", 4)
     translation = numbers(entry(values, "translation", where), f"{where}, translation", 3)
-    length = (x * x + y * y + z * z + w * w) ** 0.5
-    if not 0.99 < length < 1.01:
-        raise FileFormatError(
-            f"{where}, quaternion: expected (x, y, z, w) of length 1, got one of length {length:.3g}"
-        )
-    return transform_from_quaternion(
-        torch.tensor([[w, x, y, z]], dtype=torch.float64), torch.tensor([translation], dtype=torch.float64)
-    )
+    return transform_from_numbers([w, x, y, z], translation, f"{where}, quaternion")[None]
 
 
 def files_of_rig(folder: Path) -> list[Path]:

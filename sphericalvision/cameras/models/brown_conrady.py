@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Projection, Unprojection
-from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
+from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
 from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
 from sphericalvision.cameras.fitting.starts import PLANE_REACH, solve_linear, with_shapes
 from sphericalvision.cameras.models.image_plane import (
@@ -33,13 +33,15 @@ from sphericalvision.geometry.directions import components, is_greater
 __all__ = ["BrownConradyCamera", "project_brown_conrady", "unproject_brown_conrady"]
 
 NUMBERS_OF_COEFFICIENTS = (4, 5, 8, 12, 14)
+NAMES = "k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 τx τy"
+"""In OpenCV's order."""
 
 
 def _check_distortion(distortion: Tensor) -> None:
     if distortion.ndim == 0 or distortion.shape[-1] not in NUMBERS_OF_COEFFICIENTS:
         raise ArgumentError(
-            "distortion: expected (*, 4), (*, 5), (*, 8), (*, 12) or (*, 14) coefficients in OpenCV's order k1 k2 p1 "
-            f"p2 k3 k4 k5 k6 s1 s2 s3 s4 τx τy, got shape {tuple(distortion.shape)}; fill up with zeros"
+            f"distortion: expected (*, 4), (*, 5), (*, 8), (*, 12) or (*, 14) coefficients in OpenCV's order {NAMES}, "
+            f"got shape {tuple(distortion.shape)}; fill up with zeros"
         )
 
 
@@ -172,7 +174,7 @@ class BrownConradyCamera(PlaneCamera):
     model = "brown_conrady"
     functions = project_brown_conrady, unproject_brown_conrady
 
-    distortion: Intrinsic = Intrinsic(ANY)
+    distortion: Intrinsic = Intrinsic(*NUMBERS_OF_COEFFICIENTS, named=NAMES)
     image_size: ImageSize = ImageSize()
     max_angle: MaxAngle = MaxAngle(default=None)
     skew: OptionalIntrinsic = OptionalIntrinsic(default=None)
@@ -182,8 +184,8 @@ class BrownConradyCamera(PlaneCamera):
         self._end_before_second_fold()
 
     def _check_intrinsics(self) -> None:
-        super()._check_intrinsics()
         _check_distortion(self.distortion)
+        super()._check_intrinsics()
 
     def _model_end(self) -> Tensor:
         return torch.atan(fold_radius(self.distortion))

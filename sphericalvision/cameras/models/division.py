@@ -125,7 +125,7 @@ class DivisionCamera(PlaneCamera):
     model = "division"
     functions = project_division, unproject_division
 
-    distortion: Intrinsic = Intrinsic(*range(1, 7))
+    distortion: Intrinsic = Intrinsic(*range(1, 7), named="k1 k2 k3 k4 k5 k6")
     image_size: ImageSize = ImageSize()
     max_angle: MaxAngle = MaxAngle(default=None)
 

@@ -193,8 +193,8 @@ class FisheyeCamera(Camera):
     functions = project_fisheye, unproject_fisheye
 
     projection: Choice = Choice(*FISHEYE_PROJECTIONS)
-    focal_length: Intrinsic = Intrinsic(1, 2, above=0)
-    principal_point: Intrinsic = Intrinsic(2)
+    focal_length: Intrinsic = Intrinsic(1, 2, above=0, unit="pixels", named="fx fy")
+    principal_point: Intrinsic = Intrinsic(2, named="cx cy")
     image_size: ImageSize = ImageSize()
     max_angle: MaxAngle = MaxAngle(default=None)
 

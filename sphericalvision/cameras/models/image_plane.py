@@ -17,8 +17,8 @@ __all__ = ["PlaneCamera", "pixels_from_plane", "plane_from_pixels", "unit_direct
 class PlaneCamera(Camera):
     """A model that ends in ``pixels_from_plane``; some have a skew."""
 
-    focal_length: Intrinsic = Intrinsic(2, above=0, unit="pixels")
-    principal_point: Intrinsic = Intrinsic(2)
+    focal_length: Intrinsic = Intrinsic(2, above=0, unit="pixels", named="fx fy")
+    principal_point: Intrinsic = Intrinsic(2, named="cx cy")
 
     def _project(self, points: Tensor) -> Projection:
         pixels, valid = super()._project(points)

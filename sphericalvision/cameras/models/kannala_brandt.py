@@ -120,7 +120,7 @@ class KannalaBrandtCamera(PlaneCamera):
     model = "kannala_brandt"
     functions = project_kannala_brandt, unproject_kannala_brandt
 
-    distortion: Intrinsic = Intrinsic(*range(1, 10))
+    distortion: Intrinsic = Intrinsic(*range(1, 10), named="k1 k2 k3 k4 k5 k6 k7 k8 k9")
     image_size: ImageSize = ImageSize()
     max_angle: MaxAngle = MaxAngle(default=None)
     skew: OptionalIntrinsic = OptionalIntrinsic(default=None)

@@ -228,9 +228,9 @@ class ThinPrismFisheyeCamera(PlaneCamera):
     model = "thin_prism_fisheye"
     functions = project_thin_prism_fisheye, unproject_thin_prism_fisheye
 
-    distortion: Intrinsic = Intrinsic(*range(1, 10))
-    tangential: Intrinsic = Intrinsic(2)
-    thin_prism: Intrinsic = Intrinsic(4)
+    distortion: Intrinsic = Intrinsic(*range(1, 10), named="k1 k2 k3 k4 k5 k6 k7 k8 k9")
+    tangential: Intrinsic = Intrinsic(2, named="p1 p2")
+    thin_prism: Intrinsic = Intrinsic(4, named="s1 s2 s3 s4")
     image_size: ImageSize = ImageSize()
     max_angle: MaxAngle = MaxAngle(default=None)
     composition: Choice = Choice(*COMPOSITIONS, default="sequential")

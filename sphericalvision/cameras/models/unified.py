@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Projection, Unprojection
-from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
+from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
 from sphericalvision.cameras.fitting.model import fitted
 from sphericalvision.cameras.fitting.starts import shape_grid
 from sphericalvision.cameras.models.image_plane import (
@@ -127,18 +127,18 @@ class UnifiedCamera(PlaneCamera):
     functions = project_unified, unproject_unified
 
     xi: Intrinsic = Intrinsic(above=-1)
-    distortion: OptionalIntrinsic = OptionalIntrinsic(ANY)
+    distortion: OptionalIntrinsic = OptionalIntrinsic(4, 5, named="k1 k2 p1 p2 k3")
     image_size: ImageSize = ImageSize()
     max_angle: MaxAngle = MaxAngle(default=None)
     skew: OptionalIntrinsic = OptionalIntrinsic(default=None)
 
     def _check_intrinsics(self) -> None:
-        super()._check_intrinsics()
         if self.distortion is not None and self.distortion.shape[-1:] not in ((4,), (5,)):
             raise ArgumentError(
                 "distortion: expected (*, 5) coefficients k1 k2 p1 p2 k3, (*, 4) without k3, or None, got shape "
                 f"{tuple(self.distortion.shape)}"
             )
+        super()._check_intrinsics()
 
     @torch.no_grad()
     def _model_end(self) -> Tensor:

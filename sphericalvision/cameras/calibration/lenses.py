@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lenses of a file format: a table of its names, our classes and the order of numbers, read in both directions.
+
+Numbers have the names that the intrinsics of a camera model declare: fx fy cx cy, k1 k2 p1 p2 and so on, or that of the
+intrinsic itself, such as xi. In a table ``gamma=fx`` is a number that the file calls gamma.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import torch
+from jaxtyping import Shaped
+from torch import Tensor
+
+from sphericalvision.cameras.base import Camera, check_single
+from sphericalvision.cameras.calibration.formats import file_format, file_formats
+from sphericalvision.cameras.calibration.parsing import errors_of_file, focal_lengths
+from sphericalvision.cameras.declaration import Intrinsic
+from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.registry import camera_model
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError
+
+__all__ = [
+    "Lens",
+    "as_rig",
+    "check_holds",
+    "check_whole_panorama",
+    "lens_called",
+    "lens_of",
+    "models_of",
+    "numbers_of",
+]
+
+_WITH_SKEW = ("native", "opencv")
+_WITHOUT_SKEW_IN_OPENCV = ("pinhole", "brown_conrady")  # whose functions take no notice of it
+_ENDLESS = ("kannala_brandt", "double_sphere", "thin_prism_fisheye")
+"""Models whose view a file leaves to its image, up to straight back."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens of a format.
+
+    Attributes:
+        name: as the format calls it.
+        model: name of our class.
+        numbers: their names, in the order of the file; ``f`` is fx and fy.
+        zeros: names of numbers of our class that the format does not have, and that are read as 0. Numbers of an
+            intrinsic that stand behind all named ones need not be there.
+        options: of our class.
+    """
+
+    name: str
+    model: str
+    numbers: str
+    zeros: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def _class(self) -> type[Camera]:
+        found = camera_model(self.model)
+        assert found is not None, self.model
+        return found
+
+    @cached_property
+    def keys(self) -> tuple[str, ...]:
+        """What the file calls the numbers."""
+        return tuple(word.split("=")[0] for word in self.numbers.split())
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """What our class calls them."""
+        return tuple(word.split("=")[-1] for word in self.numbers.split())
+
+    def camera(
+        self,
+        numbers: Sequence[float],
+        image_size: tuple[int, int],
+        where: str,
+        max_angle: float | None = None,
+        skew: float | None = None,
+    ) -> Camera:
+        """The camera of the numbers of a file, in its order; ``where`` names the place in errors.
+
+        Raises:
+            FileFormatError: the numbers make no sense.
+        """
+        given = dict.fromkeys(self.zeros.split(), 0.0) | dict(zip(self.names, numbers, strict=False))
+        if skew is not None:
+            given["skew"] = skew
+        if "f" in given:
+            given["fx"] = given["fy"] = given["f"]
+        keys = [key for key, name in zip(self.keys, self.names, strict=True) if name in ("f", "fx", "fy")]
+        focal_lengths([given["fx"], given["fy"]], f"{where}, {' and '.join(keys)}")
+        intrinsics = {
+            name: _tensor(name, declared, given)
+            for name, declared in self._class.declared.items()
+            if isinstance(declared, Intrinsic)
+        }
+        if max_angle is None and self.model in _ENDLESS:
+            max_angle = math.pi
+        arguments: dict[str, Any] = {**intrinsics, **self.options, "max_angle": max_angle}
+        with errors_of_file(where):
+            return self._class(image_size=image_size, **arguments)
+
+    def split(self, camera: Camera) -> tuple[list[float], dict[str, Any]]:
+        """The numbers of a camera of our class in the order of the file, and what it has that the lens has not."""
+        beyond: dict[str, Any] = {
+            name: getattr(camera, name)
+            for name, value in self.options.items()
+            if getattr(camera, name) != value
+        }
+        given: dict[str, float] = {}
+        for name, declared in self._class.declared.items():
+            if isinstance(declared, Intrinsic):
+                value, names = getattr(camera, name), declared.names(name)
+                if value is None and set(names) & set(self.names):
+                    beyond[name] = None
+                found = [] if value is None else numbers_of(value)
+                given |= zip(names, found * 2 if name == "focal_length" else found, strict=False)
+        beyond |= {name: value for name, value in given.items() if value and name not in self.names}
+        return [given.get(name, 0.0) for name in self.names], beyond
+
+
+def _tensor(name: str, declared: Intrinsic, given: Mapping[str, float]) -> Tensor | None:
+    """An intrinsic, in float64, of numbers by name."""
+    names = declared.names(name)
+    there = [index for index, number in enumerate(names) if number in given]
+    if not there and declared.optional:
+        return None
+    if not declared.sizes:
+        return torch.tensor(given[name], dtype=torch.float64)
+    size = min(size for size in declared.sizes if size > max(there, default=0))
+    return torch.tensor([given.get(number, 0.0) for number in names[:size]], dtype=torch.float64)
+
+
+def lens_called(lenses: Iterable[Lens], name: str) -> Lens:
+    """The lens of a name that is known."""
+    return next(lens for lens in lenses if lens.name == name)
+
+
+def models_of(lenses: Iterable[Lens]) -> tuple[str, ...]:
+    """Names of our models in a table."""
+    return tuple(dict.fromkeys(lens.model for lens in lenses))
+
+
+def lens_of(camera: Camera, lenses: Sequence[Lens], format: str) -> tuple[Lens, list[float]]:
+    """The first lens of a table that holds a camera, and its numbers.
+
+    Raises:
+        ArgumentError: there is none; the message says what the format has.
+    """
+    check_holds(format, camera)
+    tried = [(lens, *lens.split(camera)) for lens in lenses if lens.model == camera.model]
+    lens, numbers, beyond = min(tried, key=lambda entry: len(entry[2]))  # the first of equals
+    if beyond:
+        raise ArgumentError(
+            f"camera: of {camera.model} the format {format!r} holds {' '.join(lens.names)}"
+            + "".join(f" with {name}={value!r}" for name, value in lens.options.items())
+            + f", and this one has {', '.join(f'{name}={value!r}' for name, value in beyond.items())}; write it as "
+            "'native', or convert the camera first: camera.convert(to=...)"
+        )
+    return lens, numbers
+
+
+def check_holds(format: str, camera: Camera) -> None:
+    """Raise ``ArgumentError`` unless ``format`` has the camera's model and the camera is no batch."""
+    check_single(camera)
+    models = file_format(format).models
+    if models and camera.model not in models:
+        others = [
+            known.name
+            for known in file_formats()
+            if (known.write_camera or known.write_rig) and (not known.models or camera.model in known.models)
+        ]
+        raise ArgumentError(
+            f"camera: the format {format!r} has no {camera.model} model, it has {', '.join(models)}. Write it as "
+            f"{' or '.join(map(repr, others))}, or convert the camera first: camera.convert(to=...)"
+        )
+    formats = _WITH_SKEW[:1] if camera.model in _WITHOUT_SKEW_IN_OPENCV else _WITH_SKEW
+    if format not in formats and getattr(camera, "skew", None) is not None:
+        raise ArgumentError(
+            f"camera: the format {format!r} has no skew; write it as {' or '.join(map(repr, formats))}, or convert "
+            'the camera to OCam, whose affine map holds one: camera.convert(to="ocam")'
+        )
+
+
+def check_whole_panorama(camera: EquirectangularCamera, program: str) -> None:
+    """Raise ``ArgumentError`` for a band."""
+    if camera.vertical_field_of_view != math.pi:
+        raise ArgumentError(f"camera: {program}'s panoramas are whole, this one is a band; write 'native'")
+
+
+def numbers_of(tensor: Shaped[Tensor, " ..."]) -> list[float]:
+    """Plain float64 numbers of a parameter, whatever its device and whether it is learned."""
+    values: list[float] = tensor.detach().to("cpu").double().flatten().tolist()
+    return values
+
+
+def as_rig(cameras: Camera | CameraRig) -> CameraRig:
+    """A rig, or the rig of one camera in the middle of the world."""
+    return cameras if isinstance(cameras, CameraRig) else CameraRig({"cam1": cameras}, torch.eye(4)[None])

@@ -150,7 +150,7 @@ def test_what_kalibr_cannot_hold_is_refused(tmp_path: Path) -> None:
         ({"camera_model": "fov"}, "cam0, camera_model: expected one of pinhole, omni, eucm, ds, got 'fov'"),
         (
             {"distortion_model": "fov"},
-            "cam0, distortion_model: expected none or radtan or equidistant with pinhole",
+            "cam0, distortion_model of a pinhole: expected one of none, radtan, equidistant",
         ),
         ({"intrinsics": [1.0, 2.0, 3.0]}, "cam0, intrinsics (fu fv pu pv): expected 4 numbers, got 3"),
         ({"intrinsics": [0.0, 2.0, 3.0, 4.0]}, "cam0, fu and fv: expected positive focal lengths"),

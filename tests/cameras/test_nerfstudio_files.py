@@ -89,7 +89,7 @@ def test_panoramas_see_everything(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"camera_model": "FISHEYE624"}, "camera_model: expected one of SIMPLE_PINHOLE"),
+        ({"camera_model": "FISHEYE624"}, "camera_model: expected one of PINHOLE"),
         ({"camera_model": "OPENCV"}, "k4: expected 0 in a lens that is no fisheye, got 0.0002"),
         ({"frames": []}, "frames: expected a list of at least one frame"),
         ({"fl_x": -3}, "expected positive focal lengths"),

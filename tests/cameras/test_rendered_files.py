@@ -130,7 +130,7 @@ def test_blender_sensor_fits_the_side_that_it_is_told(tmp_path: Path) -> None:
             "fisheye_polynomial_k1: expected radians a millimetre, got -1e.100",
         ),
         ({"fisheye_polynomial_k1": 0.06}, r"fisheye_polynomial_k1 \(negative\): expected positive"),
-        ({"panorama_type": "MIRRORBALL"}, "panorama_type: expected FISHEYE_EQUIDISTANT or"),
+        ({"panorama_type": "MIRRORBALL"}, "panorama_type: expected one of FISHEYE_EQUIDISTANT"),
         ({"shift_x": 0.1}, "shift_x and shift_y: expected 0 of a panoramic camera"),
         ({"sensor_width": 0.0}, "sensor_width: expected millimetres above 0"),
         ({"pixel_aspect_x": 2.0, "pixel_aspect_y": 1.0}, "pixel_aspect_x and pixel_aspect_y: expected"),

@@ -90,5 +90,5 @@ def test_broken_file_names_file_and_key(tmp_path: Path, changes: dict[str, Any],
 def test_quaternion_that_is_none_is_refused(tmp_path: Path) -> None:
     content = woodscape()
     content["extrinsic"]["quaternion"] = [0.5, 0.5, 0.5, 0.0]
-    with pytest.raises(ValueError, match=r"extrinsic, quaternion: expected \(x, y, z, w\) of length 1"):
+    with pytest.raises(ValueError, match=r"quaternion \(x, y, z, w\): expected a quaternion of length 1"):
         read_rig(dump(tmp_path / "FV.json", content))

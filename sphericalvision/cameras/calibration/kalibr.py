@@ -74,7 +74,7 @@ def _camera(values: Any, where: str) -> Camera:
     kind = chosen(entry(values, "camera_model", where), kinds, f"{where}, camera_model")
     fitting = [name for lens in _LENSES for first, name in [lens.name.split()] if first == kind]
     distortion = chosen(
-        values.get("distortion_model", "none"), fitting, f"{where}, distortion_model with {kind}"
+        values.get("distortion_model", "none"), fitting, f"{where}, distortion_model of a {kind}"
     )
     lens = lens_called(_LENSES, f"{kind} {distortion}")
     last = 0 if distortion == "none" else 4

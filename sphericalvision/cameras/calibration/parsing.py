@@ -100,7 +100,7 @@ def chosen(value: Any, choices: Iterable[str], where: str) -> str:
 
 
 def _listed(words: tuple[str, ...]) -> str:
-    return " or ".join(words) if len(words) < 4 else f"one of {', '.join(words)}"
+    return " or ".join(words) if len(words) < 3 else f"one of {', '.join(words)}"
 
 
 def mapping(value: Any, where: str) -> Mapping[str, Any]:

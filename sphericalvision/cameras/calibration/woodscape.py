@@ -76,7 +76,7 @@ def _pose(content: dict[str, Any], path: Path) -> torch.Tensor:
     values = content["extrinsic"]
     x, y, z, w = numbers(entry(values, "quaternion", where), f"{where}, quaternion", 4)
     translation = numbers(entry(values, "translation", where), f"{where}, translation", 3)
-    return transform_from_numbers([w, x, y, z], translation, f"{where}, quaternion")[None]
+    return transform_from_numbers([w, x, y, z], translation, f"{where}, quaternion (x, y, z, w)")[None]
 
 
 def files_of_rig(folder: Path) -> list[Path]:

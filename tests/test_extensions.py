@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An extension is one file: a camera, a format, a kind of scene, an aggregation and a network in an empty folder.
+
+They are found by their entry points, and used by command line without an edit in the tree.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from sphericalvision.io.images import write_image
+
+GLASS = Path(__file__).parent / "plugin/glass"
+
+FORMAT = """
+import json
+from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.calibration import native
+from sphericalvision.cameras.calibration.formats import FileFormat
+
+def write(rig, path):
+    cameras = {name: native.camera_to_dict(camera) for name, camera in rig.cameras.items()}
+    path.write_text(json.dumps({"odd": cameras, "poses": rig.world_from_camera.tolist()}))
+
+def contents(content, path, options):
+    import torch
+    cameras = {name: native.camera_from_dict(values, str(path)) for name, values in content["odd"].items()}
+    return native.Contents(cameras, torch.tensor(content["poses"], dtype=torch.float64))
+
+ODD = FileFormat("odd", "the odd JSON", recognizes_keys=lambda keys: "odd" in keys, contents_of_keys=contents,
+                 write_rig=write)
+"""
+
+SCENE = """
+from sphericalvision.scenes.kinds.floating import random_floating_objects
+
+def crowd(generator, clear_radius):
+    return random_floating_objects(generator, clear_radius)
+"""
+
+AGGREGATION = """
+from sphericalvision.sweep import Aggregation
+
+class Mean(Aggregation):
+    def __init__(self, channels):
+        super().__init__(channels)
+
+    def forward(self, volume):
+        return volume.values.mean(1)
+"""
+
+ENTRY_POINTS = """
+[sphericalvision.cameras]
+equisolid_lens = odd_camera:EquisolidLens
+[sphericalvision.formats]
+odd = odd_format:ODD
+[sphericalvision.scenes]
+crowd = odd_scene:crowd
+[sphericalvision.aggregations]
+odd-mean = odd_aggregation:Mean
+[sphericalvision.networks]
+colour-variance = odd_network:ColourVariance
+"""
+
+RIG = """
+from odd_camera import EquisolidLens
+from sphericalvision.cameras import CameraRig, ring_rig, save_rig
+lens = EquisolidLens([9.0], [15.5, 15.5], (32, 32), 1.8)
+save_rig(CameraRig([lens] * 4, ring_rig(4, 0.2).world_from_camera), "rig.json", format="odd")
+"""
+
+TRAINING = (
+    "experiment=quickstart",
+    "rig=file",
+    "rig.path=rig.json",
+    "data.kind=crowd",
+    "data.num_train=2",
+    "data.num_val=2",
+    "data.samples_per_pixel=1",
+    "data.num_workers=0",
+    "data.cache_dir=null",
+    "scheduler=constant",
+    "trainer.max_steps=1",
+    "trainer.val_check_interval=1",
+    "trainer.accelerator=cpu",
+    "logger=none",
+    "callbacks.panels=null",
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """An empty folder but for the files of the extensions, and a configuration that names the network."""
+    site = tmp_path / "site"
+    (site / "odd-1.0.dist-info").mkdir(parents=True)
+    (site / "odd-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: odd\nVersion: 1.0\n")
+    (site / "odd-1.0.dist-info/entry_points.txt").write_text(ENTRY_POINTS)
+    for name, text in (("format", FORMAT), ("scene", SCENE), ("aggregation", AGGREGATION)):
+        (site / f"odd_{name}.py").write_text(text)
+    for name in ("camera", "network"):
+        shutil.copy(GLASS / f"{name}.py", site / f"odd_{name}.py")
+    (tmp_path / "conf/model").mkdir(parents=True)
+    (tmp_path / "conf/model/odd.yaml").write_text(
+        "_target_: odd_network.ColourVariance\nlevel: 3\nnum_hypotheses: 4\nmin_depth: 0.55\nwidth: 3\n"
+    )
+    return tmp_path
+
+
+def python(folder: Path, *words: str) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(folder / "site"), "OMP_NUM_THREADS": "1"}
+    result = subprocess.run(
+        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+def command(folder: Path, name: str, *words: str) -> str:
+    return python(folder, "-m", f"sphericalvision.recipes.{name}", *words)
+
+
+@pytest.mark.slow
+def test_extensions_of_one_file_each_work_from_every_command(folder: Path) -> None:
+    python(folder, "-c", RIG)
+    command(folder, "convert", "calibration=rig.json", "output=rig.yaml")
+    assert "equisolid_lens" in (folder / "rig.yaml").read_text()
+    command(folder, "convert", "calibration=rig.yaml", "output=again.json", "format=odd")
+    assert '"odd"' in (folder / "again.json").read_text()
+
+    words = ("rig=ring", "rig.image_size=[32,32]", "height=16", "samples_per_pixel=1")
+    command(folder, "render", "output=set", "kind=crowd", "num_frames=1", *words)
+    assert list((folder / "set").rglob("*.png"))
+
+    small = (
+        "model.level=3",
+        "model.num_hypotheses=4",
+        "model.feature_channels=2",
+        "model.aggregation=odd-mean",
+    )
+    command(folder, "train", *TRAINING, "output=mean", "model=icosweepnet", *small)
+    command(folder, "train", "--config-dir", "conf", *TRAINING, "output=run", "model=odd")
+    for number in range(1, 5):
+        write_image(folder / f"cam{number}.png", torch.rand(3, 32, 32))
+    for run in ("mean", "run"):
+        weights = f"checkpoint={run}/checkpoints/last.safetensors"
+        words = (
+            "calibration=rig.json",
+            "images=cam{camera}.png",
+            f"output={run}/depth",
+            "height=16",
+            weights,
+        )
+        command(folder, "predict", *words)
+        assert (folder / run / "depth/depth.npz").is_file()

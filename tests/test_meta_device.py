@@ -251,6 +251,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     ),
     "RefinedSweepNet": lambda: on_meta(models.RefinedSweepNet(5), m(1, 4, 3, 10242), rig()),
     "SemiGlobalSweep": lambda: on_meta(models.SemiGlobalSweep(4, 8), m(1, 4, 3, 2562), rig()),
+    "ConstantDepth": lambda: on_meta(models.ConstantDepth(4, 8), m(1, 4, 3, 2562), rig()),
     "WinnerTakesAll": lambda: on_meta(models.WinnerTakesAll(4, 8), m(1, 4, 3, 2562), rig()),
     "SphereSegmenter": lambda: on_meta(models.SphereSegmenter("hex", level=3, num_classes=5), m(1, 3, 642)),
     "SphereClassifier": lambda: on_meta(models.SphereClassifier(level=3), m(1, 1, 642)),

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from omegaconf import DictConfig
 from torch import Tensor
 from torch.utils.data import DataLoader
@@ -19,18 +18,15 @@ from sphericalvision.capture.outputs import Settings, Views, save_views
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere, collate_samples
 from sphericalvision.io.images import write_image
-from sphericalvision.models import DepthNetwork
+from sphericalvision.models import DepthNetwork, WinnerTakesAll
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
-from sphericalvision.recipes.evaluation.inputs import VertexEstimator
-from sphericalvision.recipes.evaluation.tables import (
-    Row,
-    constant_estimators,
-    evaluate,
-    print_rows,
-    save_rows,
-    sweep_estimator,
-)
+from sphericalvision.recipes.evaluation.baselines import constants, sweep
+from sphericalvision.recipes.evaluation.frames import BatchFrames
+from sphericalvision.recipes.evaluation.loop import evaluate
+from sphericalvision.recipes.evaluation.measures import VertexErrors, mean_errors_by_method
+from sphericalvision.recipes.evaluation.methods import Method, Scale
+from sphericalvision.recipes.evaluation.tables import Table, save_errors
 from sphericalvision.scenes import SceneDataset
 from sphericalvision.scenes.rendered_frames import RenderedFrames
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
@@ -41,7 +37,7 @@ from sphericalvision.viz.figure import strip
 __all__ = ["demo"]
 
 
-def demo(config: DictConfig, folder: Path) -> list[Row]:
+def demo(config: DictConfig, folder: Path) -> Table:
     """Render a scene, estimate its depth, write everything to ``folder`` and return the table."""
     folder.mkdir(parents=True, exist_ok=True)
     net = load_network(config.checkpoint).to(choose_device(config.device))
@@ -73,11 +69,17 @@ def demo(config: DictConfig, folder: Path) -> list[Row]:
         min_depth=net.min_depth,
         entries=("depth",),
     )
-    rows = _table(net, sample, DataLoader(depths, batch_size=8, collate_fn=collate_samples))
-    print_rows(f"errors of this scene, percent of N = {net.num_hypotheses} (smaller is better)", rows)
-    save_rows(folder / "metrics", rows)
+    methods = [
+        Method(type(net).__name__, net),
+        sweep("photo-consistency sweep", WinnerTakesAll, net, net.level),
+        *constants(net, net.level, DataLoader(depths, batch_size=8, collate_fn=collate_samples)),
+    ]
+    measure = VertexErrors(Scale(net.num_hypotheses, net.min_depth), net.level - 2, net.device)
+    records = evaluate(methods, BatchFrames(collate_samples([sample])), measure)
+    title = f"errors of this scene, percent of N = {net.num_hypotheses} (smaller is better)"
+    table = save_errors(folder / "metrics", title, mean_errors_by_method(records))
     _print_contents(folder)
-    return rows
+    return table
 
 
 def _save_comparison(folder: Path, frame: dict[str, Any], views: Views, net: DepthNetwork) -> None:
@@ -106,17 +108,6 @@ def _save_comparison(folder: Path, frame: dict[str, Any], views: Views, net: Dep
 def _pixels(image: Tensor) -> npt.NDArray[np.uint8]:
     """uint8 ``(h, w, 3)`` of ``(3, h, w)`` in [0, 1]."""
     return (image.clamp(0, 1) * 255).round().byte().movedim(0, -1).cpu().numpy()  # type: ignore[no-any-return]
-
-
-def _table(net: DepthNetwork, sample: dict[str, Any], depths: DataLoader[dict[str, Any]]) -> list[Row]:
-    """Errors of the network and of what it must beat."""
-    estimators = {
-        type(net).__name__: VertexEstimator(net),
-        "photo-consistency sweep": sweep_estimator(net),
-        **constant_estimators(depths, net),
-    }
-    with torch.inference_mode():
-        return evaluate(estimators, [collate_samples([sample])], net)
 
 
 CONTENTS = {

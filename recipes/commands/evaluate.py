@@ -22,17 +22,12 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
 from sphericalvision.recipes.datamodules.base import SampleDataModule
-from sphericalvision.recipes.evaluation.inputs import PredictorEstimator, VertexEstimator, photographs_of
-from sphericalvision.recipes.evaluation.tables import (
-    Estimator,
-    Row,
-    constant_estimators,
-    evaluate,
-    print_rows,
-    save_rows,
-    semi_global_estimator,
-    sweep_estimator,
-)
+from sphericalvision.recipes.evaluation.baselines import baselines
+from sphericalvision.recipes.evaluation.frames import SampleFrames
+from sphericalvision.recipes.evaluation.loop import evaluate
+from sphericalvision.recipes.evaluation.measures import VertexErrors, mean_errors_by_method
+from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale, photographs_of
+from sphericalvision.recipes.evaluation.tables import Table, save_errors
 from sphericalvision.recipes.prediction.own_body import with_own_body_masked
 
 __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
@@ -84,7 +79,7 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     return Evaluation(net.to(device), data, found or net.min_depth, preparation, as_used)
 
 
-def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
+def evaluate_checkpoint(config: DictConfig, folder: Path) -> Table:
     """Evaluate as ``config`` says; the table goes to ``folder`` as ``metrics.md``, ``.json`` and ``.csv``."""
     check_choice("split", config.split, ("train", "val", "test"))
     torch.manual_seed(config.seed)
@@ -94,40 +89,44 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> list[Row]:
     data.render(config.split)
     frames = data.plain_train_dataset() if config.split == "train" else data.dataset(config.split)
     name = type(net).__name__ if config.checkpoint is None else Path(config.checkpoint).stem
-    estimator = VertexEstimator(net, config.min_confidence)
+    methods = [Method(name, net, config.min_confidence)]
     if evaluation.as_used:
         masks = _masks(data.loader(frames)) if evaluation.preparation.own_body else {}
-        estimator = PredictorEstimator(
-            net,
-            config.min_confidence,
-            evaluation.min_depth,
-            evaluation.preparation,
-            lambda rig: CameraRig(rig.cameras, rig.world_from_camera, masks or rig.masks),
-            config.native,
-        )
-    within = estimator.reaches(Icosphere(config.model.level - 2, device=net.device).vertices)
-    estimators: dict[str, Estimator] = {name: estimator}
+        methods = [
+            AsUsed(
+                name,
+                net,
+                config.min_confidence,
+                evaluation.min_depth,
+                evaluation.preparation,
+                lambda rig: CameraRig(rig.cameras, rig.world_from_camera, masks or rig.masks),
+                config.native,
+            )
+        ]
     if config.baselines:
-        data.render("train")
-        estimators |= constant_estimators(data.loader(data.plain_train_dataset()), net)
-        estimators["photo-consistency sweep"] = sweep_estimator(net)
-        estimators["semi-global sweep"] = semi_global_estimator(net)
+        methods += baselines(net, config.model.level, data)
         if evaluation.as_used or config.min_confidence > 0:
             print(
                 f"baselines see the images as they are, everywhere; the options of use are those of {name} alone"
             )
-    with torch.inference_mode():
-        rows = evaluate(estimators, data.loader(frames), net, within)
-    if rows[0].values.get("kept") == 0:
+    level, scale = config.model.level - 2, Scale(net.num_hypotheses, net.min_depth)
+    nothing = torch.zeros(1, *net.grid.shape, device=net.device)
+    within = net.index_at(nothing, Icosphere(level, device=net.device).vertices)[1]
+    measure = VertexErrors(scale, level, net.device, within)
+    records = evaluate(methods, SampleFrames(data, frames), measure)
+    if records[name].means["points"]["kept"] == 0:
         raise ArgumentError(
             f"min_confidence: {name} is nowhere as confident as {config.min_confidence:g}; set less"
         )
-    print_rows(f"{config.split}, level {config.model.level}, percent of N = {net.num_hypotheses}", rows)
-    save_rows(folder / "metrics", rows)
+    table = save_errors(
+        folder / "metrics",
+        f"{config.split}, level {config.model.level}, percent of N = {net.num_hypotheses}",
+        mean_errors_by_method(records),
+    )
     for sentence in data.left_out():
         print(f"Warning: {sentence}")
     print(f"Saved in {folder}")
-    return rows
+    return table
 
 
 def _masks(batches: Iterable[dict[str, Any]]) -> Mapping[str, Tensor]:

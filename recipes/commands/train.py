@@ -20,7 +20,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.next_steps import evaluate_command, resume_command
 from sphericalvision.recipes.datamodules.base import SampleDataModule
-from sphericalvision.recipes.evaluation.tables import Row, print_rows, save_rows
+from sphericalvision.recipes.evaluation.tables import save_errors
 from sphericalvision.recipes.training.best_checkpoint import best_checkpoint
 from sphericalvision.recipes.training.checkpoint_io import WeightsBesideCheckpoint
 from sphericalvision.recipes.training.module import TrainingModule
@@ -162,6 +162,4 @@ def logged_values(trainer: pl.Trainer, module: TrainingModule, split: str) -> di
 def report(title: str, stem: Path, trainer: pl.Trainer, values: dict[str, float]) -> None:
     """Print the best checkpoint's metrics and save them beside the run."""
     if trainer.is_global_zero:
-        rows = [Row(f"step {trainer.global_step}, best checkpoint", values)]
-        print_rows(title, rows)
-        save_rows(stem, rows)
+        save_errors(stem, title, {f"step {trainer.global_step}, best checkpoint": values})

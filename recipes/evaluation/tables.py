@@ -1,165 +1,221 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables: estimators of the hypothesis index, the paper's errors of each, printed and saved."""
+"""Tables: the same cells as Markdown, CSV, LaTeX, HTML, and on the console."""
 
 from __future__ import annotations
 
 import csv
+import html
 import io
-import json
-from collections.abc import Callable, Iterable, Mapping, Sized
+import math
+import statistics
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import torch
-from rich.progress import track
-from torch import Tensor
-
-from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import write_bytes
-from sphericalvision.metrics import DepthIndexError
-from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import print_table
-from sphericalvision.sweep import index_from_inverse_depth, photo_consistency, semi_global_sweep
+from sphericalvision.recipes.evaluation.records import write_json
 
-__all__ = [
-    "Estimator",
-    "Row",
-    "constant_estimators",
-    "evaluate",
-    "index_target",
-    "print_rows",
-    "save_rows",
-    "semi_global_estimator",
-    "sweep_estimator",
-]
-
-Batch = dict[str, Any]
-Estimator = Callable[[Batch], Tensor]
-"""Takes a batch, gives the hypothesis index ``(B, V)``, NaN where it does not say."""
+__all__ = ["Cell", "Content", "Row", "Table", "error_table", "save_errors", "summarize"]
 
 
-class Row(NamedTuple):
-    """One line of a table: what was measured, and its errors by name."""
+class Cell(NamedTuple):
+    """A mean, and how sure it is.
 
-    name: str
-    values: Mapping[str, float]
-
-
-def index_target(batch: Batch, net: DepthNetwork) -> Tensor:
-    """True hypothesis index ``(B, V)`` in the hypotheses of ``net``; not rounded."""
-    return index_from_inverse_depth(batch["inverse_depth"], net.num_hypotheses, net.min_depth)
-
-
-@torch.inference_mode()
-def evaluate(
-    estimators: Mapping[str, Estimator],
-    loader: Iterable[Batch],
-    net: DepthNetwork,
-    within: Tensor | None = None,
-) -> list[Row]:
-    """Errors of several estimators on the same batches, in the hypotheses of ``net``; shows its progress.
-
-    ``within`` ``(V,)`` leaves out all points where it is False. Where an estimator leaves out points, the column "kept"
-    says how many percent of them it kept.
+    Attributes:
+        mean: the number.
+        spread: standard deviation, where there are several values.
+        digits: to print.
+        interval: in which the mean lies.
+        best: of its row, to be printed in bold.
     """
-    device = net.device
-    number = net.num_hypotheses
-    metrics = {name: DepthIndexError(number).to(device) for name in estimators}
-    kept: dict[str, list[Tensor]] = {name: [] for name in estimators}
-    for batch in _progress(loader, "evaluating"):
-        batch = {key: value.to(device) if hasattr(value, "to") else value for key, value in batch.items()}
-        target = index_target(batch, net)
-        valid = batch["valid"] if within is None else batch["valid"] & within.to(device)
-        for name, estimator in estimators.items():
-            index = estimator(batch)
-            said = valid & ~index.isnan()
-            metrics[name].update(index, target, said)
-            kept[name] += [*(100 * said.sum(-1) / valid.sum(-1))]
-    shares = {name: float(torch.stack(values).nanmean()) for name, values in kept.items() if values}
-    partial = any(share < 100 for share in shares.values())
-    return [
-        Row(
-            name,
-            {key: float(value) for key, value in metric.compute().items()}
-            | ({"kept": shares[name]} if partial else {}),
-        )
-        for name, metric in metrics.items()
-    ]
+
+    mean: float
+    spread: float | None = None
+    digits: int = 2
+    interval: tuple[float, float] | None = None
+    best: bool = False
+
+    def text(self, sign: str = " ± ") -> str:
+        """For reading.
+
+        Examples:
+            >>> Cell(28.688, 0.312).text(), Cell(0.5, digits=1).text()
+            ('28.69 ± 0.31', '0.5')
+            >>> Cell(2.0, interval=(1.5, 2.25), best=True).text()
+            '**2.00** (1.50–2.25)'
+        """
+        text = f"**{self.mean:.{self.digits}f}**" if self.best else f"{self.mean:.{self.digits}f}"
+        if self.spread is not None:
+            text += f"{sign}{self.spread:.{self.digits}f}"
+        if self.interval is not None:
+            text += f" ({'–'.join(f'{bound:.{self.digits}f}' for bound in self.interval)})"
+        return text
 
 
-def constant_estimators(loader: Iterable[Batch], net: DepthNetwork) -> dict[str, Estimator]:
-    """The best constants of the training set for the mean absolute error: a depth map, and a single depth.
+Content = str | float | Cell | None
+"""What a cell holds: a text, a number (printed with two digits), a mean, or None for what is not measured."""
 
-    Both are medians of the true index: over the frames for each vertex, and over everything.
+Row = Sequence[Content]
 
-    Raises:
-        ArgumentError: there is no valid ground truth.
+
+class Table(NamedTuple):
+    """Rows in groups, such as one of each angle.
+
+    Attributes:
+        title: what the numbers are.
+        columns: headings.
+        groups: of rows.
+        labels: number of columns that name what a row is, to the left; numbers are to the right.
     """
-    device = net.device
-    targets = [
-        index_target(batch, net).where(batch["valid"], torch.nan)
-        for batch in _progress(loader, "training depths")
-    ]
-    truth = torch.cat(targets) if targets else torch.full((1, 1), torch.nan)
-    scalar = truth.nanmedian().to(device)
-    if scalar.isnan():
-        raise ArgumentError(
-            "baselines: the training set has no valid depth to take the median of; check data.*"
+
+    title: str
+    columns: Sequence[str]
+    groups: Sequence[Sequence[Row]]
+    labels: int = 1
+
+    @property
+    def rows(self) -> list[Row]:
+        """The rows of all groups."""
+        return [row for group in self.groups for row in group]
+
+    def texts(self) -> list[list[str]]:
+        """All cells for reading."""
+        return [[_text(cell) for cell in row] for row in self.rows]
+
+    def markdown(self) -> str:
+        """The rows, and the title below."""
+        lines = [f"| {' | '.join(self.columns)} |".replace("|  |", "| |")]
+        lines.append("|" + "---|" * self.labels + "---:|" * (len(self.columns) - self.labels))
+        lines += [f"| {' | '.join(row)} |" for row in self.texts()]
+        return "\n".join([*lines, *(["", self.title] if self.title else []), ""])
+
+    def csv(self) -> str:
+        """Numbers with six digits; standard deviations have a column beside that of their means."""
+        means = [any(isinstance(row[k], Cell) for row in self.rows) for k in range(len(self.columns))]
+        file = io.StringIO()
+        writer = csv.writer(file, lineterminator="\n")
+        names = [self.columns[0] or "name", *self.columns[1:]]
+        writer.writerow(
+            [
+                h
+                for name, mean in zip(names, means, strict=True)
+                for h in ([name, f"{name} sd"] if mean else [name])
+            ]
         )
-    per_vertex = truth.nanmedian(0).values.to(device)
-    per_vertex = per_vertex.where(~per_vertex.isnan(), scalar)
-    return {
-        "constant depth map": lambda batch: per_vertex.expand_as(batch["inverse_depth"]),
-        "constant depth": lambda batch: scalar.expand_as(batch["inverse_depth"]),
-    }
+        for row in self.rows:
+            values: list[Any] = []
+            for cell, mean in zip(row, means, strict=True):
+                if not mean:
+                    values.append(_exact(cell) if isinstance(cell, float) else cell)
+                else:
+                    values += (
+                        [_exact(cell.mean), _exact(cell.spread)] if isinstance(cell, Cell) else [None, None]
+                    )
+            writer.writerow(values)
+        return file.getvalue()
+
+    def latex(self) -> str:
+        """A tabular for ``booktabs``, groups divided by lines."""
+        body = "\n\\midrule\n".join(
+            "\n".join(" & ".join(_latex_cell(cell) for cell in row) + " \\\\" for row in group)
+            for group in self.groups
+        )
+        return (
+            f"% {self.title}\n% \\usepackage{{booktabs}}\n"
+            f"\\begin{{tabular}}{{{'l' * self.labels}{'r' * (len(self.columns) - self.labels)}}}\n\\toprule\n"
+            f"{' & '.join(map(_latex, self.columns))} \\\\\n\\midrule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
+        )
+
+    def html(self) -> str:
+        """A paragraph with the title, and the table."""
+        lines = [f"<th>{'</th><th>'.join(map(html.escape, self.columns))}</th>"]
+        lines += [f"<td>{'</td><td>'.join(map(html.escape, row))}</td>" for row in self.texts()]
+        body = "\n".join(f"<tr>{line}</tr>" for line in lines)
+        return f"<p>{html.escape(self.title)}</p>\n<table>{body}</table>"
+
+    def print(self) -> None:
+        """On the console."""
+        print_table(self.title, list(self.columns), self.texts())
+
+    def save(self, stem: Path, *suffixes: str) -> None:
+        """Write ``.md``, ``.csv`` or ``.tex``."""
+        writers: dict[str, Callable[[], str]] = {".md": self.markdown, ".csv": self.csv, ".tex": self.latex}
+        for suffix in suffixes:
+            write_bytes(stem.with_suffix(suffix), writers[suffix]().encode())
 
 
-def sweep_estimator(net: DepthNetwork) -> Estimator:
-    """The training-free photo-consistency sweep with the hypotheses of ``net``."""
-    number, min_depth = net.num_hypotheses, net.min_depth
+def error_table(title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
+    """A row of errors for each name; the columns are those of the first.
 
-    def estimate(batch: Batch) -> Tensor:
-        return photo_consistency(
-            batch["images"], batch["rig"], number, min_depth, seen=batch.get("seen")
-        ).index
-
-    return estimate
-
-
-def semi_global_estimator(net: DepthNetwork) -> Estimator:
-    """The training-free sweep with semi-global smoothing, with the hypotheses of ``net``."""
-    number, min_depth = net.num_hypotheses, net.min_depth
-
-    def estimate(batch: Batch) -> Tensor:
-        return semi_global_sweep(
-            batch["images"], batch["rig"], number, min_depth, seen=batch.get("seen")
-        ).index
-
-    return estimate
-
-
-def print_rows(title: str, rows: list[Row]) -> None:
-    """Print a table; the columns are those of the first row."""
-    names = list(rows[0].values)
-    print_table(
-        title, ["", *names], [[row.name, *(f"{row.values[key]:.2f}" for key in names)] for row in rows]
+    Examples:
+        >>> print(error_table("percent of N", {"net": {"MAE": 1.5, "RMS": 2.25}}).markdown())
+        | | MAE | RMS |
+        |---|---:|---:|
+        | net | 1.50 | 2.25 |
+        <BLANKLINE>
+        percent of N
+        <BLANKLINE>
+    """
+    columns = list(next(iter(errors.values())))
+    return Table(
+        title, ("", *columns), [[[name, *(row[key] for key in columns)] for name, row in errors.items()]]
     )
 
 
-def save_rows(stem: Path, rows: list[Row]) -> None:
-    """Write a table as ``.md``, ``.json`` and ``.csv``; the columns are those of the first row."""
-    names = list(rows[0].values)
-    lines = ["| | " + " | ".join(names) + " |", "|---" + "|---:" * len(names) + "|"]
-    lines += ["| " + " | ".join([row.name, *(f"{row.values[k]:.2f}" for k in names)]) + " |" for row in rows]
-    table = io.StringIO(newline="")
-    writer = csv.writer(table)
-    writer.writerow(["name", *names])
-    writer.writerows([row.name, *(row.values[key] for key in names)] for row in rows)
-    values = json.dumps({row.name: dict(row.values) for row in rows}, indent=2)
-    contents = {".md": "\n".join(lines) + "\n", ".json": values + "\n", ".csv": table.getvalue()}
-    for suffix, content in contents.items():
-        write_bytes(stem.with_suffix(suffix), content.encode())
+def save_errors(stem: Path, title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
+    """Print a table of errors and write it as ``.md``, ``.csv`` and ``.json``."""
+    table = error_table(title, errors)
+    table.print()
+    table.save(stem, ".md", ".csv")
+    write_json(stem.with_suffix(".json"), errors)
+    return table
 
 
-def _progress(loader: Iterable[Batch], label: str) -> Iterable[Batch]:
-    return track(loader, label, total=len(loader) if isinstance(loader, Sized) else None)
+def summarize(values: Iterable[float | None], digits: int = 2) -> Cell | None:
+    """Mean and sample standard deviation of what is known; None if nothing is, and no spread if all are the same.
+
+    Examples:
+        >>> summarize([1.0, 3.0, None])
+        Cell(mean=2.0, spread=1.4142135623730951, digits=2, interval=None, best=False)
+    """
+    known = [value for value in values if value is not None and not math.isnan(value)]
+    if not known:
+        return None
+    return Cell(statistics.fmean(known), statistics.stdev(known) if len(set(known)) > 1 else None, digits)
+
+
+def _exact(value: float | None) -> str | None:
+    return None if value is None else f"{value:.6g}"
+
+
+def _text(cell: Content) -> str:
+    if isinstance(cell, Cell):
+        return cell.text()
+    return "–" if cell is None else cell if isinstance(cell, str) else f"{cell:.2f}"
+
+
+def _latex_cell(cell: Content) -> str:
+    return "$" + cell.text(r" \pm ") + "$" if isinstance(cell, Cell) else _latex(_text(cell))
+
+
+def _latex(text: str) -> str:
+    r"""Text of a table as LaTeX.
+
+    Examples:
+        >>> print(_latex("15°, >1 (%)"))
+        15$^\circ$, $>$1 (\%)
+    """
+    for plain, macro in (
+        ("%", r"\%"),
+        ("&", r"\&"),
+        ("_", r"\_"),
+        (">", "$>$"),
+        ("<", "$<$"),
+        ("°", r"$^\circ$"),
+        ("±", r"$\pm$"),
+        ("θ", r"$\theta$"),
+        ("–", "--"),
+    ):
+        text = text.replace(plain, macro)
+    return text

@@ -17,9 +17,9 @@ __all__ = ["main"]
 def main(config: DictConfig) -> Any:
     """Command line of the study."""
     if "benchmark" in config:
-        from sphericalvision.recipes.study.benchmark.command import benchmark
+        from sphericalvision.recipes.study.comparison.command import compare
 
-        return benchmark(config, output_folder())
+        return compare(config, output_folder())
     from sphericalvision.recipes.study.command import study
 
     return study(config, output_folder())

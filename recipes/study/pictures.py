@@ -14,7 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from sphericalvision.recipes.study.tables import Result, summarize
+from sphericalvision.recipes.evaluation.tables import summarize
+from sphericalvision.recipes.study.tables import Result
 from sphericalvision.sweep import depth_from_index
 from sphericalvision.viz.color import DEPTH_MAP, depth_ticks, depth_to_color
 from sphericalvision.viz.figure import figure_pixels

@@ -3,62 +3,74 @@
 
 from __future__ import annotations
 
-import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
+from torch.utils.data import Dataset
 
 from sphericalvision.cameras import seen_by
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import collate_samples
-from sphericalvision.io.files import atomic_write
+from sphericalvision.io.files import write_bytes
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.checkpoints import load_network
-from sphericalvision.recipes.app.cli import print_table
-from sphericalvision.recipes.study.data import View, study_frames
-from sphericalvision.recipes.study.jobs import Job, scale_of
-from sphericalvision.recipes.study.measures import Yardstick
+from sphericalvision.recipes.evaluation.records import Record, read_json, values_of, write_json
+from sphericalvision.recipes.evaluation.tables import Row, Table
+from sphericalvision.recipes.study.data import View
+from sphericalvision.recipes.study.models import Version, scale_of
 from sphericalvision.recipes.study.pictures import PanelColumn, angle_plot, panel_sheet
+from sphericalvision.recipes.study.protocols import Protocols
 from sphericalvision.recipes.study.tables import (
-    Cell,
-    Table,
     change_table,
     detail_table,
     input_table,
     paper_table,
-    save_table,
     zone_table,
 )
-from sphericalvision.recipes.study.training import Training, write_json
+from sphericalvision.recipes.study.training import Training
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import unsigned
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama
 
-__all__ = ["model_table", "panel_column", "report"]
+__all__ = ["Evaluated", "report"]
+
+
+class Evaluated(NamedTuple):
+    """What was evaluated in one view.
+
+    Attributes:
+        view: rig and angle.
+        samples: the frames.
+        records: of each version of a model, by its name.
+    """
+
+    view: View
+    samples: Dataset[Any]
+    records: Mapping[str, Record]
 
 
 def report(
     config: DictConfig,
     folder: Path,
-    jobs: list[Job],
-    results: list[dict[str, Any]],
+    versions: list[Version],
+    evaluated: list[Evaluated],
     trainings: list[Training],
     notes: list[str],
-) -> None:
-    """Write all tables and pictures to ``folder``, and print the paper's table.
+) -> list[dict[str, Any]]:
+    """Write all tables and pictures to ``folder``, print the paper's table, and return the results.
 
     Raises:
         ArgumentError: there are no results.
     """
-    if not results:
+    if not versions:
         raise ArgumentError(
             "models: nothing is trained yet, so there is nothing to report; leave out train=false"
         )
-    facts = {job.model.name: job for job in jobs}
-    models = model_table(list(facts.values()), trainings)
+    results = [_result(config, version, part) for part in evaluated for version in versions]
     tables = {
         "table": paper_table(results),
         "details": detail_table(results),
@@ -68,62 +80,71 @@ def report(
     if config.inputs == "equirect":
         tables["inputs"] = input_table(results)
     for name, table in tables.items():
-        save_table(folder / name, table)
+        table.save(folder / name, ".md", ".csv", ".tex")
     write_image(folder / "errors_against_angle.png", angle_plot(results))
-    _save_panels(config, folder, jobs)
+    columns = [_panel_column(config, part, versions) for part in evaluated if part.view.inputs == "fisheye"]
+    write_image(folder / "panels.png", panel_sheet(columns, config.num_hypotheses, config.model.min_depth))
     write_json(
         folder / "study.json",
         {
             "config": OmegaConf.to_container(config, resolve=True, throw_on_missing=False),
             "notes": notes,
-            "trainings": [
-                {"name": t.name, **json.loads(t.record.read_text())} for t in trainings if t.is_done
-            ],
+            "trainings": [{"name": t.name, **read_json(t.record)} for t in trainings if t.is_done],
             "results": results,
         },
     )
-    _save_page(folder, {"models": models, **tables}, notes)
+    _save_page(folder, {"models": _model_table(versions, trainings), **tables}, notes)
     for name in ("table", "inputs"):
         if name in tables:
-            rows = [
-                ["–" if c is None else c if isinstance(c, str) else c.text() for c in r]
-                for r in tables[name].rows
-            ]
-            print_table(tables[name].title, list(tables[name].columns), rows)
+            tables[name].print()
     print(f"Results are in {folder}")
+    return results
 
 
-def model_table(jobs: list[Job], trainings: list[Training]) -> Table:
-    """What each model is: parameters, and what it was trained on; one job for each."""
-    rows: list[list[str | Cell | None]] = []
-    for job in jobs:
-        mine = [training for training in trainings if training.folder.parent.name == job.model.name]
-        parameters: str | None = None
-        if job.model.kind == "depth_network":
-            parameters = f"{sum(p.numel() for p in load_network(job.weights).parameters()):,}"
-        row: list[str | Cell | None] = [job.model.label, parameters]
+def _result(config: DictConfig, version: Version, part: Evaluated) -> dict[str, Any]:
+    """What tables are made of: means over the frames of one view, and the errors of each by the paper's protocol."""
+    record = part.records[version.name]
+    errors = {name: values_of(record.frames, "paper", name) for name in ("MAE", "RMS")}
+    return {
+        "model": version.model.name,
+        "label": version.model.label,
+        "seed": version.seed,
+        **part.view._asdict(),
+        "level": config.model.level,
+        **scale_of(config)._asdict(),
+        "num_frames": len(record.frames),
+        "errors": record.means,
+        "frames": {"names": list(record.frames), **errors},
+    }
+
+
+def _model_table(versions: list[Version], trainings: list[Training]) -> Table:
+    """What each model is: parameters, and what it was trained on."""
+    rows: list[Row] = []
+    for version in {version.model.name: version for version in versions}.values():
+        mine = [training for training in trainings if training.folder.parent.name == version.model.name]
+        parameters = None
+        if version.model.kind == "depth_network":
+            parameters = f"{sum(p.numel() for p in version.net.parameters()):,}"
+        trained: list[str | None] = [None] * 4
         if mine:
             c = mine[0].config
             per_step = c["data.batch_size"] * (c.get("trainer.accumulate_grad_batches") or 1)
             frames = c.get("data.num_train")
-            row += [
-                f"{c['trainer.max_steps']:,}",
-                str(per_step),
-                f"{frames:,}" if frames else c.get("data.root"),
-            ]
-            row += [str(len(mine))]
-        else:
-            row += [None] * 4
-        rows.append(row)
+            trained = [f"{c['trainer.max_steps']:,}", str(per_step)]
+            trained += [f"{frames:,}" if frames else c.get("data.root"), str(len(mine))]
+        rows.append([version.model.label, parameters, *trained])
     columns = ("model", "parameters", "steps", "frames a step", "training frames", "seeds")
     return Table("What was compared.", columns, [rows])
 
 
-def panel_column(config: DictConfig, view: View, estimates: dict[str, Any]) -> PanelColumn:
-    """The frame that is drawn, seen at one angle."""
-    _, frames = study_frames(config, view)
-    batch = collate_samples([frames[config.panel_frame]])
-    truth = Yardstick(scale_of(config)).truth(batch)
+def _panel_column(config: DictConfig, part: Evaluated, versions: list[Version]) -> PanelColumn:
+    """The frame that is drawn, seen at one angle, and what the first seed of every model estimates."""
+    estimates: dict[str, Tensor] = {}
+    for version in versions:
+        estimates.setdefault(version.model.label, part.records[version.name].drawn[str(config.panel_frame)])
+    batch = collate_samples([part.samples[config.panel_frame]])
+    truth = Protocols(scale_of(config), config.model.level - 2).truth(batch)
     rig = batch["rig"].select(0)
     height = config.panel_height
     depth = icosphere_to_panorama(truth.inverse_depth[0].float(), height).reciprocal()
@@ -135,21 +156,7 @@ def panel_column(config: DictConfig, view: View, estimates: dict[str, Any]) -> P
     index = truth.indices[0].where(truth.valid[0], math.nan).float()
     around = Equirectangular(height, 2 * height).directions.reshape(-1, 3)
     shared = seen_by(rig, around, depth.reciprocal().reshape(-1)).view(height, 2 * height) >= 2
-    return PanelColumn(f"{view.angle_deg:g}°", picture, index, truth.counts[0], shared, estimates)
-
-
-def _save_panels(config: DictConfig, folder: Path, jobs: list[Job]) -> None:
-    """The first seed of every model."""
-    views = dict.fromkeys(job.view for job in jobs if job.view.inputs == "fisheye")
-    columns = []
-    for view in views:
-        estimates: dict[str, Any] = {}
-        for job in jobs:
-            if job.view == view and job.model.label not in estimates:
-                estimates[job.model.label] = job.drawn()
-        columns.append(panel_column(config, view, estimates))
-    picture = panel_sheet(columns, config.num_hypotheses, config.model.min_depth)
-    write_image(folder / "panels.png", picture)
+    return PanelColumn(f"{part.view.angle_deg:g}°", picture, index, truth.counts[0], shared, estimates)
 
 
 def _save_page(folder: Path, tables: dict[str, Table], notes: list[str]) -> None:
@@ -166,5 +173,4 @@ def _save_page(folder: Path, tables: dict[str, Table], notes: list[str]) -> None
         if name in tables:
             parts.append(f"## {heading}\n\n{tables[name].markdown().rstrip()}")
     parts.append("![Error against angle](errors_against_angle.png)\n\n![Depth maps](panels.png)")
-    with atomic_write(folder / "study.md") as temporary:
-        Path(temporary).write_text("\n\n".join(parts) + "\n")
+    write_bytes(folder / "study.md", ("\n\n".join(parts) + "\n").encode())

@@ -1,30 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of a study, from the numbers of its runs: Markdown, CSV and LaTeX of the same cells."""
+"""The tables of a study, from the numbers of its runs."""
 
 from __future__ import annotations
 
-import csv
-import io
-import math
-import statistics
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
-from sphericalvision.io.files import atomic_write
 from sphericalvision.metrics import DepthIndexError
+from sphericalvision.recipes.evaluation.tables import Cell, Row, Table, summarize
 
-__all__ = [
-    "Cell",
-    "Table",
-    "change_table",
-    "detail_table",
-    "input_table",
-    "paper_table",
-    "save_table",
-    "summarize",
-    "zone_table",
-]
+__all__ = ["change_table", "detail_table", "input_table", "paper_table", "zone_table"]
 
 Result = dict[str, Any]
 """What the JSON of one model, seed and view holds: ``label``, ``inputs``, ``angle_deg``, ``seed``, ``errors``."""
@@ -53,95 +38,6 @@ ZONES = (
     ("4 or more", "four", "MAE", 2),
 )
 """The same of the table of where errors are."""
-
-
-class Cell(NamedTuple):
-    """Mean over seeds, sample standard deviation where there are two or more seeds, and digits to print."""
-
-    mean: float
-    spread: float | None
-    digits: int = 2
-
-    def text(self, sign: str = " ± ") -> str:
-        """For reading.
-
-        Examples:
-            >>> Cell(28.688, 0.312).text(), Cell(0.5, None, 1).text()
-            ('28.69 ± 0.31', '0.5')
-        """
-        mean = f"{self.mean:.{self.digits}f}"
-        return mean if self.spread is None else f"{mean}{sign}{self.spread:.{self.digits}f}"
-
-
-class Table(NamedTuple):
-    """Rows in groups, such as one of each angle; a cell is text, numbers, or None for what is not measured."""
-
-    title: str
-    columns: tuple[str, ...]
-    groups: list[list[list[str | Cell | None]]]
-
-    @property
-    def rows(self) -> list[list[str | Cell | None]]:
-        """The rows of all groups."""
-        return [row for group in self.groups for row in group]
-
-    def markdown(self) -> str:
-        """The rows, and the title below."""
-        texts = sum(isinstance(cell, str) for cell in self.rows[0])
-        lines = [f"| {' | '.join(self.columns)} |"]
-        lines.append("|" + "---|" * texts + "---:|" * (len(self.columns) - texts))
-        lines += [f"| {' | '.join(_text(cell) for cell in row)} |" for row in self.rows]
-        return "\n".join([*lines, "", self.title, ""])
-
-    def csv(self) -> str:
-        """Numbers with six digits; a column of standard deviations beside each column of means."""
-        numeric = [any(isinstance(row[k], Cell) for row in self.rows) for k in range(len(self.columns))]
-        header = [
-            h
-            for name, n in zip(self.columns, numeric, strict=True)
-            for h in ([name, f"{name} sd"] if n else [name])
-        ]
-        file = io.StringIO()
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for row in self.rows:
-            values: list[Any] = []
-            for cell, n in zip(row, numeric, strict=True):
-                if n:
-                    values += (
-                        [_exact(cell.mean), _exact(cell.spread)] if isinstance(cell, Cell) else [None, None]
-                    )
-                else:
-                    values.append(cell)
-            writer.writerow(values)
-        return file.getvalue()
-
-    def latex(self) -> str:
-        """A tabular for ``booktabs``."""
-        texts = sum(isinstance(cell, str) for cell in self.rows[0])
-        body = "\n\\midrule\n".join(
-            "\n".join(" & ".join(_latex_cell(cell) for cell in row) + " \\\\" for row in group)
-            for group in self.groups
-        )
-        return (
-            f"% {self.title}\n% \\usepackage{{booktabs}}\n"
-            f"\\begin{{tabular}}{{{'l' * texts}{'r' * (len(self.columns) - texts)}}}\n\\toprule\n"
-            f"{' & '.join(map(_latex, self.columns))} \\\\\n\\midrule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
-        )
-
-
-def summarize(values: Iterable[float | None], digits: int = 2) -> Cell | None:
-    """Mean and sample standard deviation of what is known; None if nothing is, and no spread if all are the same.
-
-    Examples:
-        >>> summarize([1.0, 3.0, None])
-        Cell(mean=2.0, spread=1.4142135623730951, digits=2)
-    """
-    known = [value for value in values if value is not None and not math.isnan(value)]
-    if not known:
-        return None
-    spread = statistics.stdev(known) if len(set(known)) > 1 else None
-    return Cell(statistics.fmean(known), spread, digits)
 
 
 def paper_table(results: list[Result]) -> Table:
@@ -174,7 +70,7 @@ def change_table(results: list[Result]) -> Table:
     results = _fisheye(results)
     angles = sorted({r["angle_deg"] for r in results})
     reference = {(r["label"], r["seed"]): _mae(r) for r in results if r["angle_deg"] == angles[0]}
-    rows: list[list[str | Cell | None]] = []
+    rows: list[Row] = []
     for label in _labels(results):
         cells: list[str | Cell | None] = [label]
         for angle in angles:
@@ -191,34 +87,26 @@ def input_table(results: list[Result]) -> Table:
     level = [r for r in results if r["angle_deg"] == 0]
     groups = []
     for label in _labels(level):
-        rows: list[list[str | Cell | None]] = []
+        rows: list[Row] = []
         for inputs in ("fisheye", "equirect"):
             mine = [r for r in level if r["label"] == label and r["inputs"] == inputs]
             if mine:
                 rows.append([label, inputs, *_cells(mine, [(c, "paper", c, 2) for c in PAPER_COLUMNS])])
         groups.append(rows)
     title = f"Percent of N = {_number(results)}, networks trained on fisheye images alone; {_about(results)}."
-    return Table(title, ("model", "images", *PAPER_COLUMNS), groups)
-
-
-def save_table(stem: Path, table: Table) -> None:
-    """Write ``.md``, ``.csv`` and ``.tex``."""
-    writers: dict[str, Callable[[], str]] = {".md": table.markdown, ".csv": table.csv, ".tex": table.latex}
-    for suffix, text in writers.items():
-        with atomic_write(stem.with_suffix(suffix)) as temporary:
-            Path(temporary).write_text(text())
+    return Table(title, ("model", "images", *PAPER_COLUMNS), groups, labels=2)
 
 
 def _by_angle(results: list[Result], columns: list[tuple[str, str, str, int]], title: str) -> Table:
     groups = []
     for angle in sorted({r["angle_deg"] for r in results}):
-        rows: list[list[str | Cell | None]] = []
+        rows: list[Row] = []
         for label in _labels(results):
             mine = [r for r in results if r["label"] == label and r["angle_deg"] == angle]
             if mine:
                 rows.append([f"{angle:g}°", label, *_cells(mine, columns)])
         groups.append(rows)
-    return Table(title, ("θ", "model", *(column[0] for column in columns)), groups)
+    return Table(title, ("θ", "model", *(column[0] for column in columns)), groups, labels=2)
 
 
 def _cells(results: list[Result], columns: Sequence[tuple[str, str, str, int]]) -> list[Cell | None]:
@@ -257,37 +145,3 @@ def _about(results: list[Result]) -> str:
     return (
         f"{frames} frames, vertices of level {results[0]['level'] - 2} that two or more cameras see, {spread}"
     )
-
-
-def _exact(value: float | None) -> str | None:
-    return None if value is None else f"{value:.6g}"
-
-
-def _text(cell: str | Cell | None) -> str:
-    return "–" if cell is None else cell if isinstance(cell, str) else cell.text()
-
-
-def _latex_cell(cell: str | Cell | None) -> str:
-    return "$" + cell.text(r" \pm ") + "$" if isinstance(cell, Cell) else _latex(_text(cell))
-
-
-def _latex(text: str) -> str:
-    r"""Text of a table as LaTeX.
-
-    Examples:
-        >>> print(_latex("15°, >1 (%)"))
-        15$^\circ$, $>$1 (\%)
-    """
-    for plain, macro in (
-        ("%", r"\%"),
-        ("&", r"\&"),
-        ("_", r"\_"),
-        (">", "$>$"),
-        ("<", "$<$"),
-        ("°", r"$^\circ$"),
-        ("±", r"$\pm$"),
-        ("θ", r"$\theta$"),
-        ("–", "--"),
-    ):
-        text = text.replace(plain, macro)
-    return text

@@ -1,31 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The trainings of a study, each by ``sphericalvision-train`` in a process of its own."""
+"""The trainings of a study: runs of ``sphericalvision-train`` that Hydra's launcher starts."""
 
 from __future__ import annotations
 
-import ctypes
-import json
+import os
 import shlex
 import shutil
-import signal
-import subprocess
 import sys
 import time
+import traceback
+from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest import mock
 
+import torch
 from hydra import compose
+from hydra._internal.callbacks import Callbacks
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobStatus
+from hydra.types import HydraContext, RunMode
+from omegaconf import DictConfig, OmegaConf, open_dict
 
-from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError, check_choice
-from sphericalvision.io.files import atomic_write
+from sphericalvision.core import ArgumentError, SphericalVisionError, check_choice
 from sphericalvision.recipes.app.cli import console
+from sphericalvision.recipes.app.command import output_folder
 from sphericalvision.recipes.app.next_steps import own_configs
 from sphericalvision.recipes.app.words import quote_paths
-from sphericalvision.recipes.study.models import StudyModel
+from sphericalvision.recipes.evaluation.records import read_json, write_json
 
-__all__ = ["Training", "TrainingError", "check_alike", "read_json", "training_config", "write_json"]
+__all__ = [
+    "Training",
+    "TrainingError",
+    "check_alike",
+    "flat_config",
+    "train_all",
+    "training_config",
+    "training_words",
+]
 
 CHANGES_NOTHING = (
     "output",
@@ -52,6 +67,10 @@ ALIKE = (
 """Keys in which models must agree for a fair comparison."""
 
 
+RECORD = "training.json"
+"""In the folder of a training: what was trained, and whether it has reached its end."""
+
+
 class TrainingError(SphericalVisionError, RuntimeError):
     """A training did not reach its end."""
 
@@ -72,16 +91,18 @@ class Training(NamedTuple):
     config: dict[str, Any]
 
     @classmethod
-    def of(cls, model: StudyModel, seed: int, config: DictConfig, folder: Path) -> Training:
+    def of(
+        cls, model: str, own: Sequence[str] | None, seed: int, config: DictConfig, folder: Path
+    ) -> Training:
         """The training of a model: words of ``training``, its own, then ``extra_training``."""
-        words = (*training_words(model, config), f"seed={seed}")
-        home = folder / "models" / model.name / f"seed{seed}"
-        return cls(f"{model.name}, seed {seed}", home, words, flat_config(training_config(words)))
+        words = (*training_words(own, config), f"seed={seed}")
+        home = folder / "models" / model / f"seed{seed}"
+        return cls(f"{model}, seed {seed}", home, words, flat_config(training_config(words)))
 
     @property
     def record(self) -> Path:
         """The file that tells what was trained here."""
-        return self.folder / "training.json"
+        return self.folder / RECORD
 
     @property
     def weights(self) -> Path:
@@ -105,11 +126,9 @@ class Training(NamedTuple):
         return bool(read_json(self.record)["finished"]) and not self.changes
 
     @property
-    def command(self) -> list[str]:
-        """The command line of this training; the same one starts it and goes on with it."""
-        own = own_configs() if HydraConfig.initialized() else []
-        words = [*own, *self.words, f"output={self.folder}", "resume=auto"]
-        return [sys.executable, "-m", "sphericalvision.recipes.train", *words]
+    def all_words(self) -> list[str]:
+        """The words of this training; the same ones start it and go on with it."""
+        return [*self.words, f"output={self.folder}", "resume=auto"]
 
     def check(self, on_change: str) -> None:
         """Refuse what was trained with other words, or throw it away, as ``on_change`` says.
@@ -129,30 +148,90 @@ class Training(NamedTuple):
         console.print(f"{self.name}: {'; '.join(changes[:3])}; is trained anew", highlight=False)
         shutil.rmtree(self.folder)
 
-    def run(self) -> None:
-        """Train, or go on; returns when the training has reached its end.
+    def prepare(self) -> None:
+        """Note what is trained, before it begins."""
+        seconds = read_json(self.record)["seconds"] if self.record.is_file() else 0.0
+        facts = {"config": self.config, "words": self.words, "finished": False, "seconds": seconds}
+        write_json(self.record, facts)
 
-        Raises:
-            TrainingError: it stopped before; the same study goes on with it.
-        """
-        before = read_json(self.record)["seconds"] if self.record.is_file() else 0.0
-        facts = {"config": self.config, "words": self.words, "finished": False, "seconds": before}
-        write_json(self.record, facts)
-        began = time.monotonic()
-        status = _run(self.command)
-        facts["seconds"] = before + time.monotonic() - began
-        facts["finished"] = status == 0 and self.weights.is_file()
-        write_json(self.record, facts)
-        if not facts["finished"]:
+
+def train_all(config: DictConfig, trainings: list[Training]) -> None:
+    """Bring all trainings to their end; what was trained otherwise is told before anything begins.
+
+    Raises:
+        ArgumentError: one was trained otherwise, and ``config.on_change`` is "refuse".
+        TrainingError: one stopped before its end; the same study goes on with it.
+    """
+    for training in trainings:
+        training.check(config.on_change)
+    pending = []
+    for training in trainings:
+        if training.is_done:
+            console.print(f"{training.name}: trained already", highlight=False)
+        elif config.train:
+            pending.append(training)
+        else:
+            console.print(f"{training.name}: not trained, left out (train=false)", highlight=False)
+    for training in pending:
+        training.prepare()
+    if pending:
+        launch(pending)
+
+
+def launch(trainings: list[Training]) -> None:
+    """Let the launcher of this run do trainings: one after the other, unless ``launcher=joblib`` or ``submitit``.
+
+    Raises:
+        TrainingError: one stopped before its end.
+    """
+    hydra, mine = GlobalHydra.instance().hydra, HydraConfig.get()
+    assert hydra is not None
+    elsewhere = [word for word in mine.overrides.hydra if word.startswith("hydra.searchpath=")]
+    config = hydra.compose_config(
+        "train", [*elsewhere, "hydra.sweep.subdir=."], RunMode.MULTIRUN, with_log_configuration=False
+    )
+    with open_dict(config):
+        config.hydra.launcher = mine.launcher
+    context = HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks())
+    launcher = Plugins.instance().instantiate_launcher(
+        hydra_context=context, task_function=train_here, config=config
+    )
+    returns = launcher.launch([quote_paths(training.all_words) for training in trainings], 0)
+    for training, result in zip(trainings, returns, strict=True):
+        if result.status is not JobStatus.COMPLETED:
+            error = result._return_value
+            if not isinstance(error, (SphericalVisionError, OSError)):
+                traceback.print_exception(error)
             raise TrainingError(
-                f"{self.name}: the training stopped with status {status}. What is done is kept: start the study again "
-                f"to go on, or see what happens with\n{shlex.join(self.command)}"
-            )
+                f"{training.name}: the training stopped ({error}). What is done is kept: start the study again to go "
+                "on, or see what happens with\n"
+                f"{shlex.join(['sphericalvision-train', *own_configs(), *training.all_words])}"
+            ) from error
 
 
-def training_words(model: StudyModel, config: DictConfig) -> tuple[str, ...]:
-    """Words of ``training``, of the model, and of ``extra_training``; later ones win."""
-    return (*map(str, config.training), *(model.train or ()), *map(str, config.extra_training))
+def train_here(config: DictConfig) -> None:
+    """The task of a training, in whatever process the launcher has chosen."""
+    from sphericalvision.recipes.commands.train import train
+
+    folder, began = output_folder(), time.monotonic()
+    words = [*own_configs(), *HydraConfig.get().overrides.task]
+    # Lightning starts further processes of a training by the command line of this one, and tells them by variables.
+    with (
+        mock.patch.object(sys.modules["__main__"], "__spec__", find_spec("sphericalvision.recipes.train")),
+        mock.patch.object(sys, "argv", ["sphericalvision-train", *words]),
+        mock.patch.dict(os.environ),
+    ):
+        train(config, folder)
+    if torch.distributed.is_initialized():
+        torch.distributed.destroy_process_group()
+    record = folder / RECORD
+    facts = read_json(record)
+    write_json(record, {**facts, "finished": True, "seconds": facts["seconds"] + time.monotonic() - began})
+
+
+def training_words(own: Sequence[str] | None, config: DictConfig) -> tuple[str, ...]:
+    """Words of ``training``, a model's own, and of ``extra_training``; later ones win."""
+    return (*map(str, config.training), *(own or ()), *map(str, config.extra_training))
 
 
 def training_config(words: tuple[str, ...]) -> DictConfig:
@@ -162,9 +241,6 @@ def training_config(words: tuple[str, ...]) -> DictConfig:
 
 ROOMS = ("paths.", "callbacks.", "logger.")
 """Beginnings of keys that leave the result of a training as it is."""
-
-PR_SET_PDEATHSIG = 1
-"""Of ``prctl`` of Linux: which signal the death of the parent is told by."""
 
 NAMES = "_target_"
 """Last parts of keys that say where in the package something is: it may move, and a training stays what it was."""
@@ -199,57 +275,3 @@ def check_alike(trainings: list[Training]) -> list[str]:
         if len(values) > 1:
             notes.append(f"{key} differs between models: {', '.join(sorted(values))}")
     return notes
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """What ``write_json`` wrote.
-
-    Raises:
-        FileFormatError: the file is damaged.
-    """
-    try:
-        content = json.loads(path.read_text())
-    except (ValueError, RecursionError) as error:
-        content = error
-    if not isinstance(content, dict):
-        raise FileFormatError(
-            f"{path}: is damaged ({content!r:.200}); remove it, and what it tells is done again"
-        )
-    return content
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Write a whole file or none; folders are made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as temporary:
-        Path(temporary).write_text(json.dumps(content, indent=2) + "\n")
-
-
-def _end_with_parent() -> None:
-    """Have the system stop this process when the study is no more: ``kill -9`` leaves it no time to say so itself.
-
-    A training that went on alone would hold its folder, and the study that is started again could not go on.
-    """
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _run(command: list[str]) -> int:
-    """Run to the end; when this process is told to stop the training is told, and may keep what it has."""
-
-    def stop(*_: Any) -> None:
-        raise SystemExit(143)
-
-    previous = signal.signal(signal.SIGTERM, stop)
-    try:
-        process = subprocess.Popen(command, preexec_fn=_end_with_parent if sys.platform == "linux" else None)
-        try:
-            return process.wait()
-        except KeyboardInterrupt:  # the terminal has told the training, too
-            process.wait()
-            raise
-        except SystemExit:
-            process.terminate()
-            process.wait()
-            raise
-    finally:
-        signal.signal(signal.SIGTERM, previous)

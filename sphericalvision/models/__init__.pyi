@@ -5,6 +5,7 @@ from .icosweepnet import IcoSweepNet as IcoSweepNet
 from .omnimvs import OmniMVS as OmniMVS
 from .refinedsweepnet import RefinedSweepNet as RefinedSweepNet
 from .segmenter import SphereSegmenter as SphereSegmenter
+from .training_free import ConstantDepth as ConstantDepth
 from .training_free import SemiGlobalSweep as SemiGlobalSweep
 from .training_free import WinnerTakesAll as WinnerTakesAll
 from .weights import available_weights as available_weights

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sweeps that need no training, as networks without parameters: what a network has to beat."""
+"""Depth without training, as networks without parameters: sweeps, and one depth map for all images."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, ClassVar, Literal, Self
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,16 +16,22 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.weights.registry import register_network
-from sphericalvision.sweep import DepthEstimate, photo_consistency, semi_global_sweep, semi_global_tables
+from sphericalvision.sweep import (
+    DepthEstimate,
+    index_from_inverse_depth,
+    photo_consistency,
+    semi_global_sweep,
+    semi_global_tables,
+)
 from sphericalvision.sweep.semi_global import SemiGlobalTables
 
-__all__ = ["SemiGlobalSweep", "WinnerTakesAll"]
+__all__ = ["ConstantDepth", "SemiGlobalSweep", "WinnerTakesAll"]
 
 
-class _SweepWithoutTraining(DepthNetwork):
-    """A network whose answer follows from the images alone, for any number of cameras."""
+class _WithoutTraining(DepthNetwork):
+    """A network without parameters, for any number of cameras."""
 
-    min_depth_follows = "scene"
+    min_depth_follows: ClassVar[Literal["rig", "training", "scene"]] = "scene"
 
     def __init__(self, level: int, num_hypotheses: int, min_depth: float, depth_coarsening: int) -> None:
         super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
@@ -52,14 +59,14 @@ class _SweepWithoutTraining(DepthNetwork):
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
         self.check_images(images, seen)
-        return self._sweep(images, self.tables(rig) if isinstance(rig, CameraRig) else rig, seen)
+        return self._estimate(images, self.tables(rig) if isinstance(rig, CameraRig) else rig, seen)
 
-    def _sweep(self, images: Tensor, tables: Any, seen: Tensor | None) -> DepthEstimate:
+    def _estimate(self, images: Tensor, tables: Any, seen: Tensor | None) -> DepthEstimate:
         """The estimate from images that fit, and what ``tables`` returns."""
-        raise NotImplementedError(f"{type(self).__name__}._sweep")
+        raise NotImplementedError(f"{type(self).__name__}._estimate")
 
 
-class SemiGlobalSweep(_SweepWithoutTraining):
+class SemiGlobalSweep(_WithoutTraining):
     """``semi_global_sweep`` as a network without parameters: correlation of the best cameras, smoothed.
 
     Args:
@@ -110,7 +117,7 @@ class SemiGlobalSweep(_SweepWithoutTraining):
             rig, self.num_hypotheses, self.min_depth, self.level, self.cost_level, self.substeps
         )
 
-    def _sweep(self, images: Tensor, tables: SemiGlobalTables, seen: Tensor | None) -> DepthEstimate:
+    def _estimate(self, images: Tensor, tables: SemiGlobalTables, seen: Tensor | None) -> DepthEstimate:
         return semi_global_sweep(
             images,
             tables,
@@ -124,7 +131,7 @@ class SemiGlobalSweep(_SweepWithoutTraining):
         )
 
 
-class WinnerTakesAll(_SweepWithoutTraining):
+class WinnerTakesAll(_WithoutTraining):
     """``photo_consistency`` as a network without parameters: each vertex takes the best hypothesis by itself.
 
     Args:
@@ -157,7 +164,7 @@ class WinnerTakesAll(_SweepWithoutTraining):
         super().__init__(level, num_hypotheses, min_depth, depth_coarsening)
         self.rounds, self.subhypothesis = rounds, subhypothesis
 
-    def _sweep(self, images: Tensor, tables: CameraRig, seen: Tensor | None) -> DepthEstimate:
+    def _estimate(self, images: Tensor, tables: CameraRig, seen: Tensor | None) -> DepthEstimate:
         return photo_consistency(
             images,
             tables.to(self.device),
@@ -170,5 +177,61 @@ class WinnerTakesAll(_SweepWithoutTraining):
         )
 
 
+class ConstantDepth(_WithoutTraining):
+    """One depth map for all images, which it does not look at: a network that is not better has only learned where
+    floors are.
+
+    Args:
+        level: of the icospheres that hold the images.
+        num_hypotheses: N.
+        min_depth: radius of the nearest hypothesis in metres.
+        depth_coarsening: levels by which the map is coarser than the images.
+
+    Attributes:
+        index: ``(V,)`` the map; infinity until ``fit`` has seen some depths.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> net = ConstantDepth(level=3, num_hypotheses=5, min_depth=0.5).fit(torch.full((3, 42), 1.0))
+        >>> net(torch.rand(1, 4, 3, 642), ring_rig(4)).unique()
+        tensor([2.])
+    """
+
+    index: Tensor
+    min_depth_follows = "training"
+
+    def __init__(
+        self, level: int = 6, num_hypotheses: int = 32, min_depth: float = 0.55, depth_coarsening: int = 2
+    ) -> None:
+        super().__init__(level, num_hypotheses, min_depth, depth_coarsening)
+        self.register_buffer("index", torch.zeros(self.grid.shape))
+
+    def fit(self, inverse_depth: Float[Tensor, "F V"], valid: Bool[Tensor, "F V"] | None = None) -> Self:
+        """Take the map with the least mean absolute error of the index over frames, their median; returns the network.
+
+        Args:
+            inverse_depth: ``(F, V)`` of frames in 1/m at the vertices of the map, or ``(F, 1)`` for one depth all
+                around.
+            valid: ``(F, V)``, True where the depth is known; everywhere when not given.
+
+        Raises:
+            ArgumentError: no depth is known.
+        """
+        index = index_from_inverse_depth(inverse_depth, self.num_hypotheses, self.min_depth)
+        if valid is not None:
+            index = index.where(valid, math.nan)
+        whole = index.nanmedian()
+        if whole.isnan():
+            raise ArgumentError("inverse_depth: the frames have no valid depth to take the median of")
+        each = index.nanmedian(0).values
+        self.index = each.where(~each.isnan(), whole).expand(self.grid.shape).to(self.index).clone()
+        return self
+
+    def _estimate(self, images: Tensor, tables: Any, seen: Tensor | None) -> DepthEstimate:
+        index = self.index.expand(len(images), -1)
+        return DepthEstimate(index, torch.ones_like(index), torch.ones_like(index, dtype=torch.bool))
+
+
 register_network("semi-global-sweep", SemiGlobalSweep)
 register_network("winner-takes-all", WinnerTakesAll)
+register_network("constant-depth", ConstantDepth)

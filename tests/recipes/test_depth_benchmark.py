@@ -19,13 +19,15 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
-from sphericalvision.recipes.study.benchmark import command as benchmark_command
-from sphericalvision.recipes.study.benchmark import methods, running
-from sphericalvision.recipes.study.benchmark.frames import Frame, Size, render_frame
-from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPTH, Method, make_method
-from sphericalvision.recipes.study.benchmark.running import run_track
-from sphericalvision.recipes.study.benchmark.scoring import FrameTruth, score
-from sphericalvision.recipes.study.benchmark.tracks import TRACKS, chosen_tracks
+from sphericalvision.recipes.evaluation.measures import errors_of_frame
+from sphericalvision.recipes.evaluation.methods import Method, identity_of
+from sphericalvision.recipes.evaluation.records import Record
+from sphericalvision.recipes.study.comparison import command, methods, running
+from sphericalvision.recipes.study.comparison.frames import Frame, Size, render_frame
+from sphericalvision.recipes.study.comparison.methods import SCALE, frame_inputs, make_method
+from sphericalvision.recipes.study.comparison.places import FrameTruth, PlaceErrors
+from sphericalvision.recipes.study.comparison.running import TrackFrames, record_of
+from sphericalvision.recipes.study.comparison.tracks import TRACKS, chosen_tracks
 from sphericalvision.scenes.world import HELD_OUT_SEED
 from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate
@@ -38,7 +40,7 @@ class Oracle(DepthNetwork):
     """Knows the truth of one frame, and is off by ``offset`` hypotheses in the half of which it is not sure."""
 
     def __init__(self, level: int = 3, offset: float = 0.0) -> None:
-        super().__init__(HYPOTHESES, MIN_DEPTH, num_cameras=2, any_cameras=True)
+        super().__init__(*SCALE, num_cameras=2, any_cameras=True)
         self.level, self.grid, self.offset = level, Icosphere(level), offset
         self.index = torch.zeros(self.grid.num_vertices)
 
@@ -55,10 +57,15 @@ def frame() -> Frame:
 
 def test_errors_of_a_known_offset(frame: Frame) -> None:
     """0.8 hypotheses are 5 % of N; half of the points are off, and the other half is known to be right."""
-    net = Oracle(offset=0.8)
     truth = FrameTruth(frame)
-    net.index = truth.index
-    found = score(net, Method("oracle", net)(frame), truth)
+
+    def errors(offset: float) -> dict[str, Any]:
+        net = Oracle(offset=offset)
+        net.index = truth.index
+        answer = Method("oracle", net, inputs=frame_inputs)(frame)
+        return errors_of_frame(PlaceErrors(3).errors(answer, truth), 0)
+
+    found = errors(0.8)
     counts = truth.regions["all"]
     off = (torch.arange(len(truth.index)) % 2 == 0)[counts].float().mean().item()
     assert found["fine"]["all"]["MAE"] == pytest.approx(5.0 * off, rel=1e-4)
@@ -68,11 +75,7 @@ def test_errors_of_a_known_offset(frame: Frame) -> None:
         100 * truth.valid.float().mean().item(), abs=1e-3
     )
     assert found["fine"]["sky"]["MAE"] is not None  # outdoors has one
-    exact = Oracle()
-    exact.index = truth.index
-    assert score(exact, Method("oracle", exact)(frame), truth)["fine"]["all"]["MAE"] == pytest.approx(
-        0, abs=1e-4
-    )
+    assert errors(0.0)["fine"]["all"]["MAE"] == pytest.approx(0, abs=1e-4)
 
 
 def test_tilted_tracks_compare_the_same_points() -> None:
@@ -105,7 +108,7 @@ def test_a_masked_carrier_is_not_seen_and_disturbances_leave_truth_alone() -> No
     assert torch.equal(plain.inverse_depth, hidden.inverse_depth)
     seen = [Intake(frame.rig, Icosphere(3)).seen.sum() for frame in (plain, hidden)]
     assert seen[1] < seen[0]
-    assert plain.inverse_depth[-1] <= 1 / MIN_DEPTH  # the floor, not the vehicle above it
+    assert plain.inverse_depth[-1] <= 1 / SCALE.min_depth  # the floor, not the vehicle above it
     counts = [FrameTruth(frame).regions["all"] for frame in (plain, hidden)]
     assert torch.equal(*counts)
     clean, off = (render_frame(TRACKS[name], 0, TINY) for name in ("clean", "pose_1.0"))
@@ -123,31 +126,36 @@ def test_seeds_are_held_out() -> None:
         TRACKS["room"].seed(-1)
 
 
+def sweep(penalty: float = 0.3) -> Method:
+    return Method("sweep", SemiGlobalSweep(3, 4, small_penalty=penalty), inputs=frame_inputs)
+
+
 def test_weights_change_the_identity_of_a_method_and_its_records(tmp_path: Path) -> None:
-    one, two = (Method("sweep", SemiGlobalSweep(3, 4, small_penalty=p)) for p in (0.3, 0.4))
-    assert one.identity != two.identity
+    one, two = sweep(0.3), sweep(0.4)
+    assert identity_of(one.net) != identity_of(two.net)
     track = TRACKS["room"]
-    first = run_track(track, [one], range(1), tmp_path, None, TINY)["sweep"].scores
-    same = run_track(track, [one], range(1), tmp_path, None, TINY)["sweep"].scores
-    assert same == first  # its seconds, too
-    again = run_track(track, [two], range(1), tmp_path, None, TINY)["sweep"].scores
-    assert again[track.frame_name(0)]["seconds"] != first[track.frame_name(0)]["seconds"]
-    run_track(track, [two], range(1, 2), tmp_path, None, TINY)
-    assert list(running.record_of(track, two, tmp_path, TINY).drawn()) == [0, 1]
-    assert list(run_track(track, [one], range(1, 2), tmp_path, None, TINY)["sweep"].drawn()) == [1]
+
+    def run_track(method: Method, numbers: range) -> Record:
+        return running.run_track(TrackFrames(track, numbers, TINY, None), [method], tmp_path)["sweep"]
+
+    first = run_track(one, range(1))
+    assert run_track(one, range(1)).frames == first.frames  # its seconds, too
+    assert run_track(two, range(1)).frames != first.frames
+    run_track(two, range(1, 2))
+    assert list(record_of(track, two, tmp_path, TINY).drawn) == [track.frame_name(n) for n in (0, 1)]
+    assert list(run_track(one, range(1, 2)).drawn) == [track.frame_name(1)]
     with pytest.raises(FileNotFoundError, match="nowhere"):
         make_method("nowhere.safetensors")
 
 
 def test_another_aligner_changes_all_records(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    method, track = Method("sweep", SemiGlobalSweep(3, 4)), TRACKS["room"]
     keys = []
     for penalty in (0.3, 0.4):
         monkeypatch.setattr(running, "aligner", lambda p=penalty: SemiGlobalSweep(3, 4, small_penalty=p))
         for align in (True, False):
             running._aligner_identity.cache_clear()
             size = TINY._replace(preparation=replace(AS_IT_IS, align=align))
-            keys.append(running.record_of(track, method, tmp_path, size).key)
+            keys.append(record_of(TRACKS["room"], sweep(), tmp_path, size).key)
     running._aligner_identity.cache_clear()
     assert keys[0] != keys[2]
     assert keys[1] == keys[3]
@@ -255,7 +263,7 @@ def test_processes_give_the_same(run: Run, tmp_path: Path, scene_cache: str) -> 
 
 
 def test_methods_of_a_process_are_made_once(tmp_path: Path) -> None:
-    first = benchmark_command._methods(("semi-global-sweep",), 3, tmp_path)
-    assert benchmark_command._methods(("semi-global-sweep",), 3, tmp_path) is first
+    first = command._methods(("semi-global-sweep",), 3, tmp_path)
+    assert command._methods(("semi-global-sweep",), 3, tmp_path) is first
     assert first[0].net.level == 3
     assert replace(TRACKS["room"], kind="hall").frame_name(1) == f"hall-{HELD_OUT_SEED + 1:08d}"

@@ -19,8 +19,11 @@ from sphericalvision.data import collate_samples
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.base import DepthEstimate
-from sphericalvision.recipes.evaluation.inputs import PredictorEstimator, VertexEstimator
-from sphericalvision.recipes.evaluation.tables import evaluate
+from sphericalvision.recipes.evaluation.frames import BatchFrames
+from sphericalvision.recipes.evaluation.loop import evaluate
+from sphericalvision.recipes.evaluation.measures import VertexErrors, mean_errors_by_method
+from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale
+from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.scenes import SceneDataset
 from tests.recipes.tiny import TINY_SCENES, Run
 
@@ -51,18 +54,31 @@ class Constant(DepthNetwork):
         return DepthEstimate(index, sure.float(), torch.ones_like(sure))
 
 
+def index(method: Method, batch: dict[str, Any]) -> torch.Tensor:
+    """What a method says at the vertices of a batch's truth, NaN where it says nothing."""
+    vertices, net = Icosphere(2).vertices, method.net
+    found, known = method(batch).index_at(vertices, Scale(net.num_hypotheses, net.min_depth))
+    return found.where(known, math.nan)
+
+
+def as_used(
+    net: DepthNetwork, batch: dict[str, Any], preparation: Preparation = AS_IT_IS, **options: Any
+) -> torch.Tensor:
+    options = {"min_depth": 0.55, **options}
+    return index(AsUsed("net", net, preparation=preparation, **options), batch)
+
+
 def test_a_predictor_says_what_the_network_says(frames: dict[str, Any]) -> None:
-    as_used = PredictorEstimator(NET, min_depth=0.55, preparation=AS_IT_IS)
-    torch.testing.assert_close(as_used(frames), VertexEstimator(NET)(frames), atol=2e-3, rtol=0)
+    torch.testing.assert_close(as_used(NET, frames), index(Method("net", NET), frames), atol=2e-3, rtol=0)
 
 
 def test_compensation_takes_out_an_exposure(frames: dict[str, Any]) -> None:
     dark = frames | {"fisheye": frames["fisheye"].clone()}
     dark["fisheye"][:, 1] = ((frames["fisheye"][:, 1] + 1) * 0.5 - 1) * frames["fisheye_seen"][:, 1, None]
     net = WinnerTakesAll(4, 16)  # compares colours as they are
-    truth = PredictorEstimator(net, min_depth=0.55, preparation=AS_IT_IS)(frames)
+    truth = as_used(net, frames)
     wrong, right = (
-        float((PredictorEstimator(net, min_depth=0.55, preparation=one)(dark) - truth).abs().mean())
+        float((as_used(net, dark, one) - truth).abs().mean())
         for one in (AS_IT_IS, replace(AS_IT_IS, photometric=True))
     )
     assert right < 0.7 * wrong
@@ -73,10 +89,9 @@ def test_a_rig_that_is_turned_is_turned_back() -> None:
     frame = batch(rig, 1)
     turned = rig.rotated(tilt=torch.tensor([0.0, math.radians(1.5), 0.0, math.radians(-1.5)]))
     wrong = frame | {"rig": CameraRig.stack([turned])}
-    truth = PredictorEstimator(NET, min_depth=0.55)(frame)
+    truth = as_used(NET, frame)
     untouched, aligned = (
-        float((PredictorEstimator(NET, min_depth=0.55, preparation=one)(wrong) - truth).abs().mean())
-        for one in (AS_IT_IS, Preparation())
+        float((as_used(NET, wrong, one) - truth).abs().mean()) for one in (AS_IT_IS, Preparation())
     )
     assert aligned < 0.7 * untouched
 
@@ -84,10 +99,17 @@ def test_a_rig_that_is_turned_is_turned_back() -> None:
 def test_another_nearest_hypothesis_gives_errors_in_the_hypotheses_of_the_network(
     frames: dict[str, Any],
 ) -> None:
-    given = PredictorEstimator(Constant(), min_depth=1.0)(frames)
+    given = as_used(Constant(), frames, min_depth=1.0)
     torch.testing.assert_close(given, torch.ones_like(given))  # index 2 from 1 m is index 1 from 0.5 m
-    nearer = PredictorEstimator(Constant(), min_depth=0.1)(frames)
+    nearer = as_used(Constant(), frames, min_depth=0.1)
     torch.testing.assert_close(nearer, torch.full_like(nearer, 7.0))  # nearer than the nearest
+
+
+def test_hypotheses_of_a_comparison_are_those_of_one_depth(frames: dict[str, Any]) -> None:
+    """Index 2 of 8 from 0.5 m is 1.75 m away: index 4.4 of 12 from 0.7 m, (12 - 1) * 0.7 / 1.75."""
+    found, known = Method("net", Constant())(frames).index_at(Icosphere(2).vertices, Scale(12, 0.7))
+    assert known.all()
+    torch.testing.assert_close(found, torch.full_like(found, 4.4))
 
 
 def test_masks_reach_the_network(frames: dict[str, Any]) -> None:
@@ -95,22 +117,40 @@ def test_masks_reach_the_network(frames: dict[str, Any]) -> None:
         masks = {name: torch.zeros(96, 96, dtype=torch.bool) for name in rig.names[1:]}
         return CameraRig(rig.cameras, rig.world_from_camera, masks)
 
-    usual = PredictorEstimator(NET, min_depth=0.55)(frames)
-    alone = PredictorEstimator(NET, min_depth=0.55, masked=masked)(frames)
-    assert (usual - alone).abs().mean() > 0.1
+    assert (as_used(NET, frames) - as_used(NET, frames, masked=masked)).abs().mean() > 0.1
 
 
 def test_errors_of_confident_points_say_how_many_they_are(frames: dict[str, Any]) -> None:
     net = Constant()
-    some, everything = (VertexEstimator(net, least) for least in (0.6, 0.0))
-    rows = evaluate({"some": some, "all": everything}, [frames], net)
-    kept = [row.values["kept"] for row in rows]
-    north = VertexEstimator(net, 0.6)(frames).isfinite()
+    some, everything = (Method(str(least), net, least) for least in (0.6, 0.0))
+    measure = VertexErrors(Scale(8, 0.5), 2)
+    errors = mean_errors_by_method(evaluate([some, everything], BatchFrames(frames), measure))
+    north = index(some, frames).isfinite()
     expected = (100 * (north & frames["valid"]).sum(-1) / frames["valid"].sum(-1)).mean()
-    assert kept == pytest.approx([float(expected), 100.0])
-    assert 20 < kept[0] < 80
-    (alone,) = evaluate({"all": everything}, [frames], net)
-    assert "kept" not in alone.values
+    assert errors["0.6"]["kept"] == pytest.approx(float(expected))
+    assert errors["0.0"]["kept"] == 100
+    assert 20 < errors["0.6"]["kept"] < 80
+    alone = mean_errors_by_method(evaluate([everything], BatchFrames(frames), measure))
+    assert "kept" not in alone["0.0"]
+
+
+def test_frames_that_are_recorded_are_not_asked_for_again(frames: dict[str, Any], tmp_path: Path) -> None:
+    """Records are kept as files; another key, or a damaged file, is measured anew."""
+    measure, methods = VertexErrors(Scale(8, 0.5), 2), [Method("net", Constant())]
+
+    def record(key: dict[str, Any]) -> Record:
+        return Record(tmp_path / "net.json", key)
+
+    first = evaluate(methods, BatchFrames(frames), measure, {"net": record({"n": 1})})["net"]
+    assert list(first.frames) == ["0", "1"]
+    assert record({"n": 1}).means == first.means
+    assert record({"n": 2}).frames == {}
+    nothing = BatchFrames()
+    nothing.names = ["0", "1"]
+    again = evaluate(methods, nothing, measure, {"net": record({"n": 1})})["net"]
+    assert again.means == first.means
+    (tmp_path / "net.json").write_text("{")
+    assert record({"n": 1}).frames == {}
 
 
 def test_the_command_evaluates_as_predict_predicts(run: Run, tmp_path: Path) -> None:

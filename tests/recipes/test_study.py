@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
+import re
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +16,9 @@ import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_module
+from omegaconf import DictConfig
 
-from sphericalvision.cameras import ring_rig
+from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.icosphere import Icosphere
@@ -22,12 +26,15 @@ from sphericalvision.io.images import read_image
 from sphericalvision.models import save_weights
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.rigs import make_ring
-from sphericalvision.recipes.study import jobs as study_jobs
-from sphericalvision.recipes.study import training as study_training
+from sphericalvision.recipes.commands import train as train_command
+from sphericalvision.recipes.evaluation.loop import evaluate
+from sphericalvision.recipes.evaluation.measures import errors_of_frame
+from sphericalvision.recipes.evaluation.methods import Answer, Scale
+from sphericalvision.recipes.evaluation.tables import Table
 from sphericalvision.recipes.study.data import View, study_frames
-from sphericalvision.recipes.study.measures import Yardstick, measure
-from sphericalvision.recipes.study.models import Estimate, Scale, study_models
+from sphericalvision.recipes.study.models import study_models
 from sphericalvision.recipes.study.pictures import PanelColumn, angle_plot, panel_sheet
+from sphericalvision.recipes.study.protocols import Protocols
 from sphericalvision.recipes.study.tables import (
     change_table,
     detail_table,
@@ -76,55 +83,61 @@ RESULTS = [
 ABOUT = "64 frames, vertices of level 3 that two or more cameras see, mean ± standard deviation over 2 seeds"
 
 
+def cells(table: Table, row: int) -> list[str]:
+    """The texts of a row of Markdown."""
+    return [cell.strip() for cell in table.markdown().splitlines()[2 + row].strip("|").split("|")]
+
+
 def test_the_papers_table_from_known_numbers() -> None:
+    """The same cells in every form: a header, four rows of two networks and two of the sweep, a line between angles."""
     table = paper_table(RESULTS)
-    assert table.markdown() == (
-        "| θ | model | >1 | >3 | >5 | MAE | RMS |\n"
-        "|---|---|---:|---:|---:|---:|---:|\n"
-        "| 0° | IcoSweepNet | 15.00 ± 7.07 | 4.50 ± 2.12 | 3.00 ± 1.41 | 1.50 ± 0.71 | 6.00 ± 2.83 |\n"
-        "| 0° | OmniMVS | 15.00 ± 7.07 | 4.50 ± 2.12 | 3.00 ± 1.41 | 1.50 ± 0.71 | 6.00 ± 2.83 |\n"
-        "| 0° | sweep_1 | 50.00 | 15.00 | 10.00 | 5.00 | 20.00 |\n"
-        "| 45° | IcoSweepNet | 15.00 ± 7.07 | 4.50 ± 2.12 | 3.00 ± 1.41 | 1.50 ± 0.71 | 6.00 ± 2.83 |\n"
-        "| 45° | OmniMVS | 45.00 ± 21.21 | 13.50 ± 6.36 | 9.00 ± 4.24 | 4.50 ± 2.12 | 18.00 ± 8.49 |\n"
-        "| 45° | sweep_1 | 50.00 | 15.00 | 10.00 | 5.00 | 20.00 |\n"
-        f"\nPercent of N = 16; {ABOUT}. Left out, as fewer cameras see it: 0.0 % at 0°, 15.0 % at 45°.\n"
-    )
-    lines = table.csv().splitlines()
-    assert lines[0] == "θ,model,>1,>1 sd,>3,>3 sd,>5,>5 sd,MAE,MAE sd,RMS,RMS sd"
-    assert lines[1] == "0°,IcoSweepNet,15,7.07107,4.5,2.12132,3,1.41421,1.5,0.707107,6,2.82843"
-    assert lines[3] == "0°,sweep_1,50,,15,,10,,5,,20,"
-    latex = table.latex().splitlines()
-    assert latex[2:5] == [
-        "\\begin{tabular}{llrrrrr}",
-        "\\toprule",
-        "$\\theta$ & model & $>$1 & $>$3 & $>$5 & MAE & RMS \\\\",
+    assert cells(table, 0) == [
+        *("0°", "IcoSweepNet", "15.00 ± 7.07", "4.50 ± 2.12", "3.00 ± 1.41", "1.50 ± 0.71", "6.00 ± 2.83")
     ]
-    assert "0$^\\circ$ & sweep\\_1 & $50.00$ & $15.00$ & $10.00$ & $5.00$ & $20.00$ \\\\" in latex
-    assert latex.count("\\midrule") == 2
+    assert cells(table, 4)[:3] == ["45°", "OmniMVS", "45.00 ± 21.21"]
+    assert cells(table, 5) == ["45°", "sweep_1", "50.00", "15.00", "10.00", "5.00", "20.00"]
+    assert f"N = 16; {ABOUT}" in table.title
+    assert "0.0 % at 0°, 15.0 % at 45°" in table.title
+
+    header, *rows = csv.reader(table.csv().splitlines())
+    assert header[:6] == ["θ", "model", ">1", ">1 sd", ">3", ">3 sd"]
+    assert [float(value) for value in rows[0][2:4]] == pytest.approx([15, 50**0.5], rel=1e-5)
+    assert rows[2][3] == ""  # one seed has no spread
+    assert len(rows) == 6
+
+    lines = table.latex().splitlines()
+    body = [line for line in lines if line.endswith(r"\\")]
+    assert all(line.count("&") == len(table.columns) - 1 for line in body)
+    assert len(body) == 1 + len(rows)
+    assert lines.count(r"\midrule") == 2
+    assert not re.search(r"[°±θ]|(?<!\\)[_%]", "".join(body))  # what LaTeX would not take
 
 
 def test_the_other_tables_from_known_numbers() -> None:
     """Ratios are taken within a seed: both seeds of OmniMVS grow threefold, so there is no spread."""
     change = change_table(RESULTS)
     assert change.columns == ("model", "0°", "45°")
-    assert change.markdown().splitlines()[2:5] == [
-        "| IcoSweepNet | 1.000 | 1.000 |",
-        "| OmniMVS | 1.000 | 3.000 |",
-        "| sweep_1 | 1.000 | 1.000 |",
+    assert [cells(change, row)[1:] for row in range(3)] == [
+        ["1.000", "1.000"],
+        ["1.000", "3.000"],
+        ["1.000", "1.000"],
     ]
     details = detail_table(RESULTS)
-    assert details.markdown().splitlines()[2] == (
-        "| 0° | IcoSweepNet | 0.150 ± 0.071 | 1.50 ± 0.71 | 0.900 | " + "1.50 ± 0.71 | " * 5 + "0.0 |"
-    )
-    assert (
-        zone_table(RESULTS).markdown().splitlines()[2]
-        == "| 0° | IcoSweepNet | " + "1.50 ± 0.71 | " * 5 + "1.50 ± 0.71 |"
-    )
+    mae = "1.50 ± 0.71"
+    assert cells(details, 0) == ["0°", "IcoSweepNet", "0.150 ± 0.071", mae, "0.900", *[mae] * 5, "0.0"]
+    assert cells(zone_table(RESULTS), 0) == ["0°", "IcoSweepNet", *[mae] * 6]
     both = [*RESULTS, result("IcoSweepNet", 0, 0.0, 7.0, "equirect")]
     assert paper_table(both).rows == paper_table(RESULTS).rows
-    rows = input_table(both).markdown().splitlines()
-    assert rows[2].startswith("| IcoSweepNet | fisheye | 15.00 ± 7.07 |")
-    assert rows[3] == "| IcoSweepNet | equirect | 70.00 | 21.00 | 14.00 | 7.00 | 28.00 |"
+    assert cells(input_table(both), 0)[:3] == ["IcoSweepNet", "fisheye", "15.00 ± 7.07"]
+    assert cells(input_table(both), 1) == [
+        "IcoSweepNet",
+        "equirect",
+        "70.00",
+        "21.00",
+        "14.00",
+        "7.00",
+        "28.00",
+    ]
 
 
 def test_what_is_not_measured_is_a_dash() -> None:
@@ -135,46 +148,57 @@ def test_what_is_not_measured_is_a_dash() -> None:
     assert ",,," in table.csv()
 
 
-SCALE = Scale(level=4, num_hypotheses=8, min_depth=0.55)
+SCALE = Scale(num_hypotheses=8, min_depth=0.55)
+RIGHT = 7 * 0.55 * 0.5
+"""Index of the true depth of ``frame_at``."""
 
 
-def batch_at(tilt: float, offset: float, hidden: float) -> tuple[dict[str, Any], Callable[..., Any]]:
-    """A frame of even depth, and an estimate that is off by ``offset`` where two cameras see it, else ``hidden``."""
-    rig = ring_rig(4, image_size=(32, 32)).rotated(tilt=tilt)
+class Estimates(Answer):
+    """Index ``(V,)`` of directions as a function says, known where it is not NaN."""
+
+    def __init__(self, index: Callable[[torch.Tensor], torch.Tensor]) -> None:
+        self.index = index
+
+    def index_at(self, directions: torch.Tensor, scale: Scale) -> tuple[torch.Tensor, torch.Tensor]:
+        index = self.index(directions)[None]
+        return index, ~index.isnan()
+
+
+def frame_at(tilt: float) -> dict[str, Any]:
+    """A frame that is 2 m away everywhere."""
     vertices, panorama = Icosphere(2).vertices, (8, 32)
-    batch = {
+    return {
         "inverse_depth": torch.full((1, len(vertices)), 0.5),
         "valid": torch.ones(1, len(vertices), dtype=torch.bool),
         "panorama_inverse_depth": torch.full((1, *panorama), 0.5),
         "panorama_valid": torch.ones(1, *panorama, dtype=torch.bool),
-        "rig": rig,
-        "frame": ["one"],
+        "rig": ring_rig(4, image_size=(32, 32)).rotated(tilt=tilt),
     }
 
-    def estimate(_: Any) -> Any:
-        def look_up(directions: torch.Tensor) -> Estimate:
-            # Written out: how many of the cameras have the point within 110° of their axes.
-            points = 2.0 * directions[:, None] - rig.positions
-            angles = torch.acos((points * rig.axes).sum(-1) / points.norm(dim=-1))
-            shared = (angles < math.radians(110)).sum(-1) >= 2
-            right = 7 * 0.55 * 0.5
-            index = torch.where(shared, right + offset, right + hidden)
-            return Estimate(index[None], torch.ones_like(shared))
 
-        return look_up
+def cameras_of(rig: CameraRig, directions: torch.Tensor) -> torch.Tensor:
+    """Written out: how many of the cameras have the point within 110° of their axes."""
+    points = 2.0 * directions[:, None] - rig.positions
+    angles = torch.acos((points * rig.axes).sum(-1) / points.norm(dim=-1))
+    return (angles < math.radians(110)).sum(-1)
 
-    return batch, estimate
+
+def errors_of(frame: dict[str, Any], index: Callable[[torch.Tensor], torch.Tensor]) -> dict[str, Any]:
+    protocols = Protocols(SCALE, 2)
+    return errors_of_frame(protocols.errors(Estimates(index), protocols.truth(frame)), 0)
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 45])
 def test_what_fewer_than_two_cameras_see_does_not_count(tilt_deg: int) -> None:
-    batch, estimate = batch_at(math.radians(tilt_deg), offset=0.04, hidden=3.0)
-    errors = measure({"model": estimate}, [batch], Yardstick(SCALE), panel_frame=0)["model"].errors
+    """Off by 0.04 where two cameras see the point, by 3 elsewhere."""
+    frame = frame_at(math.radians(tilt_deg))
+    errors = errors_of(
+        frame, lambda d: torch.where(cameras_of(frame["rig"], d) >= 2, RIGHT + 0.04, RIGHT + 3.0)
+    )
     assert errors["paper"]["MAE"] == pytest.approx(100 * 0.04 / 8, rel=1e-3)
     assert errors["solid_angle"]["MAE"] == pytest.approx(0.5, rel=1e-3)
     assert errors["omnimvs"]["MAE"] == pytest.approx(100 * (0.04 * 191 / 7) / 192, rel=1e-3)
     share = errors["points"]["left_out"]
-    assert share is not None
     if tilt_deg:
         assert 10 < share < 30
         expected = (1 - share / 100) * 0.5 + share / 100 * 100 * 3 / 8
@@ -186,44 +210,26 @@ def test_what_fewer_than_two_cameras_see_does_not_count(tilt_deg: int) -> None:
 
 def test_zones_are_counted_apart() -> None:
     """Off by the sine of the latitude, doubled where three cameras see: means over vertices, written out."""
-    batch, _ = batch_at(0.3, offset=0.0, hidden=0.0)
+    frame = frame_at(0.3)
+
+    def offset(directions: torch.Tensor) -> torch.Tensor:
+        return directions[:, 1].abs() * torch.where(cameras_of(frame["rig"], directions) == 3, 2.0, 1.0)
+
     vertices = Icosphere(2).vertices
-    up = -vertices[:, 1]
-    points = 2.0 * vertices[:, None] - batch["rig"].positions
-    cameras = (
-        torch.acos((points * batch["rig"].axes).sum(-1) / points.norm(dim=-1)) < math.radians(110)
-    ).sum(-1)
-    offset = up.abs() * torch.where(cameras == 3, 2.0, 1.0)
-
-    def estimator(_: Any) -> Any:
-        return lambda directions: Estimate(
-            (7 * 0.55 * 0.5 + (offset if len(directions) == len(vertices) else 0 * directions[:, 0]))[None],
-            torch.ones(len(directions), dtype=torch.bool),
-        )
-
-    errors = measure({"model": estimator}, [batch], Yardstick(SCALE), panel_frame=0)["model"].errors
+    up, cameras = -vertices[:, 1], cameras_of(frame["rig"], vertices)
+    errors = errors_of(frame, lambda directions: RIGHT + offset(directions))
     zones = {"above": up > 0.5, "around": up.abs() <= 0.5, "below": up < -0.5, "two": cameras == 2}
     zones |= {"three": cameras == 3, "four": cameras == 4}
     for name, zone in zones.items():
-        expected = 100 / 8 * offset[zone & (cameras >= 2)].mean().item()
+        expected = 100 / 8 * offset(vertices)[zone & (cameras >= 2)].mean().item()
         assert errors[name]["MAE"] == pytest.approx(expected, rel=1e-3), name
 
 
 def test_nothing_is_counted_where_a_model_says_nothing() -> None:
-    batch, estimate = batch_at(0.0, offset=0.4, hidden=0.4)
-
-    def lower_half(b: Any) -> Any:
-        def look_up(directions: torch.Tensor) -> Estimate:
-            known = directions[:, 1] > 0
-            return Estimate(torch.where(known, estimate(b)(directions).indices, math.nan), known)
-
-        return look_up
-
-    measured = measure({"model": lower_half}, [batch], Yardstick(SCALE), panel_frame=0)["model"]
-    assert measured.errors["paper"]["MAE"] == pytest.approx(5.0, rel=1e-3)
+    errors = errors_of(frame_at(0.0), lambda d: torch.where(d[:, 1] > 0, RIGHT + 0.4, math.nan))
+    assert errors["paper"]["MAE"] == pytest.approx(5.0, rel=1e-3)
     unknown = (Icosphere(2).vertices[:, 1] <= 0).float().mean().item()
-    assert measured.errors["points"]["unknown"] == pytest.approx(100 * unknown)
-    assert measured.drawn.isnan().float().mean() == pytest.approx(unknown)
+    assert errors["points"]["unknown"] == pytest.approx(100 * unknown)
 
 
 def test_pictures_show_and_fade() -> None:
@@ -257,30 +263,26 @@ def words(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
 
 
 class Trainer:
-    """Stands for the process that trains: writes untrained networks, and remembers for whom."""
+    """Stands for the training: writes untrained networks, and remembers for whom."""
 
     def __init__(self) -> None:
         self.trained: list[str] = []
-        self.status = 0
+        self.error: Exception | None = None
 
-    def __call__(self, command: list[str]) -> int:
-        assert command[1:3] == ["-m", "sphericalvision.recipes.train"]
-        assert command[-1] == "resume=auto"
-        *own, output, _ = command[3:]
-        folder = Path(output.removeprefix("output="))
+    def __call__(self, config: DictConfig, folder: Path) -> None:
+        assert config.resume == "auto"
+        assert Path(config.output) == folder
         self.trained.append(f"{folder.parent.name}/{folder.name}")
-        if self.status == 0:
-            config = training_config(tuple(own))
-            torch.manual_seed(config.seed)
-            net = build(config.model)
-            save_weights(net, folder / "checkpoints" / "best.safetensors")
-        return self.status
+        if self.error is not None:
+            raise self.error
+        torch.manual_seed(config.seed)
+        save_weights(build(config.model), folder / "checkpoints" / "best.safetensors")
 
 
 @pytest.fixture
 def trainer(monkeypatch: pytest.MonkeyPatch) -> Trainer:
     stand_in = Trainer()
-    monkeypatch.setattr(study_training, "_run", stand_in)
+    monkeypatch.setattr(train_command, "train", stand_in)
     return stand_in
 
 
@@ -289,11 +291,11 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     """The passes over frames: their labels, and how many models each took."""
     passes: list[tuple[str, int]] = []
 
-    def counting(estimators: Any, loader: Any, yardstick: Any, panel_frame: int, label: str) -> Any:
-        passes.append((label, len(estimators)))
-        return measure(estimators, loader, yardstick, panel_frame, label)
+    def counting(methods: Any, frames: Any, *rest: Any) -> Any:
+        passes.append((frames.label, len(methods)))
+        return evaluate(methods, frames, *rest)
 
-    monkeypatch.setattr(study_jobs, "measure", counting)
+    monkeypatch.setattr(import_module("sphericalvision.recipes.study.command"), "evaluate", counting)
     return passes
 
 
@@ -350,14 +352,14 @@ def test_other_words_for_a_training_are_refused_or_redone(
 def test_a_training_that_dies_is_told_and_taken_up_again(
     run: Run, failing: Callable[..., str], tmp_path: Path, words: tuple[str, ...], trainer: Trainer
 ) -> None:
-    trainer.status = 137
+    trainer.error = OSError("no space left")
     message = failing("study", *words, *ONLY)
-    assert "icosweepnet, seed 0: the training stopped with status 137" in message
+    assert "icosweepnet, seed 0: the training stopped (no space left)" in message
     assert "resume=auto" in message
     assert "nothing is trained yet" in failing("study", *words, *ONLY, "train=false")
     record = json.loads((tmp_path / "out/models/icosweepnet/seed0/training.json").read_text())
     assert record["finished"] is False
-    trainer.status = 0
+    trainer.error = None
     run("study", *words, *ONLY)
     assert trainer.trained == ["icosweepnet/seed0"] * 2
 
@@ -393,7 +395,7 @@ def test_images_on_disk_are_turned(
 
 def test_mistakes_are_told(failing: Callable[..., str], words: tuple[str, ...], trainer: Trainer) -> None:
     assert "each angle once" in failing("study", *words, "angles_deg=[0,0]")
-    assert "expected one of 'depth_network'" in failing("study", *words, "models.constant.kind=magic")
+    assert "models.constant.kind: expected one of" in failing("study", *words, "models.constant.kind=magic")
     assert "'substeps'" in failing(
         "study",
         *words,
@@ -413,7 +415,7 @@ def test_random_tilts_are_all_that_their_trainings_change() -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         config = compose("study", ["preset=random_tilts"])
         models = [model for model in study_models(config) if model.is_trained]
-        trainings = {m.name: training_config(training_words(m, config)) for m in models}
+        trainings = {m.name: training_config(training_words(m.train, config)) for m in models}
     assert list(trainings) == ["icosweepnet", "omnimvs", "icosweepnet_random", "omnimvs_random"]
     for name in ("icosweepnet", "omnimvs"):
         level, tilted = trainings[name], trainings[f"{name}_random"]
@@ -427,7 +429,9 @@ def test_trainings_of_a_preset_differ_in_the_model_alone(preset: str) -> None:
     own = ("omnithings=/data/omnithings", "data.root=/data/omnihouse") if preset == "paper" else ()
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         config = compose("study", [f"preset={preset}", *own])
-        trainings = [training_config(training_words(m, config)) for m in study_models(config) if m.is_trained]
+        trainings = [
+            training_config(training_words(m.train, config)) for m in study_models(config) if m.is_trained
+        ]
         assert len(trainings) == 2
         for key in ("trainer", "optimizer", "scheduler", "loss", "data"):
             assert trainings[0][key] == trainings[1][key]

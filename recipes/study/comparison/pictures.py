@@ -13,9 +13,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from sphericalvision.recipes.study.benchmark.frames import Frame
-from sphericalvision.recipes.study.benchmark.methods import HYPOTHESES, MIN_DEPTH
-from sphericalvision.recipes.study.benchmark.scoring import FrameTruth
+from sphericalvision.recipes.study.comparison.frames import Frame
+from sphericalvision.recipes.study.comparison.methods import SCALE
+from sphericalvision.recipes.study.comparison.places import FrameTruth
 from sphericalvision.sweep import depth_from_index
 from sphericalvision.viz import depth_to_color, error_to_color, sheet
 from sphericalvision.viz.panorama import icosphere_to_panorama
@@ -59,7 +59,7 @@ def frame_pictures(frame: Frame, estimates: Mapping[str, Tensor], rows: int) -> 
     }
     below = {"first camera": _camera(frame, rows), "where it counts (red: edges)": _regions(truth, rows)}
     for name, index in estimates.items():
-        error = (index - truth.index).abs() * (100 / HYPOTHESES)
+        error = (index - truth.index).abs() * (100 / SCALE.num_hypotheses)
         above[name] = _depth(index, rows)
         shown = error_to_color(icosphere_to_panorama(error.nan_to_num(WORST), rows), WORST)
         known = counts & ~error.isnan()
@@ -75,8 +75,8 @@ def _colors(image: Tensor) -> Picture:
 def _depth(index: Tensor, rows: int) -> Picture:
     known = icosphere_to_panorama((~index.isnan()).float(), rows) > 0.5
     filled = icosphere_to_panorama(index.nan_to_num().clamp(min=0), rows)
-    depth = depth_from_index(filled, HYPOTHESES, MIN_DEPTH).where(known, math.nan)
-    return depth_to_color(depth, MIN_DEPTH)
+    depth = depth_from_index(filled, *SCALE).where(known, math.nan)
+    return depth_to_color(depth, SCALE.min_depth)
 
 
 def _fade(picture: Picture, hidden: Tensor) -> Picture:

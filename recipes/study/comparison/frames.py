@@ -17,7 +17,7 @@ from sphericalvision.capture.predictor import Predictor
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
-from sphericalvision.recipes.study.benchmark.tracks import Track
+from sphericalvision.recipes.study.comparison.tracks import Track
 from sphericalvision.scenes import MeshScene, ray_depth, render_directions, render_rig
 from sphericalvision.scenes.cache import ArrayCache
 from sphericalvision.scenes.carriers import carrier_masks, with_carrier
@@ -90,7 +90,7 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
         cache: folder of renderings, shared by tracks; none is kept without one.
 
     Examples:
-        >>> from sphericalvision.recipes.study.benchmark.tracks import TRACKS
+        >>> from sphericalvision.recipes.study.comparison.tracks import TRACKS
         >>> frame = render_frame(TRACKS["room"], 0, Size(level=3, panorama_rows=8, image_rows=16, preparation=AS_IT_IS))
         >>> frame.name, frame.images["cam1"].shape, frame.panorama.shape
         ('room-10000000', torch.Size([3, 16, 16]), torch.Size([8, 16]))

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One model, seed and view: errors by every protocol of the study, and what its pictures need."""
+"""The study's measure: errors at vertices and on panoramas by every protocol that its tables show."""
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sized
 from typing import Any, NamedTuple
 
 import torch
-from rich.progress import track
 from torch import Tensor
 
 from sphericalvision.cameras import seen_by
@@ -21,23 +18,14 @@ from sphericalvision.metrics import (
     omnimvs_error,
     seam_mask,
 )
-from sphericalvision.recipes.evaluation.tables import Batch
-from sphericalvision.recipes.study.models import Lookup, Scale, StudyEstimator
+from sphericalvision.recipes.evaluation.methods import Answer, Scale
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth, inverse_depth_from_index
 
-__all__ = ["Measured", "Truth", "Yardstick", "measure"]
+__all__ = ["Protocols", "Truth"]
 
 ZONE = math.radians(30)
 """Latitude that divides what is around from what is above and below."""
-
-
-class Measured(NamedTuple):
-    """Means over frames (None where nothing counts), errors of each, and the estimate ``(V,)`` of the one drawn."""
-
-    errors: dict[str, dict[str, float | None]]
-    frames: dict[str, Any]
-    drawn: Tensor
 
 
 class Truth(NamedTuple):
@@ -66,16 +54,17 @@ class Truth(NamedTuple):
     panorama_directions: Tensor
 
 
-class Yardstick:
-    """The protocols at the vertices of a study, and on panoramas.
+class Protocols:
+    """The protocols at the vertices of an icosphere, and on panoramas.
 
     Args:
-        scale: level, hypotheses and nearest depth of the study.
+        scale: hypotheses of the study.
+        level: of the icosphere.
         device: of the batches.
     """
 
-    def __init__(self, scale: Scale, device: torch.device | str = "cpu") -> None:
-        grid = Icosphere(scale.level - 2, device=device)
+    def __init__(self, scale: Scale, level: int, device: torch.device | str = "cpu") -> None:
+        grid = Icosphere(level, device=device)
         self.scale, self.directions, self.solid_angles = scale, grid.vertices, grid.solid_angles
         self.seam = seam_mask(grid.vertices)
         height = -grid.vertices[:, 1]  # sine of the latitude; up is -y
@@ -85,10 +74,10 @@ class Yardstick:
             "below": height < -math.sin(ZONE),
         }
 
-    def truth(self, batch: Batch) -> Truth:
+    def truth(self, batch: dict[str, Any]) -> Truth:
         """Ground truth of a batch, and where it counts."""
         inverse_depth, valid = batch["inverse_depth"], batch["valid"]
-        index = index_from_inverse_depth(inverse_depth, self.scale.num_hypotheses, self.scale.min_depth)
+        index = index_from_inverse_depth(inverse_depth, *self.scale)
         counts, left_out = evaluation_mask(batch["rig"], self.directions, inverse_depth, valid)
         cameras = seen_by(batch["rig"], self.directions, inverse_depth.where(valid, 0.0))
         panorama, panorama_valid = batch["panorama_inverse_depth"], batch["panorama_valid"]
@@ -98,7 +87,7 @@ class Yardstick:
         shared = seen.view(panorama.shape)
         return Truth(index, inverse_depth, valid, counts, cameras, left_out, panorama, shared, around)
 
-    def errors(self, estimate: Lookup, truth: Truth) -> dict[str, dict[str, Tensor]]:
+    def errors(self, answer: Answer, truth: Truth) -> dict[str, dict[str, Tensor]]:
         """Errors ``(B,)`` of one batch, by protocol and name; NaN for frames where nothing counts.
 
         * ``paper``: percent of N over the vertices that two or more cameras see, each with the same weight;
@@ -111,18 +100,18 @@ class Yardstick:
         * ``depth``: AbsRel, RMSE in metres and the share within a factor 1.25, over the vertices of ``paper``;
         * ``points``: percent of the valid vertices left out, and of the others that the model says nothing about.
         """
-        number, nearest = self.scale.num_hypotheses, self.scale.min_depth
-        index, known = estimate(self.directions)
+        number = self.scale.num_hypotheses
+        index, known = answer.index_at(self.directions, self.scale)
         mask = truth.counts & known
         zones = {name: mask & zone for name, zone in self.zones.items()}
         zones |= {"two": mask & (truth.cameras == 2), "three": mask & (truth.cameras == 3)}
         zones |= {"four": mask & (truth.cameras > 3)}
-        depth, true_depth = depth_from_index(index, number, nearest), truth.inverse_depth.reciprocal()
+        depth, true_depth = depth_from_index(index, *self.scale), truth.inverse_depth.reciprocal()
         return {
             "paper": depth_index_error(index, truth.indices, number, mask),
             "all": depth_index_error(index, truth.indices, number, truth.valid & known),
             "solid_angle": depth_index_error(index, truth.indices, number, mask, self.solid_angles),
-            "omnimvs": self._official(estimate, truth),
+            "omnimvs": self._official(answer, truth),
             "seam": depth_index_error(index, truth.indices, number, mask & self.seam),
             "off_seam": depth_index_error(index, truth.indices, number, mask & ~self.seam),
             **{name: depth_index_error(index, truth.indices, number, zone) for name, zone in zones.items()},
@@ -133,51 +122,9 @@ class Yardstick:
             },
         }
 
-    def _official(self, estimate: Lookup, truth: Truth) -> dict[str, Tensor]:
-        index, known = estimate(truth.panorama_directions)
-        inverse_depth = inverse_depth_from_index(index, self.scale.num_hypotheses, self.scale.min_depth)
+    def _official(self, answer: Answer, truth: Truth) -> dict[str, Tensor]:
+        index, known = answer.index_at(truth.panorama_directions, self.scale)
+        inverse_depth = inverse_depth_from_index(index, *self.scale)
         shape = truth.panorama.shape
-        mask = truth.panorama_counts & known.view(shape[1:])
+        mask = truth.panorama_counts & known.view(shape)
         return omnimvs_error(inverse_depth.view(shape), truth.panorama, self.scale.min_depth, mask)
-
-
-@torch.inference_mode()
-def measure(
-    estimators: Mapping[str, StudyEstimator],
-    loader: Iterable[Batch],
-    yardstick: Yardstick,
-    panel_frame: int,
-    label: str = "evaluating",
-) -> dict[str, Measured]:
-    """Evaluate several models on the same batches; shows its progress."""
-    device = yardstick.directions.device
-    collected: dict[str, Any] = {name: defaultdict(lambda: defaultdict(list)) for name in estimators}
-    drawn: dict[str, Tensor] = {}
-    names: list[str] = []
-    for batch in track(loader, label, total=len(loader) if isinstance(loader, Sized) else None):
-        batch = {key: value.to(device) if hasattr(value, "to") else value for key, value in batch.items()}
-        truth = yardstick.truth(batch)
-        for name, estimator in estimators.items():
-            estimate = estimator(batch)
-            for protocol, errors in yardstick.errors(estimate, truth).items():
-                for key, values in errors.items():
-                    collected[name][protocol][key] += values.tolist()
-            position = panel_frame - len(names)
-            if 0 <= position < len(truth.indices):
-                index, known = estimate(yardstick.directions)
-                drawn[name] = index[position].where(known, math.nan).float().cpu()
-        names += batch["frame"]
-    return {
-        name: Measured(
-            {p: {key: _mean(values) for key, values in errors.items()} for p, errors in protocols.items()},
-            {"names": names, **{key: protocols["paper"][key] for key in ("MAE", "RMS")}},
-            drawn[name],
-        )
-        for name, protocols in collected.items()
-    }
-
-
-def _mean(values: list[float]) -> float | None:
-    """Mean over the frames where something counts; None if there is none."""
-    known = [value for value in values if not math.isnan(value)]
-    return sum(known) / len(known) if known else None

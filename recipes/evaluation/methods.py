@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A method is a depth network: its estimates, looked up in any direction and in the hypotheses of a comparison."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from hashlib import sha256
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.capture import Predictor
+from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
+from sphericalvision.core import reference_kernels
+from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.datamodules.entries import images_of
+from sphericalvision.recipes.evaluation.frames import Batch
+from sphericalvision.recipes.training.rig_tables import RigTables
+from sphericalvision.sphere.intake import unsigned
+from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth, inverse_depth_from_index
+
+__all__ = ["Answer", "AsUsed", "Inputs", "Method", "Scale", "identity_of", "photographs_of"]
+
+
+class Scale(NamedTuple):
+    """The hypotheses that errors are percentages of: how many, and the nearest in metres."""
+
+    num_hypotheses: int
+    min_depth: float
+
+
+class Inputs(NamedTuple):
+    """What a network is given of a batch: images, what of them was seen (None: all in view), and the rig."""
+
+    images: Tensor
+    seen: Tensor | None
+    rig: CameraRig
+
+
+def sample_inputs(batch: dict[str, Any], net: DepthNetwork) -> Inputs:
+    """The inputs of samples that are put together."""
+    images, seen = images_of(batch, net)
+    return Inputs(images, seen, batch["rig"])
+
+
+class Method:
+    """A network in a comparison.
+
+    Args:
+        name: of its row or column, and its files.
+        net: any ``DepthNetwork``; its own level of images and hypotheses are kept.
+        min_confidence: where the network is less confident, it says nothing.
+        inputs: what a network is given of a batch.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        net: DepthNetwork,
+        min_confidence: float = 0.0,
+        inputs: Callable[[Batch, DepthNetwork], Inputs] = sample_inputs,
+    ) -> None:
+        self.name, self.net, self.min_confidence, self.inputs = name, net.eval(), min_confidence, inputs
+        self._tables = RigTables(net)
+
+    @torch.no_grad()
+    def __call__(self, batch: Batch) -> Answer:
+        """Estimate a batch; what follows from the rig alone is not counted in the time."""
+        images, seen, rig = self.inputs(batch, self.net)
+        tables = self._tables.of(rig)
+        began = time.process_time()
+        estimate = self.net.predict(images, tables, seen)
+        return Answer(self.net, estimate, self.min_confidence, time.process_time() - began)
+
+    @torch.no_grad()
+    def cost(self, batch: Batch) -> dict[str, float | None]:
+        """Parameters, and ``gflop`` by torch's counter over the reference kernels: matrices and convolutions.
+
+        Operations are None for a method without parameters, whose work is of other kinds.
+        """
+        from torch.utils.flop_counter import FlopCounterMode
+
+        images, seen, rig = self.inputs(batch, self.net)
+        tables = self._tables.of(rig)
+        counter = FlopCounterMode(display=False)
+        with reference_kernels(), counter:
+            self.net.predict(images, tables, seen)
+        number = sum(parameter.numel() for parameter in self.net.parameters())
+        return {"parameters": number, "gflop": counter.get_total_flops() / 1e9 if number else None}
+
+
+class AsUsed(Method):
+    """The same by way of a ``Predictor``: from the images of the cameras, as in use.
+
+    Args:
+        name: as of ``Method``.
+        net: errors are in its hypotheses, whichever the predictor takes.
+        min_confidence: as of ``Method``.
+        min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``, of each frame.
+        preparation: of each frame.
+        masked: gives a rig masks, before it is used.
+        native: whether to use operators in C++ on a CPU.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        net: DepthNetwork,
+        min_confidence: float = 0.0,
+        min_depth: float | Literal["auto", "scene"] = "auto",
+        preparation: Preparation = AS_IT_IS,
+        masked: Callable[[CameraRig], CameraRig] = lambda rig: rig,
+        native: bool = False,
+    ) -> None:
+        super().__init__(name, net, min_confidence)
+        self.masked = masked
+        self.options: dict[str, Any] = {"min_depth": min_depth, "preparation": preparation, "native": native}
+
+    @torch.no_grad()
+    def __call__(self, batch: Batch) -> Answer:
+        """Estimate each frame of samples with the entry "fisheye"."""
+        frames = [self._estimate(*frame) for frame in photographs_of(batch)]
+        estimate = DepthEstimate(*(torch.stack(values) for values in zip(*frames, strict=True)))
+        return Answer(self.net, estimate, self.min_confidence)
+
+    def _estimate(self, rig: CameraRig, images: dict[str, Tensor]) -> DepthEstimate:
+        predictor = Predictor(self.masked(rig), self.net, **self.options)
+        predictor.prepare([images])
+        depth = predictor(images)
+        nearer = self.net.min_depth / depth.min_depth  # the same inverse depth has another index
+        index = (depth.index * nearer).clamp(max=self.net.num_hypotheses - 1)
+        return DepthEstimate(index, depth.confidence, depth.seen)
+
+
+class Answer:
+    """What a method says of a batch.
+
+    Args:
+        net: whose estimate it is.
+        estimate: on the grid of the network, ``(B, *grid)``.
+        min_confidence: where the network is less confident, nothing is known.
+        seconds: of CPU that it took.
+    """
+
+    def __init__(
+        self, net: DepthNetwork, estimate: DepthEstimate, min_confidence: float = 0.0, seconds: float = 0.0
+    ) -> None:
+        self.net, self.estimate, self.min_confidence, self.seconds = net, estimate, min_confidence, seconds
+
+    def index_at(self, directions: Tensor, scale: Scale) -> tuple[Tensor, Tensor]:
+        """Index in the hypotheses of a scale in directions ``(V, 3)``, and where the method says one, both ``(B, V)``.
+
+        Between the points of the network's grid it is linear. Where that does not reach, it is that of the nearest
+        point, and not known.
+        """
+        index, known = self._look_up(self.estimate.index, directions)
+        if scale == (self.net.num_hypotheses, self.net.min_depth):
+            index = index.clamp(min=0)  # where it is interpolated infinity may be a rounding beyond
+        else:
+            inverse_depth = inverse_depth_from_index(index, self.net.num_hypotheses, self.net.min_depth)
+            index = index_from_inverse_depth(inverse_depth, *scale)
+        known = known.expand(index.shape)
+        if self.min_confidence > 0:
+            known = known & (self.confidence_at(directions) >= self.min_confidence)
+        return index, known
+
+    def confidence_at(self, directions: Tensor) -> Tensor:
+        """Confidence ``(B, V)``."""
+        return self._look_up(self.estimate.confidence, directions)[0]
+
+    def _look_up(self, values: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        own = self.net.grid.directions
+        if own.shape == directions.shape and torch.equal(own.to(directions), directions):
+            return values.float(), torch.ones(len(directions), dtype=torch.bool, device=values.device)
+        return self.net.index_at(values.float(), directions)
+
+
+def photographs_of(batch: dict[str, Any]) -> list[tuple[CameraRig, dict[str, Tensor]]]:
+    """The rig and the images by camera of each frame of a batch, in [0, 1], black where lenses show nothing."""
+    light = unsigned(batch["fisheye"]).clamp(0, 1) * batch["fisheye_seen"].unsqueeze(2)
+    rigs = [batch["rig"].select(frame) for frame in range(len(light))]
+    return [(rig, dict(zip(rig.names, images, strict=True))) for rig, images in zip(rigs, light, strict=True)]
+
+
+def identity_of(net: DepthNetwork) -> str:
+    """Characters that change with a network's class, hyper-parameters and weights."""
+    digest = sha256(repr((type(net).__name__, net.hyperparameters)).encode())
+    for key, tensor in net.state_dict().items():
+        digest.update(key.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]

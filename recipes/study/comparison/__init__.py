@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth methods side by side (``preset=benchmark``): scenes, rigs and disturbances in tracks."""

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the comparison writes: tables of all tracks and methods, everything as JSON, and a page with the pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from sphericalvision.io.files import write_bytes
+from sphericalvision.metrics.spread import Interval, bootstrap_interval
+from sphericalvision.recipes.evaluation.records import Errors, Record, values_of, write_json
+from sphericalvision.recipes.evaluation.tables import Cell, Row, Table
+from sphericalvision.recipes.study.comparison.places import KEPT, REGIONS
+from sphericalvision.recipes.study.comparison.tracks import Track
+
+__all__ = ["Comparison", "all_tables", "report"]
+
+STYLE = "body{font:14px sans-serif} td,th{padding:2px 8px;text-align:right} td:first-child{text-align:left}"
+
+
+class Comparison(NamedTuple):
+    """All that was measured.
+
+    Attributes:
+        tracks: in the order of the tables.
+        methods: names, likewise.
+        records: track's name -> method's name -> its record.
+        level: icosphere on which truth is dense.
+    """
+
+    tracks: Sequence[Track]
+    methods: Sequence[str]
+    records: Mapping[str, Mapping[str, Record]]
+    level: int
+
+    def frames(self, track: Track, method: str) -> Mapping[str, Errors]:
+        """Errors of a method on the frames of a track."""
+        return self.records[track.name][method].frames
+
+    def interval(self, track: Track, method: str, *path: str) -> Interval:
+        """Mean over the frames of a track of one number, and its bootstrap interval of 95 % over scenes."""
+        return bootstrap_interval(values_of(self.frames(track, method), *path))
+
+    def mean(self, method: str, *path: str) -> float:
+        """Mean of one number over the frames of all tracks that have it; NaN if none has."""
+        every = [value for track in self.tracks for value in values_of(self.frames(track, method), *path)]
+        known = [value for value in every if not math.isnan(value)]
+        return math.fsum(known) / len(known) if known else math.nan
+
+
+def report(folder: Path, comparison: Comparison) -> None:
+    """Write ``benchmark.md``, ``benchmark.json`` and ``index.html``, and print the first table."""
+    tables = list(all_tables(comparison).values())
+    parts = ["# Benchmark of depth methods\n", *(table.markdown() for table in tables)]
+    write_bytes(folder / "benchmark.md", "\n".join(parts).encode())
+    write_json(
+        folder / "benchmark.json",
+        {
+            track.name: {
+                method: {
+                    "frames": len(comparison.frames(track, method)),
+                    "means": comparison.records[track.name][method].means,
+                    "MAE": comparison.interval(track, method, "coarse", "all", "MAE")._asdict(),
+                    "cost": comparison.records[track.name][method].cost,
+                }
+                for method in comparison.methods
+            }
+            for track in comparison.tracks
+        },
+    )
+    pictures = [
+        f'<h2>{track.name}</h2>\n<img src="pages/{track.name}.png" loading="lazy" style="max-width:100%">'
+        for track in comparison.tracks
+    ]
+    head = f"<!doctype html><meta charset=utf-8><title>Benchmark</title>\n<style>{STYLE}</style>"
+    page = "\n".join([head, *(table.html() for table in tables), *pictures]) + "\n"
+    write_bytes(folder / "index.html", page.encode())
+    tables[0].print()
+
+
+def all_tables(comparison: Comparison) -> dict[str, Table]:
+    """The tables by name; the one of tilts only where there are such tracks."""
+    coarse, fine = f"level {comparison.level - 2}", f"level {comparison.level}"
+    tables = {
+        "mae": _by_track(comparison, f"MAE at {coarse}", ("coarse", "all", "MAE")),
+        "mae_fine": _by_track(comparison, f"MAE at {fine}", ("fine", "all", "MAE")),
+        "panorama": _by_track(comparison, "MAE on a panorama, by solid angle", ("panorama", "MAE")),
+        "above_1": _by_track(comparison, f"Points off by more than 1 % at {coarse}", ("coarse", "all", ">1")),
+        "rms": _by_track(comparison, f"RMS at {coarse}", ("coarse", "all", "RMS")),
+        "relative": _by_track(
+            comparison,
+            f"Mean relative error of the depth in metres, AbsRel, at {coarse}",
+            ("metres", "AbsRel"),
+            3,
+        ),
+        "within": _by_track(
+            comparison,
+            f"Share of depths within a factor 1.25 at {coarse}",
+            ("metres", "d<1.25"),
+            3,
+            best=max,
+        ),
+        "regions": _by_region(comparison, fine),
+    }
+    if len([track for track in comparison.tracks if track.shared_tilts_deg]) > 1:
+        tables["drift"] = _drift(comparison, coarse)
+    return {**tables, "confidence": _confidence(comparison, coarse), "cost": _cost(comparison)}
+
+
+def _by_track(
+    comparison: Comparison,
+    title: str,
+    path: tuple[str, ...],
+    digits: int = 2,
+    best: Callable[[Sequence[float]], float] = min,
+) -> Table:
+    rows: list[Row] = []
+    for track in comparison.tracks:
+        intervals = [comparison.interval(track, method, *path) for method in comparison.methods]
+        means = [interval.mean for interval in intervals if not math.isnan(interval.mean)]
+        winner = best(means) if len(means) > 1 else math.nan
+        cells = [
+            None if math.isnan(i.mean) else Cell(i.mean, None, digits, (i.low, i.high), i.mean == winner)
+            for i in intervals
+        ]
+        rows.append([track.name, *cells])
+    scenes = max(len(comparison.frames(t, m)) for t in comparison.tracks for m in comparison.methods)
+    about = f"{title}: mean over {scenes} scenes, and in brackets 95 % of the bootstrap means over scenes."
+    return Table(about, ["track", *comparison.methods], [rows])
+
+
+def _by_region(comparison: Comparison, level: str) -> Table:
+    rows: list[Row] = []
+    for region in REGIONS[:-1]:
+        share = comparison.mean(comparison.methods[0], "points", region)
+        errors = [comparison.mean(method, "fine", region, "MAE") for method in comparison.methods]
+        rows.append([region, _number(share, 1), *map(_number, errors)])
+    title = f"MAE at {level} by kind of place: mean over the frames of all tracks that have such places."
+    return Table(title, ["place", "% of points", *comparison.methods], [rows])
+
+
+def _drift(comparison: Comparison, level: str) -> Table:
+    tracks = sorted((t for t in comparison.tracks if t.shared_tilts_deg), key=lambda t: t.rig.tilt_deg)
+    rows: list[Row] = []
+    for method in comparison.methods:
+        means = [comparison.interval(track, method, "coarse", "shared", "MAE").mean for track in tracks]
+        rows.append([method, *(f"{_number(mean)} (x{_number(mean / means[0])})" for mean in means)])
+    title = (
+        f"MAE at {level} of the same points, those that two cameras see at every tilt, and its ratio to the "
+        "first column's."
+    )
+    return Table(title, ["method", *(f"{track.rig.tilt_deg:g}°" for track in tracks)], [rows])
+
+
+def _confidence(comparison: Comparison, level: str) -> Table:
+    rows: list[Row] = []
+    for method in comparison.methods:
+        every = comparison.mean(method, "kept", "1")
+        kept = [comparison.mean(method, "kept", f"{share:g}") / every for share in KEPT[1:]]
+        rows.append([method, *map(_number, (every, *kept))])
+    columns = ["method", "MAE of all", *(f"surest {100 * share:g} %" for share in KEPT[1:])]
+    title = f"MAE at {level} of the points of which a method is surest, as a ratio to that of all; mean over tracks."
+    return Table(title, columns, [rows])
+
+
+def _cost(comparison: Comparison) -> Table:
+    rows: list[Row] = []
+    for method in comparison.methods:
+        records = [comparison.records[track.name][method] for track in comparison.tracks]
+        cost = next((record.cost for record in records if record.cost is not None), None)
+        seconds = sorted(v for record in records for v in values_of(record.frames, "seconds"))
+        operations = None if cost is None else cost["gflop"]
+        parameters = "–" if cost is None else f"{cost['parameters']:,}"
+        median = _number(seconds[len(seconds) // 2]) if seconds else "–"
+        rows.append([method, parameters, "–" if operations is None else f"{operations:.1f}", median])
+    title = (
+        "What a frame takes: operations of matrices and convolutions in the reference kernels, and CPU seconds on "
+        "one thread (median)."
+    )
+    return Table(title, ["method", "parameters", "GFLOP", "CPU s"], [rows])
+
+
+def _number(value: float, digits: int = 2) -> str:
+    return "–" if math.isnan(value) else f"{value:.{digits}f}"

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import os
-import subprocess
+import multiprocessing
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.core import reference_kernels
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
-from sphericalvision.recipes.benchmark.plain_setup import plain_setup
 from sphericalvision.sweep import SphereSweep
 
 __all__ = ["WAYS", "alone"]
@@ -46,31 +44,21 @@ def alone(
         >>> alone("setup", "sphericalvision", level=3, num_hypotheses=4) > 0
         True
     """
-    task = {"stage": stage, "way": way, "level": level, "num_hypotheses": num_hypotheses, "device": device}
-    answer = subprocess.run(
-        [sys.executable, "-m", __name__, json.dumps(task | options)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"OMP_NUM_THREADS": str(torch.get_num_threads())},
-    )
-    if answer.returncode:
-        raise RuntimeError(
-            f"{stage}, {way}: the process of its own ended with {answer.stderr.strip()[-500:]}"
-        )
-    return float(answer.stdout.split()[-1])
+    threads = torch.get_num_threads()
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, context, torch.set_num_threads, (threads,)) as pool:
+        return pool.submit(_run, stage, way, level, num_hypotheses, device, **options).result()
 
 
 def _run(
     stage: str, way: str, level: int, num_hypotheses: int, device: str, feature_channels: int = 32
 ) -> float:
     place = torch.device(device)
+    plainly = reference_kernels() if way == WAYS[0] else contextlib.nullcontext()
     rig = ring_rig(4).to(place)
     if stage == "setup":
         start = time.perf_counter()
-        if way == "plain":
-            plain_setup(rig.to("cpu"), level, num_hypotheses)
-        else:  # charts are slices of the vertices' order: there is nothing else to make
+        with plainly:  # charts are slices of the vertices' order: there is nothing else to make
             SphereSweep(level - 2, num_hypotheses, 0.55).to(place).tables(rig)
         if place.type == "cuda":
             torch.cuda.synchronize()
@@ -79,7 +67,7 @@ def _run(
     net.configure(recompute=way == WAYS[2], native=way == WAYS[3])
     images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=place) - 1
     tables = net.sweep.tables(rig)
-    with reference_kernels() if way == WAYS[0] else contextlib.nullcontext():
+    with plainly:
         if stage == "inference":
             net.eval()
             return _added_memory(torch.inference_mode()(lambda: net(images, tables)), place)
@@ -112,7 +100,3 @@ def _resident(field: str) -> float:
 
         unit = 1 if sys.platform == "darwin" else 1024
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
-
-
-if __name__ == "__main__":
-    print(_run(**json.loads(sys.argv[1])))

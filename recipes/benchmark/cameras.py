@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera models beside the bare evaluation of their formulas and beside other libraries, in turns."""
+"""Camera models beside other libraries, in turns."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
-from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
 from omegaconf import DictConfig
-from torch import Tensor
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
@@ -27,11 +25,10 @@ from sphericalvision.cameras import (
     Remap,
     UnifiedCamera,
 )
-from sphericalvision.recipes.benchmark import camera_formulas as bare
 from sphericalvision.recipes.benchmark.camera_peers import Peers, perspective_peers
 from sphericalvision.recipes.benchmark.measuring import Comparison
 
-__all__ = ["Model", "comparisons", "models"]
+__all__ = ["cameras", "comparisons"]
 
 SIZE, FOCAL, CENTER = (800, 800), [240.0, 241.0], [399.2, 400.7]
 DISTORTION = [-0.0069, 0.0448, -0.0435, 0.0084]
@@ -42,107 +39,47 @@ DOUBLE_SPHERE = [-0.2, 0.58]
 RADIAL = [240.0, -2.0, 12.0, -4.0]
 OCAM, OCAM_INVERSE, AFFINE = [-240.0, 0.0, 1.1e-3, 2e-7, 1e-10], [376.0, 235.0, -2.0, 9.0], [1.0, 1e-3, 2e-3]
 
-Formula = Callable[[Tensor], Tensor]
-
-
-class Model(NamedTuple):
-    """A camera with its bare formulas: no checks, no validity, no care at the axis; None for an iterative inverse."""
-
-    camera: Camera
-    project: Formula | None
-    unproject: Formula | None
-
 
 def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Every model both ways in single and double precision; then images from one camera to another."""
     peers = Peers(FOCAL, CENTER, DISTORTION, PLUMB_BOB, DOUBLE_SPHERE)
     for dtype in (torch.float32, torch.float64):
-        for name, model in models(device, dtype).items():
-            yield from _both_ways(name, model, config.num_points, peers)
+        for name, camera in cameras().items():
+            yield from _both_ways(name, camera.to(device, dtype), config.num_points, peers)
     yield from _images(device)
 
 
-def models(device: torch.device, dtype: torch.dtype) -> dict[str, Model]:
+def cameras() -> dict[str, Camera]:
     """One camera of every kind."""
-    f, c = (torch.tensor(pair, dtype=dtype, device=device) for pair in (FOCAL, CENTER))
-
-    def model(
-        camera: Camera, project: Callable[..., Tensor], unproject: Callable[..., Tensor] | None, *rest: Any
-    ) -> Model:
-        inverse = None if unproject is None else partial(unproject, f=f, c=c, rest=rest)
-        return Model(camera.to(device, dtype), partial(project, f=f, c=c, rest=rest), inverse)
-
-    found = {
-        "pinhole": model(PinholeCamera(FOCAL, CENTER, SIZE), bare.project_pinhole, bare.unproject_pinhole),
-        "Brown-Conrady, 5": model(
-            BrownConradyCamera(FOCAL, CENTER, PLUMB_BOB, SIZE), bare.project_brown_conrady, None, *PLUMB_BOB
-        ),
-        "Kannala-Brandt": model(
-            KannalaBrandtCamera(FOCAL, CENTER, DISTORTION, SIZE, WIDE),
-            bare.project_kannala_brandt,
-            None,
-            *DISTORTION,
-        ),
-        "unified": model(
-            UnifiedCamera(FOCAL, CENTER, 0.9, None, SIZE), bare.project_unified, bare.unproject_unified, 0.9
-        ),
-        "extended unified": model(
-            ExtendedUnifiedCamera(FOCAL, CENTER, 0.6, 1.1, SIZE),
-            bare.project_extended_unified,
-            bare.unproject_extended_unified,
-            0.6,
-            1.1,
-        ),
-        "double sphere": model(
-            DoubleSphereCamera(FOCAL, CENTER, DOUBLE_SPHERE[0], DOUBLE_SPHERE[1], SIZE, WIDE),
-            bare.project_double_sphere,
-            bare.unproject_double_sphere,
-            *DOUBLE_SPHERE,
-        ),
-        "radial polynomial": model(
-            RadialPolynomialCamera(RADIAL, CENTER, 1.0, SIZE, WIDE),
-            bare.project_radial_polynomial,
-            None,
-            *RADIAL,
-        ),
-        "OCam, inverse polynomial": model(
-            OCamCamera(OCAM, OCAM_INVERSE, CENTER, AFFINE, SIZE, WIDE),
-            bare.project_ocam,
-            bare.unproject_ocam,
-            OCAM,
-            OCAM_INVERSE,
-            AFFINE,
-        ),
-        "OCam, exact inverse": Model(
-            OCamCamera(OCAM, None, CENTER, AFFINE, SIZE, WIDE).to(device, dtype), None, None
-        ),
+    pinhole = (FOCAL, CENTER)
+    found: dict[str, Camera] = {
+        "pinhole": PinholeCamera(*pinhole, SIZE),
+        "Brown-Conrady, 5": BrownConradyCamera(*pinhole, PLUMB_BOB, SIZE),
+        "Kannala-Brandt": KannalaBrandtCamera(*pinhole, DISTORTION, SIZE, WIDE),
+        "unified": UnifiedCamera(*pinhole, 0.9, None, SIZE),
+        "extended unified": ExtendedUnifiedCamera(*pinhole, 0.6, 1.1, SIZE),
+        "double sphere": DoubleSphereCamera(*pinhole, DOUBLE_SPHERE[0], DOUBLE_SPHERE[1], SIZE, WIDE),
+        "radial polynomial": RadialPolynomialCamera(RADIAL, CENTER, 1.0, SIZE, WIDE),
+        "OCam, inverse polynomial": OCamCamera(OCAM, OCAM_INVERSE, CENTER, AFFINE, SIZE, WIDE),
+        "OCam, exact inverse": OCamCamera(OCAM, None, CENTER, AFFINE, SIZE, WIDE),
+        "equirectangular": EquirectangularCamera(SIZE),
     }
     for projection in ("equidistant", "equisolid", "stereographic", "orthographic"):
         widest = min(WIDE, math.radians(89)) if projection == "orthographic" else WIDE
-        camera = FisheyeCamera(projection, torch.tensor(FOCAL), CENTER, SIZE, widest)
-        found[projection] = model(camera, bare.project_fisheye, bare.unproject_fisheye, projection)
-    panorama = EquirectangularCamera(SIZE)
-    found["equirectangular"] = model(
-        panorama, bare.project_equirectangular, bare.unproject_equirectangular, *SIZE
-    )
+        found[projection] = FisheyeCamera(projection, torch.tensor(FOCAL), CENTER, SIZE, widest)
     return found
 
 
-def _both_ways(name: str, model: Model, number: int, peers: Peers) -> Iterator[Comparison]:
-    camera = model.camera
+def _both_ways(name: str, camera: Camera, number: int, peers: Peers) -> Iterator[Comparison]:
     generator = torch.Generator().manual_seed(0)
     size = torch.tensor([SIZE[1] - 1, SIZE[0] - 1])
     pixels = (torch.rand(number, 2, generator=generator) * size).to(camera.max_angle)
     points = camera.unproject(pixels).directions
     label = f"{name}, {number} points, {str(camera.dtype).removeprefix('torch.')}"
-    for verb, formula, values in (("project", model.project, points), ("unproject", model.unproject, pixels)):
-        runs: dict[str, Callable[[], Any]] = (
-            {} if formula is None else {"bare formula": partial(formula, values)}
-        )
-        runs["sphericalvision"] = partial(getattr(camera, verb), values)
+    for verb, values in (("project", points), ("unproject", pixels)):
         others, note = peers.runs(name, verb, values)
-        runs |= others
-        reference = next((run for run in ("bare formula", "kornia") if run in runs), "sphericalvision")
+        runs = {"sphericalvision": partial(getattr(camera, verb), values), **others}
+        reference = next((run for run in ("kornia", "OpenCV") if run in runs), "sphericalvision")
         yield Comparison(f"{verb}: {label}", runs, reference, note=note)
 
 

@@ -16,8 +16,8 @@ from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import choose_device, console
-from sphericalvision.recipes.benchmark.measuring import Comparison, Measured, Peaks, measure
-from sphericalvision.recipes.benchmark.tables import machine, print_measured, save_measured
+from sphericalvision.recipes.benchmark.measuring import Comparison, Measurement, measure, peaks_of
+from sphericalvision.recipes.benchmark.tables import comparison_table, machine, save_measurements
 
 __all__ = ["GROUPS", "benchmark"]
 
@@ -46,7 +46,7 @@ def comparisons(group: str, config: DictConfig, device: torch.device) -> Iterato
     yield from import_module(f"sphericalvision.recipes.benchmark.{group}").comparisons(config, device)
 
 
-def benchmark(config: DictConfig, folder: Path) -> list[Measured]:
+def benchmark(config: DictConfig, folder: Path) -> list[Measurement]:
     """Measure the groups that ``config`` names; the tables go to ``folder``.
 
     Raises:
@@ -61,7 +61,7 @@ def benchmark(config: DictConfig, folder: Path) -> list[Measured]:
     facts = machine(device)
     for key, value in facts.items():
         console.print(f"{key}: {value}", highlight=False)
-    rows: list[Measured] = []
+    rows: list[Measurement] = []
     titles: list[str] = []
     for group in config.groups:
         for comparison in comparisons(group, config, device):
@@ -69,10 +69,12 @@ def benchmark(config: DictConfig, folder: Path) -> list[Measured]:
                 titles.append(comparison.title)
                 continue
             with console.status(comparison.title):
-                measured = measure(comparison, config.seconds, device, peaks=Peaks.of(rows))
-            print_measured(measured)
+                measured = measure(comparison, config.seconds, device, peaks=peaks_of(rows))
+            comparison_table(measured).print()
             rows += measured
-            written = save_measured(folder, rows, facts)  # after each, so that an interruption loses little
+            written = save_measurements(
+                folder, rows, facts
+            )  # after each, so that an interruption loses little
     if not rows:
         raise ArgumentError(f"only: expected a part of a title, got {config.only!r}; there are {titles}")
     for path in written:

@@ -10,7 +10,6 @@ import torch
 from omegaconf import DictConfig
 from torch import Tensor, nn
 
-from sphericalvision.core import reference_kernels
 from sphericalvision.crown import (
     Crown,
     CrownConv2d,
@@ -22,6 +21,7 @@ from sphericalvision.crown import (
 )
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.benchmark.measuring import Comparison
+from sphericalvision.recipes.benchmark.ways import plainly
 from sphericalvision.sphere import CubePad2d, EquirectangularPad2d, SphereConv2d
 
 __all__ = ["comparisons"]
@@ -58,7 +58,7 @@ def _planar(level: int, channels: int, device: torch.device, native: bool) -> Co
             HexConv2d(channels, channels, orientation="north", level=level), values
         ),
         "crown, both directions": run(CrownConv2d(channels, channels), to_crown(values)),
-        "crown, the plain way": _by_reference(run(CrownConv2d(channels, channels), to_crown(values))),
+        "crown, the plain way": plainly(run(CrownConv2d(channels, channels), to_crown(values))),
         "tangent planes": run(SphereConv2d(channels, channels, bias=False), image),
         "planar, panorama padded": run(nn.Sequential(EquirectangularPad2d(1), planar(0)), image),
         "planar, cube padded": run(nn.Sequential(CubePad2d(1), planar(0)), faces),
@@ -111,14 +111,6 @@ def _spatial(level: int, channels: int, hypotheses: int, device: torch.device, n
 def _native(layer: nn.Module) -> nn.Module:
     set_kernel_options(layer, native=True)
     return layer
-
-
-def _by_reference(run: Callable[[], object]) -> Callable[[], object]:
-    def by_reference() -> object:
-        with reference_kernels():
-            return run()
-
-    return by_reference
 
 
 def _forward_and_backward(layer: nn.Module, given: Tensor | Crown) -> Callable[[], object]:

@@ -6,12 +6,12 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
 
-__all__ = ["BF16", "Comparison", "Measured", "Peaks", "measure"]
+__all__ = ["BF16", "Comparison", "Measurement", "measure", "peaks_of", "share_of_peak"]
 
 Run = Callable[[], Any]
 
@@ -47,81 +47,69 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurement:
     """What came out for one function.
 
     Attributes:
-        title: of the comparison.
+        comparison: the work that it does.
         name: of the function.
-        median: over all rounds, in ``unit``.
-        unit: "s", "MB" or "%".
+        median: over all rounds, in the comparison's unit.
         spread: half the distance between the quartiles, as a share of the median.
         ratio: how often this fits into the reference: above 1 is faster, or smaller.
         first: seconds of the first call, which compiles and fills caches; None for reported measurements.
-        gflop: what the work needs, in 1e9 operations.
-        gbyte: what the work must move, in 1e9 bytes.
         share: of the speed that the machine's peaks allow for this work; None where they were not measured.
         rounds: number of measurements.
-        peak: whether this is a peak of the machine, and of what.
-        note: a line below the table.
     """
 
-    title: str
+    comparison: Comparison
     name: str
     median: float
-    unit: str
-    spread: float
-    ratio: float
+    spread: float = 0.0
+    ratio: float = 1.0
     first: float | None = None
-    gflop: float | None = None
-    gbyte: float | None = None
     share: float | None = None
     rounds: int = 1
-    peak: str | None = None
-    note: str = field(default="", repr=False)
+
+    @property
+    def unit(self) -> str:
+        """ "s", "MB" or "%"."""
+        return self.comparison.unit.removeprefix("reported ")
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """All of it as plain values."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "comparison"}
+        work = {key: getattr(self.comparison, key) for key in ("title", "gflop", "gbyte", "peak", "note")}
+        return {**work, **own, "unit": self.unit}
 
 
-@dataclass(frozen=True)
-class Peaks:
-    """What the machine can do, as measured in the same run; None where it was not.
+def peaks_of(rows: Iterable[Measurement]) -> dict[str, float]:
+    """What rows of the group ``machine`` reached at best: operations (in bfloat16, too) and bytes a second."""
+    best: dict[str, float] = {}
+    for row in rows:
+        work = row.comparison
+        amount = work.gflop if work.peak == "FLOP" else work.gbyte
+        if work.peak is not None and amount is not None:
+            key = work.peak + (BF16 if row.name.endswith(BF16) else "")
+            best[key] = max(best.get(key, 0.0), amount * 1e9 / row.median)
+    return best
 
-    Attributes:
-        flops: operations a second in float32.
-        flops_bf16: operations a second in bfloat16.
-        bytes: bytes a second, read and written together.
+
+def share_of_peak(peaks: Mapping[str, float], work: Comparison, name: str, seconds: float) -> float | None:
+    """The least time that operations and traffic allow, as a share of the seconds that were taken.
+
+    Examples:
+        >>> work = Comparison("stage", {}, "", gflop=50.0, gbyte=8.0)
+        >>> share_of_peak({"FLOP": 100e9, "byte": 10e9}, work, "ours", seconds=2.0)  # traffic takes 0.8 s
+        0.4
     """
-
-    flops: float | None = None
-    flops_bf16: float | None = None
-    bytes: float | None = None
-
-    @staticmethod
-    def of(rows: Iterable[Measured]) -> Peaks:
-        """The best of what the rows of the group ``machine`` reached."""
-        best: dict[str, float] = {}
-        for row in rows:
-            amount = row.gflop if row.peak == "FLOP" else row.gbyte
-            if row.peak is not None and amount is not None:
-                key = "bytes" if row.peak == "byte" else "flops_bf16" if row.name.endswith(BF16) else "flops"
-                best[key] = max(best.get(key, 0.0), amount * 1e9 / row.median)
-        return Peaks(**best)
-
-    def share(
-        self, name: str, seconds: float, gflop: float | None = None, gbyte: float | None = None
-    ) -> float | None:
-        """The least time that operations and traffic allow, as a share of the seconds that were taken.
-
-        Examples:
-            >>> Peaks(flops=100e9, bytes=10e9).share("stage", seconds=2.0, gflop=50.0, gbyte=8.0)  # traffic takes 0.8 s
-            0.4
-        """
-        flops = self.flops_bf16 if name.endswith(BF16) else self.flops
-        floors = [
-            amount * 1e9 / peak
-            for amount, peak in ((gflop, flops), (gbyte, self.bytes))
-            if amount is not None and peak is not None
-        ]
-        return max(floors) / seconds if floors else None
+    operations = "FLOP" + (BF16 if name.endswith(BF16) else "")
+    floors = [
+        amount * 1e9 / peaks[peak]
+        for amount, peak in ((work.gflop, operations), (work.gbyte, "byte"))
+        if amount is not None and peak in peaks
+    ]
+    return max(floors) / seconds if floors and work.peak is None else None
 
 
 def measure(
@@ -129,8 +117,8 @@ def measure(
     seconds: float = 2.0,
     device: torch.device | str = "cpu",
     most_rounds: int = 50,
-    peaks: Peaks | None = None,
-) -> list[Measured]:
+    peaks: Mapping[str, float] | None = None,
+) -> list[Measurement]:
     """Run all functions in turns until each has had ``seconds`` (three rounds at least), after one to warm up.
 
     Ratios are medians over rounds, so that both sides of a ratio have met the same state of the machine. Functions
@@ -148,30 +136,13 @@ def measure(
         for _ in range(comparison.rounds):
             for name, run in runs.items():
                 columns[name].append(float(run()))
-    peaks = Peaks() if peaks is None else peaks
-    unit = comparison.unit.removeprefix("reported ")
     rows = []
     for name, column in columns.items():
         median = statistics.median(column)
-        share = None
-        if unit == "s" and comparison.peak is None:
-            share = peaks.share(name, median, comparison.gflop, comparison.gbyte)
+        share = share_of_peak(peaks or {}, comparison, name, median) if comparison.unit == "s" else None
+        ratio = _ratio(columns[comparison.reference], column)
         rows.append(
-            Measured(
-                title=comparison.title,
-                name=name,
-                median=median,
-                unit=unit,
-                spread=_spread(column),
-                ratio=_ratio(columns[comparison.reference], column),
-                first=first.get(name),
-                gflop=comparison.gflop,
-                gbyte=comparison.gbyte,
-                share=share,
-                rounds=len(column),
-                peak=comparison.peak,
-                note=comparison.note,
-            )
+            Measurement(comparison, name, median, _spread(column), ratio, first.get(name), share, len(column))
         )
     return rows
 

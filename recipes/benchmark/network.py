@@ -12,8 +12,6 @@ import torch
 import torch.nn.functional as F
 from omegaconf import DictConfig
 from torch import Tensor
-from torch._subclasses.fake_tensor import FakeTensorMode
-from torch.utils.flop_counter import FlopCounterMode
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import check_choice, reference_kernels
@@ -22,7 +20,7 @@ from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.benchmark.alone import WAYS, alone
 from sphericalvision.recipes.benchmark.measuring import BF16, Comparison
-from sphericalvision.recipes.benchmark.plain_setup import plain_sweep_tables, plain_volume
+from sphericalvision.recipes.benchmark.ways import OURS, both_ways, count_gbyte, count_gflop
 from sphericalvision.sweep import SphereSweep, SweepTables, soft_argmax
 
 __all__ = ["OPTIONS", "comparisons"]
@@ -30,7 +28,6 @@ __all__ = ["OPTIONS", "comparisons"]
 OPTIONS = ("bf16", "compiled", "native")
 """Other ways to run the network; what they compile shows in the time of the first call."""
 
-OURS = "sphericalvision"
 Run = Callable[[], Any]
 
 
@@ -57,55 +54,45 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
         features = net.extract_features(images)
         volume = net.sweep(features, tables).values.flatten(1, 2)
         logits = net.regularizer(volume)
-    flop_features = _gflop(lambda: net.extract_features(images))
-    flop_regularizer = _gflop(lambda: net.regularizer(volume))
+    flop_features = count_gflop(lambda: net.extract_features(images))
+    flop_regularizer = count_gflop(lambda: net.regularizer(volume))
     yield Comparison(
         f"{label}: features of four cameras",
-        {
-            "plain": _plainly(lambda: net.extract_features(images)),
-            OURS: _inference(lambda: net.extract_features(images)),
-        },
+        both_ways(lambda: net.extract_features(images)),
         "plain",
         flop_features,
-        gbyte=_gbyte(images, features) + sum(p.numel() * 4 for p in net.features.parameters()) / 1e9,
+        gbyte=count_gbyte(images, features) + sum(p.numel() * 4 for p in net.features.parameters()) / 1e9,
     )
     yield Comparison(
         f"{label}: cost volume",
-        {
-            "plain": _inference(lambda: plain_volume(features, tables)),
-            OURS: _inference(lambda: net.sweep(features, tables)),
-        },
+        both_ways(lambda: net.sweep(features, tables)),
         "plain",
         2 * 3 * volume.numel() / 1e9,
-        gbyte=_gbyte(features, volume, *tables),
+        gbyte=count_gbyte(features, volume, *tables),
     )
     yield Comparison(
         f"{label}: regulariser",
-        {
-            "plain": _plainly(lambda: net.regularizer(volume)),
-            OURS: _inference(lambda: net.regularizer(volume)),
-        }
+        both_ways(lambda: net.regularizer(volume))
         | _native(net, lambda: net.regularizer(volume), config.options),
         "plain",
         flop_regularizer,
         "Operations are those of the plain way. Winograd's ways need three tenths at most: shares may pass 100 %.",
-        gbyte=_gbyte(volume, logits) + sum(p.numel() * 4 for p in net.regularizer.parameters()) / 1e9,
+        gbyte=count_gbyte(volume, logits) + sum(p.numel() * 4 for p in net.regularizer.parameters()) / 1e9,
     )
     steps = torch.arange(number, device=device, dtype=logits.dtype).view(1, -1, 1)
     yield Comparison(
         f"{label}: regression",
         {
-            "plain": _inference(lambda: (logits.softmax(1) * steps).sum(1)),
-            OURS: _inference(lambda: soft_argmax(logits)),
+            "plain": torch.inference_mode()(lambda: (logits.softmax(1) * steps).sum(1)),
+            OURS: torch.inference_mode()(lambda: soft_argmax(logits)),
         },
         "plain",
-        gbyte=_gbyte(logits, logits[:, 0]),
+        gbyte=count_gbyte(logits, logits[:, 0]),
     )
-    flop, gbyte = flop_features + flop_regularizer, _gbyte(images, logits[:, 0], *tables) + weights / 1e9
+    flop, gbyte = flop_features + flop_regularizer, count_gbyte(images, logits[:, 0], *tables) + weights / 1e9
     yield Comparison(
         f"{label}: whole inference",
-        {"plain": _plainly(lambda: net(images, tables)), OURS: _inference(lambda: net(images, tables))}
-        | _optional(net, images, tables, config.options),
+        both_ways(lambda: net(images, tables)) | _optional(net, images, tables, config.options),
         "plain",
         flop,
         gbyte=gbyte,
@@ -139,17 +126,14 @@ def _setup(label: str, level: int, number: int, rig: CameraRig, device: torch.de
         "plain",
         unit="reported s",
         rounds=3,
-        note="Index tables for a new rig in a fresh process, after imports. Ours keeps no tables of charts.",
+        note="Tables for a new rig in a fresh process, after imports.",
     )
     sweep = SphereSweep(level - 2, number, 0.55).to(device)
     yield Comparison(
         f"{label}: sweep tables of a new rig",
-        {
-            "plain": lambda: plain_sweep_tables(rig.to("cpu"), level - 2, number),
-            OURS: _inference(lambda: sweep.tables(rig)),
-        },
+        both_ways(lambda: sweep.tables(rig)),
         "plain",
-        gbyte=_gbyte(*sweep.tables(rig)),
+        gbyte=count_gbyte(*sweep.tables(rig)),
     )
 
 
@@ -174,7 +158,7 @@ def _projection(label: str, level: int, rig: CameraRig, device: torch.device) ->
             "rig.sample_sphere, any rig": lambda: rig.sample_sphere(pictures, directions),
         },
         "bare grid_sample",
-        gbyte=_gbyte(stack, grids) + 4 * 3 * 4 * len(directions) / 1e9,
+        gbyte=count_gbyte(stack, grids) + 4 * 3 * 4 * len(directions) / 1e9,
     )
 
 
@@ -204,7 +188,7 @@ def _optional(net: IcoSweepNet, images: Tensor, tables: SweepTables, options: li
             with torch.autocast(images.device.type, torch.bfloat16):
                 return run()
 
-        return _inference(cast)
+        return torch.inference_mode()(cast)
 
     runs = _native(net, lambda: net(images, tables), options)
     if "bf16" in options:
@@ -227,21 +211,7 @@ def _native(net: IcoSweepNet, run: Run, options: list[str]) -> dict[str, Run]:
         finally:
             net.configure(native=False)
 
-    return {WAYS[3]: _inference(with_operators)} if "native" in options else {}
-
-
-def _inference(run: Run) -> Run:
-    return torch.inference_mode()(run)
-
-
-def _plainly(run: Run) -> Run:
-    """Inference by the readable formulas alone."""
-
-    def by_reference() -> Any:
-        with reference_kernels():
-            return run()
-
-    return _inference(by_reference)
+    return {WAYS[3]: torch.inference_mode()(with_operators)} if "native" in options else {}
 
 
 def _step(
@@ -263,19 +233,3 @@ def _step(
     net.zero_grad()
     net.configure(recompute=False, native=False)
     net.eval()
-
-
-def _gbyte(*tensors: Tensor) -> float:
-    return sum(tensor.numel() * tensor.element_size() for tensor in tensors) / 1e9
-
-
-def _gflop(run: Run) -> float:
-    """Floating-point operations of convolutions and matrix products, in 1e9; counted on shapes alone."""
-    with (
-        torch.no_grad(),
-        reference_kernels(),
-        FakeTensorMode(allow_non_fake_inputs=True),
-        FlopCounterMode(display=False) as counter,
-    ):
-        run()
-    return float(counter.get_total_flops()) / 1e9

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import multiprocessing
 import time
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import torch
 from omegaconf import DictConfig
@@ -49,44 +48,30 @@ def seconds_per_sample(processes: int, threads: int, seconds: float, native: boo
         >>> seconds_per_sample(processes=1, threads=1, seconds=0.1) > 0
         True
     """
-    command = [sys.executable, "-m", __name__, str(threads), str(seconds), str(int(native))]
+    context = multiprocessing.get_context("spawn")
+    ready, rates = context.Barrier(processes), context.SimpleQueue()
     running = [
-        subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=os.environ | {"OMP_NUM_THREADS": str(threads)},
-        )
+        context.Process(target=_train, args=(threads, seconds, native, ready, rates))
         for _ in range(processes)
     ]
     for process in running:
-        assert process.stdout is not None
-        process.stdout.readline()  # it is ready
+        process.start()
     for process in running:
-        assert process.stdin is not None
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    answers = [process.communicate()[0] for process in running]
-    if any(process.returncode for process in running):
+        process.join()
+    if any(process.exitcode for process in running):
         raise RuntimeError("a process that trains ended with an error, which stands above")
-    return 1 / sum(float(answer.split()[-1]) for answer in answers)
+    return 1 / sum(rates.get() for _ in running)
 
 
-def _train(threads: int, seconds: float, native: bool) -> None:
-    """Say that all is ready, wait for a line, and print how many samples a second were learnt from."""
+def _train(threads: int, seconds: float, native: bool, ready: Any, rates: Any) -> None:
+    """Wait until all processes are ready, and tell how many samples a second were learnt from."""
     torch.set_num_threads(threads)
     step = training_step(native)
     for _ in range(2):
         step()
-    print("ready", flush=True)
-    sys.stdin.readline()
+    ready.wait()
     start, steps = time.perf_counter(), 0
     while not steps or time.perf_counter() - start < seconds:
         step()
         steps += 1
-    print(steps / (time.perf_counter() - start))
-
-
-if __name__ == "__main__":
-    _train(int(sys.argv[1]), float(sys.argv[2]), sys.argv[3] == "1")
+    rates.put(steps / (time.perf_counter() - start))

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -11,10 +10,10 @@ import torch
 from omegaconf import DictConfig
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import reference_kernels
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.recipes.benchmark.measuring import Comparison
+from sphericalvision.recipes.benchmark.ways import both_ways, cpu_seconds
 from sphericalvision.sweep import SphereSweep
 from sphericalvision.sweep.correlation import correlation_evidence
 
@@ -43,17 +42,5 @@ def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison
 
 
 def _by_both_ways(title: str, run: Callable[[], Any]) -> Comparison:
-    @torch.inference_mode()
-    def frame() -> float:
-        start = time.process_time()
-        run()
-        return time.process_time() - start
-
-    def plainly() -> float:
-        with reference_kernels():
-            return frame()
-
-    frame()  # fills caches of tables
-    return Comparison(
-        title, {"plain": plainly, "sphericalvision": frame}, "plain", unit="reported s", rounds=5
-    )
+    runs = {name: cpu_seconds(way) for name, way in both_ways(run).items()}
+    return Comparison(title, runs, "plain", unit="reported s", rounds=5)

@@ -3,20 +3,21 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import subprocess
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 
 import torch
 
-from sphericalvision.recipes.app.cli import print_table
-from sphericalvision.recipes.benchmark.measuring import Measured
+from sphericalvision.io.files import write_bytes
+from sphericalvision.recipes.benchmark.measuring import Comparison, Measurement
+from sphericalvision.recipes.evaluation.records import write_json
+from sphericalvision.recipes.evaluation.tables import Table
 
-__all__ = ["machine", "print_measured", "save_measured"]
+__all__ = ["comparison_table", "machine", "save_measurements"]
 
 COLUMNS = ["", "median", "±", "ratio", "first call", "GFLOP/s", "share of peak"]
 
@@ -58,48 +59,43 @@ def _commit() -> str:
     return answer.stdout.strip()
 
 
-def print_measured(rows: list[Measured]) -> None:
-    """Print one comparison."""
-    print_table(f"{rows[0].title}{_needs(rows[0])}", COLUMNS, [_cells(row) for row in rows])
+def comparison_table(rows: Sequence[Measurement]) -> Table:
+    """The measurements of one comparison."""
+    work = rows[0].comparison
+    return Table(f"{work.title}{_needs(work)}", COLUMNS, [[_cells(row) for row in rows]])
 
 
-def save_measured(folder: Path, rows: list[Measured], facts: Mapping[str, str]) -> list[Path]:
+def save_measurements(folder: Path, rows: Sequence[Measurement], facts: Mapping[str, str]) -> list[Path]:
     """Write all comparisons as ``benchmark.md`` and ``benchmark.json``."""
-    folder.mkdir(parents=True, exist_ok=True)
-    lines = [", ".join(f"{key} {value}" for key, value in facts.items() if value), ""]
-    for title in dict.fromkeys(row.title for row in rows):
-        own = [row for row in rows if row.title == title]
-        lines += [f"### {title}{_needs(own[0])}", "", f"| {' | '.join(COLUMNS)} |", "|---|" + "---:|" * 6]
-        lines += ["| " + " | ".join(_cells(row)) + " |" for row in own]
-        lines += ["", own[0].note, ""] if own[0].note else [""]
-    stored = {"machine": dict(facts), "rows": [asdict(row) for row in rows]}
-    texts = {"benchmark.md": "\n".join(lines), "benchmark.json": json.dumps(stored, indent=2) + "\n"}
-    for name, text in texts.items():
-        unfinished = folder / f".{name}.unfinished"
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(folder / name)
-    return [folder / name for name in texts]
+    parts = [", ".join(f"{key} {value}" for key, value in facts.items() if value) + "\n"]
+    for _, group in groupby(rows, lambda row: row.comparison.title):
+        own = list(group)
+        table = comparison_table(own)
+        parts += [f"### {table.title}\n", table._replace(title=own[0].comparison.note).markdown()]
+    write_bytes(folder / "benchmark.md", "\n".join(parts).encode())
+    write_json(folder / "benchmark.json", {"machine": dict(facts), "rows": [row.facts for row in rows]})
+    return [folder / "benchmark.md", folder / "benchmark.json"]
 
 
-def _needs(row: Measured) -> str:
+def _needs(work: Comparison) -> str:
     """What the work takes at least."""
     amounts = [
         f"{amount:.3g} {unit}"
-        for amount, unit in ((row.gflop, "GFLOP"), (row.gbyte, "GB"))
+        for amount, unit in ((work.gflop, "GFLOP"), (work.gbyte, "GB"))
         if amount is not None
     ]
     return f" ({', '.join(amounts)})" if amounts else ""
 
 
-def _cells(row: Measured) -> list[str]:
-    timed = row.unit == "s"
+def _cells(row: Measurement) -> list[str]:
+    gflop = row.comparison.gflop if row.unit == "s" else None
     return [
         row.name,
         _amount(row.median, row.unit),
         f"{row.spread:.0%}" if row.rounds > 1 else "",
         f"{row.ratio:.2f}",
         "" if row.first is None else _amount(row.first, "s"),
-        f"{row.gflop / row.median:.0f}" if timed and row.gflop is not None else "",
+        "" if gflop is None else f"{gflop / row.median:.0f}",
         "" if row.share is None else f"{row.share:.0%}",
     ]
 

@@ -3,18 +3,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 
 import torch
 from omegaconf import DictConfig
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import reference_kernels
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.benchmark.measuring import Comparison
 from sphericalvision.recipes.benchmark.variants import variant
+from sphericalvision.recipes.benchmark.ways import OURS, cpu_seconds, plainly
 
 __all__ = ["comparisons", "training_step"]
 
@@ -23,21 +21,19 @@ NETWORK, LEVEL, HYPOTHESES = "icosweepnet_small", 6, 16
 
 def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Layer by layer by the readable formulas, by the fast ways in PyTorch, and by operators in C++."""
-    runs = {"plain": training_step(plain=True), "sphericalvision": training_step()}
+    runs = {"plain": plainly(training_step()), OURS: training_step()}
     if "native" in config.options:
-        runs["sphericalvision, native"] = training_step(native=True)
-    for run in runs.values():
-        run()
+        runs[f"{OURS}, native"] = training_step(native=True)
     yield Comparison(
         f"level {LEVEL} to {LEVEL - 2}, N = {HYPOTHESES}: a training step of {NETWORK}, CPU time",
-        {name: _timed(run) for name, run in runs.items()},
+        {name: cpu_seconds(run) for name, run in runs.items()},
         "plain",
         unit="reported s",
         rounds=5,
     )
 
 
-def training_step(native: bool = False, plain: bool = False) -> Callable[[], None]:
+def training_step(native: bool = False) -> Callable[[], None]:
     """One step without the optimiser, as a function."""
     torch.manual_seed(0)
     net = variant(NETWORK, LEVEL, HYPOTHESES).train().configure(native=native)
@@ -45,17 +41,7 @@ def training_step(native: bool = False, plain: bool = False) -> Callable[[], Non
     images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(LEVEL)) - 1
 
     def step() -> None:
-        with reference_kernels() if plain else nullcontext():
-            net(images, tables).sum().backward()
+        net(images, tables).sum().backward()
         net.zero_grad()
 
     return step
-
-
-def _timed(run: Callable[[], None]) -> Callable[[], float]:
-    def timed() -> float:
-        start = time.process_time()
-        run()
-        return time.process_time() - start
-
-    return timed

@@ -11,14 +11,13 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
-from torch._subclasses.fake_tensor import FakeTensorMode
-from torch.utils.flop_counter import FlopCounterMode
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError, reference_kernels
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.benchmark.measuring import Comparison
+from sphericalvision.recipes.benchmark.ways import count_gflop
 
 __all__ = ["comparisons", "gflop", "variant"]
 
@@ -97,9 +96,6 @@ def gflop(net: IcoSweepNet) -> float:
 
     Nothing is computed: the operations are only counted.
     """
+    tables, images = net.sweep.tables(ring_rig(4)), _images(net.level, "cpu")
     net = IcoSweepNet(**net.hyperparameters).eval()
-    tables = net.sweep.tables(ring_rig(4))
-    counter = FlopCounterMode(display=False)
-    with reference_kernels(), FakeTensorMode(allow_non_fake_inputs=True), torch.inference_mode(), counter:
-        net(_images(net.level, "cpu"), tables)
-    return float(counter.get_total_flops()) / 1e9
+    return count_gflop(lambda: net(images, tables))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from rich.progress import track
@@ -11,8 +11,10 @@ from torch.utils.data import DataLoader
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.models import ConstantDepth, DepthNetwork, SemiGlobalSweep, WinnerTakesAll
-from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.evaluation.methods import Method
+
+if TYPE_CHECKING:
+    from sphericalvision.recipes.datamodules.base import SampleDataModule
 
 __all__ = ["baselines", "constants", "sweep"]
 

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.progress import track
 from torch.utils.data import Dataset, Subset
 
-from sphericalvision.recipes.datamodules.base import SampleDataModule
+if TYPE_CHECKING:
+    from sphericalvision.recipes.datamodules.base import SampleDataModule
+
 
 __all__ = ["Batch", "BatchFrames", "FrameSet", "SampleFrames"]
 

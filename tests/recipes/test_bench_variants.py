@@ -31,7 +31,7 @@ def test_real_time_network_needs_a_twentieth_of_the_arithmetic() -> None:
 def test_variants_stand_side_by_side(tmp_path: Path) -> None:
     rows = benchmark(config("variants=[icosweepnet,icosweepnet_rt]"), tmp_path)
     assert [row.name for row in rows] == ["icosweepnet", "icosweepnet_rt"]
-    assert "icosweepnet: 1,380,224 parameters" in rows[0].note
+    assert "icosweepnet: 1,380,224 parameters" in rows[0].comparison.note
 
 
 def test_unknown_variants_are_named(tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of a sweep: what each run changed, and what came out, written when the last run has ended."""
+"""The table of a multi-run: what each run changed, and what came out, written when the last run has ended."""
 
 from __future__ import annotations
 
@@ -11,32 +11,33 @@ from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
-from sphericalvision.io.files import write_bytes
-
-__all__ = ["SweepTable", "sweep_rows"]
+__all__ = ["MultirunTable", "multirun_rows"]
 
 
-class SweepTable(Callback):
+class MultirunTable(Callback):
     """A callback of Hydra's: prints the table of a multi-run and writes it, ``sweep.md`` and ``sweep.json``."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Gather the folders of the runs."""
+        # Hydra makes its callbacks before the task has imported torch, which takes care of when that happens.
+        from sphericalvision.recipes.evaluation.records import write_json
+        from sphericalvision.recipes.evaluation.tables import Table
+
         folder = Path(config.hydra.sweep.dir).absolute()
-        rows = sweep_rows(folder)
+        rows = multirun_rows(folder)
         if not rows:
             return
         columns = list(dict.fromkeys(key for row in rows for key in row))
-        lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
-        lines += [f"| {' | '.join(_text(row.get(column)) for column in columns)} |" for row in rows]
-        write_bytes(folder / "sweep.md", ("\n".join(lines) + "\n").encode())
-        write_bytes(folder / "sweep.json", (json.dumps(rows, indent=2) + "\n").encode())
-        print("\n".join(["", *lines, "", f"Table of the sweep: {folder / 'sweep.md'}"]))
+        table = Table("", columns, [[[row.get(column, "") for column in columns] for row in rows]])
+        table.save(folder / "sweep", ".md")
+        write_json(folder / "sweep.json", rows)
+        print(f"\n{table.markdown()}\nTable of the sweep: {folder / 'sweep.md'}")
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
         """Nothing: each run has written its own table."""
 
 
-def sweep_rows(folder: Path) -> list[dict[str, Any]]:
+def multirun_rows(folder: Path) -> list[dict[str, Any]]:
     """A row for each run that has ended: its number, the words that differ between runs, and its validation."""
     runs = []
     for path in folder.glob("*/validation.json"):
@@ -52,7 +53,3 @@ def sweep_rows(folder: Path) -> list[dict[str, Any]]:
     return [
         {"run": name, **{key: words.get(key, "") for key in differ}, **values} for name, words, values in runs
     ]
-
-
-def _text(value: Any) -> str:
-    return "" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)

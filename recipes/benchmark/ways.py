@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ways to run the same work, and what is measured of a run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.utils.flop_counter import FlopCounterMode
+
+from sphericalvision.core import reference_kernels
+
+__all__ = ["OURS", "both_ways", "count_gbyte", "count_gflop", "cpu_seconds", "plainly"]
+
+OURS = "sphericalvision"
+Run = Callable[[], Any]
+
+
+def plainly(run: Run) -> Run:
+    """The same by the readable formulas alone (``reference_kernels``)."""
+
+    def by_reference() -> Any:
+        with reference_kernels():
+            return run()
+
+    return by_reference
+
+
+def both_ways(run: Run) -> dict[str, Run]:
+    """Inference by the readable formulas, and as it is usually done."""
+    usual = torch.inference_mode()(run)
+    return {"plain": plainly(usual), OURS: usual}
+
+
+def cpu_seconds(run: Run) -> Callable[[], float]:
+    """CPU time of a run, which other processes do not change; tables are made, and caches filled, before."""
+    run()
+
+    def timed() -> float:
+        start = time.process_time()
+        run()
+        return time.process_time() - start
+
+    return timed
+
+
+def count_gflop(run: Run) -> float:
+    """Operations of convolutions and matrix products in 1e9, done directly; counted on shapes alone."""
+    counter = FlopCounterMode(display=False)
+    with torch.no_grad(), reference_kernels(), FakeTensorMode(allow_non_fake_inputs=True), counter:
+        run()
+    return float(counter.get_total_flops()) / 1e9
+
+
+def count_gbyte(*tensors: Tensor) -> float:
+    """What tensors weigh, in 1e9 bytes."""
+    return sum(tensor.numel() * tensor.element_size() for tensor in tensors) / 1e9

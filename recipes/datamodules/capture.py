@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
@@ -17,16 +19,15 @@ from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.predictor import check_number
 from sphericalvision.capture.preparation.nearest import nearest_hypothesis
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, AUTO, Preparation
+from sphericalvision.capture.pseudo_labels import PseudoLabeller, PseudoLabels
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
-from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Number, Positive, Share, Text, Unit
 from sphericalvision.recipes.app.schema import AtLeast
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
-from sphericalvision.recipes.datamodules.rehearsal import Rehearsal, random_disturbance
 from sphericalvision.recipes.prediction.own_body import with_own_body_masked
 from sphericalvision.recipes.prediction.sources import (
     open_source,
@@ -34,21 +35,13 @@ from sphericalvision.recipes.prediction.sources import (
     rig_for_images,
     spread_evenly,
 )
-from sphericalvision.recipes.training.rig_tables import RigTables
-from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
-from sphericalvision.sweep import (
-    correlation_evidence,
-    inverse_depth_from_index,
-    semi_global_sweep,
-    semi_global_tables,
-)
-from sphericalvision.sweep.consistency_share import consistency_share
-from sphericalvision.sweep.semi_global import SemiGlobalTables
+from sphericalvision.scenes.disturbances import RandomFaults
+from sphericalvision.scenes.draws import by_seed_and_globally
+from sphericalvision.scenes.random_rig_scenes import WorldSamples
+from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH, World, world_values
 
-__all__ = ["CaptureDataModule"]
+__all__ = ["CaptureDataModule", "rehearsed_world"]
 
-UNSURE, SURE = 0.5, 0.8
-"""Confidence of the network below which it teaches nothing, and of the sweep from which that answers in its place."""
 MOST_ROWS, RENDERED_ROWS = 512, 256
 """Of images that are kept, finer than an icosphere of level 6; and of those that are rendered."""
 NUM_RENDERED = 100_000
@@ -57,26 +50,28 @@ COLORLESS = 0.01
 """Mean difference of colour channels, of the range [0, 1], below which a capture counts as grey."""
 
 
-class Taught(NamedTuple):
-    """A frame, and what is known of it without truth.
-
-    Attributes:
-        name: of the frame.
-        images: camera name -> uint8 ``(3, h, w)``.
-        inverse_depth: ``(V_depth,)`` what is to be learned, in the network's metres.
-        valid: ``(V_depth,)`` where it is.
-        correlation: ``(M, V)`` of the better half of the cameras at tried hypotheses, 0 to 255; kept to judge by.
-        known: ``(M, V)`` whether two cameras see the point.
-        share: photo-consistency of what the network says, of winner-takes-all's.
-    """
+class LabelledFrame(NamedTuple):
+    """A frame, its images as uint8 ``(3, h, w)`` by camera name, and what is taken for its depth."""
 
     name: str
     images: dict[str, Tensor]
-    inverse_depth: Tensor
-    valid: Tensor
-    correlation: Tensor
-    known: Tensor
-    share: float
+    labels: PseudoLabels
+
+
+def rehearsed_world(
+    rig: CameraRig, grey: float, preparation: Preparation, values: Mapping[str, Any]
+) -> World:
+    """Scenes of all kinds as a rig would see them; what one shows is its seed's, its faults are others each time.
+
+    Args:
+        rig: in metres in which 0.55 is the nearest hypothesis, its images not larger than needed.
+        grey: share of samples without colour.
+        preparation: of the disturbed images, as they are made ready in use.
+        values: arguments of ``World``, as ``world_values("rehearsal")``.
+    """
+    chosen = {name: value for name, value in values.items() if name != "level_rigs"}
+    chosen["faults"] = {**values["faults"], "grey": grey}
+    return World.of(chosen, rig=rig, prepare=preparation.of_images, draws=by_seed_and_globally)
 
 
 class CaptureDataModule(SampleDataModule):
@@ -108,6 +103,7 @@ class CaptureDataModule(SampleDataModule):
         trained_radius: rig radius that the network was trained with, metres.
         rendered: share of training samples that are rendered scenes.
         rendered_seed: of the first rendered scene.
+        world: what rendered scenes show, and faults of theirs and of the frames, as ``conf/world/rehearsal.yaml``.
         batch_size: samples in a batch: 1, as rigs differ.
         num_workers: processes that prepare samples.
         seed: of order and disturbances.
@@ -135,6 +131,7 @@ class CaptureDataModule(SampleDataModule):
         trained_radius: Positive = 0.2,
         rendered: Share = 0.5,
         rendered_seed: Number = 5_000_000,
+        world: dict[str, Any] | None = None,
         batch_size: int = 1,
         num_workers: int = 0,
         seed: int = 0,
@@ -156,6 +153,7 @@ class CaptureDataModule(SampleDataModule):
         self.num_frames, self.held_out_every = num_frames, held_out_every
         self.min_depth, self.trained_radius = min_depth, trained_radius
         self.rendered, self.rendered_seed = rendered, rendered_seed
+        self.world = world_values("rehearsal") if world is None else world
         self.preparation = Preparation(**preparation, own_body=masks == AUTO)
         pattern = None if self.preparation.own_body else masks
         keys = (cameras, pattern, translation_unit, max_angle_deg)
@@ -165,7 +163,7 @@ class CaptureDataModule(SampleDataModule):
         self.source = open_source(images, rig, frames, mask_files)
         self.source.rig = rig_for_images(rig, self.source.sizes())
         self.names = self._chosen(self.source)
-        self.taught: dict[str, Taught] = {}
+        self.labelled: dict[str, LabelledFrame] = {}
         self.rig = self.source.rig
         self.net: DepthNetwork | None = None
 
@@ -191,14 +189,14 @@ class CaptureDataModule(SampleDataModule):
         Raises:
             ArgumentError: the network is not one on icospheres, or for another number of cameras.
         """
-        if net.images != "sphere" or not isinstance(net.grid, Icosphere):
+        if net.images != "sphere" or net.depth_level is None:
             raise ArgumentError(f"data: captures are for networks on icospheres, not {type(net).__name__}")
         check_number(net, self.rig)
         self.net = net
 
     def setup(self, stage: str) -> None:
         """Read the frames and let network and sweep say what they think, once."""
-        if self.taught:
+        if self.labelled:
             return
         if self.net is None:
             raise ArgumentError("data: a network teaches what is in a capture; call serve(net) before setup")
@@ -218,10 +216,10 @@ class CaptureDataModule(SampleDataModule):
             rig = with_own_body_masked(rig, map(_floats, photographs.values()))
         self.near = self._nearest(rig, photographs)
         self.rig = rig.scaled(self.net.min_depth / self.near)
-        teacher = _Teacher(self.net, self.rig)
+        labeller = PseudoLabeller(self.net, self.rig)
         for name in track(self.names, "asking network and sweep", console=console):
-            images = self.preparation.images(self.rig, _floats(photographs[name]))
-            self.taught[name] = teacher(name, _kept(images))
+            images = _kept(self.preparation.images(self.rig, _floats(photographs[name])))
+            self.labelled[name] = LabelledFrame(name, images, labeller(_floats(images)))
         self.grey = float(all(_is_grey(images) for images in photographs.values()))
 
     def _nearest(self, rig: CameraRig, photographs: dict[str, dict[str, Tensor]]) -> float:
@@ -234,96 +232,59 @@ class CaptureDataModule(SampleDataModule):
     @property
     def start_share(self) -> float:
         """Photo-consistency of the held-out frames by the network as it was at first."""
-        shares = [self.taught[name].share for name in self.held_out]
+        shares = [self.labelled[name].labels.share for name in self.held_out]
         return sum(shares) / len(shares)
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Disturbed frames and rendered scenes in "train", the held-out frames as they are otherwise."""
         assert self.net is not None
         chosen = [name for name in self.names if (name in self.held_out) == (split != "train")]
-        frames = _Frames([self.taught[name] for name in chosen], self.rig, self.net.level)
+        frames = [self.labelled[name] for name in chosen]
         if split != "train":
-            return frames
-        grid = self.net.grid
-        assert isinstance(grid, Icosphere)
+            return _Frames(frames, self.rig, self.net.level)
         natural = _smaller(self.rig.scaled(NATURAL_MIN_DEPTH / self.net.min_depth))
-        scenes = Rehearsal(
-            natural, self.net.level, grid.level, self.grey, NUM_RENDERED, self.rendered_seed, self.preparation
+        world = rehearsed_world(natural, self.grey, self.preparation, self.world)
+        scenes = WorldSamples(
+            world, NUM_RENDERED, self.rendered_seed, self.net.level, self.net.depth_level, antialias=True
         )
-        frames.disturbed, frames.preparation = self.grey, self.preparation
-        return _Mixed(frames, scenes, self.rendered, self.net.min_depth / NATURAL_MIN_DEPTH)
-
-
-class _Teacher:
-    """What a network and a sweep say of undisturbed frames."""
-
-    def __init__(self, net: DepthNetwork, rig: CameraRig) -> None:
-        self.net, self.rig = net, rig
-        self.to_sphere = ToSphere(net.level, 2, antialias=True)
-        self.tables = RigTables(net).of(rig)
-        self.hypotheses = (net.num_hypotheses, net.min_depth)
-        self.coarse = Icosphere(max(net.level - 1, 0))
-        self.sweep: SemiGlobalTables = semi_global_tables(rig, *self.hypotheses, net.level)
-
-    @torch.no_grad()
-    def __call__(self, name: str, images: dict[str, Tensor]) -> Taught:
-        net, coarse = self.net, self.coarse
-        on_sphere = self.to_sphere.images(_floats(images), self.rig)[None]
-        seen = self.to_sphere.seen(self.rig)[None]
-        training = net.training
-        net.eval()
-        said = net.predict(on_sphere, self.tables, seen)
-        net.train(training)
-        swept = semi_global_sweep(on_sphere, self.sweep, *self.hypotheses, coarse.level, seen=seen)
-        _, correlation, cameras = correlation_evidence(on_sphere, self.sweep.sweep, seen).unbind(1)
-        known = cameras >= 2
-        place = net.index_at(said.index, coarse.vertices)[0] / (self.hypotheses[0] - 1)
-        share = float(consistency_share(place, correlation, known))
-        sure_sweep, swept_index = (
-            coarse.sample(values[:, None], net.grid.directions)[:, 0]
-            for values in ((swept.confidence > SURE).float(), swept.index)
-        )
-        corrected = (sure_sweep > 0.99) & (said.confidence < UNSURE)
-        index = swept_index.where(corrected, said.index)
-        return Taught(
-            name,
-            images,
-            inverse_depth_from_index(index, *self.hypotheses)[0],
-            (corrected | (said.confidence >= UNSURE))[0],
-            (correlation[0] * 255).round().byte(),
-            known[0],
-            share,
-        )
+        faults = RandomFaults.of(self.world["faults"])
+        faults = replace(faults, grey=max(self.grey, faults.grey))
+        disturbed = _Frames(frames, self.rig, self.net.level, faults, self.preparation)
+        return _Mixed(disturbed, scenes, self.rendered, self.net.min_depth / NATURAL_MIN_DEPTH)
 
 
 class _Frames(Dataset[Sample]):
-    """Frames on the icosphere, as they are or, once ``disturbed`` is set, disturbed."""
+    """Frames on the icosphere, as they are, or with faults and made ready anew."""
 
-    def __init__(self, frames: list[Taught], rig: CameraRig, level: int) -> None:
-        self.frames, self.rig = frames, rig
+    def __init__(
+        self,
+        frames: list[LabelledFrame],
+        rig: CameraRig,
+        level: int,
+        faults: RandomFaults | None = None,
+        preparation: Preparation = AS_IT_IS,
+    ) -> None:
+        self.frames, self.rig, self.faults, self.preparation = frames, rig, faults, preparation
         self.to_sphere = ToSphere(level, 2, antialias=True)
-        #: How often a disturbed frame is grey; None for frames as they are.
-        self.disturbed: float | None = None
-        self.preparation = AS_IT_IS
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def __getitem__(self, index: int) -> Sample:
-        frame = self.frames[index]
-        images, rig = _floats(frame.images), self.rig
-        more = {"correlation": frame.correlation, "known": frame.known}
-        if self.disturbed is not None:
-            faulty = random_disturbance(max(self.disturbed, 0.2))({"images": images, "rig": rig})
-            images, rig, more = faulty["images"], faulty["rig"], {}
-            images = self.preparation.images(rig, images)
+        name, stored, labels = self.frames[index]
+        images, rig = _floats(stored), self.rig
+        more = {"correlation": labels.correlation, "correlation_seen": labels.seen}
+        if self.faults is not None:
+            faulty = self.faults.draw()({"images": images, "rig": rig})
+            rig, more = faulty["rig"], {}
+            images = self.preparation.images(rig, faulty["images"])
         return {
             "images": self.to_sphere.images(images, rig),
             "seen": self.to_sphere.seen(rig),
             "rig": rig,
-            "inverse_depth": frame.inverse_depth,
-            "valid": frame.valid,
-            "frame": frame.name,
+            "inverse_depth": labels.inverse_depth,
+            "valid": labels.valid,
+            "frame": name,
             **more,
         }
 
@@ -331,7 +292,7 @@ class _Frames(Dataset[Sample]):
 class _Mixed(Dataset[Sample]):
     """Frames, in whose place a share of the time a rendered scene stands."""
 
-    def __init__(self, frames: _Frames, scenes: Rehearsal, share: float, scale: float) -> None:
+    def __init__(self, frames: _Frames, scenes: WorldSamples, share: float, scale: float) -> None:
         self.frames, self.scenes, self.share, self.scale = frames, scenes, share, scale
 
     def __len__(self) -> int:

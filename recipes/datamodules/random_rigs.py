@@ -17,7 +17,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
 from sphericalvision.data.augmentation.mirror import Mirror
 from sphericalvision.data.augmentation.transforms import Compose
-from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share, Text
 from sphericalvision.recipes.app.schema import Exactly
@@ -66,9 +65,10 @@ class RandomRigDataModule(SampleDataModule):
     Args:
         level: icosphere level of the images.
         min_depth: nearest hypothesis of the network in metres; scenes are at natural size, for 0.55.
-        shares: how often each kind of scene comes; see ``RandomRigScenes``.
+        shares: how often each kind of scene comes, in place of what ``world`` says; so are the next two.
         level_rigs: share of level rings of four.
         disturbed: share of samples with faults of cameras.
+        world: what comes how often, and faults, as ``conf/world/random_rigs.yaml``.
         image_size: height and width of the cameras.
         samples_per_pixel: rays per pixel.
         num_train: number of training samples.
@@ -90,8 +90,9 @@ class RandomRigDataModule(SampleDataModule):
         level: int | None = None,
         min_depth: Positive | None = None,
         shares: Mapping[str, float] | None = None,
-        level_rigs: Share = 0.4,
-        disturbed: Share = 0.5,
+        level_rigs: Share | None = None,
+        disturbed: Share | None = None,
+        world: dict[str, Any] | None = None,
         image_size: Annotated[Sequence[Count], Exactly(2)] = (256, 256),
         samples_per_pixel: Count = 1,
         num_train: Count = 4000,
@@ -118,6 +119,7 @@ class RandomRigDataModule(SampleDataModule):
             "shares": None if shares is None else dict(shares),
             "level_rigs": level_rigs,
             "disturbed": disturbed,
+            "values": world,
             "image_size": (int(image_size[0]), int(image_size[1])),
             "samples_per_pixel": samples_per_pixel,
             "prepare": Preparation(**preparation).of_images,
@@ -137,7 +139,7 @@ class RandomRigDataModule(SampleDataModule):
             ArgumentError: the network is not one on icospheres, or of another level than given, or its nearest
                 hypothesis is not 0.55 m.
         """
-        if net.images != "sphere" or not isinstance(net.grid, Icosphere):
+        if net.images != "sphere" or net.depth_level is None:
             raise ArgumentError(f"data: random rigs are for networks on icospheres, not {type(net).__name__}")
         if abs(net.min_depth / 0.55 - 1) > 1e-6:
             raise ArgumentError(
@@ -149,7 +151,7 @@ class RandomRigDataModule(SampleDataModule):
             )
         self.net = net
         self.level = net.level
-        self.depth_level = net.grid.level if depth_level is None else depth_level
+        self.depth_level = net.depth_level if depth_level is None else depth_level
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Samples of one split, turned and mirrored at random in "train"."""

@@ -65,7 +65,7 @@ class AdaptModule(DepthModule):
         correlation = batch["correlation"].float() / 255
         vertices = Icosphere(level_from_num_vertices(correlation.shape[-1]), device=index.device).vertices
         place = self.net.index_at(index, vertices)[0] / (self.net.num_hypotheses - 1)
-        self.shares += consistency_share(place, correlation, batch["known"]).tolist()
+        self.shares += consistency_share(place, correlation, batch["correlation_seen"]).tolist()
         return index
 
     def on_validation_epoch_end(self) -> None:

@@ -223,6 +223,11 @@ class DepthNetwork(RemembersArguments):
                 f"seen: expected shape {one}, or {(images.shape[0], *one)} as the images have, got {tuple(seen.shape)}"
             )
 
+    @property
+    def depth_level(self) -> int | None:
+        """Level of the icosphere on which the result lies; None where it lies on a panorama."""
+        return self.grid.level if isinstance(self.grid, Icosphere) else None
+
     def depth(self, index: Num[Tensor, "*grid"]) -> Float[Tensor, "*grid"]:
         """Return depths in metres of hypothesis indices ``(*)``."""
         return depth_from_index(index, self.num_hypotheses, self.min_depth)

@@ -37,8 +37,7 @@ class _WithoutTraining(DepthNetwork):
         super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
         if not 0 <= depth_coarsening <= check_level(level):
             raise ArgumentError(f"depth_coarsening: expected 0 to level = {level}, got {depth_coarsening!r}")
-        self.level, self.depth_level = level, level - depth_coarsening
-        self.grid = Icosphere(self.depth_level)
+        self.level, self.grid = level, Icosphere(level - depth_coarsening)
 
     @torch.no_grad()
     def predict(

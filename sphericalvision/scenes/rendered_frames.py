@@ -56,6 +56,7 @@ class RenderedFrames(Dataset[dict[str, Any]]):
             carrier_counts=True,
             samples_per_pixel=samples_per_pixel,
         )
+        self.world.check_free_space(rig)
         self.directions = Equirectangular(height, 2 * height).directions
 
     def __len__(self) -> int:

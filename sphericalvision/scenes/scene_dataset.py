@@ -126,6 +126,7 @@ class SceneDataset(Dataset[dict[str, Any]]):
             carrier_counts=True,
             samples_per_pixel=samples_per_pixel,
         )
+        self.world.check_free_space(rig)
         self.entries = _checked_entries(entries, rig)
         self.num_scenes, self.rig, self.first_seed = num_scenes, rig, first_seed
         self.min_depth, self.level = min_depth, level

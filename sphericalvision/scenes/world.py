@@ -82,8 +82,7 @@ class World:
         render: images without faults.
 
     Raises:
-        ArgumentError: unknown kinds or carriers, a carrier in a mesh, shares out of range, or cameras farther from the
-            rig's centre than the space that scenes keep free.
+        ArgumentError: unknown kinds or carriers, a carrier in a mesh, or shares out of range.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -135,19 +134,21 @@ class World:
             )
         if not self.min_depth > 0:
             raise ArgumentError(f"min_depth: expected metres above 0, got {self.min_depth}")
-        if isinstance(self.rig, CameraRig):
-            radius = (self.rig.positions - self.rig.center).norm(dim=-1).max().item()
-            if radius >= CLEAR_RADIUS * self.scale:
-                raise ArgumentError(
-                    f"rig: its cameras lie up to {radius:.2f} m from its centre, but scenes of min_depth "
-                    f"{self.min_depth} keep only {CLEAR_RADIUS * self.scale:.2f} m free; give a min_depth above "
-                    f"{radius / CLEAR_RADIUS * NATURAL_MIN_DEPTH:.2f}"
-                )
 
     @property
     def scale(self) -> float:
         """Of the scenes' lengths."""
         return self.min_depth / NATURAL_MIN_DEPTH
+
+    def check_free_space(self, rig: CameraRig) -> None:
+        """Raise ``ArgumentError`` if cameras lie farther from the centre of a rig than the space that is kept free."""
+        radius = (rig.positions - rig.center).norm(dim=-1).max().item()
+        if radius >= CLEAR_RADIUS * self.scale:
+            raise ArgumentError(
+                f"rig: its cameras lie up to {radius:.2f} m from its centre, but scenes of min_depth "
+                f"{self.min_depth} keep only {CLEAR_RADIUS * self.scale:.2f} m free; give a min_depth above "
+                f"{radius / CLEAR_RADIUS * NATURAL_MIN_DEPTH:.2f}"
+            )
 
     @classmethod
     def of(cls, values: Mapping[str, Any], **more: Any) -> World:
@@ -313,4 +314,6 @@ def world_values(name: str) -> dict[str, Any]:
     """
     text = resources.files("sphericalvision.conf").joinpath("world", f"{name}.yaml").read_text()
     values: dict[str, Any] = yaml.safe_load(text)
+    for base in values.pop("defaults", ()):  # as Hydra reads it
+        values = values if base == "_self_" else {**world_values(base), **values}
     return values

@@ -173,6 +173,6 @@ def test_a_turn_of_aria_is_a_quaternion_of_length_one(tmp_path: Path) -> None:
     content["CameraCalibrations"][1]["T_Device_Camera"]["UnitQuaternion"] = [HALF, [0.0, HALF, 0.5]]
     with pytest.raises(
         FileFormatError,
-        match=r"\[1\], T_Device_Camera, UnitQuaternion: expected a quaternion of length 1, got one of length 1.12",
+        match=r"\[1\], T_Device_Camera, UnitQuaternion: expected a quaternion of length 1, .* 1.12",
     ):
         read_rig(dump(tmp_path / "a.json", content))

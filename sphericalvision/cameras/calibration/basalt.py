@@ -31,6 +31,7 @@ from sphericalvision.cameras.calibration.lenses import (
 from sphericalvision.cameras.calibration.parsing import (
     chosen,
     entry,
+    focal_lengths,
     number,
     size_from_width_height,
 )
@@ -94,6 +95,7 @@ def _camera(values: Any, image_size: tuple[int, int], where: str) -> Camera:
     max_angle = None
     if lens.name == "ucm":
         fx, fy, *center, alpha = found
+        focal_lengths([fx, fy], f"{where}, fx and fy")
         if not 0 <= alpha < 1:
             raise FileFormatError(f"{where}, alpha: expected a number in [0, 1), got {alpha:g}")
         xi = alpha / (1 - alpha)

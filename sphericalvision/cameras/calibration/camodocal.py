@@ -69,8 +69,8 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 
 def _camera(values: dict[str, Any], where: str) -> Camera:
-    kind = entry(values, "model_type", where)
-    kind = chosen(kind.upper() if isinstance(kind, str) else kind, _KINDS, f"{where}, model_type")
+    kind, known = entry(values, "model_type", where), {name.lower(): name for name in _KINDS}
+    kind = chosen(known.get(str(kind).lower(), kind), _KINDS, f"{where}, model_type")
     size = size_from_width_height(
         [entry(values, key, where) for key in ("image_width", "image_height")],
         f"{where}, image_width and image_height",

@@ -13,12 +13,12 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
 import yaml
 
-from sphericalvision.recipes.app.keys import KEYS
-from sphericalvision.recipes.app.schema import problem
+from sphericalvision.recipes.app.checks import expected
+from sphericalvision.recipes.app.keys import type_of as type_of_key
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -123,10 +123,10 @@ def heading(text: str) -> str:
     return " ".join(lines)
 
 
-def type_of(key: Key, hints: dict[str, Any]) -> str:
+def type_of(key: Key, path: Path) -> str:
     """What may be put in: from the command's types, or else as the default is."""
-    if key.name in hints:
-        return problem(object(), hints[key.name]) or ""
+    if path.parent.name == "conf" and (hint := type_of_key(path.stem, key.name)) is not None:
+        return expected(hint)
     value = yaml.safe_load(key.value or "null") if not key.value.startswith(("$", "?")) else None
     words = {
         bool: "true or false",
@@ -151,13 +151,12 @@ def configuration_tables() -> str:
             group = here
             parts.append(f"## {group}\n")
         name = f"sphericalvision-{path.stem}" if command else f"{path.parent.name}={path.stem}"
-        hints = get_type_hints(KEYS[path.stem], include_extras=True) if command and path.stem in KEYS else {}
         parts.append(f"### `{name}`\n\n{heading(text)}\n")
         parents = re.findall(r"^ {2}- (\w+)\s*$", text.partition("defaults:")[2], re.M)
         if parents := [parent for parent in parents if parent != "_self_"]:
             parts.append(f"As {', '.join(f'`{parent}`' for parent in parents)}, and:\n")
         rows = [
-            f"| `{key.name}` | {cell(key.value)} | {type_of(key, hints)} | {key.comment.replace('|', chr(92) + '|')} |"
+            f"| `{key.name}` | {cell(key.value)} | {type_of(key, path)} | {key.comment.replace('|', chr(92) + '|')} |"
             for key in keys_of_file(text)
         ]
         if rows:

@@ -39,8 +39,8 @@ and a test checks it. On the command line an error is one paragraph and exit sta
 MIDDLE = """
 ## In Python
 
-`rig()` is a ring of four fisheyes, `camera()` one of 32 x 40 pixels, `ico()` an icosphere of level 2; `ARRAY` and `POINTS`
-are arrays of numpy, `INTEGERS` and `BYTES` tensors of these types, `VALUES` those of an icosphere (`tests/test_misuse.py`).
+`rig()` is a ring of four fisheyes, `camera()` one of 32 x 40 pixels, `ico()` an icosphere of level 2; `ARRAY` and
+`POINTS` are arrays of numpy, `INTEGERS` and `BYTES` tensors of these types, `VALUES` those of an icosphere.
 
 | mistake | message |
 |---|---|

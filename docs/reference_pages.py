@@ -11,24 +11,16 @@ import importlib
 import inspect
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any
 
 import yaml
 
-from sphericalvision.recipes.app.keys import KEYS
-from sphericalvision.recipes.app.schema import problem
+from sphericalvision.recipes.app.checks import expected
+from sphericalvision.recipes.app.help import Key, heading, read_keys
+from sphericalvision.recipes.app.keys import type_of as type_of_key
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-class Key(NamedTuple):
-    """One key of a file: its dotted name, its value as written, and the comment beside it."""
-
-    name: str
-    value: str
-    comment: str
 
 
 def first_sentence(doc: str | None) -> str:
@@ -97,36 +89,10 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
     return markdown + "".join(map(hidden_names, packages))
 
 
-def keys_of_file(text: str) -> Iterator[Key]:
-    """Keys of a YAML file that hold a value, in their order."""
-    path: list[tuple[int, str]] = []
-    body = re.sub(r"^defaults:\n(?: +.*\n|\n)*", "", text, flags=re.M)
-    for line in body.splitlines():
-        found = re.match(r"^( *)([\w/]+): *(.*?)(?: +# (.*))?$", line)
-        if found is None:
-            continue
-        depth = len(found[1])
-        path = [(d, key) for d, key in path if d < depth] + [(depth, found[2])]
-        names = [key for _, key in path]
-        if (found[3] or found[4]) and names[0] != "hydra" and names[-1] != "_partial_":
-            yield Key(".".join(names), found[3], found[4] or "")
-
-
-def heading(text: str) -> str:
-    """The comment at the top of a file."""
-    lines = []
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            break
-        if "@package" not in line and "SPDX" not in line:
-            lines.append(line.removeprefix("#").strip())
-    return " ".join(lines)
-
-
-def type_of(key: Key, hints: dict[str, Any]) -> str:
+def type_of(key: Key, path: Path) -> str:
     """What may be put in: from the command's types, or else as the default is."""
-    if key.name in hints:
-        return problem(object(), hints[key.name]) or ""
+    if path.parent.name == "conf" and (hint := type_of_key(path.stem, key.name)) is not None:
+        return expected(hint)
     value = yaml.safe_load(key.value or "null") if not key.value.startswith(("$", "?")) else None
     words = {
         bool: "true or false",
@@ -151,14 +117,14 @@ def configuration_tables() -> str:
             group = here
             parts.append(f"## {group}\n")
         name = f"sphericalvision-{path.stem}" if command else f"{path.parent.name}={path.stem}"
-        hints = get_type_hints(KEYS[path.stem], include_extras=True) if command and path.stem in KEYS else {}
-        parts.append(f"### `{name}`\n\n{heading(text)}\n")
+        parts.append(f"### `{name}`\n\n{' '.join(heading(text))}\n")
         parents = re.findall(r"^ {2}- (\w+)\s*$", text.partition("defaults:")[2], re.M)
         if parents := [parent for parent in parents if parent != "_self_"]:
             parts.append(f"As {', '.join(f'`{parent}`' for parent in parents)}, and:\n")
         rows = [
-            f"| `{key.name}` | {cell(key.value)} | {type_of(key, hints)} | {key.comment.replace('|', chr(92) + '|')} |"
-            for key in keys_of_file(text)
+            f"| `{key.name}` | {cell(key.value)} | {type_of(key, path)} | {key.comment.replace('|', chr(92) + '|')} |"
+            for key in read_keys(text)
+            if (key.value or key.comment) and not re.search(r"^hydra\b|_partial_$", key.name)
         ]
         if rows:
             parts.append("| key | default | type | |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")

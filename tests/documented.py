@@ -20,9 +20,9 @@ from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, ring_rig, sa
 from sphericalvision.data import write_omnistereo
 from sphericalvision.io.images import write_image, write_mask
 from sphericalvision.models import IcoSweepNet, save_weights
-from sphericalvision.recipes.app.errors import check_keys
+from sphericalvision.recipes.app.keys import wrong_key
 from sphericalvision.recipes.app.running import config_space
-from sphericalvision.recipes.app.words import quote_paths, read_words
+from sphericalvision.recipes.app.words import first_values, read_words
 from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.board_pictures import write_boards
 from tests.recipes.knocked_capture import write_knocked_capture
@@ -179,13 +179,11 @@ def composed(recipe: str, words: list[str]) -> DictConfig:
     """The config of a command line; of a sweep, that of its first run."""
     from hydra import compose
 
-    line = read_words(words)
-    overrides = quote_paths(line.overrides)
-    if line.multirun:
-        overrides = [word.split(",")[0] for word in overrides]
+    line = read_words(words, pytest.fail)
+    overrides = first_values(line.overrides) if line.multirun else line.overrides
     with config_space(line.config_dir):
         config = compose(recipe, overrides)
-        check_keys(recipe, config)
+        assert wrong_key(recipe, config) is None
         return config
 
 

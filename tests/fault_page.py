@@ -17,12 +17,12 @@ from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.core import SphericalVisionError
 from tests.recipes.conftest import run_recipe
 from tests.recipes.test_faults import FAULTS
-from tests.test_misuse import MISUSES
+from tests.test_misuse import misuse, misuses
 
 __all__ = ["PAGE", "page"]
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "faults.md"
-OF_THE_MACHINE = ("an unknown device",)
+OF_THE_MACHINE = ("Predictor(rig(), device='gpu')",)
 """Misuses whose message says what this machine has."""
 
 HEAD = """# Error messages
@@ -39,6 +39,9 @@ and a test checks it. On the command line an error is one paragraph and exit sta
 MIDDLE = """
 ## In Python
 
+`rig()` is a ring of four fisheyes, `camera()` one of 32 x 40 pixels, `ico()` an icosphere of level 2; `ARRAY` and
+`POINTS` are arrays of numpy, `INTEGERS` and `BYTES` tensors of these types, `VALUES` those of an icosphere.
+
 | mistake | message |
 |---|---|
 """
@@ -49,7 +52,9 @@ def page() -> str:
     lines = [HEAD]
     lines += [f"| `{command}` | {text(message)} |\n" for command, message in said_by_commands()]
     lines.append(MIDDLE)
-    lines += [f"| {name} | {text(message)} |\n" for name, message in said_in_python()]
+    lines += [
+        f"| `{call.replace('|', chr(92) + '|')}` | {text(message)} |\n" for call, message in said_in_python()
+    ]
     return "".join(lines)
 
 
@@ -75,13 +80,12 @@ def said_by_commands() -> list[tuple[str, str]]:
 def said_in_python() -> list[tuple[str, str]]:
     """Misuses of the library and the messages of their errors."""
     found = []
-    for name, (call, _, _) in MISUSES.items():
-        if name in OF_THE_MACHINE:
-            continue
-        try:
-            call()
-        except SphericalVisionError as error:
-            found.append((name, str(error)))
+    for call in misuses():
+        if call not in OF_THE_MACHINE:
+            try:
+                misuse(call)
+            except SphericalVisionError as error:
+                found.append((call, str(error)))
     return found
 
 

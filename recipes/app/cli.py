@@ -18,8 +18,7 @@ from rich.tree import Tree
 
 from sphericalvision.core import ArgumentError, SphericalVisionError
 from sphericalvision.io.files import write_bytes
-from sphericalvision.recipes.app.lightning_words import explained
-from sphericalvision.recipes.app.schema import check_node
+from sphericalvision.recipes.app.checks import check_node
 
 __all__ = [
     "build",
@@ -54,9 +53,7 @@ def build(config: Any, where: str = "", **kwargs: Any) -> Any:
             raise ArgumentError(f"{where}: {_missing_package(where, cause)}") from error
         if isinstance(cause, (ValueError, TypeError)) or type(cause).__name__ == "MisconfigurationException":
             target = str(config.get("_target_")).rpartition(".")[2]
-            raise ArgumentError(
-                explained(where, str(cause)) or f"{where}: {target} refuses these values: {cause}"
-            ) from error
+            raise ArgumentError(f"{where}: {target} refuses these values: {cause}") from error
         raise
 
 

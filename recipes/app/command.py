@@ -1,53 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes a function a command line. Imports nothing heavy, so that ``--help`` and mistakes are answered at once."""
+"""Command lines of functions. Imports nothing heavy, so that ``--help`` and mistakes are answered at once."""
 
 from __future__ import annotations
 
-import functools
+import importlib
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-__all__ = ["command", "output_folder"]
+__all__ = ["command"]
 
-NEEDED = ("hydra", "omegaconf", "rich", "pytorch_lightning", "tensorboard", "sklearn")
+NEEDED = (
+    "hydra",
+    "omegaconf",
+    "pydantic",
+    "annotated_types",
+    "rich",
+    "pytorch_lightning",
+    "tensorboard",
+    "sklearn",
+)
 """What the extra ``recipes`` brings."""
 
 
-def command(config_name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], None]]:
-    """Make a command line of a function that gets the config ``config_name`` with the user's changes."""
+def command(name: str, task: str | None = None, folder: bool = True) -> Callable[[], None]:
+    """The ``main`` of a command, which imports what does the work once the command line has been read.
 
-    def decorate(task: Callable[[DictConfig], Any]) -> Callable[[], None]:
-        @functools.wraps(task)
-        def main() -> None:
-            try:
-                from sphericalvision.recipes.app.running import run_command
-            except ModuleNotFoundError as error:
-                if (error.name or "").partition(".")[0] not in NEEDED:
-                    raise
-                _exit_without_recipes(error.name)
-            run_command(config_name, task)
+    Args:
+        name: of its configuration, ``conf/NAME.yaml``.
+        task: the function that does the work, as ``module:function`` in ``sphericalvision.recipes``; the one of this
+            name in ``recipes/commands`` if not given. It gets the configuration.
+        folder: whether it gets the folder of the run, too.
+    """
 
-        return main
+    def main() -> None:
+        try:
+            from sphericalvision.recipes.app.running import run_command
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] not in NEEDED:
+                raise
+            print(
+                f"Error: the commands need more than the library ({error.name} is not installed): "
+                "pip install 'sphericalvision[recipes]'",
+                file=sys.stderr,
+            )
+            raise SystemExit(1) from None
+        run_command(name, partial(_work, task or f"commands.{name}:{name}", folder))
 
-    return decorate
+    return main
 
 
-def output_folder() -> Path:
-    """The folder of this run, absolute; also right in multi-runs."""
+def _work(task: str, folder: bool, config: DictConfig) -> Any:
     from hydra.core.hydra_config import HydraConfig
 
-    return Path(HydraConfig.get().runtime.output_dir).absolute()
-
-
-def _exit_without_recipes(missing: str | None) -> None:
-    print(
-        f"Error: the commands need more than the library ({missing} is not installed): "
-        "pip install 'sphericalvision[recipes]'",
-        file=sys.stderr,
-    )
-    raise SystemExit(1)
+    module, _, function = task.partition(":")
+    work = getattr(importlib.import_module(f"sphericalvision.recipes.{module}"), function)
+    # absolute, and right in multi-runs
+    return work(config, Path(HydraConfig.get().runtime.output_dir).absolute()) if folder else work(config)

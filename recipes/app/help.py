@@ -3,16 +3,19 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
-from typing import Any
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from hydra import compose
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.object_type import ObjectType
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-__all__ = ["keys_of", "print_help"]
+__all__ = ["Key", "heading", "keys_of", "print_help", "read_keys"]
 
 FLAGS = """
 Flags:
@@ -29,15 +32,15 @@ def print_help(config_name: str, overrides: list[str]) -> None:
     sources = _Sources()
     choices = {g: c for g, c in config.hydra.runtime.choices.items() if not g.startswith("hydra/")}
     comments = sources.comments(config_name, "")
-    print("\n".join(line.removeprefix("# ") for line in sources.heading(config_name)))
+    print("\n".join(heading(sources.text(config_name))))
     if choices:
         print("\nGroups (GROUP=OPTION):")
     for group, choice in choices.items():
         name, _, package = group.partition("@")
         print(f"  {group}={choice}   one of {' | '.join(sources.options(name))}")
         if choice is not None:
-            package = "" if not package and sources.is_global(f"{name}/{choice}") else package or name
-            comments = sources.comments(f"{name}/{choice}", package) | comments
+            own = sources.text(f"{name}/{choice}").startswith("# @package _global_")
+            comments = sources.comments(f"{name}/{choice}", package or ("" if own else name)) | comments
     print("\nKeys (KEY=VALUE):")
     rows = [(f"{key}={value}", comments.get(key, "")) for key, value in _leaves(config)]
     width = min(44, max(len(word) for word, _ in rows))
@@ -46,33 +49,55 @@ def print_help(config_name: str, overrides: list[str]) -> None:
     print(FLAGS)
 
 
-def keys_of(config: Any, prefix: str = "") -> list[str]:
+class Key(NamedTuple):
+    """One key of a file: its dotted name, its value as written, and the comment beside it."""
+
+    name: str
+    value: str
+    comment: str
+
+
+def read_keys(text: str) -> Iterator[Key]:
+    """Keys of a YAML file, in their order, those that hold further keys included."""
+    path: list[tuple[int, str]] = []
+    for line in re.sub(r"^defaults:\n(?: +.*\n|\n)*", "", text, flags=re.M).splitlines():
+        if found := re.match(r"^( *)([\w/]+): *(.*?)(?:(?:^| +)# (.*))?$", line):
+            depth = len(found[1])
+            path = [(d, key) for d, key in path if d < depth] + [(depth, found[2])]
+            yield Key(".".join(key for _, key in path), found[3], found[4] or "")
+
+
+def heading(text: str) -> list[str]:
+    """The comment at the top of a file."""
+    lines = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    return [line.removeprefix("# ") for line in lines if "@package" not in line and "SPDX" not in line]
+
+
+def keys_of(config: Any) -> list[str]:
     """All keys of a config, nested ones with dots; values are not resolved."""
-    keys = []
+    return [key for key, _ in _walk(config)]
+
+
+def _walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys and nodes, each before those within it."""
     for key in map(str, config):
-        keys.append(f"{prefix}{key}")
         node = config._get_node(key)
-        if isinstance(node, DictConfig) and not node._is_none() and not node._is_missing():
-            if node._is_interpolation():
-                continue
-            keys += keys_of(node, f"{prefix}{key}.")
-    return keys
+        yield f"{prefix}{key}", node
+        if _is_table(node):
+            yield from _walk(node, f"{prefix}{key}.")
 
 
-def _leaves(config: DictConfig, prefix: str = "") -> Iterator[tuple[str, str]]:
+def _is_table(node: Any) -> bool:
+    return isinstance(node, DictConfig) and not (
+        node._is_none() or node._is_missing() or node._is_interpolation()
+    )
+
+
+def _leaves(config: DictConfig) -> Iterator[tuple[str, str]]:
     """Keys and values as they would be written on a command line; nothing is resolved."""
-    for key in map(str, config):
-        node = config._get_node(key)
-        assert node is not None
-        if f"{prefix}{key}" == "hydra" or str(key).startswith("_"):
-            continue
-        nested = isinstance(node, DictConfig) and not (
-            node._is_none() or node._is_missing() or node._is_interpolation()
-        )
-        if nested and len(node):  # type: ignore[arg-type]
-            yield from _leaves(node, f"{prefix}{key}.")  # type: ignore[arg-type]
-        else:
-            yield f"{prefix}{key}", _written(node)
+    for key, node in _walk(config):
+        if not re.search(r"^hydra\b|(^|\.)_", key) and not (_is_table(node) and len(node)):
+            yield key, _written(node)
 
 
 def _written(node: Any) -> str:
@@ -98,58 +123,23 @@ class _Sources:
         """Names of the files of a group."""
         return list(self.loader.get_group_options(group, ObjectType.CONFIG))
 
-    def heading(self, name: str) -> list[str]:
-        """The comment at the top of a file."""
-        lines = []
-        for line in self._text(name).splitlines():
-            if not line.startswith("#"):
-                break
-            if "@package" not in line:
-                lines.append(line)
-        return lines
-
-    def is_global(self, name: str) -> bool:
-        """Whether the keys of a file are the command's own."""
-        return self._text(name).startswith("# @package _global_")
+    def text(self, name: str) -> str:
+        """The text of the file ``name``, wherever the search path has it; empty if nowhere."""
+        for element in self.loader.get_search_path().get_path():
+            scheme, _, place = (element.path or "").partition("://")
+            if scheme in ("file", "pkg") and not place.startswith("hydra"):
+                path: Any = (Path(place) if scheme == "file" else files(place)) / f"{name}.yaml"
+                if path.is_file():
+                    return str(path.read_text())
+        return ""
 
     def comments(self, name: str, package: str) -> dict[str, str]:
         """Key -> the comment beside it, of a file and of those it inherits from."""
-        text = self._text(name)
+        text = self.text(name)
         found: dict[str, str] = {}
         group = name.rpartition("/")[0]
         for parent in re.findall(r"^ {2}- (\w+) *(?:#.*)?$", text.partition("defaults:")[2], re.MULTILINE):
             if group and parent != "_self_":
                 found |= self.comments(f"{group}/{parent}", package)
-        path: list[tuple[int, str]] = []
-        for line in text.splitlines():
-            match = re.match(r"^( *)([\w]+):(.*)$", line)
-            if match is None:
-                continue
-            depth = len(match[1])
-            path = [(d, key) for d, key in path if d < depth] + [(depth, match[2])]
-            comment = re.search(r"(?:^|\s)# (.*)$", match[3])
-            if comment:
-                found[".".join([*([package] if package else []), *(key for _, key in path)])] = comment[1]
-        return found
-
-    def _text(self, name: str) -> str:
-        """The text of the file ``name``, wherever the search path has it."""
-        from importlib.resources import files
-        from pathlib import Path
-
-        for element in self.loader.get_search_path().get_path():
-            scheme, _, place = (element.path or "").partition("://")
-            if scheme == "file":
-                path: Any = Path(place) / f"{name}.yaml"
-            elif scheme == "pkg" and not place.startswith("hydra"):
-                package, *folders = name.split("/")
-                path = (
-                    files(place).joinpath(*[package, *folders[:-1]], f"{folders[-1]}.yaml")
-                    if folders
-                    else (files(place) / f"{package}.yaml")
-                )
-            else:
-                continue
-            if path.is_file():
-                return str(path.read_text())
-        return ""
+        prefix = f"{package}." if package else ""
+        return found | {f"{prefix}{key.name}": key.comment for key in read_keys(text) if key.comment}

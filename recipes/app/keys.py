@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The types of the commands' own keys; units and meanings stand in the YAML files of the same names."""
+"""The types of the commands' own keys; units and meanings stand in the YAML files of the same names.
+
+A key has one type whatever the command; ``OWN`` are the exceptions.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+from annotated_types import Ge, MinLen
+from omegaconf import DictConfig, OmegaConf
+from pydantic import Field
+
+from sphericalvision.recipes.app.checks import fault
 from sphericalvision.recipes.app.kinds import (
     Count,
-    Device,
     Distance,
     FullAngle,
     HalfAngle,
@@ -19,321 +26,192 @@ from sphericalvision.recipes.app.kinds import (
     Text,
     Unit,
 )
-from sphericalvision.recipes.app.schema import AtLeast, Like, NotEmpty
 
-__all__ = ["GROUPS", "KEYS"]
+__all__ = ["type_of", "wrong_key"]
 
-
-class Prepared:
-    """The group ``preparation``."""
-
-    photometric: bool
-    align: bool
-
-
-class Predict(Prepared):
-    """``sphericalvision-predict``."""
-
-    calibration: Text
-    images: Text
-    frames: Annotated[list[int | str], NotEmpty()] | None
-    start: Number
-    stop: Count | None
-    every: Count
-    cameras: Names | None
-    masks: Text | None
-    translation_unit: Unit | None
-    max_angle_deg: HalfAngle | None
-    poses: Text | None
-    window: Annotated[int, AtLeast(2)]
-    spacing: Positive | None
-    up: Literal["-y", "y", "z", "camera"]
-    method: Literal["network", "semi_global"]
-    checkpoint: Text | None
-    level: Count | None
-    num_hypotheses: Annotated[int, AtLeast(2)] | None
-    min_depth: Positive | Literal["auto", "scene"]
-    trained_radius: Positive
-    antialias: bool
-    outputs: list[str] | None
-    height: Count
-    near: Positive | None
-    min_confidence: Share
-    voxel: Positive | None
-    output: Text
-    skip_existing: bool
-    on_error: Literal["skip", "stop"]
-    device: Device
-    native: bool | Literal["auto"]
-
-
-class Export:
-    """``sphericalvision-export``."""
-
-    calibration: str
-    cameras: list[str | int] | None
-    translation_unit: str | None
-    max_angle_deg: Positive | None
-    method: str
-    checkpoint: str | None
-    num_hypotheses: Annotated[int, AtLeast(2)] | None
-    level: Count | None
-    min_depth: Positive | str
-    inputs: str
-    height: Count | None
-    tables: str
-    batch: Count | None
-    formats: list[str]
-    output: str
-
-
-class Inspect:
-    """``sphericalvision-inspect``."""
-
-    calibration: Text
-    images: Text | None
-    frame: int | str | None
-    cameras: Names | None
-    masks: Text | None
-    depths: Annotated[list[Distance], NotEmpty()]
-    picture_depths: list[Distance]
-    level: Number
-    max_angle_deg: HalfAngle | None
-    translation_unit: Unit | None
-    output: Text
-
-
-class Convert:
-    """``sphericalvision-convert``."""
-
-    calibration: Text
-    to: Text | None
-    output: Text | None
-    format: Text | None
-    camera: Text | int | None
-    num_coefficients: Count | None
-    projection: Text | None
-    fit_angle_deg: HalfAngle | None
-    max_angle_deg: HalfAngle | None
-    translation_unit: Unit | None
-
-
-class Calibrate:
-    """``sphericalvision-calibrate``."""
-
-    images: Text
-    board: Text
-    square: Positive
-    to: Text
-    field_of_view_deg: FullAngle
-    num_coefficients: Count | None
-    projection: Text | None
-    output: Text
-    format: Text | None
-
-
-class Align:
-    """``sphericalvision-align``."""
-
-    calibration: Text
-    images: Text
-    frames: list[int | str] | None
-    start: Number
-    stop: Count | None
-    every: Count
-    num_frames: Count
-    cameras: Names | None
-    masks: Text | None
-    translation_unit: Unit | None
-    max_angle_deg: HalfAngle | None
-    expected_deg: HalfAngle
-    output: Text
-    format: Text | None
-
-
-class Render:
-    """``sphericalvision-render``."""
-
-    output: Text
-    num_frames: Count
-    first_frame: Number
-    first_seed: Annotated[int, AtLeast(0)]
-    kind: Text
-    mesh: Text | list[str] | None
-    mesh_up: Literal["y", "z"]
-    mesh_scale: Positive
-    carrier: Text | None
-    release: Literal["png", "tiff"] | None
-    min_depth: Positive
-    scale: Positive
-    samples_per_pixel: Count
-    height: Count
-    num_workers: Number
-
-
-class Demo:
-    """``python -m sphericalvision.recipes.demo``."""
-
-    output: Text
-    kind: Text
-    scene_seed: Number
-    samples_per_pixel: Count
-    height: Count
-    baseline_scenes: Count
-    train_seed: Number
-    checkpoint: Text | None
-    device: Device
-
-
-class Evaluate(Prepared):
-    """``sphericalvision-evaluate``."""
-
-    output: Text
-    checkpoint: Text | None
-    split: Literal["train", "val", "test"]
-    baselines: bool
-    masks: Literal["auto"] | None
-    min_confidence: Share
-    device: Device
-    native: bool
-    seed: Number
-
-
-class Train:
-    """``sphericalvision-train``."""
-
-    output: Text
-    tags: list[str | int]
-    seed: Number
-    resume: Text | None
-    init_weights: Text | None
-
-
-class Study:
-    """``sphericalvision-study``."""
-
-    output: Text
-    angles_deg: Annotated[list[float], NotEmpty()]
-    seeds: Annotated[list[Number], NotEmpty()]
-    inputs: Literal["fisheye", "equirect"]
-    num_hypotheses: Annotated[int, AtLeast(2)]
-    frames: Count | None
-    image_size: Size | None
-    equirect_size: Size | None
-    panorama_size: Size
-    baseline_frames: Count
-    training: list[str]
-    panel_frame: Number
-    panel_height: Count
-    train: bool
-    on_change: Literal["refuse", "redo"]
-    device: Device
-    seed: Number
-
-
-class Benchmark:
-    """``sphericalvision-benchmark``."""
-
-    output: Text
-    groups: Annotated[list[str], NotEmpty()]
-    only: Text | None
-    seconds: Positive
-    threads: Count | None
-    device: Device
-    peak_size: Count
-    settings: list[Size]
-    feature_channels: Count
-    image_size: Size
-    training: bool
-    memory: bool
-    options: list[str]
-    variants: list[str]
-    convolution_settings: list[Size]
-    num_frames: Count
-    num_points: Count
-
-
-class Trainer:
-    """The group ``trainer``: what Lightning would refuse in its own words."""
-
-    max_steps: Annotated[int, AtLeast(-1)]
-    max_time: Annotated[str, Like(r"\d+:\d\d:\d\d:\d\d", "days to seconds as 00:12:00:00")] | dict | None  # type: ignore[type-arg]
-    val_check_interval: Count
-    check_val_every_n_epoch: None
-    limit_val_batches: Count | Share | None
-    num_sanity_val_steps: Annotated[int, AtLeast(-1)]
-    accelerator: Literal["auto", "cpu", "gpu", "cuda", "mps", "tpu"]
-    devices: (
-        Literal["auto", -1]
-        | Count
-        | Annotated[str, Like(r"\d+(,\d+)*", "numbers of GPUs as 0,2")]
-        | Annotated[list[Number], NotEmpty()]
-    )
-    num_nodes: Count
-    strategy: Text
-    precision: Literal[
-        "32-true",
-        "16-mixed",
-        "bf16-mixed",
-        "64-true",
-        "16-true",
-        "bf16-true",
-        "transformer-engine",
-        "bf16",
-        64,
-        32,
-        16,
-    ]
-    use_distributed_sampler: Literal[False]
-    sync_batchnorm: bool
-    accumulate_grad_batches: Count
-    gradient_clip_val: Annotated[float, AtLeast(0)] | None
-    overfit_batches: Number | Share
-    log_every_n_steps: Number
-    profiler: Literal["simple", "advanced", "pytorch"] | dict | None  # type: ignore[type-arg]
-    detect_anomaly: bool
-    enable_model_summary: bool
-
-
-class Data:
-    """What all data modules have."""
-
-    num_workers: Number
-    batch_size: Count
-    seed: Number
-
-
-class BenchmarkOfMethods(Prepared):
-    """The node ``benchmark`` of ``sphericalvision-study preset=benchmark``."""
-
-    methods: list[str]
-    tracks: list[str]
-    frames: Count
-    first_frame: Number
-    meshes: list[str]
-    level: Annotated[int, AtLeast(3)]
-    panorama_rows: Annotated[int, AtLeast(2)]
-    image_rows: Annotated[int, AtLeast(8)]
-    samples_per_pixel: Count
-    cache_dir: str | None
-    workers: Number
-
-
-KEYS: dict[str, type] = {
-    "predict": Predict,
-    "export": Export,
-    "inspect": Inspect,
-    "convert": Convert,
-    "calibrate": Calibrate,
-    "align": Align,
-    "render": Render,
-    "demo": Demo,
-    "evaluate": Evaluate,
-    "train": Train,
-    "study": Study,
-    "benchmark": Benchmark,
+KEYS: dict[str, Any] = {
+    # what is read
+    "calibration": Text,
+    "images": Text,
+    "frames": Annotated[list[int | str], MinLen(1)] | None,
+    "frame": int | str | None,
+    "start": Number,
+    "stop": Count | None,
+    "every": Count,
+    "cameras": Names | None,
+    "camera": Text | int | None,
+    "masks": Text | None,
+    "poses": Text | None,
+    "translation_unit": Unit | None,
+    "max_angle_deg": HalfAngle | None,
+    "runs": Text,
+    # networks
+    "method": Literal["network", "semi_global"],
+    "checkpoint": Text | None,
+    "level": Count | None,
+    "num_hypotheses": Annotated[int, Ge(2)] | None,
+    "min_depth": Positive | Literal["auto", "scene"],
+    "trained_radius": Positive,
+    "antialias": bool,
+    "native": bool | Literal["auto"],
+    "device": Annotated[
+        str, Field(pattern=r"^(auto|(cpu|cuda|mps|xpu)(:\d+)?)$", description="auto, cpu or cuda")
+    ],
+    "seed": Number,
+    "resume": Text | None,
+    "init_weights": Text | None,
+    "tags": list[str | int],
+    # captures
+    "photometric": bool,
+    "align": bool,
+    "window": Annotated[int, Ge(2)],
+    "spacing": Positive | None,
+    "up": Literal["-y", "y", "z", "camera"],
+    "skip_existing": bool,
+    "on_error": Literal["skip", "stop"],
+    "expected_deg": HalfAngle,
+    "depths": Annotated[list[Distance], MinLen(1)],
+    "picture_depths": list[Distance],
+    # what is written
+    "output": Text,
+    "outputs": list[str] | None,
+    "height": Count,
+    "near": Positive | None,
+    "min_confidence": Share,
+    "voxel": Positive | None,
+    "inputs": Text,
+    "tables": Text,
+    "batch": Count | None,
+    "formats": list[str],
+    # cameras
+    "to": Text | None,
+    "format": Text | None,
+    "num_coefficients": Count | None,
+    "projection": Text | None,
+    "fit_angle_deg": HalfAngle | None,
+    "board": Text,
+    "square": Positive,
+    "field_of_view_deg": FullAngle,
+    # scenes
+    "num_frames": Count,
+    "first_frame": Number,
+    "first_seed": Number,
+    "scene_seed": Number,
+    "train_seed": Number,
+    "baseline_scenes": Count,
+    "kind": Text,
+    "mesh": Text | list[str] | None,
+    "mesh_up": Literal["y", "z"],
+    "mesh_scale": Positive,
+    "carrier": Text | None,
+    "release": Literal["png", "tiff"] | None,
+    "scale": Positive,
+    "samples_per_pixel": Count,
+    "num_workers": Number,
+    "batch_size": Count,
+    # evaluation and study
+    "split": Literal["train", "val", "test"],
+    "baselines": bool,
+    "angles_deg": Annotated[list[float], MinLen(1)],
+    "seeds": Annotated[list[Number], MinLen(1)],
+    "equirect_size": Size | None,
+    "panorama_size": Size,
+    "baseline_frames": Count,
+    "panel_frame": Number,
+    "panel_height": Count,
+    "train": bool,
+    "on_change": Literal["refuse", "redo"],
+    "methods": list[str],
+    "tracks": list[str],
+    "meshes": list[str],
+    "panorama_rows": Annotated[int, Ge(2)],
+    "image_rows": Annotated[int, Ge(8)],
+    "cache_dir": Text | None,
+    "workers": Number,
+    # speed
+    "groups": Annotated[list[str], MinLen(1)],
+    "only": Text | None,
+    "seconds": Positive,
+    "threads": Count | None,
+    "peak_size": Count,
+    "settings": list[Size],
+    "feature_channels": Count,
+    "image_size": Size,
+    "memory": bool,
+    "options": list[str],
+    "variants": list[str],
+    "convolution_settings": list[Size],
+    "num_points": Count,
 }
-"""Command -> the types of its keys."""
+"""Key -> its type."""
 
-GROUPS: dict[str, type] = {"trainer": Trainer, "data": Data, "benchmark": BenchmarkOfMethods}
-"""Group -> the types of keys that all its options have."""
+TRAINER: dict[str, Any] = {
+    "max_steps": Annotated[int, Ge(-1)],
+    "max_time": Annotated[
+        str, Field(pattern=r"^\d+:\d\d:\d\d:\d\d$", description="days to seconds as 00:12:00:00")
+    ]
+    | dict[str, Any]
+    | None,
+    "val_check_interval": Count,
+    "check_val_every_n_epoch": type(None),
+    "limit_val_batches": Count | Share | None,
+    "num_sanity_val_steps": Annotated[int, Ge(-1)],
+    "accelerator": Literal["auto", "cpu", "gpu", "cuda", "mps", "tpu"],
+    "devices": Literal["auto", -1]
+    | Count
+    | Annotated[str, Field(pattern=r"^\d+(,\d+)*$", description="numbers of GPUs as 0,2")]
+    | Annotated[list[Number], MinLen(1)],
+    "num_nodes": Count,
+    "use_distributed_sampler": Literal[False],
+    "accumulate_grad_batches": Count,
+    "gradient_clip_val": Annotated[float, Ge(0)] | None,
+    "overfit_batches": Number | Share,
+    "log_every_n_steps": Number,
+    "profiler": Literal["simple", "advanced", "pytorch"] | dict[str, Any] | None,
+}
+"""Keys of the group ``trainer`` that Lightning's own hints leave more open; the others are compared with those."""
+
+OWN: dict[str, dict[str, Any]] = {
+    "export": {"height": Count | None, "cameras": list[str | int] | None},
+    "inspect": {"images": Text | None, "level": Number},
+    "convert": {"output": Text | None},
+    "calibrate": {"to": Text},
+    "render": {"min_depth": Positive},
+    "evaluate": {"masks": Literal["auto"] | None, "native": bool},
+    "study": {
+        "inputs": Literal["fisheye", "equirect"],
+        "num_hypotheses": Annotated[int, Ge(2)],
+        "frames": Count | None,
+        "image_size": Size | None,
+        "training": list[str],
+    },
+    "benchmark": {"training": bool},
+}
+"""Command -> its keys of another type."""
+
+GROUPS: dict[str, dict[str, Any]] = {
+    "trainer": TRAINER,
+    "data": {"num_workers": Number, "batch_size": Count, "seed": Number},
+    "benchmark": {**KEYS, "frames": Count, "level": Annotated[int, Ge(3)]},
+}
+"""Group -> the types of keys that all its options have; what else they have is compared where it is made."""
+
+
+def type_of(command: str, key: str) -> Any:
+    """The type hint of a command's own key; None where it has none."""
+    return OWN.get(command, {}).get(key, KEYS.get(key))
+
+
+def wrong_key(command: str, config: DictConfig) -> str | None:
+    """What is wrong with the first key of a command, or of its groups, that does not fit its type; None if all do."""
+    keys = {str(key): (type_of(command, str(key)), config, key) for key in config}
+    for group, types in GROUPS.items():
+        keys |= {f"{group}.{key}": (types.get(key), config[group], key) for key in config.get(group) or ()}
+    key: Any
+    for name, (hint, node, key) in keys.items():
+        if hint is None or OmegaConf.is_missing(node, key) or OmegaConf.is_interpolation(node, key):
+            continue
+        value = node[key]
+        if wrong := fault(name, OmegaConf.to_container(value) if OmegaConf.is_config(value) else value, hint):
+            return wrong
+    return None

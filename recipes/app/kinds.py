@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from sphericalvision.recipes.app.schema import AtLeast, Exactly, Finite, Like, NotEmpty
+from annotated_types import Ge, Gt, Le, Len, MinLen
 
 __all__ = [
     "Count",
-    "Device",
     "Distance",
     "FullAngle",
     "HalfAngle",
@@ -22,22 +23,21 @@ __all__ = [
     "Unit",
 ]
 
-Count = Annotated[int, AtLeast(1)]
-Number = Annotated[int, AtLeast(0)]
-Positive = Annotated[float, AtLeast(0, above=True), Finite()]
-Share = Annotated[float, AtLeast(0, most=1)]
+Count = Annotated[int, Ge(1)]
+Number = Annotated[int, Ge(0)]
+Positive = Annotated[float, Gt(0), Le(sys.float_info.max)]
+Share = Annotated[float, Ge(0), Le(1)]
 
-Distance = Annotated[float, AtLeast(0, above=True)]
+Distance = Annotated[float, Gt(0)]
 """Metres; infinity is one."""
-HalfAngle = Annotated[float, AtLeast(0, above=True, most=180)]
+HalfAngle = Annotated[float, Gt(0), Le(180)]
 """Degrees from an axis."""
-FullAngle = Annotated[float, AtLeast(0, above=True, most=360)]
+FullAngle = Annotated[float, Gt(0), Le(360)]
 """Degrees across."""
 
-Size = Annotated[list[Count], Exactly(2)]
+Size = Annotated[Sequence[Count], Len(2, 2)]
 """Height, width."""
 
-Text = Annotated[str, NotEmpty()]
-Names = Annotated[list[str | int], NotEmpty()]
+Text = Annotated[str, MinLen(1)]
+Names = Annotated[list[str | int], MinLen(1)]
 Unit = Literal["m", "cm", "mm"]
-Device = Annotated[str, Like(r"auto|(cpu|cuda|mps|xpu)(:\d+)?", "auto, cpu or cuda")]

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated, Literal
+from typing import Literal
 
 import torch
 
@@ -22,8 +22,7 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
-from sphericalvision.recipes.app.kinds import Count, FullAngle, HalfAngle, Positive, Text, Unit
-from sphericalvision.recipes.app.schema import Exactly
+from sphericalvision.recipes.app.kinds import Count, FullAngle, HalfAngle, Positive, Size, Text, Unit
 
 __all__ = [
     "keys_named",
@@ -39,7 +38,7 @@ __all__ = [
 def make_ring(
     num_cameras: Count = 4,
     radius: Positive = 0.2,
-    image_size: Annotated[Sequence[Count], Exactly(2)] = (320, 320),
+    image_size: Size = (320, 320),
     field_of_view_deg: FullAngle = 220.0,
     projection: Literal["equidistant", "equisolid", "stereographic", "orthographic"] = "equidistant",
 ) -> CameraRig:
@@ -56,7 +55,7 @@ def make_ring(
 def make_panorama_ring(
     num_cameras: Count = 4,
     radius: float = 0.2,
-    image_size: Annotated[Sequence[Count], Exactly(2)] = (256, 512),
+    image_size: Size = (256, 512),
 ) -> CameraRig:
     """Cameras that see all around, posed as those of ``make_ring``: their images are equirectangular panoramas.
 
@@ -71,7 +70,7 @@ def make_panorama_ring(
 def make_corner_rig(
     width: Positive = 0.44,
     length: Positive = 0.6,
-    image_size: Annotated[Sequence[Count], Exactly(2)] = (320, 320),
+    image_size: Size = (320, 320),
     field_of_view_deg: FullAngle = 185.0,
     tilt_deg: float = 40.0,
 ) -> CameraRig:

@@ -4,27 +4,33 @@
 from __future__ import annotations
 
 import atexit
-import functools
 import gc
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra import version
+from hydra._internal.callbacks import Callbacks
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
 from hydra.core.global_hydra import GlobalHydra
-from omegaconf import DictConfig
+from hydra.core.utils import run_job
+from hydra.errors import HydraException
+from hydra.types import HydraContext, RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from sphericalvision import __version__
-from sphericalvision.recipes.app.errors import check_overrides, plain_errors, refuse
+from sphericalvision.recipes.app.errors import override_message, plain_errors, refuse, several_processes
 from sphericalvision.recipes.app.help import print_help
-from sphericalvision.recipes.app.misspelt import wrong_word
-from sphericalvision.recipes.app.words import ELSEWHERE, CommandLine, quote_paths, read_words
+from sphericalvision.recipes.app.words import first_values, quote_paths, read_words
 
 __all__ = ["config_space", "run_command"]
 
@@ -33,51 +39,81 @@ CONF = "pkg://sphericalvision.conf"
 
 def run_command(config_name: str, task: Callable[[DictConfig], Any]) -> None:
     """Do what ``sys.argv`` says: show help or version, refuse what does not fit, or run ``task``."""
-    line = read_words(sys.argv[1:])
-    if line.has("--version"):
+    words = [*quote_paths(sys.argv[1:]), *search_path_of_plugins(sys.argv[1:])]
+    if "--version" in words:
         print(f"sphericalvision {__version__}")
         return
-    line = line._replace(overrides=[*search_path_of_plugins(line), *quote_paths(line.overrides)])
-    if wrong := wrong_word(line):
-        refuse(wrong)
-    if line.has("--help", "-h"):
-        with config_space(line.config_dir):
-            print_help(config_name, line.overrides)
-        return
-    if not line.has("--hydra-help", "--shell-completion", "-sc", "--experimental-rerun", *ELSEWHERE):
-        with config_space(line.config_dir):
-            check_overrides(config_name, line)
-    sys.argv[1:] = line.arguments
+    line = read_words(words, refuse)
+    if line.config_dir is not None and not Path(line.config_dir).is_dir():
+        refuse(f"--config-dir: {line.config_dir} is no folder (looked in {Path.cwd()})")
     warnings.formatwarning = _plain_warning
-    decorate = hydra.main(version_base="1.3", config_path=CONF, config_name=config_name)
-    decorate(after_torch(plain_errors(with_own_files(task, line.config_dir))))()
+    work = partial(do_work, task, line.config_dir and Path(line.config_dir).absolute())
+    if line.cfg or line.info or line.hydra_help or line.shell_completion or line.config_path:
+        sys.argv[1:] = words  # the last: how Lightning starts the further processes of a training
+        hydra.main(version_base="1.3", config_path=CONF, config_name=config_name)(work)()
+        return
+    with plain_errors(), config_space(line.config_dir) as space:
+        if line.help:
+            print_help(config_name, line.overrides)
+            return
+        config = checked_config(space, config_name, line.overrides, line.multirun)
+        try_output(config)
+        if line.multirun or config.hydra.mode == RunMode.MULTIRUN:
+            space.multirun(config_name, work, [*line.overrides, "hydra.mode=MULTIRUN"])
+            return
+        callbacks = Callbacks(config)
+        callbacks.on_run_start(config=config, config_name=config_name)
+        context = HydraContext(space.config_loader, callbacks)
+        done = run_job(work, config, "hydra.run.dir", None, context)
+        callbacks.on_run_end(config=config, config_name=config_name, job_return=done)
+        _ = done.return_value  # raises what the work has raised
 
 
-def with_own_files(task: Callable[[DictConfig], Any], config_dir: str | None) -> Callable[[DictConfig], Any]:
-    """Import the Python files beside the user's own configs before ``task``."""
-    if config_dir is None:
-        return task
-    folder = Path(config_dir).absolute()
+def checked_config(space: Hydra, config_name: str, overrides: list[str], multirun: bool) -> DictConfig:
+    """The configuration of a command line, of a multi-run's first run; exits where it does not fit."""
+    try:
+        words = first_values(overrides) if multirun else overrides
+        config = space.compose_config(config_name, words, RunMode.RUN, with_log_configuration=True)
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        refuse(override_message(error, config_name))
+    from sphericalvision.recipes.app.keys import wrong_key  # pydantic, which a misspelt key does not wait for
 
-    @functools.wraps(task)
-    def prepared(config: DictConfig) -> Any:
-        from sphericalvision.recipes.app.own_files import import_own_files
-
-        import_own_files(folder)
-        return task(config)
-
-    return prepared
+    if wrong := wrong_key(config_name, config) or (several_processes(config) if multirun else None):
+        refuse(wrong)
+    for key in map(str, config):
+        if OmegaConf.is_missing(config, key):
+            refuse(f"{key}: a value is needed here; give it on the command line as {key}=...")
+    return config
 
 
-def after_torch(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
-    """Import torch before ``task``, and keep what that makes out of the garbage collector's sight.
+def try_output(config: DictConfig) -> None:
+    """Make the folder ``output`` and write a little into it: a full disk takes folders, and Hydra's empty files."""
+    if OmegaConf.is_interpolation(config, "output") or config.output is None:
+        return
+    output = Path(config.output)
+    if config.hydra.run.dir == ".":
+        if output.is_dir():
+            refuse(f"output: {output} is a folder, a file is expected")
+        return
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=output) as probe:
+            probe.write(b"there is room")
+            probe.flush()
+    except OSError as error:
+        refuse(
+            f"output: {output} is no folder to write to ({error.strerror}); free the disk, or choose another place"
+        )
 
-    Modules live until the end. To look through their hundreds of thousands of objects again and again, and once more
-    at the exit, takes a second of a command that takes five.
+
+def do_work(task: Callable[[DictConfig], Any], own_files: Path | None, config: DictConfig) -> Any:
+    """Import the Python files beside the user's own configs, do ``task``, and tell mistakes plainly.
+
+    What torch's import makes is kept out of the garbage collector's sight: modules live until the end. To look through
+    their hundreds of thousands of objects again and again, and once more at the exit, takes a second of a command that
+    takes five.
     """
-
-    @functools.wraps(task)
-    def prepared(config: DictConfig) -> Any:
+    with plain_errors():
         if "torch" not in sys.modules:
             gc.disable()
             import torch  # noqa: F401
@@ -85,29 +121,31 @@ def after_torch(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any
             gc.freeze()
             gc.enable()
             atexit.register(gc.freeze)
-        return task(config)
+        if own_files is not None:
+            from sphericalvision.recipes.app.own_files import import_own_files
 
-    return prepared
+            import_own_files(own_files)
+        return task(config)
 
 
 @contextmanager
-def config_space(config_dir: str | None = None) -> Iterator[None]:
-    """Let ``hydra.compose`` find the configs of the package and of a folder of one's own."""
+def config_space(config_dir: str | None = None) -> Iterator[Hydra]:
+    """Let Hydra find the configs of the package and of a folder of one's own."""
+    version.setbase("1.3")
     search_path = create_config_search_path(CONF)
     if config_dir is not None:
         search_path.prepend(provider="command-line", path=f"file://{Path(config_dir).absolute()}")
     GlobalHydra.instance().clear()
-    Hydra.create_main_hydra2("check", search_path)
     try:
-        yield
+        yield Hydra.create_main_hydra2("sphericalvision", search_path)
     finally:
         GlobalHydra.instance().clear()
 
 
-def search_path_of_plugins(line: CommandLine) -> list[str]:
+def search_path_of_plugins(words: list[str]) -> list[str]:
     """The word that adds configs of installed packages: their entry points ``sphericalvision.conf`` name a package."""
     packages = sorted(f"pkg://{point.value}" for point in entry_points(group="sphericalvision.conf"))
-    if not packages or any(word.startswith("hydra.searchpath=") for word in line.overrides):
+    if not packages or any(word.startswith("hydra.searchpath=") for word in words):
         return []
     return [f"hydra.searchpath=[{','.join(packages)}]"]
 

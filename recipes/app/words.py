@@ -1,134 +1,97 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The words of a command line: flags apart, file names taken literally, names that are no more."""
+"""The words of a command line: Hydra's flags, and values that its grammar cannot read, taken literally."""
 
 from __future__ import annotations
 
+import argparse
+import difflib
 import os
 import re
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NoReturn
 
-__all__ = ["ELSEWHERE", "CommandLine", "quote_paths", "read_words", "unquote_paths"]
+from hydra._internal.utils import get_args_parser
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 
-PATH_KEYS = {
-    "calibration",
-    "capture",
-    "images",
-    "masks",
-    "checkpoint",
-    "output",
-    "resume",
-    "init_weights",
-    "root",
-    "omnithings",
-    "cache_dir",
-    "runs",
-    "path",
-    "ckpt_path",
-}
-"""Last parts of the keys whose values are file names: what stands there is a name, never Hydra's grammar.
-
-A test compares them with the comments of the YAML files.
-"""
+__all__ = ["first_values", "quote_paths", "read_words", "unquote_paths"]
 
 
-ELSEWHERE = ("--config-path", "-cp", "--config-name", "-cn")
-"""Flags that take the whole configuration from another place, as the processes of one training do."""
+def read_words(words: list[str], fail: Callable[[str], NoReturn]) -> argparse.Namespace:
+    """Take a command line apart as Hydra does, with its overrides in ``overrides``.
 
-
-VALUED = ("--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun", *ELSEWHERE)
-"""Flags that a value follows."""
-
-
-class CommandLine(NamedTuple):
-    """A command line taken apart.
-
-    Attributes:
-        overrides: words ``key=value``.
-        config_dir: folder of one's own configs (``--config-dir``).
-        multirun: whether keys may have several values (``--multirun``).
-        flags: all other flags, Hydra's business.
-    """
-
-    overrides: list[str]
-    config_dir: str | None
-    multirun: bool
-    flags: list[str]
-
-    @property
-    def arguments(self) -> list[str]:
-        """The command line put together again."""
-        folder = [] if self.config_dir is None else ["--config-dir", self.config_dir]
-        return [*self.overrides, *folder, *(["--multirun"] if self.multirun else []), *self.flags]
-
-    def has(self, *names: str) -> bool:
-        """Whether one of these flags is among the others."""
-        return any(flag.partition("=")[0] in names for flag in self.flags)
-
-
-def read_words(arguments: list[str]) -> CommandLine:
-    """Take a command line apart.
+    Args:
+        words: of the command line.
+        fail: called with what is wrong about a flag.
 
     Examples:
-        >>> read_words(["-m", "seed=0,1", "--config-dir", "mine"])
-        CommandLine(overrides=['seed=0,1'], config_dir='mine', multirun=True, flags=[])
-        >>> read_words(["--config-dir=mine", "--cfg", "job"]).flags
-        ['--cfg', 'job']
+        >>> line = read_words(["-m", "seed=0,1", "--config-dir", "mine", "level=3"], exit)
+        >>> line.overrides, line.multirun, line.config_dir
+        (['seed=0,1', 'level=3'], True, 'mine')
     """
-    overrides: list[str] = []
-    flags: list[str] = []
-    config_dir, multirun = None, False
-    waiting = iter(arguments)
-    for word in waiting:
-        name, equals, value = word.partition("=")
-        if name in ("--config-dir", "-cd"):
-            config_dir = value if equals else next(waiting, None)
-        elif word in ("--multirun", "-m"):
-            multirun = True
-        elif name in VALUED:
-            flags.append(word)
-            if not equals and (value := next(waiting, "")):
-                flags.append(value)
-        elif word.startswith("-"):
-            flags.append(word)
-        else:
-            overrides.append(word)
-    return CommandLine(overrides, config_dir, multirun, flags)
+    parser = get_args_parser()
+    parser.error = fail  # type: ignore[method-assign,assignment]
+    line, unknown = parser.parse_known_intermixed_args(words)
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], parser._option_string_actions, 2)
+        hint = f"did you mean {' or '.join(near)}? " if near else ""
+        fail(f"{unknown[0]}: there is no such flag; {hint}The flags are told by --help")
+    line.overrides = quote_paths(line.overrides)
+    return line
 
 
-def quote_paths(arguments: list[str]) -> list[str]:
-    """Quote values of path keys, so that braces, commas and equal signs in file names need no second quoting.
+def first_values(overrides: list[str]) -> list[str]:
+    """A multi-run as its first run.
+
+    Examples:
+        >>> first_values(["seed=3,4", "level=3"])
+        ['seed=3', 'level=3']
+    """
+    parsed = OverridesParser.create().parse_overrides(overrides)
+    return [
+        f"{word.partition('=')[0]}={next(override.sweep_string_iterator())}"
+        if override.is_sweep_override()
+        else word
+        for word, override in zip(overrides, parsed, strict=True)
+    ]
+
+
+def quote_paths(words: list[str]) -> list[str]:
+    """Quote values that Hydra's grammar cannot read, so that braces and equal signs in file names need no quotes.
 
     Examples:
         >>> quote_paths(["images=/data/cam{camera}/{frame:05d}.png", "frames=[1,2]"])
         ["images='/data/cam{camera}/{frame:05d}.png'", 'frames=[1,2]']
     """
-    return [_quote_path(argument) for argument in arguments]
+    parser = OverridesParser.create()
+    return [_quoted(word, parser) for word in words]
 
 
-def unquote_paths(arguments: list[str]) -> list[str]:
+def unquote_paths(words: list[str]) -> list[str]:
     """Take off the quotes that ``quote_paths`` put on, for showing a command line.
 
     Examples:
-        >>> unquote_paths(quote_paths(["output=my run"]))
-        ['output=my run']
+        >>> unquote_paths(quote_paths(["output={my}"]))
+        ['output={my}']
     """
-    return [_unquote_path(argument) for argument in arguments]
+    return [_unquoted(word) for word in words]
 
 
-def _unquote_path(argument: str) -> str:
-    match = re.match(r"^([\w./@]+)='(.*)'$", argument, re.DOTALL)
+def _unquoted(word: str) -> str:
+    match = re.match(r"^([\w./@]+)='(.*)'$", word, re.DOTALL)
     if match is None:
-        return argument
+        return word
     return f"{match[1]}=" + re.sub(r"(\\+)('|$)", lambda end: end[1][: len(end[1]) // 2] + end[2], match[2])
 
 
-def _quote_path(argument: str) -> str:
-    match = re.match(r"^([\w./@]+)=(.*)$", argument, re.DOTALL)
-    if match is None or match[1].split(".")[-1] not in PATH_KEYS:
-        return argument
-    value = match[2]
-    if value in ("", "null", "auto") or value[0] in "'\"" or "${" in value:
-        return argument
-    literal = os.path.expanduser(value)
-    escaped = re.sub(r"(\\*)('|$)", lambda end: end[1] * 2 + (r"\'" if end[2] else ""), literal)
-    return f"{match[1]}='{escaped}'"
+def _quoted(word: str, parser: OverridesParser) -> str:
+    match = re.match(r"^([\w./@]+)=(.+)$", word, re.DOTALL)
+    if match is None:
+        return word
+    value = os.path.expanduser(match[2])
+    try:
+        parser.parse_override(f"{match[1]}={value}").value()
+        return f"{match[1]}={value}"
+    except HydraException:
+        escaped = re.sub(r"(\\*)('|$)", lambda end: end[1] * 2 + (r"\'" if end[2] else ""), value)
+        return f"{match[1]}='{escaped}'"

@@ -28,12 +28,13 @@ from sphericalvision.scenes.rendered_frames import RenderedFrames
 __all__ = ["render"]
 
 
-def render(config: DictConfig, folder: Path) -> int:
-    """Render the frames that ``folder`` lacks; returns how many these were.
+def render(config: DictConfig) -> int:
+    """Render the frames that ``config.output`` lacks, which the runs of a multi-run share; returns how many these were.
 
     Raises:
-        ArgumentError: an unknown release, no frames asked for, or ``folder`` holds frames of other settings.
+        ArgumentError: an unknown release, no frames asked for, or the folder holds frames of other settings.
     """
+    folder = Path(config.output).absolute()
     if config.release not in (None, *RELEASES):
         raise ArgumentError(f"release: expected {' or '.join(RELEASES)}, got {config.release!r}")
     if config.num_frames < 1:

@@ -80,6 +80,11 @@ def check_optimization(module: TrainingModule) -> None:
         raise ArgumentError(f"optimizer, scheduler: torch refuses these values: {error}") from error
 
 
+def train_objective(config: DictConfig, folder: Path) -> float:
+    """Train, and return the value that a sweep compares."""
+    return train(config, folder)[config.task.monitor.rpartition("/")[2].replace("over_", ">")]
+
+
 def train(config: DictConfig, folder: Path) -> dict[str, float]:
     """Train as ``config`` says and return the validation metrics of the best checkpoint.
 
@@ -146,11 +151,6 @@ def exit_status(trainer: pl.Trainer, stopped: SystemExit) -> int | str | None:
     if getattr(trainer, "received_sigterm", False):
         return 143
     return 130 if stopped.code in (0, 1, None) else stopped.code
-
-
-def objective(values: dict[str, float], monitor: str) -> float:
-    """The value that a sweep compares."""
-    return values[monitor.rpartition("/")[2].replace("over_", ">")]
 
 
 def logged_values(trainer: pl.Trainer, module: TrainingModule, split: str) -> dict[str, float]:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
 import torch.nn.functional as F
+from annotated_types import Ge
 from rich.progress import track
 from torch import Tensor
 from torch.utils.data import Dataset
@@ -26,7 +27,6 @@ from sphericalvision.data import ToSphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Number, Positive, Share, Text, Unit
-from sphericalvision.recipes.app.schema import AtLeast
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.prediction.own_body import with_own_body_masked
 from sphericalvision.recipes.prediction.sources import (
@@ -121,8 +121,8 @@ class CaptureDataModule(SampleDataModule):
         start: Number = 0,
         stop: Count | None = None,
         every: Count = 1,
-        num_frames: Annotated[int, AtLeast(2)] = 50,
-        held_out_every: Annotated[int, AtLeast(2)] = 5,
+        num_frames: Annotated[int, Ge(2)] = 50,
+        held_out_every: Annotated[int, Ge(2)] = 5,
         cameras: Names | None = None,
         masks: Text | None = None,
         translation_unit: Unit | None = None,

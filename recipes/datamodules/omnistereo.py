@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
+from annotated_types import Ge, MinLen
 from torch.utils.data import Dataset
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.app.kinds import Positive, Text
-from sphericalvision.recipes.app.schema import AtLeast, NotEmpty
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import ChosenEntries, Wanted
 from sphericalvision.recipes.datamodules.skipping import SkipDamaged
@@ -56,14 +56,14 @@ class OmniStereoDataModule(SampleDataModule):
         release: Literal["png", "tiff"] | None = None,
         missing: Literal["error", "skip"] = "error",
         photometric: bool = True,
-        shift: Annotated[float, AtLeast(0)] = 0.5,
+        shift: Annotated[float, Ge(0)] = 0.5,
         train_split: str = "train",
         val_split: str = "val",
         test_split: str = "test",
         batch_size: int = 4,
         num_workers: int = 4,
         seed: int = 0,
-        entries: Annotated[Sequence[str], NotEmpty()] | None = None,
+        entries: Annotated[Sequence[str], MinLen(1)] | None = None,
         depth_level: int | None = None,
         on_error: Literal["stop", "skip"] = "stop",
     ) -> None:

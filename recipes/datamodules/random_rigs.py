@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import torch
 from rich.progress import track
@@ -18,8 +18,7 @@ from sphericalvision.data import RotateFivefold
 from sphericalvision.data.augmentation.mirror import Mirror
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share, Text
-from sphericalvision.recipes.app.schema import Exactly
+from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share, Size, Text
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.scenes import Augmented
 from sphericalvision.scenes.cache import ArrayCache
@@ -93,7 +92,7 @@ class RandomRigDataModule(SampleDataModule):
         level_rigs: Share | None = None,
         disturbed: Share | None = None,
         world: dict[str, Any] | None = None,
-        image_size: Annotated[Sequence[Count], Exactly(2)] = (256, 256),
+        image_size: Size = (256, 256),
         samples_per_pixel: Count = 1,
         num_train: Count = 4000,
         num_val: Count = 28,

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import torch
+from annotated_types import Len, MinLen
 from rich.progress import track
 from torch.utils.data import DataLoader, Dataset
 
@@ -16,8 +17,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import PhotometricAugmentation, RotateFivefold
 from sphericalvision.data.augmentation.transforms import Compose
-from sphericalvision.recipes.app.kinds import Count, Number, Positive, Text
-from sphericalvision.recipes.app.schema import Exactly, NotEmpty
+from sphericalvision.recipes.app.kinds import Count, Number, Positive, Size, Text
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import Wanted
 from sphericalvision.scenes import SceneDataset
@@ -78,8 +78,8 @@ class SceneDataModule(SampleDataModule):
         level: int | None = None,
         depth_level: int | None = None,
         min_depth: Positive | None = None,
-        entries: Annotated[Sequence[str], NotEmpty()] | None = None,
-        panorama_size: Annotated[Sequence[Count], Exactly(2)] | None = None,
+        entries: Annotated[Sequence[str], MinLen(1)] | None = None,
+        panorama_size: Size | None = None,
         kind: str = "mixed",
         num_train: Count = 1000,
         num_val: Count = 32,
@@ -98,7 +98,7 @@ class SceneDataModule(SampleDataModule):
         mesh_up: Literal["y", "z"] = "y",
         mesh_scale: Positive = 1.0,
         carrier: str | None = None,
-        tilts_deg: Annotated[Sequence[float], Exactly(2)] | None = None,
+        tilts_deg: Annotated[Sequence[float], Len(2, 2)] | None = None,
     ) -> None:
         super().__init__(batch_size, num_workers, seed)
         self.rig, self.cache_dir, self.augment = rig, cache_dir, augment

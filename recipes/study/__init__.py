@@ -3,23 +3,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sphericalvision.recipes.app.command import command, output_folder
+from sphericalvision.recipes.app.command import command
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-__all__ = ["main"]
+__all__ = ["main", "run"]
 
 
-@command("study")
-def main(config: DictConfig) -> Any:
-    """Command line of the study."""
+def run(config: DictConfig, folder: Path) -> Any:
+    """The study, or with ``preset=benchmark`` the benchmark of methods."""
     if "benchmark" in config:
         from sphericalvision.recipes.study.comparison.command import compare
 
-        return compare(config, output_folder())
+        return compare(config, folder)
     from sphericalvision.recipes.study.command import study
 
-    return study(config, output_folder())
+    return study(config, folder)
+
+
+main = command("study", "study:run")

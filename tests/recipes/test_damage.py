@@ -66,11 +66,8 @@ def test_weights_alone_are_no_training_to_go_on_with(trained: Any, tmp_path: Pat
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EACCES, errno.ENOTDIR])
 def test_what_the_disk_refuses_is_one_paragraph(number: int, capsys: pytest.CaptureFixture[str]) -> None:
-    def task(config: Any) -> None:
+    with pytest.raises(SystemExit) as stopped, plain_errors():
         raise OSError(number, "what the system says", "/somewhere/x.png")
-
-    with pytest.raises(SystemExit) as stopped:
-        plain_errors(task)(None)  # type: ignore[arg-type]
     assert stopped.value.code == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith("Error: /somewhere/x.png: what the system says; free the disk")

@@ -215,47 +215,6 @@ def test_optuna_sweeps_if_it_is_installed(run: Run, tmp_path: Path, tiny_trainin
     assert len(json.loads((tmp_path / "sweep/sweep.json").read_text())) == 2
 
 
-@pytest.mark.parametrize(
-    ("recipe", "word", "expected"),
-    [
-        ("predict", "frames=3", "frames: expected a list of"),
-        ("predict", "height=0", "height: expected a whole number of 1 or more, got 0"),
-        (
-            "predict",
-            "min_depth=[1]",
-            "min_depth: expected a number above 0 and finite or one of auto, scene, got [1]",
-        ),
-        ("predict", "trained_radius=0", "trained_radius: expected a number above 0 and finite, got 0"),
-        (
-            "predict",
-            "max_angle_deg=wide",
-            "max_angle_deg: expected a number above 0 to 180 or null, got 'wide'",
-        ),
-        ("train", "seed=abc", "seed: expected a whole number of 0 or more, got 'abc'"),
-        ("train", "seed=-1", "seed: expected a whole number of 0 or more, got -1"),
-        ("train", "data.num_workers=-1", "data.num_workers: expected a whole number of 0 or more, got -1"),
-        (
-            "train",
-            "trainer.val_check_interval=0",
-            "trainer.val_check_interval: expected a whole number of 1 or more",
-        ),
-        ("train", "trainer.max_steps=many", "trainer.max_steps: expected a whole number of -1 or more"),
-        (
-            "train",
-            "trainer.devices=[a]",
-            "trainer.devices: expected one of auto, -1 or a whole number of 1 or more",
-        ),
-        ("render", "num_workers=many", "num_workers: expected a whole number of 0 or more, got 'many'"),
-        ("inspect", "depths=[far]", "depths: expected a list of numbers above 0 (not empty), got ['far']"),
-        ("benchmark", "settings=[5,16]", "settings: expected a list of"),
-    ],
-)
-def test_wrong_types_are_told_by_their_key(
-    failing: Callable[..., str], recipe: str, word: str, expected: str
-) -> None:
-    assert expected in failing(recipe, "--config-dir", ".", word)
-
-
 def test_wrong_values_are_told_before_anything_starts(failing: Callable[..., str], tmp_path: Path) -> None:
     words = ("experiment=quickstart", *NETWORK, "output=run")
     assert "Invalid learning rate: -1" in failing("train", *words, "optimizer.lr=-1")

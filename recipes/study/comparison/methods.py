@@ -9,7 +9,6 @@ from pathlib import Path
 import torch
 
 from sphericalvision.core import ArgumentError, SphericalVisionError
-from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import (
     ConstantDepth,
     DepthNetwork,
@@ -92,7 +91,7 @@ def _constant(level: int, folder: Path | None) -> DepthNetwork:
     assert TRAINING_SCENES < HELD_OUT_SEED
     net = ConstantDepth(level, *SCALE)
     scenes = [make_scene(kind_of("all", seed), seed) for seed in range(TRAINING_SCENES)]
-    directions = Icosphere(net.depth_level).vertices
+    directions = net.grid.directions
     net.fit(torch.stack([ray_depth(scene, torch.zeros(3), directions).reciprocal() for scene in scenes]))
     if path is not None:
         save_weights(net, path)

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture import Depth, PhotometricCalibration, Predictor
+from sphericalvision.capture import Depth, Predictor
 from sphericalvision.capture.outputs import Outputs, Settings, done_file
 from sphericalvision.capture.preparation.preparation import AUTO, Preparation
 from sphericalvision.capture.sources.captures import find_masks
@@ -250,8 +250,10 @@ def run(
         took = time.perf_counter() - start
         if not told.is_set():
             told.set()
-            tell_noise(mine.noise(frame.images))
-            tell_light(mine.light(frame.images))
+            for sentence in depth.compensations[0].described() if depth.compensations else ():
+                console.print(
+                    f"photometric=true {sentence} (in the first frame)", highlight=False, soft_wrap=True
+                )
         return Done(frame, depth, took)
 
     told = Event()  # of the first frame alone
@@ -299,29 +301,6 @@ def run(
             highlight=False,
         )
     return wrong
-
-
-def tell_noise(noise: Mapping[str, float]) -> None:
-    """Print how strong the noise is that is smoothed in the first frame; nothing if none is."""
-    if not any(noise.values()):
-        return
-    told = ", ".join(f"{100 * amount:.1f} % of {name}" for name, amount in noise.items() if amount)
-    console.print(
-        f"photometric=true smooths noise: {told} (in the first frame)", highlight=False, soft_wrap=True
-    )
-
-
-def tell_light(light: PhotometricCalibration | None) -> None:
-    """Print what is compensated in the first frame; nothing if nothing is."""
-    if light is None:
-        return
-    exposure, falloff = light.exposure.mean(1).exp(), 1 - (-light.falloff.sum(1)).exp()
-    console.print(
-        f"photometric=true compensates exposures of {exposure.min():.2f} to {exposure.max():.2f} of the mean and "
-        f"lenses that lose up to {100 * falloff.max():.0f} % of the light at the edge (in the first frame)",
-        highlight=False,
-        soft_wrap=True,
-    )
 
 
 def _number(left: set[str] | None) -> list[int]:

@@ -18,22 +18,17 @@ from sphericalvision.capture.predictor import check_number
 from sphericalvision.capture.preparation.nearest import nearest_hypothesis
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, AUTO, Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
+from sphericalvision.capture.sources.opening import spread_evenly
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.app.captures import open_capture, with_own_body_masked
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Number, Positive, Share, Text, Unit
 from sphericalvision.recipes.app.schema import AtLeast
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.rehearsal import Rehearsal, random_disturbance
-from sphericalvision.recipes.prediction.own_body import with_own_body_masked
-from sphericalvision.recipes.prediction.sources import (
-    open_source,
-    read_capture_rig,
-    rig_for_images,
-    spread_evenly,
-)
 from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.sweep import (
@@ -157,13 +152,10 @@ class CaptureDataModule(SampleDataModule):
         self.min_depth, self.trained_radius = min_depth, trained_radius
         self.rendered, self.rendered_seed = rendered, rendered_seed
         self.preparation = Preparation(**preparation, own_body=masks == AUTO)
-        pattern = None if self.preparation.own_body else masks
-        keys = (cameras, pattern, translation_unit, max_angle_deg)
-        rig, mask_files = read_capture_rig(calibration or images, *keys)
-        if len(rig) < 2:
+        keys = (cameras, masks, translation_unit, max_angle_deg, frames)
+        self.source = open_capture(images, calibration or images, *keys)
+        if len(self.source.rig) < 2:
             raise ArgumentError("data.cameras: expected two or more that see the same things, got one")
-        self.source = open_source(images, rig, frames, mask_files)
-        self.source.rig = rig_for_images(rig, self.source.sizes())
         self.names = self._chosen(self.source)
         self.taught: dict[str, Taught] = {}
         self.rig = self.source.rig

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -24,7 +24,6 @@ from sphericalvision.sweep import inverse_depth_from_index
 
 if TYPE_CHECKING:
     from sphericalvision.capture.points import SurfacePoints
-    from sphericalvision.capture.preparation.compensation import Compensation
 
 __all__ = ["Depth", "DepthImage"]
 
@@ -69,7 +68,7 @@ class Depth:
         network: the network; ``network.grid`` is the grid of the values.
         rig: the cameras.
         images: camera name -> ``(*b, 3, h, w)`` in [0, 1], for colours.
-        compensations: of each frame, what was taken out of its images before depth was estimated.
+        compensations: of each frame a ``Compensation``, what was taken out of its images before depth was estimated.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -87,7 +86,7 @@ class Depth:
     network: DepthNetwork
     rig: CameraRig
     images: Mapping[str, Tensor] = field(repr=False)
-    compensations: tuple[Compensation, ...] = field(default=(), repr=False)
+    compensations: tuple[Any, ...] = field(default=(), repr=False)
 
     @property
     def inverse_depth(self) -> Float[Tensor, "*batch_and_grid"]:

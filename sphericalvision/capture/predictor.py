@@ -25,6 +25,7 @@ from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
     NearestHypothesis,
     check_places,
+    checked_min_depth,
     nearest_hypothesis,
 )
 from sphericalvision.capture.preparation.preparation import Preparation
@@ -223,6 +224,19 @@ class Predictor:
         other._rig, other._ready = rig.to(self._device), None
         return other
 
+    def with_min_depth(self, metres: float) -> Predictor:
+        """The same with another nearest hypothesis; the network's weights are shared.
+
+        Args:
+            metres: of the nearest hypothesis.
+
+        Raises:
+            ArgumentError: no positive number.
+        """
+        other = copy.copy(self)
+        other._min_depth, other._ready, other._scaled = checked_min_depth(metres), None, None
+        return other
+
     def find_min_depth(self, frames: Iterable[Mapping[str, Any]]) -> float:
         """Find the nearest depth in metres worth trying in a few frames, and use it from now on.
 
@@ -313,7 +327,7 @@ class Predictor:
         self, ready: _Ready, photographs: Mapping[str, Tensor]
     ) -> tuple[Tensor, tuple[Compensation, ...]]:
         """``(*b, n, 3, V)`` on icospheres, or ``(*b, n, 3, h, w)``, 0 where nothing was seen; what was taken out."""
-        if not self.preparation.photometric:
+        if self.preparation.of_images is None:
             return ready.intake(photographs), ()
         compensator = ready.compensator
         smooth, noise = compensator.smoothed(photographs)

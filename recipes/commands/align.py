@@ -17,12 +17,11 @@ from sphericalvision.capture import RayMatcher, RayMatches, align_rig
 from sphericalvision.capture.calibrating.align import AlignedRig
 from sphericalvision.capture.checks import pose_agreement
 from sphericalvision.capture.photographs import as_photographs
-from sphericalvision.capture.sources.captures import find_masks
 from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.opening import spread_evenly
 from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.recipes.app.captures import open_capture
 from sphericalvision.recipes.app.cli import console, print_table
-from sphericalvision.recipes.commands.predict import load_rig
-from sphericalvision.recipes.prediction.sources import open_source, rig_for_images, spread_evenly
 
 __all__ = ["align"]
 
@@ -39,12 +38,11 @@ def align(config: DictConfig) -> AlignedRig | None:
     """
     if config.format is not None:
         check_choice("format", config.format, RIG_FORMATS)
-    rig = load_rig(config)
+    keys = (config.cameras, config.masks, config.translation_unit, config.max_angle_deg, config.frames)
+    source = open_capture(config.images, config.calibration, *keys)
+    rig = source.rig
     if len(rig) < 2:
         raise ArgumentError("cameras: expected two or more that see the same things, got one")
-    masks = () if config.masks is None else find_masks(config.masks, rig.names).values()
-    source = open_source(config.images, rig, config.frames, masks)
-    source.rig = rig = rig_for_images(rig, source.sizes())
     names = source.names(Selection(config.start, config.stop, config.every))
     if names is None:
         raise ArgumentError("images: expected a recording, not live cameras")

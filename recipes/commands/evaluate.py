@@ -19,6 +19,7 @@ from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparatio
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.app.captures import with_own_body_masked
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
 from sphericalvision.recipes.datamodules.base import SampleDataModule
@@ -28,7 +29,6 @@ from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.measures import VertexErrors, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale, photographs_of
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
-from sphericalvision.recipes.prediction.own_body import with_own_body_masked
 
 __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
 

@@ -22,19 +22,14 @@ from sphericalvision.capture.preparation.nearest import nearest_hypothesis
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, AUTO, Preparation
 from sphericalvision.capture.pseudo_labels import PseudoLabeller, PseudoLabels
 from sphericalvision.capture.sources.frames import Selection, Source
+from sphericalvision.capture.sources.opening import spread_evenly
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.app.captures import open_capture, with_own_body_masked
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Number, Positive, Share, Text, Unit
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
-from sphericalvision.recipes.prediction.own_body import with_own_body_masked
-from sphericalvision.recipes.prediction.sources import (
-    open_source,
-    read_capture_rig,
-    rig_for_images,
-    spread_evenly,
-)
 from sphericalvision.scenes.disturbances import RandomFaults
 from sphericalvision.scenes.draws import by_seed_and_globally
 from sphericalvision.scenes.random_rig_scenes import WorldSamples
@@ -155,13 +150,10 @@ class CaptureDataModule(SampleDataModule):
         self.rendered, self.rendered_seed = rendered, rendered_seed
         self.world = world_values("rehearsal") if world is None else world
         self.preparation = Preparation(**preparation, own_body=masks == AUTO)
-        pattern = None if self.preparation.own_body else masks
-        keys = (cameras, pattern, translation_unit, max_angle_deg)
-        rig, mask_files = read_capture_rig(calibration or images, *keys)
-        if len(rig) < 2:
+        keys = (cameras, masks, translation_unit, max_angle_deg, frames)
+        self.source = open_capture(images, calibration or images, *keys)
+        if len(self.source.rig) < 2:
             raise ArgumentError("data.cameras: expected two or more that see the same things, got one")
-        self.source = open_source(images, rig, frames, mask_files)
-        self.source.rig = rig_for_images(rig, self.source.sizes())
         self.names = self._chosen(self.source)
         self.labelled: dict[str, LabelledFrame] = {}
         self.rig = self.source.rig

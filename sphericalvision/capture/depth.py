@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -68,6 +68,7 @@ class Depth:
         network: the network; ``network.grid`` is the grid of the values.
         rig: the cameras.
         images: camera name -> ``(*b, 3, h, w)`` in [0, 1], for colours.
+        compensations: of each frame a ``Compensation``, what was taken out of its images before depth was estimated.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -85,6 +86,7 @@ class Depth:
     network: DepthNetwork
     rig: CameraRig
     images: Mapping[str, Tensor] = field(repr=False)
+    compensations: tuple[Any, ...] = field(default=(), repr=False)
 
     @property
     def inverse_depth(self) -> Float[Tensor, "*batch_and_grid"]:
@@ -127,7 +129,8 @@ class Depth:
             raise ArgumentError("select: this is the depth of one frame, not of a batch")
         images = {name: image[frame] for name, image in self.images.items()}
         index, confidence, seen = self.index[frame], self.confidence[frame], self.seen[frame]
-        return Depth(index, confidence, seen, self.network, self.rig, images)
+        taken_out = self.compensations[frame : frame + 1 or None]
+        return Depth(index, confidence, seen, self.network, self.rig, images, taken_out)
 
     def panorama(self, height: int) -> DepthImage:
         """Return depth as an equirectangular panorama ``(*b, height, 2 * height)`` around the rig's centre."""

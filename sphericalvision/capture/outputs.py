@@ -195,6 +195,7 @@ class Outputs:
 
     Attributes:
         written: files so far.
+        is_new: whether no frame came yet.
         shares: of the sphere that two cameras see, frame by frame.
         warnings: what is probably wrong, told from the first frame.
         consistency: photo-consistency of each frame, for the output of that name.
@@ -215,6 +216,7 @@ class Outputs:
         self._timeline: Timeline | None = None
         self._recording: RerunLog | None = None
         self._number = 0
+        self.is_new = True
         self._judge = PhotoConsistency()
         self._table = folder / "consistency.csv"
         self.consistency: dict[str, float] = read_shares(self._table) if settings.go_on else {}
@@ -228,6 +230,7 @@ class Outputs:
 
     def begin(self, depth: Depth) -> None:
         """Take the colours of all pictures from this frame, if it is the first."""
+        self.is_new = False
         if self.near is None:
             self.near = near_end_of(depth)
 

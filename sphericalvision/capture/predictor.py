@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import copy
-import math
 import os
 import threading
 from collections.abc import Iterable, Mapping
@@ -18,21 +17,15 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
-from sphericalvision.capture import PhotometricCalibration
 from sphericalvision.capture.depth import Depth
 from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.preparation.alignment import RigTurns, turned_rig
-from sphericalvision.capture.preparation.compensation import (
-    LEAST_NOISE,
-    evened_batch,
-    noise_of,
-    uneven_light,
-    without_noise,
-)
+from sphericalvision.capture.preparation.compensation import Compensation, Compensator
 from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
     NearestHypothesis,
     check_places,
+    checked_min_depth,
     nearest_hypothesis,
 )
 from sphericalvision.capture.preparation.preparation import Preparation
@@ -57,6 +50,7 @@ class _Ready(NamedTuple):
     net: DepthNetwork
     tables: Any
     intake: Intake
+    compensator: Compensator
     angles: Tensor
     """``(n, V)`` radians from each camera's axis; empty for networks that take images as they are."""
 
@@ -230,6 +224,19 @@ class Predictor:
         other._rig, other._ready = rig.to(self._device), None
         return other
 
+    def with_min_depth(self, metres: float) -> Predictor:
+        """The same with another nearest hypothesis; the network's weights are shared.
+
+        Args:
+            metres: of the nearest hypothesis.
+
+        Raises:
+            ArgumentError: no positive number.
+        """
+        other = copy.copy(self)
+        other._min_depth, other._ready, other._scaled = checked_min_depth(metres), None, None
+        return other
+
     def find_min_depth(self, frames: Iterable[Mapping[str, Any]]) -> float:
         """Find the nearest depth in metres worth trying in a few frames, and use it from now on.
 
@@ -285,13 +292,13 @@ class Predictor:
         photographs = self._photographs(images)
         ready = self._prepared(photographs)
         batch = photographs[self._rig.names[0]].shape[:-3]
-        inputs = self._inputs(ready, photographs)
+        inputs, taken_out = self._inputs(ready, photographs)
         with self._turn():
             estimate = ready.net.predict(
                 inputs.reshape(-1, *inputs.shape[len(batch) :]), ready.tables, ready.intake.seen
             )
         index, confidence, seen = (values.reshape(*batch, *values.shape[1:]) for values in estimate)
-        return Depth(index.float(), confidence.float(), seen, ready.net, self._rig, photographs)
+        return Depth(index.float(), confidence.float(), seen, ready.net, self._rig, photographs, taken_out)
 
     def inputs(
         self, images: Mapping[str, Any]
@@ -299,7 +306,7 @@ class Predictor:
         """Return images as the network takes them, in [-1, 1], and what of them was seen; arguments as of a call."""
         photographs = self._photographs(images)
         ready = self._prepared(photographs)
-        return self._inputs(ready, photographs), ready.intake.seen
+        return self._inputs(ready, photographs)[0], ready.intake.seen
 
     def __repr__(self) -> str:
         near = (
@@ -316,50 +323,27 @@ class Predictor:
         found = as_photographs(images, self._rig, self._channels)
         return {name: image.to(self._device, non_blocking=True) for name, image in found.items()}
 
-    def _inputs(self, ready: _Ready, photographs: Mapping[str, Tensor]) -> Tensor:
-        """``(*b, n, 3, V)`` on icospheres, or ``(*b, n, 3, h, w)``; 0 where nothing was seen."""
-        if self.preparation.photometric:
-            photographs = without_noise(self._rig, photographs)
-        lights = self._lights(photographs)
+    def _inputs(
+        self, ready: _Ready, photographs: Mapping[str, Tensor]
+    ) -> tuple[Tensor, tuple[Compensation, ...]]:
+        """``(*b, n, 3, V)`` on icospheres, or ``(*b, n, 3, h, w)``, 0 where nothing was seen; what was taken out."""
+        if self.preparation.of_images is None:
+            return ready.intake(photographs), ()
+        compensator = ready.compensator
+        smooth, noise = compensator.smoothed(photographs)
+        flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in smooth.items()}
+        frames = [{name: images[frame] for name, images in flat.items()} for frame in range(len(noise))]
+        lights = [compensator.light(frame) if len(self._rig) > 1 else None for frame in frames]
+        taken_out = tuple(map(Compensation, noise, lights))
         if ready.net.images == "camera":
-            return ready.intake(evened_batch(self._rig, photographs, lights))
-        values = ready.intake.looked_up(photographs)
+            even = [compensator.evened(frame, light) for frame, light in zip(frames, lights, strict=True)]
+            stacked = {n: torch.stack([frame[n] for frame in even]).view_as(smooth[n]) for n in smooth}
+            return ready.intake(stacked), taken_out
+        values = ready.intake.looked_up(smooth)
         for frame, light in zip(values.view(-1, *values.shape[-3:]), lights, strict=True):
             if light is not None:
                 frame.div_(light.light(ready.angles)).clamp_(0, 1)
-        return signed(values, ready.intake.seen)
-
-    def light(self, images: Mapping[str, Any]) -> PhotometricCalibration | None:
-        """Return what of exposure and vignetting is compensated in a frame, None where nothing is.
-
-        Args:
-            images: of one frame, as of a call.
-        """
-        return self._lights(self._photographs(images))[0]
-
-    def noise(self, images: Mapping[str, Any]) -> dict[str, float]:
-        """Return camera name -> standard deviation of the noise that is smoothed in a frame, 0 where none is.
-
-        Args:
-            images: of one frame, as of a call.
-        """
-        if not self.preparation.photometric:
-            return dict.fromkeys(self._rig.names, 0.0)
-        masks = self._rig.masks
-        found = {n: noise_of(image, masks.get(n)) for n, image in self._photographs(images).items()}
-        return {name: noise if noise >= LEAST_NOISE else 0.0 for name, noise in found.items()}
-
-    def _lights(self, photographs: Mapping[str, Tensor]) -> list[PhotometricCalibration | None]:
-        """What is to be taken out of each frame, None where there is nothing to speak of."""
-        first = next(iter(photographs.values()))
-        flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in photographs.items()}
-        count = math.prod(first.shape[:-3])
-        if not self.preparation.photometric or len(self._rig) < 2:
-            return [None] * count
-        return [
-            uneven_light(self._rig, {name: images[frame] for name, images in flat.items()})
-            for frame in range(count)
-        ]
+        return signed(values, ready.intake.seen), taken_out
 
     def _ready_now(self) -> _Ready:
         if self._ready is None and self._min_depth is None:
@@ -404,7 +388,7 @@ class Predictor:
                 self._rig.world_from_camera
             )
             angles = angle_from_axis(vertices @ self._rig.world_from_camera[:, :3, :3]).float()
-        return _Ready(net, net.tables(self._rig), intake, angles)
+        return _Ready(net, net.tables(self._rig), intake, Compensator(self._rig), angles)
 
 
 def check_number(net: DepthNetwork, rig: CameraRig) -> None:

@@ -20,7 +20,16 @@ from torch import Tensor
 from sphericalvision.core import FileFormatError, ShapeError, check_file
 from sphericalvision.io.files import write_bytes
 
-__all__ = ["MAX_PIXELS", "read_image", "read_mask", "read_pages", "write_image", "write_mask", "write_pages"]
+__all__ = [
+    "MAX_PIXELS",
+    "read_image",
+    "read_image_size",
+    "read_mask",
+    "read_pages",
+    "write_image",
+    "write_mask",
+    "write_pages",
+]
 
 MAX_PIXELS = 2**27
 """Pixels of all pages of an image file together; a file that says it has more is refused before it is decoded."""
@@ -63,6 +72,28 @@ def read_pages(path: str | Path, what: str = "an image", image_size: Size | None
         )
     _check_sizes(path, [(page.shape[0], page.shape[1]) for page in pages], image_size)
     return [_to_rgb(np.asarray(page)) for page in pages]
+
+
+def read_image_size(path: str | Path, what: str = "an image") -> Size:
+    """Return the ``(height, width)`` of an image file, of its first page; pixels are decoded only if no header says it.
+
+    Args:
+        path: any format OpenCV reads.
+        what: what is expected there, for the error messages.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: neither header nor pixels can be read.
+    """
+    from PIL import Image  # only who reads files pays for it
+
+    path = check_file(path, what)
+    with warnings.catch_warnings(), suppress(Exception):  # Pillow raises whatever it meets in a damaged file
+        warnings.simplefilter("ignore")
+        with Image.open(path) as image:
+            return image.height, image.width
+    height, width = read_pages(path, what)[0].shape[:2]
+    return height, width
 
 
 def read_image(

@@ -8,8 +8,14 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.capture import Predictor
-from sphericalvision.capture.preparation.compensation import LEAST_NOISE, compensated, denoised, noise_of
+from sphericalvision.capture import Predictor, calibrate_photometry
+from sphericalvision.capture.preparation.compensation import (
+    LEAST_NOISE,
+    Compensation,
+    compensated,
+    denoised,
+    noise_of,
+)
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.scenes import make_scene, render_rig
 
@@ -95,10 +101,30 @@ def test_predictor_smooths_what_it_says(rig: CameraRig, clean: dict[str, Tensor]
         predictor = Predictor(rig, method="semi_global", level=5, min_depth=0.5, preparation=preparation)
         truth = predictor(clean).index
         depth[photometric] = (predictor(faulty).index - truth).abs().mean()
-        told = predictor.noise(faulty)
-        assert list(told) == list(rig.names)
-        assert all(
-            amount == pytest.approx(0.04 if photometric else 0.0, rel=0.15) for amount in told.values()
-        )
-        assert predictor.noise(clean) == dict.fromkeys(rig.names, 0.0)
+        if not photometric:
+            assert predictor(faulty).compensations == ()
+            continue
+        (said,), (nothing,) = predictor(faulty).compensations, predictor(clean).compensations
+        assert list(said.noise) == list(rig.names)
+        assert all(amount == pytest.approx(0.04, rel=0.15) for amount in said.noise.values())
+        assert nothing == Compensation(dict.fromkeys(rig.names, 0.0), None)
     assert depth[True] < 0.9 * depth[False]
+
+
+def test_the_light_that_is_told_is_that_which_is_taken_out(rig: CameraRig, clean: dict[str, Tensor]) -> None:
+    """It is estimated of smooth images: noise is cut off at black, which looks like light."""
+    dark = noisy({name: image * (0.3 if name == "cam1" else 1.0) for name, image in clean.items()}, 0.06)
+    predictor = Predictor(rig, method="semi_global", level=5, min_depth=0.5)
+    batch = {name: torch.stack((image, clean[name])) for name, image in dark.items()}
+    said, nothing = predictor(batch).compensations
+    assert nothing.light is None
+    assert said.light is not None
+    smooth = {name: denoised(image) for name, image in dark.items()}
+    assert torch.equal(said.light.exposure, calibrate_photometry(rig, smooth).exposure)
+    assert not torch.equal(said.light.exposure, calibrate_photometry(rig, dark).exposure)
+    predictor.preparation = Preparation(photometric=False)
+    even, _ = predictor.inputs(said.light.corrected(rig, smooth))
+    predictor.preparation = Preparation()
+    taken_out, _ = predictor.inputs(dark)
+    torch.testing.assert_close(taken_out, even, atol=0.1, rtol=0)
+    assert (taken_out - even).abs().mean() < 0.01

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from sphericalvision.cameras import read_rig
-from sphericalvision.recipes.prediction.sources import spread_evenly
+from sphericalvision.capture.sources.opening import spread_evenly
 from tests.recipes.knocked_capture import KNOCKED, true_rig, write_knocked_capture
 from tests.recipes.tiny import Run
 

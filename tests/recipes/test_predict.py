@@ -15,6 +15,8 @@ import torch
 import trimesh
 from omegaconf import OmegaConf
 
+import sphericalvision.capture.predictor
+import sphericalvision.io.images
 from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.capture.outputs import read_shares
 from sphericalvision.icosphere import Icosphere
@@ -138,6 +140,28 @@ def test_what_is_compensated_is_said(
     assert "compensates" not in capsys.readouterr().out
 
 
+def test_images_and_network_are_read_once(
+    run: Run, capture: Path, weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded: list[str] = []
+    networks: list[object] = []
+    read, load = sphericalvision.io.images.read_pages, sphericalvision.capture.predictor.read_network
+
+    def read_pages(path: Path, *more: object) -> object:
+        decoded.append(str(path))
+        return read(path, *more)  # type: ignore[arg-type]
+
+    def read_network(weights: object) -> object:
+        networks.append(weights)
+        return load(weights)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(sphericalvision.io.images, "read_pages", read_pages)
+    monkeypatch.setattr(sphericalvision.capture.predictor, "read_network", read_network)
+    run("predict", *words(capture, weights, "out"), "align=true", "min_depth=scene", "outputs=[npz]")
+    assert sorted(decoded) == sorted(map(str, capture.glob("cam*/0*.png")))
+    assert len(networks) == 1
+
+
 def test_knocked_cameras_are_turned_and_it_is_said(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -156,12 +180,12 @@ def test_knocked_cameras_are_turned_and_it_is_said(
         calibration.to_yaml(tmp_path / f"{name}.yaml")
         run("predict", f"calibration={tmp_path / name}.yaml", f"output={name}", *common)
         said = capsys.readouterr().out
-        assert ("align=true turns cam1 by" in said) == (name == "wrong")
+        assert ("preparation turns cam1 by" in said) == (name == "wrong")
         assert (tmp_path / name / "aligned.yaml").is_file() == (name == "wrong")
     run("predict", f"calibration={tmp_path}/wrong.yaml", "output=off", *common, "align=false")
     (tmp_path / "wrong/00003_depth.npz").unlink()
     run("predict", f"calibration={tmp_path}/wrong.yaml", "output=wrong", *common, "skip_existing=true")
-    assert "align=true turns" not in capsys.readouterr().out
+    assert "preparation turns" not in capsys.readouterr().out
     run("predict", f"calibration={tmp_path}/wrong/aligned.yaml", "output=again", *common, "align=false")
     right, wrong, off, again = (
         np.load(tmp_path / name / "00003_depth.npz")["index"] for name in ("right", "wrong", "off", "again")

@@ -15,7 +15,7 @@ from sphericalvision.capture import Predictor
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image, write_image
-from sphericalvision.recipes.prediction.moving import open_moving
+from sphericalvision.recipes.app.captures import open_moving
 from tests.recipes.tiny import Run
 
 SIZE = (24, 48)
@@ -81,7 +81,7 @@ def test_windows_of_a_video_and_of_few_images(capture: Path) -> None:
         writer.write(np.full((*SIZE, 3), 30 * number, np.uint8))
     writer.release()
     moving = open_moving(
-        "equirectangular", str(capture / "walk.avi"), str(capture / "poses.txt"), spacing=0.1, up="z"
+        str(capture / "walk.avi"), "equirectangular", str(capture / "poses.txt"), spacing=0.1, up="z"
     )
     assert moving.rig.cameras["000002"].image_size == SIZE
     frames = list(moving.frames(Selection(1, None, 2), lambda _: True))
@@ -91,7 +91,7 @@ def test_windows_of_a_video_and_of_few_images(capture: Path) -> None:
     np.testing.assert_allclose(greys, [120, 150, 180], atol=3)
     assert frames[1].rig is not None
     assert frames[1].rig.names == ["000004", "000005", "000006"]
-    still = open_moving("equirectangular", str(capture / "walk"), str(capture / "poses.txt"), window=2)
+    still = open_moving(str(capture / "walk"), "equirectangular", str(capture / "poses.txt"), window=2)
     (frame,) = still.frames(Selection(2, 3), lambda _: True)
     assert frame.images is None
     assert "in one place" in str(frame.error)
@@ -101,7 +101,7 @@ def test_too_few_images_and_unknown_poses_are_told(
     run: Run, capture: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(ArgumentError, match=r"spacing: expected 3 poses 0\.4 m apart"):
-        open_moving("equirectangular", str(capture / "walk"), str(capture / "poses.txt"), spacing=0.4)
+        open_moving(str(capture / "walk"), "equirectangular", str(capture / "poses.txt"), spacing=0.4)
     with pytest.raises(SystemExit):
         run("predict", *words(capture), "cameras=[cam1]")
     assert "with poses there is one camera" in capsys.readouterr().err

@@ -16,12 +16,12 @@ import torch
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.opening import open_source, rig_for_images
 from sphericalvision.capture.sources.threads import Behind, ahead, side_by_side, threads_kept
 from sphericalvision.capture.sources.videos import views_layout
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image, write_image
-from sphericalvision.recipes.prediction.own_body import masked_by_itself
-from sphericalvision.recipes.prediction.sources import open_source, rig_for_images
+from sphericalvision.recipes.app.captures import masked_by_itself
 from tests.recipes.tiny import Run
 
 SIZE = (32, 40)

@@ -47,6 +47,13 @@ class RigTurns(NamedTuple):
     agreement: tuple[float, float]
     """0 to 1: how well images agreed before and after."""
 
+    def described(self) -> str:
+        """Return what was turned and what it brought."""
+        angles = zip(self.rig.names, self.turns.norm(dim=-1).tolist(), strict=True)
+        turned = ", ".join(f"{name} by {math.degrees(angle):.2f}°" for name, angle in angles)
+        before, after = self.agreement
+        return f"turns {turned}: images agree better, {after:.3f} in place of {before:.3f} of 1"
+
 
 def turned_rig(depths: Sequence[Depth]) -> RigTurns | None:
     """Return the rig with its cameras turned so that images agree at about the depth that was estimated.

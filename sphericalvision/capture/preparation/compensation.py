@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,9 +14,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture import PhotometricCalibration, calibrate_photometry
+from sphericalvision.capture.preparation.photometric import Photometer, PhotometricCalibration, pixel_angles
 
-__all__ = ["compensated", "denoised", "evened", "evened_batch", "noise_of", "uneven_light", "without_noise"]
+__all__ = ["Compensation", "Compensator", "compensated", "denoised", "noise_of"]
 
 LEAST_LIGHT = 0.05
 """Share of the light: cameras that differ by less are taken to be alike."""
@@ -28,18 +30,88 @@ MOST_SAMPLES = 200_000
 """Values of an image that the noise is estimated from."""
 
 
+class Compensation(NamedTuple):
+    """What was taken out of the images of one frame.
+
+    Attributes:
+        noise: camera name -> standard deviation of the noise that was smoothed, of the range [0, 1]; 0 where none was.
+        light: how exposure and vignetting differed; None where the difference was negligible.
+    """
+
+    noise: Mapping[str, float]
+    light: PhotometricCalibration | None = None
+
+    def described(self) -> list[str]:
+        """Return a sentence for each of the two; none where nothing was done."""
+        sentences = []
+        if any(self.noise.values()):
+            strength = ", ".join(
+                f"{100 * amount:.1f} % of {name}" for name, amount in self.noise.items() if amount
+            )
+            sentences.append(f"smooths noise: {strength}")
+        if self.light is not None:
+            exposure, falloff = self.light.exposure.mean(1).exp(), 1 - (-self.light.falloff.sum(1)).exp()
+            sentences.append(
+                f"compensates exposures of {exposure.min():.2f} to {exposure.max():.2f} of the mean and lenses that "
+                f"lose up to {100 * falloff.max():.0f} % of the light at the edge"
+            )
+        return sentences
+
+
+class Compensator:
+    """Takes noise, exposure and vignetting out of the images of a rig; what follows from the rig is computed once.
+
+    Args:
+        rig: unbatched.
+    """
+
+    def __init__(self, rig: CameraRig) -> None:
+        self.rig = rig
+        self._usable = {name: _inside(mask) for name, mask in rig.masks.items()}
+
+    @cached_property
+    def _photometer(self) -> Photometer:
+        return Photometer(self.rig)
+
+    @cached_property
+    def _angles(self) -> dict[str, Tensor]:
+        return pixel_angles(self.rig)
+
+    def smoothed(
+        self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
+    ) -> tuple[dict[str, Float[Tensor, "*batch c _ _"]], list[dict[str, float]]]:
+        """Return images without noise, and frame by frame how much there was in that of each camera."""
+        smooth, noise = {}, {}
+        for name, image in images.items():
+            smooth[name], noise[name] = _smoothed(image, self._usable.get(name))
+        return smooth, [dict(zip(noise, frame, strict=True)) for frame in zip(*noise.values(), strict=True)]
+
+    def light(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> PhotometricCalibration | None:
+        """Return how exposure and vignetting of the cameras differ, None where the difference is negligible."""
+        found = self._photometer(images)
+        return found if found.strength > LEAST_LIGHT else None
+
+    def evened(
+        self, images: Mapping[str, Float[Tensor, "*batch c _ _"]], light: PhotometricCalibration | None
+    ) -> dict[str, Float[Tensor, "*batch c _ _"]]:
+        """Return images without these differences."""
+        return dict(images) if light is None else light.divided_out(images, self._angles)
+
+
 def compensated(
     rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
 ) -> dict[str, Float[Tensor, "*batch c _ _"]]:
-    """Return images without noise, and without differences in exposure and vignetting."""
-    return evened(rig, without_noise(rig, images))
+    """Return images without noise, and without differences in exposure and vignetting; a batch counts as one frame.
 
-
-def without_noise(
-    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
-) -> dict[str, Float[Tensor, "*batch c _ _"]]:
-    """Return the images of a rig, each ``denoised`` by what its mask leaves of it."""
-    return {name: denoised(image, rig.masks.get(name)) for name, image in images.items()}
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> images = {"cam1": torch.full((3, 32, 32), 0.5), "cam2": torch.full((3, 32, 32), 0.49)}
+        >>> compensated(ring_rig(2, image_size=(32, 32)), images)["cam2"] is images["cam2"]
+        True
+    """
+    compensator = Compensator(rig)
+    smooth, _ = compensator.smoothed(images)
+    return compensator.evened(smooth, compensator.light(smooth))
 
 
 def denoised(
@@ -60,24 +132,25 @@ def denoised(
         >>> bool((denoised(noisy) - clean).std() < 0.5 * (noisy - clean).std()), denoised(clean) is clean
         (True, True)
     """
+    return _smoothed(image, None if usable is None else _inside(usable))[0]
+
+
+def _smoothed(image: Tensor, inside: np.ndarray | None) -> tuple[Tensor, list[float]]:
+    """An image or a batch of them, smoothed where it has to be, and the noise of each frame that was."""
     frames = image.detach().reshape(-1, *image.shape[-3:])
-    inside = None if usable is None else _inside(usable)
-    found = [_denoised(frame, inside) for frame in frames]
-    if all(smooth is None for smooth in found):
-        return image
-    parts = [frame if smooth is None else smooth for frame, smooth in zip(frames, found, strict=True)]
-    return torch.stack(parts).view_as(image)
-
-
-def _denoised(image: Tensor, inside: np.ndarray | None) -> Tensor | None:
-    noise = _noise(image, inside)
-    if noise < LEAST_NOISE:
-        return None
-    pixels = np.ascontiguousarray(image.movedim(0, -1).float().cpu().numpy())
-    smooth = np.atleast_3d(cv2.bilateralFilter(pixels, WINDOW, CONTRAST * noise, REACH))
-    if inside is not None:
-        smooth = np.where(inside[..., None], smooth, pixels)
-    return torch.from_numpy(smooth).movedim(-1, 0).to(image)
+    noise = [found if (found := _noise(frame, inside)) >= LEAST_NOISE else 0.0 for frame in frames]
+    if not any(noise):
+        return image, noise
+    parts = []
+    for frame, amount in zip(frames, noise, strict=True):
+        if amount:
+            pixels = np.ascontiguousarray(frame.movedim(0, -1).float().cpu().numpy())
+            smooth = np.atleast_3d(cv2.bilateralFilter(pixels, WINDOW, CONTRAST * amount, REACH))
+            if inside is not None:
+                smooth = np.where(inside[..., None], smooth, pixels)
+            frame = torch.from_numpy(smooth).movedim(-1, 0).to(image)
+        parts.append(frame)
+    return torch.stack(parts).view_as(image), noise
 
 
 def noise_of(image: Float[Tensor, "c h w"], usable: Bool[Tensor, "h w"] | None = None) -> float:
@@ -126,40 +199,3 @@ def _noise(image: Tensor, inside: np.ndarray | None) -> float:
     return float(left[shown].abs().median()) / (
         6 * 0.6745
     )  # by the differences' norm; of a Gaussian's median
-
-
-def evened_batch(
-    rig: CameraRig, photographs: Mapping[str, Tensor], lights: list[PhotometricCalibration | None]
-) -> dict[str, Tensor]:
-    """Images ``(*b, 3, h, w)`` without what is to be taken out of each frame."""
-    flat = {name: image.reshape(-1, *image.shape[-3:]).clone() for name, image in photographs.items()}
-    for frame, light in enumerate(lights):
-        if light is not None:
-            even = light.corrected(rig, {name: images[frame] for name, images in flat.items()})
-            for name, image in even.items():
-                flat[name][frame] = image
-    return {name: flat[name].view_as(image) for name, image in photographs.items()}
-
-
-def uneven_light(
-    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
-) -> PhotometricCalibration | None:
-    """Return how exposure and vignetting of a rig's cameras differ, None where the difference is negligible."""
-    found = calibrate_photometry(rig, images)
-    return found if found.strength > LEAST_LIGHT else None
-
-
-def evened(
-    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
-) -> dict[str, Float[Tensor, "*batch c _ _"]]:
-    """Return images without these differences.
-
-    Examples:
-        >>> import torch
-        >>> from sphericalvision.cameras import ring_rig
-        >>> images = {"cam1": torch.full((3, 32, 32), 0.5), "cam2": torch.full((3, 32, 32), 0.49)}
-        >>> evened(ring_rig(2, image_size=(32, 32)), images)["cam2"] is images["cam2"]
-        True
-    """
-    light = uneven_light(rig, images)
-    return dict(images) if light is None else light.corrected(rig, images)

@@ -83,6 +83,15 @@ class OwnBody(NamedTuple):
     num_views: int
     reason: str
 
+    def described(self) -> list[str]:
+        """Return a line for each camera."""
+        why = f" ({self.reason or 'no body was seen'})"
+        shares = self.shares.items()
+        return [
+            f"mask of {name}: {100 * share:.1f} % of its picture{'' if share else why}"
+            for name, share in shares
+        ]
+
 
 def find_own_body(
     rig: CameraRig, frames: Iterable[Mapping[str, Float[Tensor, "c _ _"]]], margin: int = 1

@@ -21,11 +21,11 @@ from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.conversion.fit import cap
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
+from sphericalvision.cameras.sphere_images import sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.directions import angle_from_axis
 
-__all__ = ["PhotometricCalibration", "calibrate_photometry"]
+__all__ = ["Photometer", "PhotometricCalibration", "calibrate_photometry", "pixel_angles"]
 
 _POINTS = 2000
 _DISTANCES = (10.0, 30.0, 100.0)
@@ -97,16 +97,26 @@ class PhotometricCalibration(NamedTuple):
             >>> [round(image.mean().item(), 2) for image in even.values()]
             [0.45, 0.45]
         """
+        return self.divided_out(images, pixel_angles(rig))
+
+    def divided_out(
+        self, images: Mapping[str, Float[Tensor, "*batch c _ _"]], angles: Mapping[str, Float[Tensor, "_ _"]]
+    ) -> dict[str, Float[Tensor, "*batch c _ _"]]:
+        """Return what ``corrected`` does, of the ``pixel_angles`` of the rig."""
         even = {}
-        for place, (name, camera) in enumerate(rig.cameras.items()):
-            directions = camera.unproject(camera.pixel_grid()).directions
-            angles = angle_from_axis(directions).nan_to_num(math.pi)
+        for place, (name, angle) in enumerate(angles.items()):
             here = slice(place, place + 1)
-            one = PhotometricCalibration(
-                self.exposure[here], self.falloff[here], self.edge[here], self.residual
+            one = self._replace(
+                exposure=self.exposure[here], falloff=self.falloff[here], edge=self.edge[here]
             )
-            even[name] = (images[name] / one.light(angles[None])[0].to(images[name])).clamp(0, 1)
+            even[name] = (images[name] / one.light(angle[None])[0].to(images[name])).clamp(0, 1)
         return even
+
+
+def pixel_angles(rig: CameraRig) -> dict[str, Float[Tensor, "_ _"]]:
+    """Return camera name -> angle ``(h, w)`` of each pixel from the optical axis, radians; pi where there is no ray."""
+    rays = {name: camera.unproject(camera.pixel_grid()).directions for name, camera in rig.cameras.items()}
+    return {name: angle_from_axis(directions).nan_to_num(math.pi) for name, directions in rays.items()}
 
 
 def calibrate_photometry(
@@ -144,64 +154,90 @@ def calibrate_photometry(
         >>> [round(share.item(), 2) for share in shown], round(0.5 ** (1 / 2.2), 2)
         ([0.73, 0.73, 0.73, 0.73], 0.73)
     """
-    check_single(rig)
-    if depth is not None and not depth > 0:
-        raise ArgumentError(f"depth: expected metres above 0, got {depth!r}")
-    if set(images) != set(rig.cameras):
-        raise ArgumentError(
-            f"images: expected one for each of {', '.join(rig.names)}, got {', '.join(map(str, images))}"
-        )
-    for name, camera in rig.cameras.items():
-        if images[name].ndim < 3 or tuple(images[name].shape[-2:]) != camera.image_size:
-            raise ShapeError(
-                f"images[{name!r}]: expected shape (*b, c, {camera.image_size[0]}, {camera.image_size[1]}) as "
-                f"calibrated, got {tuple(images[name].shape)}"
+    return Photometer(rig, depth)(images)
+
+
+class Photometer:
+    """``calibrate_photometry`` of one rig, as often as wanted: what follows from the rig is computed once.
+
+    Args:
+        rig: a single rig.
+        depth: as of ``calibrate_photometry``.
+
+    Raises:
+        ArgumentError: ``depth`` is not positive.
+    """
+
+    def __init__(self, rig: CameraRig, depth: float | None = None) -> None:
+        check_single(rig)
+        if depth is not None and not depth > 0:
+            raise ArgumentError(f"depth: expected metres above 0, got {depth!r}")
+        self.rig = rig
+        self._inside, edges = {}, []
+        for name, camera in rig.cameras.items():
+            directions, inside = camera.unproject(camera.pixel_grid())
+            edges.append(angle_from_axis(directions).where(inside, 0.0).amax())
+            self._inside[name] = inside & rig.masks[name].bool() if name in rig.masks else inside
+        self._edge = torch.stack(edges)
+        radius = float(rig.radius)
+        distances = [far * radius for far in _DISTANCES] if depth is None else [depth]
+        self._places = [_Points(self, 1 / far if far > 0 else 0.0) for far in distances]
+
+    def __call__(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> PhotometricCalibration:
+        """Estimate exposure and vignetting.
+
+        Args:
+            images: as of ``calibrate_photometry``; so are the errors.
+        """
+        cameras = self.rig.cameras
+        if set(images) != set(cameras):
+            raise ArgumentError(
+                f"images: expected one for each of {', '.join(cameras)}, got {', '.join(map(str, images))}"
             )
-    views = [_View(rig, name, images[name]) for name in rig.names]
-    edge = torch.stack([view.edge for view in views])
-    radius = float(rig.radius)
-    distances = [far * radius for far in _DISTANCES] if depth is None else [depth]
-    found = [_compared(rig, views, 1 / far if far > 0 else 0.0) for far in distances]
-    exposure, falloff, residual = min(found, key=lambda answer: answer[2])
-    return PhotometricCalibration(exposure.to(edge), falloff.to(edge), edge, residual)
+        for name, camera in cameras.items():
+            if images[name].ndim < 3 or tuple(images[name].shape[-2:]) != camera.image_size:
+                raise ShapeError(
+                    f"images[{name!r}]: expected shape (*b, c, {camera.image_size[0]}, {camera.image_size[1]}) as "
+                    f"calibrated, got {tuple(images[name].shape)}"
+                )
+        frames = []  # black outside of the field of view
+        for name, inside in self._inside.items():
+            frames.append(images[name].reshape(-1, *images[name].shape[-3:]) * inside)
+        found = [points.compared(frames) for points in self._places]
+        exposure, falloff, residual = min(found, key=lambda answer: answer[2])
+        return PhotometricCalibration(exposure.to(self._edge), falloff.to(self._edge), self._edge, residual)
 
 
-class _View:
-    """The images of one camera, black outside its field of view."""
+class _Points:
+    """Where points at one inverse depth, 1/m, fall in the images, and how much light is lost there."""
 
-    def __init__(self, rig: CameraRig, name: str, image: Tensor) -> None:
-        camera = rig.cameras[name]
-        directions, inside = camera.unproject(camera.pixel_grid())
-        self.edge = angle_from_axis(directions).where(inside, 0.0).amax()
-        self.has_lens = not isinstance(camera, EquirectangularCamera)
-        if name in rig.masks:
-            inside = inside & rig.masks[name].bool()
-        self.inside = inside[None].to(image)
-        self.frames = image.reshape(-1, *image.shape[-3:]) * self.inside
+    def __init__(self, of: Photometer, inverse_depth: float) -> None:
+        rig = of.rig
+        directions = cap(math.pi, _POINTS, next(iter(rig.cameras.values()))).to(rig.world_from_camera)
+        self.lookups = sphere_lookups(rig, directions, antialias=True, inverse_depth=inverse_depth)
+        rays = directions + inverse_depth * (rig.center - rig.positions)[:, None].to(directions)
+        angles = angle_from_axis(rays @ rig.world_from_camera[:, :3, :3])
+        has_lens = [not isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values()]
+        squared = (angles / of._edge[:, None]).clamp(max=1).square()
+        squared = squared * torch.tensor(has_lens, device=squared.device)[:, None]
+        self.basis = torch.stack((squared, squared.square()), -1)
+        self.shares = [
+            look(inside[None].float(), 0)
+            for look, inside in zip(self.lookups, of._inside.values(), strict=True)
+        ]
 
-    def shown(self, look: SphereLookup) -> tuple[Tensor, Tensor]:
-        """Logarithms of values ``(c, b V)``, and which are usable ``(b V,)``: not at the border of the view."""
-        share = look(self.inside, 0)
-        found = look(self.frames, 0) / share.clamp(min=0.5)
-        good = look.seen & (share[0] > 0.99) & (found.amin(1) > _DARKEST) & (found.amax(1) < _BRIGHTEST)
-        return found.clamp(min=_DARKEST).log().movedim(1, 0).flatten(1), good.flatten()
-
-    def basis(self, angles: Tensor) -> Tensor:
-        """The two terms ``(V, 2)`` of the falloff."""
-        squared = (angles / self.edge).clamp(max=1).square() * self.has_lens
-        return torch.stack((squared, squared.square()), -1)
-
-
-def _compared(rig: CameraRig, views: list[_View], inverse_depth: float) -> tuple[Tensor, Tensor, float]:
-    """Exposure, falloff and residual with all points at one inverse depth, 1/m."""
-    directions = cap(math.pi, _POINTS, next(iter(rig.cameras.values()))).to(rig.world_from_camera)
-    lookups = sphere_lookups(rig, directions, antialias=True, inverse_depth=inverse_depth)
-    rays = directions + inverse_depth * (rig.center - rig.positions)[:, None].to(directions)
-    angles = angle_from_axis(rays @ rig.world_from_camera[:, :3, :3])
-    shown = [view.shown(look) for view, look in zip(views, lookups, strict=True)]
-    basis = torch.stack([view.basis(angle) for view, angle in zip(views, angles, strict=True)])
-    values, usable = (torch.stack(parts) for parts in zip(*shown, strict=True))
-    return _solve(values, usable, basis)
+    def compared(self, images: list[Tensor]) -> tuple[Tensor, Tensor, float]:
+        """Exposure, falloff and residual of images ``(b, c, h, w)``, a camera each."""
+        values, usable = (
+            [],
+            [],
+        )  # logarithms (c, b V), and whether they are not at the border of the view (b V,)
+        for look, share, frames in zip(self.lookups, self.shares, images, strict=True):
+            found = look(frames, 0) / share.to(frames).clamp(min=0.5)
+            good = look.seen & (share[0] > 0.99) & (found.amin(1) > _DARKEST) & (found.amax(1) < _BRIGHTEST)
+            values.append(found.clamp(min=_DARKEST).log().movedim(1, 0).flatten(1))
+            usable.append(good.flatten())
+        return _solve(torch.stack(values), torch.stack(usable), self.basis)
 
 
 def _solve(

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
+from contextlib import suppress
 from typing import Any, NamedTuple, Protocol
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.captures import Capture, read_frame
 from sphericalvision.core import ArgumentError, FileFormatError
-from sphericalvision.io.images import read_image
+from sphericalvision.io.images import read_image_size
 
 __all__ = ["Files", "Frame", "Selection", "Source"]
 
@@ -106,18 +106,16 @@ class Files:
 
     def __init__(self, capture: Capture, rig: CameraRig) -> None:
         self.files, self.rig = dict(capture.files), rig
+        self._sampled: dict[str, Frame] = {}
 
     def sizes(self) -> dict[str, tuple[int, int]]:
-        """Camera name -> (height, width) of its first image that can be read."""
+        """Camera name -> (height, width) of its first image that can be read; the pixels are not."""
         found: dict[str, tuple[int, int]] = {}
         for name in self.rig.names:
             for files in list(self.files.values())[:3]:
-                try:
-                    height, width = read_image(files[name]).shape[-2:]
-                except (FileFormatError, OSError):
-                    continue
-                found[name] = (height, width)
-                break
+                with suppress(FileFormatError, OSError):
+                    found[name] = read_image_size(files[name])
+                    break
         return found
 
     def names(self, selection: Selection) -> list[str]:
@@ -126,19 +124,22 @@ class Files:
         return [everything[position] for position in selection.positions(len(everything))]
 
     def samples(self) -> list[Frame]:
-        """The first, the middle and the last frame, those of them that can be read."""
+        """The first, the middle and the last frame, those of them that can be read; ``frames`` has them then."""
         names = list(self.files)
         chosen = {names[position] for position in (0, len(names) // 2, len(names) - 1)}
-        frames = self.frames(Selection(), chosen.__contains__)
-        return [frame for frame in frames if frame.images is not None]
+        self._sampled |= {name: self._read(name) for name in names if name in chosen - self._sampled.keys()}
+        return [
+            frame for frame in map(self._sampled.__getitem__, sorted(chosen, key=names.index)) if frame.images
+        ]
 
     def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:
         """The frames chosen that are wanted; one that cannot be read has an error in place of images."""
         for name in self.names(selection):
-            if not wanted(name):
-                continue
-            files: Mapping[str, Path] = self.files[name]
-            try:
-                yield Frame(name, read_frame(files, self.rig))
-            except (FileFormatError, OSError) as error:
-                yield Frame(name, None, error)
+            if wanted(name):
+                yield self._sampled.pop(name) if name in self._sampled else self._read(name)
+
+    def _read(self, name: str) -> Frame:
+        try:
+            return Frame(name, read_frame(self.files[name], self.rig))
+        except (FileFormatError, OSError) as error:
+            return Frame(name, None, error)

@@ -36,6 +36,7 @@ class Videos:
 
     def __init__(self, files: Mapping[str, Path | int], rig: CameraRig) -> None:
         self.files, self.rig = dict(files), rig
+        self._sampled: list[Frame] = []
         self.live = isinstance(next(iter(self.files.values())), int)
         with ExitStack() as stack:
             videos = self._open(stack)
@@ -63,10 +64,9 @@ class Videos:
 
     def samples(self) -> list[Frame]:
         """The first, the middle and the last frame; none of live cameras."""
-        if self.live:
-            return []
+        if self.live or self._sampled:
+            return self._sampled
         last = (self.num_frames or 1) - 1
-        found = []
         with ExitStack() as stack:
             videos = self._open(stack)
             for number in sorted({0, last // 2, max(last - 1, 0)}):
@@ -74,8 +74,8 @@ class Videos:
                     video.set(cv2.CAP_PROP_POS_FRAMES, number)
                 images = {name: video.read()[1] for name, video in videos.items()}
                 if all(image is not None for image in images.values()):
-                    found.append(Frame(_name(number), self._by_camera(images)))
-        return found
+                    self._sampled.append(Frame(_name(number), self._by_camera(images)))
+        return self._sampled
 
     def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:
         """The frames chosen, one after the other; what is not wanted is passed over without being decoded."""

@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-
-from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.captures import find_capture, find_masks
@@ -15,9 +13,8 @@ from sphericalvision.capture.sources.frames import Files, Source
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_image
-from sphericalvision.recipes.app.rigs import rig_from_file
 
-__all__ = ["open_source", "read_capture_rig", "rig_for_images", "spread_evenly"]
+__all__ = ["open_source", "rig_for_images", "rig_with_masks", "spread_evenly"]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 STEMS = (
@@ -127,33 +124,18 @@ def rig_for_images(rig: CameraRig, sizes: dict[str, tuple[int, int]]) -> CameraR
     return rig.resized(other) if other else rig
 
 
-def read_capture_rig(
-    calibration: str,
-    cameras: Sequence[str | int] | None = None,
-    masks: str | None = None,
-    translation_unit: str | None = None,
-    max_angle_deg: float | None = None,
-) -> tuple[CameraRig, list[Path]]:
-    """The rig of a capture with its masks on, and the files of these.
+def rig_with_masks(rig: CameraRig, masks: str) -> tuple[CameraRig, list[Path]]:
+    """The rig with masks on, and their files.
 
     Args:
-        calibration: file, or folder; of a pattern with fields the folder above them.
-        cameras: names to use, in order; all when not given.
-        masks: pattern of masks, white where usable.
-        translation_unit: of ``poses.txt``.
-        max_angle_deg: half the field of view in degrees, where the file does not say it.
+        rig: of the cameras.
+        masks: pattern of images, white where usable.
     """
-    if "{" in calibration:
-        calibration = str(Path(calibration.partition("{")[0] + "_").parent)
-    rig = rig_from_file(calibration, translation_unit, max_angle_deg)  # type: ignore[arg-type]
-    if cameras is not None:
-        rig = rig.subset(list(cameras))
-    if masks is None:
-        return rig, []
-    usable: dict[str, Tensor] = {}
     files = find_masks(masks, rig.names)
-    for name, path in files.items():
-        usable[name] = read_image(path, rig.cameras[name].image_size, f"the mask of camera {name}")[0] > 0.5
+    usable = {
+        name: read_image(path, rig.cameras[name].image_size, f"the mask of camera {name}")[0] > 0.5
+        for name, path in files.items()
+    }
     return CameraRig(rig.cameras, rig.world_from_camera, masks=usable), list(files.values())
 
 

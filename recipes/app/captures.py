@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Captures as commands name them: calibration, cameras and masks by keys, and what is said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, read_camera, read_trajectory
+from sphericalvision.capture import find_own_body
+from sphericalvision.capture.photographs import as_photographs
+from sphericalvision.capture.preparation.own_body import MOST
+from sphericalvision.capture.preparation.preparation import AUTO
+from sphericalvision.capture.sources.frames import Selection, Source
+from sphericalvision.capture.sources.moving import NAME, Moving
+from sphericalvision.capture.sources.opening import (
+    open_source,
+    rig_for_images,
+    rig_with_masks,
+    spread_evenly,
+)
+from sphericalvision.core import ArgumentError
+from sphericalvision.io.images import read_image, write_mask
+from sphericalvision.recipes.app.rigs import keys_named, radians, rig_from_file
+
+__all__ = ["masked_by_itself", "open_capture", "open_moving", "with_own_body_masked"]
+
+PANORAMA = "equirectangular"
+"""In place of a calibration file: images are whole panoramas of any size."""
+
+
+def open_capture(
+    images: str,
+    calibration: str,
+    cameras: Sequence[str | int] | None = None,
+    masks: str | None = None,
+    translation_unit: str | None = None,
+    max_angle_deg: float | None = None,
+    frames: Iterable[int | str] | None = None,
+) -> Source:
+    """The frames of a capture, with its rig, in the size of its images and with its masks on.
+
+    Args:
+        images: as of ``open_source``.
+        calibration: file, or folder; of a pattern with fields the folder above them.
+        cameras: names to use, in order; all when not given.
+        masks: pattern of masks, white where usable; ``"auto"`` is none yet.
+        translation_unit: of ``poses.txt``.
+        max_angle_deg: half the field of view in degrees, where the file does not say it.
+        frames: names or numbers of the frames to take, of image files.
+    """
+    if "{" in calibration:
+        calibration = str(Path(calibration.partition("{")[0] + "_").parent)
+    rig = rig_from_file(calibration, translation_unit, max_angle_deg)  # type: ignore[arg-type]
+    if cameras is not None:
+        rig = rig.subset(list(cameras))
+    files: list[Path] = []
+    if masks not in (None, AUTO):
+        rig, files = rig_with_masks(rig, masks)
+    source = open_source(images, rig, frames, files)
+    sizes = source.sizes()
+    source.rig = rig_for_images(rig, sizes)
+    for name in rig.names:
+        if source.rig.cameras[name].image_size != rig.cameras[name].image_size:
+            (height, width), (h, w) = sizes[name], rig.cameras[name].image_size
+            print(
+                f"Warning: images of {name} have {width} x {height} pixels (width x height), the calibration is for "
+                f"{w} x {h}. They are taken as the whole image resized; if they are a part of it, depth will be wrong: "
+                "crop the calibration, or capture at its size."
+            )
+            break
+    return source
+
+
+def open_moving(
+    images: str,
+    calibration: str,
+    poses: str,
+    window: int = 3,
+    spacing: float | None = None,
+    up: str = "-y",
+    mask: str | None = None,
+    max_angle_deg: float | None = None,
+    frames: list[int | str] | None = None,
+) -> Moving:
+    """The images of one camera and their poses.
+
+    Args:
+        images: as of ``open_source``, of one camera.
+        calibration: file of the camera, or ``PANORAMA``.
+        poses: file of them.
+        window: images in a window.
+        spacing: metres between them; all images when not given.
+        up: of the poses' world.
+        mask: image, white where usable.
+        max_angle_deg: half the field of view in degrees.
+        frames: names or numbers of the images to take.
+    """
+    trajectory = read_trajectory(poses).turned(up)
+    if calibration == PANORAMA:
+        camera: Camera = EquirectangularCamera((512, 1024))
+    else:
+        with keys_named(path="calibration", name="calibration", max_angle="max_angle_deg"):
+            camera = read_camera(calibration, max_angle=radians(max_angle_deg))
+    single = CameraRig({NAME: camera}, torch.eye(4)[None])
+    source = open_source(images, single, frames, () if mask is None else [Path(mask)])
+    source.rig = rig_for_images(single, source.sizes())
+    size = source.rig.cameras[NAME].image_size
+    usable = None if mask is None else read_image(mask, size, "the mask")[0] > 0.5
+    with keys_named(images="poses"):
+        return Moving(source, trajectory, window, spacing or 0.0, usable)
+
+
+def masked_by_itself(source: Source, folder: Path) -> CameraRig:
+    """The rig of a source with masks of its own body, which are written to ``masks/{camera}.png`` of a folder.
+
+    Args:
+        source: a recording; up to fifty frames of all of it are read, whichever are to be predicted.
+        folder: of the results.
+
+    Raises:
+        ArgumentError: live cameras, which cannot be read twice.
+    """
+    if source.live:
+        raise ArgumentError(
+            "masks: auto reads the frames before the first is predicted, which live cameras do not allow; record "
+            "some, predict with masks=auto, and give its masks: masks='.../masks/{camera}.png'"
+        )
+    names = source.names(Selection())
+    wanted = None if names is None else set(spread_evenly(names, MOST))
+    frames = source.frames(Selection(), lambda name: wanted is None or name in wanted)
+    images = (as_photographs(f.images, source.rig) for f in frames if f.images is not None)
+    rig = with_own_body_masked(source.rig, images)
+    for name, mask in rig.masks.items():
+        write_mask(folder / "masks" / f"{name}.png", mask)
+    return rig
+
+
+def with_own_body_masked(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]]) -> CameraRig:
+    """The rig with masks of its own body, of which a line for each camera is printed."""
+    found = find_own_body(rig, frames)
+    for line in found.described():
+        print(line)
+    return CameraRig(rig.cameras, rig.world_from_camera, found.masks)

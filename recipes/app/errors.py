@@ -77,7 +77,7 @@ def several_processes(config: DictConfig) -> str | None:
     trainer = config.get("trainer") or {}
     devices, nodes, strategy = (trainer.get(key) for key in ("devices", "num_nodes", "strategy"))
     for key, value, several in (
-        ("devices", devices, devices not in (None, -1, 1, "1", "auto") and len(str(devices)) != 3),
+        ("devices", devices, _number_of(devices) > 1),
         ("num_nodes", nodes, nodes not in (None, 1)),
         ("strategy", strategy, "ddp" in str(strategy)),
     ):
@@ -87,6 +87,11 @@ def several_processes(config: DictConfig) -> str | None:
                 "command for each value, without --multirun"
             )
     return None
+
+
+def _number_of(devices: Any) -> int:
+    """How many devices Lightning takes of a number, or of numbers of GPUs in a list or a text."""
+    return devices if isinstance(devices, int) else len(re.findall(r"\d+", str(devices)))
 
 
 def _message(error: BaseException) -> str | None:

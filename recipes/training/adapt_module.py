@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
-from sphericalvision.models import DepthNetwork, save_weights
+from sphericalvision.models import save_weights
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.datamodules.capture import CaptureDataModule
 from sphericalvision.recipes.training.depth_module import DepthModule
@@ -27,37 +28,16 @@ class AdaptModule(DepthModule):
 
     At the end ``adapted.safetensors`` in the folder of the run holds the best weights if they are more
     photo-consistent than those that training started from, and these if not.
-
-    Args:
-        net: see ``DepthModule``; so are the others.
-        loss: see there.
-        optimizer: see there.
-        scheduler: see there.
-        monitor: see there.
-        mode: see there.
-        recompute: see there.
-        seed: see there.
-        native: see there.
     """
 
     metric_names = ("photo-consistency",)
     unit = "share of what winner-takes-all reaches"
+    learns_all = True
 
-    def __init__(
-        self,
-        net: DepthNetwork,
-        loss: Any,
-        optimizer: Any,
-        scheduler: Any,
-        monitor: str = "val/photo-consistency",
-        mode: str = "max",
-        recompute: bool = False,
-        seed: int = 0,
-        native: bool = False,
-    ) -> None:
-        net.requires_grad_(True)
-        super().__init__(net, loss, optimizer, scheduler, monitor, mode, recompute, seed, native)
-        self.shares: list[float] = []
+    @cached_property
+    def shares(self) -> list[float]:
+        """Of the frames of this validation."""
+        return []
 
     def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
         """Gather the photo-consistency of one batch; returns the index."""

@@ -44,6 +44,8 @@ class DepthModule(TrainingModule):
 
     metric_names = METRICS
     unit = "percent of N"
+    learns_all = False
+    """Whether weights that a network keeps as they are learn, too."""
 
     def __init__(
         self,
@@ -58,6 +60,8 @@ class DepthModule(TrainingModule):
         native: bool = False,
     ) -> None:
         super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
+        if self.learns_all:
+            net.requires_grad_(True)
         net.configure(recompute=recompute, native=native)
         self.tables = RigTables(net)
         self.validation_metric = DepthIndexError(net.num_hypotheses)

@@ -37,22 +37,6 @@ def test_words_that_are_no_file_names_stay() -> None:
     assert quote_paths(words) == words
 
 
-def test_unknown_key_names_the_nearest_ones(failing: Failing) -> None:
-    message = failing("train", "model.levl=4")
-    assert "model.levl: there is no such key" in message
-    assert "model.level" in message
-
-
-def test_unknown_option_lists_the_known_ones(failing: Failing) -> None:
-    message = failing("train", "experiment=quikstart")
-    assert "experiment=quikstart" in message
-    assert "quickstart" in message.replace("quikstart", "")
-
-
-def test_missing_value_is_asked_for(failing: Failing) -> None:
-    assert "data.root=..." in failing("train", "experiment=icosweepnet_omnithings")
-
-
 def test_missing_and_damaged_checkpoints_are_named(failing: Failing, tmp_path: Path) -> None:
     assert "nowhere.ckpt: no such file" in failing("evaluate", "checkpoint=nowhere.ckpt")
     (tmp_path / "half.ckpt").write_bytes(b"PK\x03\x04 half a file")

@@ -35,7 +35,7 @@ template <typename T>
 constexpr int PLACES = sizeof(T) == 4 ? 20 : 10;
 #else
 template <typename T>
-constexpr int PLACES = sizeof(T) == 4 ? 5 : 2;
+constexpr int PLACES = sizeof(T) == 4 ? 12 : 4;
 #endif
 
 // Six planes (rows, width) of vectors for each block of channels: a strip on its way.

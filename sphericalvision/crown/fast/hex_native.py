@@ -115,7 +115,7 @@ def hex_factors(
     transform = _to_factors(weight, taps)
     by_tap = weight.permute((2, 0, 1) if adjoint else (2, 1, 0))
     factors = (transform.flatten(0, 1) @ by_tap.flatten(1)).view(*transform.shape[:2], *by_tap.shape[1:])
-    return F.pad(factors, (0, -factors.shape[-1] % LANES)).contiguous()
+    return F.pad(factors, (0, -factors.shape[-1] % native_operators().lanes())).contiguous()
 
 
 def convolve_rectangles(
@@ -157,7 +157,7 @@ def zero_factor_gradients(
     """Return zeros for ``add_gradient_of_weight``: a part for every thread, added up in the end in the same order."""
     planes, slots, _ = _to_factors(weight, taps).shape
     out, channels, _ = weight.shape
-    return weight.new_zeros(torch.get_num_threads(), planes, slots, channels, out + -out % LANES)
+    return weight.new_zeros(torch.get_num_threads(), planes, slots, channels, out + -out % native_operators().lanes())
 
 
 def add_gradient_of_weight(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import wraps
 from pathlib import Path
 from reprlib import Repr
@@ -26,6 +26,7 @@ __all__ = [
     "ShapeError",
     "SphericalVisionError",
     "compact_kernels",
+    "kernels",
     "reference_kernels",
 ]
 
@@ -258,32 +259,74 @@ def check_file(path: str | Path, what: str) -> Path:
     return path
 
 
-_reference_blocks = 0
+KERNELS = ("auto", "plain", "reference", "require")
+_open_blocks: list[list[str]] = []
+"""The ways of the open ``kernels`` blocks, each in a list of its own, by which it is told from its equals."""
 
 
 @contextmanager
-def reference_kernels() -> Iterator[None]:
+def kernels(way: str) -> Iterator[None]:
+    """Choose how everything inside is computed; the numbers are the same but for rounding.
+
+    ``"auto"``
+        As outside of all blocks: by operators in C++ where they can be had, which are compiled beside the work.
+    ``"plain"``
+        By layers in torch alone, as ``"auto"`` does where there is no compiler.
+    ``"reference"``
+        By the readable formulas alone, which are differentiable any number of times.
+    ``"require"``
+        By operators in C++ wherever they can at all, in double precision, too; they are waited for.
+
+    The environment variable ``SPHERICALVISION_KERNELS`` chooses for a whole process. Blocks count for all threads, and
+    may be nested: the one opened last decides.
+
+    Args:
+        way: one of these.
+
+    Raises:
+        ArgumentError: another way.
+        MissingCompilerError: with ``"require"``, inside, if there are no operators and they cannot be compiled.
+
+    Examples:
+        >>> with kernels("reference"):
+        ...     with kernels("plain"):
+        ...         way_of_kernels()
+        'plain'
+    """
+    check_choice("kernels", way, KERNELS)
+    block = [way]
+    _open_blocks.append(block)
+    try:
+        yield
+    finally:
+        _open_blocks[:] = [other for other in _open_blocks if other is not block]
+
+
+def reference_kernels() -> AbstractContextManager[None]:
     """Compute everything inside by the readable formulas, without the faster ways to the same numbers.
 
-    For comparison, and for gradients of gradients, which the reference convolutions have. Counts for the whole
-    process, all threads included; blocks may be nested.
+    Short for ``kernels("reference")``: for comparison, and for derivatives of any order.
 
     Examples:
         >>> with reference_kernels():
         ...     uses_reference_kernels()
         True
     """
-    global _reference_blocks
-    _reference_blocks += 1
-    try:
-        yield
-    finally:
-        _reference_blocks -= 1
+    return kernels("reference")
+
+
+def way_of_kernels() -> str:
+    """Return the way of ``kernels`` that is in force."""
+    if _open_blocks:
+        return _open_blocks[-1][0]
+    way = os.environ.get("SPHERICALVISION_KERNELS") or "auto"
+    check_choice("SPHERICALVISION_KERNELS", way, KERNELS)
+    return way
 
 
 def uses_reference_kernels() -> bool:
-    """Whether a ``reference_kernels`` block is open."""
-    return _reference_blocks > 0
+    """Whether the readable formulas are asked for."""
+    return way_of_kernels() == "reference"
 
 
 P = ParamSpec("P")

@@ -64,7 +64,6 @@ class Predict(Prepared):
     skip_existing: bool
     on_error: Literal["skip", "stop"]
     device: Device
-    native: bool | Literal["auto"]
 
 
 class Export:
@@ -195,7 +194,6 @@ class Evaluate(Prepared):
     masks: Literal["auto"] | None
     min_confidence: Share
     device: Device
-    native: bool
     seed: Number
 
 

@@ -21,12 +21,11 @@ __all__ = ["comparisons", "seconds_per_sample"]
 
 def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Seconds a sample, of all processes together, without their start."""
-    native = "native" in config.options
     ways = {"one process, two threads": (1, 2), "two processes, one thread each": (2, 1)}
     yield Comparison(
         f"level {LEVEL} to {LEVEL - 2}, N = {HYPOTHESES}: training {NETWORK}, seconds a sample",
         {
-            name: partial(seconds_per_sample, processes, threads, config.seconds, native)
+            name: partial(seconds_per_sample, processes, threads, config.seconds)
             for name, (processes, threads) in ways.items()
         },
         "one process, two threads",
@@ -36,20 +35,19 @@ def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison
     )
 
 
-def seconds_per_sample(processes: int, threads: int, seconds: float, native: bool = False) -> float:
+def seconds_per_sample(processes: int, threads: int, seconds: float) -> float:
     """Train in fresh processes side by side and return the seconds that one sample takes all of them together.
 
     Args:
         processes: how many, which start to count when all are ready.
         threads: of each.
         seconds: how long they train.
-        native: whether they use operators in C++.
 
     Examples:
         >>> seconds_per_sample(processes=1, threads=1, seconds=0.1) > 0
         True
     """
-    command = [sys.executable, "-m", __name__, str(threads), str(seconds), str(int(native))]
+    command = [sys.executable, "-m", __name__, str(threads), str(seconds)]
     running = [
         subprocess.Popen(
             command,
@@ -73,10 +71,10 @@ def seconds_per_sample(processes: int, threads: int, seconds: float, native: boo
     return 1 / sum(float(answer.split()[-1]) for answer in answers)
 
 
-def _train(threads: int, seconds: float, native: bool) -> None:
+def _train(threads: int, seconds: float) -> None:
     """Say that all is ready, wait for a line, and print how many samples a second were learnt from."""
     torch.set_num_threads(threads)
-    step = training_step(native)
+    step = training_step()
     for _ in range(2):
         step()
     print("ready", flush=True)
@@ -89,4 +87,4 @@ def _train(threads: int, seconds: float, native: bool) -> None:
 
 
 if __name__ == "__main__":
-    _train(int(sys.argv[1]), float(sys.argv[2]), sys.argv[3] == "1")
+    _train(int(sys.argv[1]), float(sys.argv[2]))

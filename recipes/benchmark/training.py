@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 
 import torch
 from omegaconf import DictConfig
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import reference_kernels
+from sphericalvision.core import kernels
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.benchmark.measuring import Comparison
 from sphericalvision.recipes.benchmark.variants import variant
@@ -22,10 +21,10 @@ NETWORK, LEVEL, HYPOTHESES = "icosweepnet_small", 6, 16
 
 
 def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
-    """Layer by layer by the readable formulas, by the fast ways in PyTorch, and by operators in C++."""
-    runs = {"plain": training_step(plain=True), "sphericalvision": training_step()}
-    if "native" in config.options:
-        runs["sphericalvision, native"] = training_step(native=True)
+    """Layer by layer by the readable formulas, by operators in C++, and by layers in torch."""
+    runs = {"plain": training_step("reference"), "sphericalvision": training_step()}
+    if "layers" in config.options:
+        runs["sphericalvision, layers"] = training_step("plain")
     for run in runs.values():
         run()
     yield Comparison(
@@ -37,15 +36,15 @@ def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison
     )
 
 
-def training_step(native: bool = False, plain: bool = False) -> Callable[[], None]:
-    """One step without the optimiser, as a function."""
+def training_step(way: str = "auto") -> Callable[[], None]:
+    """One step without the optimiser, as a function, in a way of ``kernels``."""
     torch.manual_seed(0)
-    net = variant(NETWORK, LEVEL, HYPOTHESES).train().configure(native=native)
+    net = variant(NETWORK, LEVEL, HYPOTHESES).train()
     tables = net.tables(ring_rig(4))
     images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(LEVEL)) - 1
 
     def step() -> None:
-        with reference_kernels() if plain else nullcontext():
+        with kernels(way):
             net(images, tables).sum().backward()
         net.zero_grad()
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from shutil import which
 from threading import Event
 from typing import Any, NamedTuple
 
@@ -56,7 +55,6 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
         num_hypotheses=config.num_hypotheses,
         device=choose_device(config.device),
         antialias=config.antialias,
-        native=config.native,
         preparation=Preparation.from_keys(config),
         trained_radius=config.trained_radius,
     )
@@ -141,8 +139,6 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     console.print(
         f"{many}, {len(source.rig)} {cameras}, rig radius {float(source.rig.radius):.3f} m, nearest hypothesis {near}"
     )
-    if config.native == "auto" and predictor.device.type == "cpu" and not predictor.native and which("c++"):
-        console.print("native=true would compile operators in C++, once on this machine, which are faster")
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     rate = (source.rate or 10.0) / config.every
     settings = Settings(
@@ -195,7 +191,7 @@ class Done(NamedTuple):
 
 FREE = (
     *("frames", "start", "stop", "every", "outputs", "output", "preset"),
-    *("skip_existing", "on_error", "device", "native"),
+    *("skip_existing", "on_error", "device"),
 )
 """Settings that may change between a prediction and its continuation."""
 MOST_WORKERS = 4

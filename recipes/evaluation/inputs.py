@@ -73,7 +73,6 @@ class PredictorEstimator(VertexEstimator):
         min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``, of each frame.
         preparation: of each frame.
         masked: gives a rig masks, before it is used.
-        native: whether to use operators in C++ on a CPU.
     """
 
     def __init__(
@@ -83,11 +82,10 @@ class PredictorEstimator(VertexEstimator):
         min_depth: float | Literal["auto", "scene"] = "auto",
         preparation: Preparation = AS_IT_IS,
         masked: Callable[[CameraRig], CameraRig] = lambda rig: rig,
-        native: bool = False,
     ) -> None:
         super().__init__(net, min_confidence)
         self.masked = masked
-        self.options: dict[str, Any] = {"min_depth": min_depth, "preparation": preparation, "native": native}
+        self.options: dict[str, Any] = {"min_depth": min_depth, "preparation": preparation}
 
     def _estimate(self, batch: Sample) -> tuple[Tensor, Tensor]:
         answers = [self._frame(*frame) for frame in photographs_of(batch)]

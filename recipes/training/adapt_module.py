@@ -37,7 +37,6 @@ class AdaptModule(DepthModule):
         mode: see there.
         recompute: see there.
         seed: see there.
-        native: see there.
     """
 
     metric_names = ("photo-consistency",)
@@ -53,10 +52,9 @@ class AdaptModule(DepthModule):
         mode: str = "max",
         recompute: bool = False,
         seed: int = 0,
-        native: bool = False,
     ) -> None:
         net.requires_grad_(True)
-        super().__init__(net, loss, optimizer, scheduler, monitor, mode, recompute, seed, native)
+        super().__init__(net, loss, optimizer, scheduler, monitor, mode, recompute, seed)
         self.shares: list[float] = []
 
     def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:

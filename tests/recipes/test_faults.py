@@ -185,7 +185,6 @@ PARTS = (
         "callbacks.early_stopping.patience: expected",
     ),
     ("logger=csv logger.csv.save_dir=null", "logger.csv.save_dir: expected"),
-    ("task.native=maybe", "task.native: expected true or false"),
 )
 """Words of a training, and a part of what is said before it starts: these are found by the parts that take them."""
 

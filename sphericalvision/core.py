@@ -25,7 +25,6 @@ __all__ = [
     "MissingFileError",
     "ShapeError",
     "SphericalVisionError",
-    "compact_kernels",
     "kernels",
     "reference_kernels",
 ]
@@ -332,49 +331,44 @@ def uses_reference_kernels() -> bool:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_programs: list[dict[Any, Any]] = []
-"""Tables of the open ``compact_kernels`` blocks."""
+_recordings: list[dict[Any, Any]] = []
+"""Tables of the open ``recording`` blocks."""
 
 
 @contextmanager
-def compact_kernels() -> Iterator[None]:
-    """Compute everything inside by few large operations, as programs that leave this package want it.
+def recording() -> Iterator[None]:
+    """Compute everything inside as who records a program wants it: by few large operations.
 
-    The third way to the same numbers: neither the most readable nor the fastest, but of far fewer operations,
-    without loops over samples, cameras and rectangles, and with tables that are made once within the block. Fast ways
-    are closed. Counts for the whole process, as ``reference_kernels``.
-
-    Examples:
-        >>> with compact_kernels():
-        ...     uses_compact_kernels(), uses_reference_kernels()
-        (True, True)
+    Without loops over samples, cameras and rectangles, and with ``constant_table``s made once, which are constants of
+    what is recorded. Otherwise as ``reference_kernels``. For ``capture.export`` alone.
     """
-    with reference_kernels():
-        _programs.append({})
+    with kernels("reference"):
+        _recordings.append({})
         try:
             yield
         finally:
-            _programs.pop()
+            _recordings.pop()
 
 
-def uses_compact_kernels() -> bool:
-    """Whether a ``compact_kernels`` block is open."""
-    return bool(_programs)
+def is_recording() -> bool:
+    """Whether a ``recording`` block is open."""
+    return bool(_recordings)
 
 
-def made_once(table: Callable[P, R]) -> Callable[P, R]:
-    """Make a function of hashable arguments return, within a ``compact_kernels`` block, what it returned before.
+def constant_table(table: Callable[P, R]) -> Callable[P, R]:
+    """Make a function of hashable arguments return within a ``recording`` block what it returned there before.
 
-    What a first pass computed is a constant for those who record the second one.
+    Outside of one it is called each time: tables are large, and quickly made. Inside, a first pass computes them, and
+    they are constants to who records the second one.
     """
 
     @wraps(table)
-    def remembered(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not _programs:
+    def kept(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not _recordings:
             return table(*args, **kwargs)
         key = table, args, tuple(kwargs.items())
-        if key not in _programs[-1]:
-            _programs[-1][key] = table(*args, **kwargs)
-        return _programs[-1][key]  # type: ignore[no-any-return]
+        if key not in _recordings[-1]:
+            _recordings[-1][key] = table(*args, **kwargs)
+        return _recordings[-1][key]  # type: ignore[no-any-return]
 
-    return remembered
+    return kept

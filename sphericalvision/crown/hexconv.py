@@ -45,9 +45,9 @@ from sphericalvision.core import (
     check_choice,
     check_dtype,
     check_tensor,
-    uses_compact_kernels,
+    is_recording,
 )
-from sphericalvision.crown.compact import compact_hex_conv
+from sphericalvision.crown.by_lookups import hex_conv_by_lookups
 from sphericalvision.crown.fast import convolve_rectangles
 from sphericalvision.crown.hexpad import fill_charts, hex_pad
 from sphericalvision.crown.places import check_values
@@ -147,8 +147,8 @@ def hex_conv2d(
         torch.Size([1, 8, 42])
     """
     _check_conv(values, weight, 2, stride, north)
-    if uses_compact_kernels() and north is None:
-        return compact_hex_conv(values, weight, bias, stride, CHART_RINGS)
+    if is_recording() and north is None:
+        return hex_conv_by_lookups(values, weight, bias, stride, CHART_RINGS)
     charts, rings = hex_pad(values)
     own = _oriented(charts, weight, bias, stride, _own_fraction(north, values, stride))
     special = torch.einsum("bivj,vjt->bvit", rings, _taps_of_rings(rings, north)).flatten(2)

@@ -16,8 +16,8 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentTypeError, ShapeError, uses_compact_kernels
-from sphericalvision.crown.compact import compact_fold
+from sphericalvision.core import ArgumentTypeError, ShapeError, is_recording
+from sphericalvision.crown.by_lookups import fold_by_lookups
 from sphericalvision.crown.places import (
     check_values,
     level_of_rectangles,
@@ -123,8 +123,8 @@ def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
         True
     """
     check_crown(crown)
-    if uses_compact_kernels():
-        return compact_fold(*crown)
+    if is_recording():
+        return fold_by_lookups(*crown)
     if slices_pay():
         return mean_over_places(*crown)
     return sum_over_places(*crown) / places_per_vertex(crown.level, crown.col)

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ShapeError, check_choice, check_dtype, uses_compact_kernels
-from sphericalvision.crown.compact import compact_norm
+from sphericalvision.core import ShapeError, check_choice, check_dtype
 from sphericalvision.crown.fast import normalize
 from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu
 
@@ -120,11 +120,13 @@ class _CrownInstanceNorm(_CrownBatchNorm):
         super().__init__(num_features, eps, track_running_stats=False)
 
     def _plainly(self, crown: Crown) -> Crown:
-        if uses_compact_kernels():
-            return Crown(*compact_norm(*crown, self.weight, self.bias, self.eps))
-        samples = zip(crown.col.split(1), crown.row.split(1), strict=True)
-        normalized = [super(_CrownInstanceNorm, self)._plainly(Crown(*sample)) for sample in samples]
-        return crown_map(lambda *rectangles: torch.cat(rectangles), *normalized)
+        # Channels of all samples side by side are the channels of one batch, of ten rectangles.
+        batch = len(crown.col)
+        together = torch.cat([rectangles.flatten(-2) for rectangles in crown], 1).transpose(0, 1)
+        weight, bias = (None if x is None else x.repeat(batch) for x in (self.weight, self.bias))
+        normalized = F.batch_norm(together.flatten(1, 2), None, None, weight, bias, True, eps=self.eps)
+        col, row = normalized.unflatten(1, (batch, -1)).transpose(0, 1).split(5, 1)
+        return Crown(col.reshape(crown.col.shape), row.reshape(crown.row.shape))
 
 
 class CrownInstanceNorm2d(_CrownInstanceNorm):

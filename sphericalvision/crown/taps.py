@@ -12,8 +12,6 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import uses_compact_kernels
-
 __all__ = ["COL_TAPS", "ROW_TAPS", "Taps", "convolve", "neighbor_taps", "planar_kernel", "repeat_border"]
 
 Taps = tuple[tuple[int, ...], ...]
@@ -63,7 +61,7 @@ def convolve(
 
 def repeat_border(images: Float[Tensor, "B C *N h w"]) -> Float[Tensor, "B C *N_padded h+2 w+2"]:
     """Continue images ``(B, C, h, w)`` or volumes ``(B, C, N, h, w)`` by one more of their border values all around."""
-    if images.ndim == 4 and torch.compiler.is_compiling() and not uses_compact_kernels():
+    if images.ndim == 4 and torch.compiler.is_compiling() and torch.is_grad_enabled():
         # Inductor expects another memory format of the gradient of a padding than it gets.
         tall = torch.cat((images[..., :1, :], images, images[..., -1:, :]), -2)
         return torch.cat((tall[..., :1], tall, tall[..., -1:]), -1)

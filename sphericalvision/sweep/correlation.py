@@ -16,13 +16,13 @@ import torch
 from jaxtyping import Bool, Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, uses_compact_kernels
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables
-from sphericalvision.sweep.visibility import check_seen
+from sphericalvision.sweep.visibility import check_seen, one_at_a_time
 
 __all__ = ["LEAST_SHARE", "NOISE", "correlation_evidence", "mean_of_better_half", "window_correlations"]
 
@@ -91,7 +91,7 @@ def correlation_evidence(
     if not shared and len(tables.ids) != batch:
         raise ShapeError(f"tables: expected those of {batch} rigs or of one for all, got {len(tables.ids)}")
     known = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
-    if uses_compact_kernels():
+    if not one_at_a_time(images):
         return _evidence(images, known, tables, level, noise)
     return torch.cat(
         [

@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import made_once
+from sphericalvision.core import constant_table
 from sphericalvision.icosphere.descent import descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.mesh import icosphere_vertices
@@ -128,7 +128,7 @@ def find_in_few_steps(
     return triangles, (shares / shares.sum(1, keepdim=True)).T
 
 
-@made_once
+@constant_table
 def _matrix_rows(level: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Matrices of ``triangle_table``, one beside the other in memory: ``(T, 9)``."""
     return triangle_table(level, dtype, device).matrices.view(9, -1).T.contiguous()

@@ -151,6 +151,7 @@ def hex_conv2d(
         return hex_conv_by_lookups(values, weight, bias, stride, CHART_RINGS)
     charts, rings = hex_pad(values)
     own = _oriented(charts, weight, bias, stride, _own_fraction(north, values, stride))
+    # The twelve vertices of valence five: what each tap reads of their rings, then one product with all taps.
     special = torch.einsum("bivj,vjt->bvit", rings, _taps_of_rings(rings, north)).flatten(2)
     special = (special @ weight.flatten(1).T).mT
     return fill_charts(own, special if bias is None else special + bias[:, None])
@@ -188,7 +189,7 @@ def hex_conv3d(
     _check_conv(values, weight, 3, stride, north)
     charts, rings = hex_pad(values)
     own = _oriented(charts, weight, bias, stride, _own_fraction(north, values, stride))
-    windows = _repeat_ends(rings).unfold(2, 3, 1)
+    windows = _repeat_ends(rings).unfold(2, 3, 1)  # three hypotheses for each, a view
     special = torch.einsum("binvjd,vjt->bnvidt", windows, _taps_of_rings(rings, north)).flatten(3)
     special = (special @ weight.flatten(1).T).permute(0, 3, 1, 2)
     return fill_charts(own, special if bias is None else special + bias[:, None, None])
@@ -204,9 +205,11 @@ def _oriented(
 ) -> Tensor:
     """Convolve charts with their border, or between two neighbouring orientations."""
     charts = charts[..., stride - 1 :, :]  # a coarser chart begins at the second row of the finer one
-    if fraction is None:
+    if fraction is None:  # taps follow the chart
         return convolve_rectangles(charts, weight, COL_TAPS, bias, stride, border=True)
     by_depth = weight.unflatten(-1, (-1, 7))
+    # North lies between two neighbours: one convolution has the kernel as it is, with tap 5 on the one before north, the
+    # other has it turned on by one neighbour, and each vertex goes its own fraction from one to the other.
     turned = by_depth.index_select(-1, torch.tensor(NEXT_TAP, device=weight.device)).flatten(2)
     kernels, biases = torch.cat((weight, turned)), None if bias is None else bias.repeat(2)
     both = convolve_rectangles(charts, kernels, COL_TAPS, biases, stride, border=True)

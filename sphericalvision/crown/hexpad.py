@@ -166,6 +166,7 @@ class _Take(torch.autograd.Function):
     def forward(ctx: Any, values: Tensor) -> tuple[Tensor, Tensor]:
         n = 2 ** level_from_num_vertices(values.shape[-1])
         charts = own_charts(values, n)
+        # A and B of a chart are the last places of both halves of its west edge: rows n - 1 and 2n - 1 of its own.
         inner = charts[..., n - 1 :: n, 0].movedim(1, -2).flatten(-2)
         special = torch.cat((values[..., :1], inner, values[..., -1:]), -1)
         taken = empty_as(values, 1, tuple(charts.shape), 2).copy_(charts)
@@ -187,7 +188,9 @@ def _pad(values: Tensor) -> tuple[Tensor, Tensor]:
     padded[..., 0, 0] = 0
     padded[..., -1, -1] = 0
     charts = own_charts(values, n)
-    east = charts[..., -1].roll(1, 1)  # east edge of the chart before
+    # Rolled by one along the charts: each gets what the chart before it has. Its first row runs along our northern west
+    # edge, its east edge along our southern west edge and, around the corner, along our last row.
+    east = charts[..., -1].roll(1, 1)
     padded[..., 1 : n + 1, 0] = charts[..., 0, :].roll(1, 1)
     padded[..., n + 1 :, 0] = east[..., : n + 1]
     padded[..., -1, 1:-1] = east[..., n:]
@@ -200,6 +203,7 @@ def _unpad(padded: Tensor, rings: Tensor) -> Tensor:
     n = padded.shape[-1] - 2
     values = fold_north_and_east(padded[..., :-1, 1:])
     charts = own_charts(values, n)
+    # As in `_pad`, the other way about: each chart gets back what it gave to the one after it.
     charts[..., 0, :] += padded[..., 1 : n + 1, 0].roll(-1, 1)
     charts[..., : n + 1, -1] += padded[..., n + 1 :, 0].roll(-1, 1)
     charts[..., n:, -1] += padded[..., -1, 1:-1].roll(-1, 1)

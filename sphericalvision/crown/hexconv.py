@@ -208,7 +208,7 @@ def _oriented(
     if fraction is None:  # taps follow the chart
         return convolve_rectangles(charts, weight, COL_TAPS, bias, stride, border=True)
     by_depth = weight.unflatten(-1, (-1, 7))
-    # North lies between two neighbours: one convolution has the kernel as it is, with tap 5 on the one before north, the
+    # North lies between two neighbours: one convolution has the kernel as it is, with tap 5 on the one before, the
     # other has it turned on by one neighbour, and each vertex goes its own fraction from one to the other.
     turned = by_depth.index_select(-1, torch.tensor(NEXT_TAP, device=weight.device)).flatten(2)
     kernels, biases = torch.cat((weight, turned)), None if bias is None else bias.repeat(2)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import wraps
 from pathlib import Path
 from reprlib import Repr
@@ -25,7 +25,7 @@ __all__ = [
     "MissingFileError",
     "ShapeError",
     "SphericalVisionError",
-    "compact_kernels",
+    "kernels",
     "reference_kernels",
 ]
 
@@ -258,80 +258,117 @@ def check_file(path: str | Path, what: str) -> Path:
     return path
 
 
-_reference_blocks = 0
+KERNELS = ("auto", "plain", "reference", "require")
+_open_blocks: list[list[str]] = []
+"""The ways of the open ``kernels`` blocks, each in a list of its own, by which it is told from its equals."""
 
 
 @contextmanager
-def reference_kernels() -> Iterator[None]:
+def kernels(way: str) -> Iterator[None]:
+    """Choose how everything inside is computed; the numbers are the same but for rounding.
+
+    ``"auto"``
+        As outside of all blocks: by operators in C++ where they can be had, which are compiled beside the work.
+    ``"plain"``
+        By layers in torch alone, as ``"auto"`` does where there is no compiler.
+    ``"reference"``
+        By the readable formulas alone, which are differentiable any number of times.
+    ``"require"``
+        By operators in C++ wherever they can at all, in double precision, too; they are waited for.
+
+    The environment variable ``SPHERICALVISION_KERNELS`` chooses for a whole process. Blocks count for all threads, and
+    may be nested: the one opened last decides.
+
+    Args:
+        way: one of these.
+
+    Raises:
+        ArgumentError: another way.
+        MissingCompilerError: with ``"require"``, inside, if there are no operators and they cannot be compiled.
+
+    Examples:
+        >>> with kernels("reference"):
+        ...     with kernels("plain"):
+        ...         way_of_kernels()
+        'plain'
+    """
+    check_choice("kernels", way, KERNELS)
+    block = [way]
+    _open_blocks.append(block)
+    try:
+        yield
+    finally:
+        _open_blocks[:] = [other for other in _open_blocks if other is not block]
+
+
+def reference_kernels() -> AbstractContextManager[None]:
     """Compute everything inside by the readable formulas, without the faster ways to the same numbers.
 
-    For comparison, and for gradients of gradients, which the reference convolutions have. Counts for the whole
-    process, all threads included; blocks may be nested.
+    Short for ``kernels("reference")``: for comparison, and for derivatives of any order.
 
     Examples:
         >>> with reference_kernels():
         ...     uses_reference_kernels()
         True
     """
-    global _reference_blocks
-    _reference_blocks += 1
-    try:
-        yield
-    finally:
-        _reference_blocks -= 1
+    return kernels("reference")
+
+
+def way_of_kernels() -> str:
+    """Return the way of ``kernels`` that is in force."""
+    if _open_blocks:
+        return _open_blocks[-1][0]
+    way = os.environ.get("SPHERICALVISION_KERNELS") or "auto"
+    check_choice("SPHERICALVISION_KERNELS", way, KERNELS)
+    return way
 
 
 def uses_reference_kernels() -> bool:
-    """Whether a ``reference_kernels`` block is open."""
-    return _reference_blocks > 0
+    """Whether the readable formulas are asked for."""
+    return way_of_kernels() == "reference"
 
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_programs: list[dict[Any, Any]] = []
-"""Tables of the open ``compact_kernels`` blocks."""
+_recordings: list[dict[Any, Any]] = []
+"""Tables of the open ``recording`` blocks."""
 
 
 @contextmanager
-def compact_kernels() -> Iterator[None]:
-    """Compute everything inside by few large operations, as programs that leave this package want it.
+def recording() -> Iterator[None]:
+    """Compute everything inside as who records a program wants it: by few large operations.
 
-    The third way to the same numbers: neither the most readable nor the fastest, but of far fewer operations,
-    without loops over samples, cameras and rectangles, and with tables that are made once within the block. Fast ways
-    are closed. Counts for the whole process, as ``reference_kernels``.
-
-    Examples:
-        >>> with compact_kernels():
-        ...     uses_compact_kernels(), uses_reference_kernels()
-        (True, True)
+    Without loops over samples, cameras and rectangles, and with ``constant_table``s made once, which are constants of
+    what is recorded. Otherwise as ``reference_kernels``. For ``capture.export`` alone.
     """
-    with reference_kernels():
-        _programs.append({})
+    with kernels("reference"):
+        _recordings.append({})
         try:
             yield
         finally:
-            _programs.pop()
+            _recordings.pop()
 
 
-def uses_compact_kernels() -> bool:
-    """Whether a ``compact_kernels`` block is open."""
-    return bool(_programs)
+def is_recording() -> bool:
+    """Whether a ``recording`` block is open."""
+    return bool(_recordings)
 
 
-def made_once(table: Callable[P, R]) -> Callable[P, R]:
-    """Make a function of hashable arguments return, within a ``compact_kernels`` block, what it returned before.
+def constant_table(table: Callable[P, R]) -> Callable[P, R]:
+    """Make a function of hashable arguments return within a ``recording`` block what it returned there before.
 
-    What a first pass computed is a constant for those who record the second one.
+    Outside of one it is called each time: tables are large, and quickly made. Inside, a first pass computes them, and
+    they are constants to who records the second one.
     """
 
     @wraps(table)
-    def remembered(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not _programs:
+    def kept(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not _recordings:
             return table(*args, **kwargs)
         key = table, args, tuple(kwargs.items())
-        if key not in _programs[-1]:
-            _programs[-1][key] = table(*args, **kwargs)
-        return _programs[-1][key]  # type: ignore[no-any-return]
+        if key not in _recordings[-1]:
+            _recordings[-1][key] = table(*args, **kwargs)
+        return _recordings[-1][key]  # type: ignore[no-any-return]
 
-    return remembered
+    return kept

@@ -15,6 +15,9 @@ from tests import shape_checks
 if "MUTANT_UNDER_TEST" not in os.environ:  # mutmut runs the tests again and again in one process
     shape_checks.install()  # before any test imports the package
 
+# Tests are repeated to the last bit, whatever was compiled before; those of the operators ask for them.
+os.environ.setdefault("SPHERICALVISION_KERNELS", "plain")
+
 settings.register_profile("repeatable", derandomize=True, deadline=None)  # a run fails by a change alone
 settings.load_profile("repeatable")
 

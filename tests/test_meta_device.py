@@ -331,7 +331,7 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("register_camera", "register_network", "register_aggregation"), CLASS),
     **dict.fromkeys(("ArgumentError", "ArgumentTypeError", "FileFormatError", "MissingCompilerError"), CLASS),
     **dict.fromkeys(("MissingFileError", "ShapeError", "SphericalVisionError"), CLASS),
-    **dict.fromkeys(("reference_kernels", "compact_kernels"), CLASS),
+    **dict.fromkeys(("kernels", "reference_kernels"), CLASS),
     **dict.fromkeys(("set_kernel_options", "state_dict_from_reference", "Compose"), CLASS),
     **dict.fromkeys(("Scene", "MeshScene", "make_scene", "mesh_from_scene", "ray_depth"), SCENE),
     **dict.fromkeys(("render_camera", "render_directions", "render_rig", "ray_labels"), SCENE),

@@ -16,7 +16,6 @@ def load_network(
     checkpoint: str | Path | None = None,
     level: int | None = None,
     min_depth: float | None = None,
-    native: bool = False,
 ) -> DepthNetwork:
     """Load a network of any kind in evaluation mode.
 
@@ -27,16 +26,13 @@ def load_network(
             name of a network that ships with the package; its default one when not given.
         level: of the images on the icosphere, instead of the level trained at, where the network has one.
         min_depth: nearest hypothesis in metres, instead of the one trained with.
-        native: whether to use operators in C++, where the network has some.
 
     Raises:
-        ArgumentError: a level or ``native`` for a network that has no such choice.
-        MissingCompilerError: the operators could not be compiled.
+        ArgumentError: a level for a network that has no such choice.
         MissingFileError: no such file.
         FileFormatError: the file holds no network of this package.
     """
-    net = read_network(checkpoint).with_changes(level=level, min_depth=min_depth)
-    return net.configure(native=native).eval()
+    return read_network(checkpoint).with_changes(level=level, min_depth=min_depth).eval()
 
 
 def initialize(net: DepthNetwork, weights: str | Path) -> None:

@@ -53,7 +53,6 @@ KEYS: dict[str, Any] = {
     "min_depth": Positive | Literal["auto", "scene"],
     "trained_radius": Positive,
     "antialias": bool,
-    "native": bool | Literal["auto"],
     "device": Annotated[
         str, Field(pattern=r"^(auto|(cpu|cuda|mps|xpu)(:\d+)?)$", description="auto, cpu or cuda")
     ],
@@ -177,7 +176,7 @@ OWN: dict[str, dict[str, Any]] = {
     "convert": {"output": Text | None},
     "calibrate": {"to": Text},
     "render": {"min_depth": Positive},
-    "evaluate": {"masks": Literal["auto"] | None, "native": bool},
+    "evaluate": {"masks": Literal["auto"] | None},
     "study": {
         "inputs": Literal["fisheye", "equirect"],
         "num_hypotheses": Annotated[int, Ge(2)],

@@ -15,15 +15,16 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import reference_kernels
+from sphericalvision.core import kernels
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.sweep import SphereSweep
 
 __all__ = ["WAYS", "alone"]
 
-WAYS = ("plain", "sphericalvision", "sphericalvision, recompute", "sphericalvision, native")
-"""How a stage can be computed. Plain is ``reference_kernels``; recomputing saves memory in training."""
+WAYS = ("plain", "sphericalvision", "sphericalvision, recompute", "sphericalvision, layers")
+"""How a stage can be computed: by the readable formulas; by operators in C++, if there is a compiler, and with less
+memory in training; and by layers in torch alone."""
 
 
 def alone(
@@ -54,20 +55,20 @@ def _run(
     stage: str, way: str, level: int, num_hypotheses: int, device: str, feature_channels: int = 32
 ) -> float:
     place = torch.device(device)
-    plainly = reference_kernels() if way == WAYS[0] else contextlib.nullcontext()
+    chosen = kernels({WAYS[0]: "reference", WAYS[3]: "plain"}.get(way, "auto"))
     rig = ring_rig(4).to(place)
     if stage == "setup":
         start = time.perf_counter()
-        with plainly:  # charts are slices of the vertices' order: there is nothing else to make
+        with chosen:  # charts are slices of the vertices' order: there is nothing else to make
             SphereSweep(level - 2, num_hypotheses, 0.55).to(place).tables(rig)
         if place.type == "cuda":
             torch.cuda.synchronize()
         return time.perf_counter() - start
     net = IcoSweepNet(level, num_hypotheses, feature_channels=feature_channels).to(place)
-    net.configure(recompute=way == WAYS[2], native=way == WAYS[3])
+    net.configure(recompute=way == WAYS[2])
     images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=place) - 1
     tables = net.sweep.tables(rig)
-    with plainly:
+    with chosen:
         if stage == "inference":
             net.eval()
             return _added_memory(torch.inference_mode()(lambda: net(images, tables)), place)

@@ -17,6 +17,7 @@ from omegaconf import DictConfig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import choose_device, console
 from sphericalvision.recipes.benchmark.measuring import Comparison, Measurement, measure, peaks_of
+from sphericalvision.recipes.benchmark.operators import have_operators
 from sphericalvision.recipes.benchmark.tables import comparison_table, machine, save_measurements
 
 __all__ = ["GROUPS", "benchmark"]
@@ -58,6 +59,7 @@ def benchmark(config: DictConfig, folder: Path) -> list[Measurement]:
     if config.threads is not None:
         torch.set_num_threads(config.threads)
     device = choose_device(config.device)
+    have_operators(device)
     facts = machine(device)
     for key, value in facts.items():
         console.print(f"{key}: {value}", highlight=False)

@@ -16,12 +16,11 @@ from sphericalvision.crown import (
     CrownConv3d,
     HexConv2d,
     HexConv3d,
-    set_kernel_options,
     to_crown,
 )
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.benchmark.measuring import Comparison
-from sphericalvision.recipes.benchmark.ways import plainly
+from sphericalvision.recipes.benchmark.ways import by
 from sphericalvision.sphere import CubePad2d, EquirectangularPad2d, SphereConv2d
 
 __all__ = ["comparisons"]
@@ -30,13 +29,13 @@ __all__ = ["comparisons"]
 def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """2D at every level and number of channels asked for; 3D with 16 hypotheses two levels coarser."""
     for level, channels in config.convolution_settings:
-        native = "native" in config.options
-        yield _planar(level, channels, device, native)
+        layers = "layers" in config.options
+        yield _planar(level, channels, device, layers)
         if level >= 2:
-            yield _spatial(level - 2, channels, 16, device, native)
+            yield _spatial(level - 2, channels, 16, device, layers)
 
 
-def _planar(level: int, channels: int, device: torch.device, native: bool) -> Comparison:
+def _planar(level: int, channels: int, device: torch.device, layers: bool) -> Comparison:
     n, vertices = 2**level, num_icosphere_vertices(level)
     image = torch.randn(1, channels, 2 * n, 5 * n, device=device)  # the vertices but the poles
     values = torch.randn(1, channels, vertices, device=device)
@@ -58,14 +57,16 @@ def _planar(level: int, channels: int, device: torch.device, native: bool) -> Co
             HexConv2d(channels, channels, orientation="north", level=level), values
         ),
         "crown, both directions": run(CrownConv2d(channels, channels), to_crown(values)),
-        "crown, the plain way": plainly(run(CrownConv2d(channels, channels), to_crown(values))),
+        "crown, the plain way": by("reference", run(CrownConv2d(channels, channels), to_crown(values))),
         "tangent planes": run(SphereConv2d(channels, channels, bias=False), image),
         "planar, panorama padded": run(nn.Sequential(EquirectangularPad2d(1), planar(0)), image),
         "planar, cube padded": run(nn.Sequential(CubePad2d(1), planar(0)), faces),
     }
-    if native:
-        runs["hex along charts, native"] = run(_native(HexConv2d(channels, channels)), _channels_last(values))
-        runs["crown, native"] = run(_native(CrownConv2d(channels, channels)), to_crown(values))
+    if layers:
+        runs |= {
+            f"{name}, layers": by("plain", runs[name])
+            for name in ("hex along charts", "crown, both directions")
+        }
     if find_spec("hexagdly"):
         import hexagdly
 
@@ -79,7 +80,7 @@ def _planar(level: int, channels: int, device: torch.device, native: bool) -> Co
     )
 
 
-def _spatial(level: int, channels: int, hypotheses: int, device: torch.device, native: bool) -> Comparison:
+def _spatial(level: int, channels: int, hypotheses: int, device: torch.device, layers: bool) -> Comparison:
     n, vertices = 2**level, num_icosphere_vertices(level)
     # Two volumes: for a single small one torch takes a convolution on the CPU that is several times slower.
     volume = torch.randn(2, channels, hypotheses, 2 * n, 5 * n, device=device)
@@ -96,9 +97,11 @@ def _spatial(level: int, channels: int, hypotheses: int, device: torch.device, n
         ),
         "crown, both directions": run(CrownConv3d(channels, channels), to_crown(values)),
     }
-    if native:
-        runs["hex along charts, native"] = run(_native(HexConv3d(channels, channels)), _channels_last(values))
-        runs["crown, native"] = run(_native(CrownConv3d(channels, channels)), to_crown(values))
+    if layers:
+        runs |= {
+            f"{name}, layers": by("plain", runs[name])
+            for name in ("hex along charts", "crown, both directions")
+        }
     return Comparison(
         f"convolution, forward and backward: 2 x {vertices} samples, {hypotheses} hypotheses, "
         f"{channels} to {channels} channels",
@@ -106,11 +109,6 @@ def _spatial(level: int, channels: int, hypotheses: int, device: torch.device, n
         "planar",
         3 * 2 * 27 * channels**2 * 2 * 10 * n * n * hypotheses / 1e9,
     )
-
-
-def _native(layer: nn.Module) -> nn.Module:
-    set_kernel_options(layer, native=True)
-    return layer
 
 
 def _forward_and_backward(layer: nn.Module, given: Tensor | Crown) -> Callable[[], object]:

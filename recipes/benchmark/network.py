@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
@@ -14,18 +13,18 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import check_choice, reference_kernels
+from sphericalvision.core import check_choice, kernels
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.recipes.benchmark.alone import WAYS, alone
 from sphericalvision.recipes.benchmark.measuring import BF16, Comparison
-from sphericalvision.recipes.benchmark.ways import OURS, both_ways, count_gbyte, count_gflop
+from sphericalvision.recipes.benchmark.ways import OURS, both_ways, by, count_gbyte, count_gflop
 from sphericalvision.sweep import SphereSweep, SweepTables, soft_argmax
 
 __all__ = ["OPTIONS", "comparisons"]
 
-OPTIONS = ("bf16", "compiled", "native")
+OPTIONS = ("bf16", "compiled", "layers")
 """Other ways to run the network; what they compile shows in the time of the first call."""
 
 Run = Callable[[], Any]
@@ -72,8 +71,7 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
     )
     yield Comparison(
         f"{label}: regulariser",
-        both_ways(lambda: net.regularizer(volume))
-        | _native(net, lambda: net.regularizer(volume), config.options),
+        both_ways(lambda: net.regularizer(volume)) | _layers(lambda: net.regularizer(volume), config.options),
         "plain",
         flop_regularizer,
         "Operations are those of the plain way. Winograd's ways need three tenths at most: shares may pass 100 %.",
@@ -99,15 +97,14 @@ def _stages(level: int, number: int, config: DictConfig, device: torch.device) -
     )
     if config.training:
         ways: dict[str, Run] = {
-            "plain": lambda: _step(net, images, tables, plain=True),
+            "plain": lambda: _step(net, images, tables, "reference"),
             OURS: lambda: _step(net, images, tables),
             WAYS[2]: lambda: _step(net, images, tables, recompute=True),
         }
         if "bf16" in config.options:
             ways[OURS + BF16] = lambda: _step(net, images, tables, bf16=True)
-        if "native" in config.options:
-            ways[WAYS[3]] = lambda: _step(net, images, tables, native=True)
-            ways[f"{WAYS[3]}, recomputing"] = lambda: _step(net, images, tables, native=True, recompute=True)
+        if "layers" in config.options:
+            ways[WAYS[3]] = lambda: _step(net, images, tables, "plain")
         yield Comparison(
             f"{label}: one training step, without the optimiser",
             ways,
@@ -167,8 +164,8 @@ def _memory(
 ) -> Iterator[Comparison]:
     if not config.memory:
         return
-    native = WAYS[3:] if "native" in config.options else ()
-    for stage, ways in (("inference", WAYS[:2] + native), ("training", WAYS[:3] + native)):
+    layers = WAYS[3:] if "layers" in config.options else ()
+    for stage, ways in (("inference", WAYS[:2] + layers), ("training", WAYS[:3] + layers)):
         if stage == "inference" or config.training:
             options = {"device": str(device), "feature_channels": config.feature_channels}
             yield Comparison(
@@ -190,7 +187,7 @@ def _optional(net: IcoSweepNet, images: Tensor, tables: SweepTables, options: li
 
         return torch.inference_mode()(cast)
 
-    runs = _native(net, lambda: net(images, tables), options)
+    runs = _layers(lambda: net(images, tables), options)
     if "bf16" in options:
         runs[OURS + BF16] = bf16(lambda: net(images, tables))
     if "compiled" in options:
@@ -201,35 +198,26 @@ def _optional(net: IcoSweepNet, images: Tensor, tables: SweepTables, options: li
     return runs
 
 
-def _native(net: IcoSweepNet, run: Run, options: list[str]) -> dict[str, Run]:
-    """What a network does, with its operators in C++, if that is among the options."""
-
-    def with_operators() -> Any:
-        net.configure(native=True)
-        try:
-            return run()
-        finally:
-            net.configure(native=False)
-
-    return {WAYS[3]: torch.inference_mode()(with_operators)} if "native" in options else {}
+def _layers(run: Run, options: list[str]) -> dict[str, Run]:
+    """What a network does by layers in torch alone, if that is among the options."""
+    return {WAYS[3]: torch.inference_mode()(by("plain", run))} if "layers" in options else {}
 
 
 def _step(
     net: IcoSweepNet,
     images: Tensor,
     tables: Any,
-    plain: bool = False,
+    way: str = "auto",
     recompute: bool = False,
     bf16: bool = False,
-    native: bool = False,
 ) -> None:
     """Forward and backward pass in training mode."""
     net.train()
-    net.configure(recompute=recompute, native=native)
-    with reference_kernels() if plain else nullcontext():
+    net.configure(recompute=recompute)
+    with kernels(way):
         with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
             index = net(images, tables)
         index.sum().backward()
     net.zero_grad()
-    net.configure(recompute=False, native=False)
+    net.configure(recompute=False)
     net.eval()

@@ -34,7 +34,7 @@ def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison
     """Four fisheye views side by side in a video, ``config.num_frames`` frames."""
     rig = ring_rig(4, image_size=SIZE)
     for name, (level, height) in SETTINGS.items():
-        predictor = Predictor(rig, level=level, min_depth=0.55, device=device, native="auto")
+        predictor = Predictor(rig, level=level, min_depth=0.55, device=device)
         images = render_rig(make_scene("room", seed=1), rig)
         predictor(images)  # makes the tables
         yield Comparison(

@@ -20,12 +20,11 @@ __all__ = ["comparisons", "seconds_per_sample"]
 
 def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Seconds a sample, of all processes together, without their start."""
-    native = "native" in config.options
     ways = {"one process, two threads": (1, 2), "two processes, one thread each": (2, 1)}
     yield Comparison(
         f"level {LEVEL} to {LEVEL - 2}, N = {HYPOTHESES}: training {NETWORK}, seconds a sample",
         {
-            name: partial(seconds_per_sample, processes, threads, config.seconds, native)
+            name: partial(seconds_per_sample, processes, threads, config.seconds)
             for name, (processes, threads) in ways.items()
         },
         "one process, two threads",
@@ -35,14 +34,13 @@ def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison
     )
 
 
-def seconds_per_sample(processes: int, threads: int, seconds: float, native: bool = False) -> float:
+def seconds_per_sample(processes: int, threads: int, seconds: float) -> float:
     """Train in fresh processes side by side and return the seconds that one sample takes all of them together.
 
     Args:
         processes: how many, which start to count when all are ready.
         threads: of each.
         seconds: how long they train.
-        native: whether they use operators in C++.
 
     Examples:
         >>> seconds_per_sample(processes=1, threads=1, seconds=0.1) > 0
@@ -51,8 +49,7 @@ def seconds_per_sample(processes: int, threads: int, seconds: float, native: boo
     context = multiprocessing.get_context("spawn")
     ready, rates = context.Barrier(processes), context.SimpleQueue()
     running = [
-        context.Process(target=_train, args=(threads, seconds, native, ready, rates))
-        for _ in range(processes)
+        context.Process(target=_train, args=(threads, seconds, ready, rates)) for _ in range(processes)
     ]
     for process in running:
         process.start()
@@ -63,10 +60,10 @@ def seconds_per_sample(processes: int, threads: int, seconds: float, native: boo
     return 1 / sum(rates.get() for _ in running)
 
 
-def _train(threads: int, seconds: float, native: bool, ready: Any, rates: Any) -> None:
+def _train(threads: int, seconds: float, ready: Any, rates: Any) -> None:
     """Wait until all processes are ready, and tell how many samples a second were learnt from."""
     torch.set_num_threads(threads)
-    step = training_step(native)
+    step = training_step()
     for _ in range(2):
         step()
     ready.wait()

@@ -12,28 +12,28 @@ from torch import Tensor
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils.flop_counter import FlopCounterMode
 
-from sphericalvision.core import reference_kernels
+from sphericalvision.core import kernels, reference_kernels
 
-__all__ = ["OURS", "both_ways", "count_gbyte", "count_gflop", "cpu_seconds", "plainly"]
+__all__ = ["OURS", "both_ways", "by", "count_gbyte", "count_gflop", "cpu_seconds"]
 
 OURS = "sphericalvision"
 Run = Callable[[], Any]
 
 
-def plainly(run: Run) -> Run:
-    """The same by the readable formulas alone (``reference_kernels``)."""
+def by(way: str, run: Run) -> Run:
+    """The same in a way of ``kernels``: ``"reference"``, the readable formulas alone; ``"plain"``, layers in torch."""
 
-    def by_reference() -> Any:
-        with reference_kernels():
+    def in_that_way() -> Any:
+        with kernels(way):
             return run()
 
-    return by_reference
+    return in_that_way
 
 
 def both_ways(run: Run) -> dict[str, Run]:
     """Inference by the readable formulas, and as it is usually done."""
     usual = torch.inference_mode()(run)
-    return {"plain": plainly(usual), OURS: usual}
+    return {"plain": by("reference", usual), OURS: usual}
 
 
 def cpu_seconds(run: Run) -> Callable[[], float]:

@@ -56,7 +56,7 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     otherwise.
     """
     level = config.model.level
-    net = load_network(config.checkpoint, native=config.native)
+    net = load_network(config.checkpoint)
     near = config.model.min_depth
     found: Literal["auto", "scene"] | None = None
     if isinstance(near, str):
@@ -100,7 +100,6 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> Table:
                 evaluation.min_depth,
                 evaluation.preparation,
                 lambda rig: CameraRig(rig.cameras, rig.world_from_camera, masks or rig.masks),
-                config.native,
             )
         ]
     if config.baselines:

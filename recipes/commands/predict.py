@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
-from shutil import which
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -32,7 +31,7 @@ ENOUGH = 0.9
 """Share of the sphere that two cameras see, below which it is said."""
 FREE = (
     *("frames", "start", "stop", "every", "outputs", "output", "preset"),
-    *("skip_existing", "on_error", "device", "native"),
+    *("skip_existing", "on_error", "device"),
 )
 """Settings that may change between a prediction and its continuation."""
 
@@ -56,7 +55,6 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
         num_hypotheses=config.num_hypotheses,
         device=choose_device(config.device),
         antialias=config.antialias,
-        native=config.native,
         preparation=Preparation.from_keys(config),
         trained_radius=config.trained_radius,
     )
@@ -153,8 +151,6 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     console.print(
         f"{many}, {len(source.rig)} {cameras}, rig radius {float(source.rig.radius):.3f} m, nearest hypothesis {near}"
     )
-    if config.native == "auto" and predictor.device.type == "cpu" and not predictor.native and which("c++"):
-        console.print("native=true would compile operators in C++, once on this machine, which are faster")
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     settings = Settings(
         list(kinds),

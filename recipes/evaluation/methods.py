@@ -102,7 +102,6 @@ class AsUsed(Method):
         min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``, of each frame.
         preparation: of each frame.
         masked: gives a rig masks, before it is used.
-        native: whether to use operators in C++ on a CPU.
     """
 
     def __init__(
@@ -113,11 +112,10 @@ class AsUsed(Method):
         min_depth: float | Literal["auto", "scene"] = "auto",
         preparation: Preparation = AS_IT_IS,
         masked: Callable[[CameraRig], CameraRig] = lambda rig: rig,
-        native: bool = False,
     ) -> None:
         super().__init__(name, net, min_confidence)
         self.masked = masked
-        self.options: dict[str, Any] = {"min_depth": min_depth, "preparation": preparation, "native": native}
+        self.options: dict[str, Any] = {"min_depth": min_depth, "preparation": preparation}
 
     @torch.no_grad()
     def __call__(self, batch: Batch) -> Answer:

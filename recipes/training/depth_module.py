@@ -39,7 +39,6 @@ class DepthModule(TrainingModule):
         mode: "min" or "max", its best direction.
         recompute: train in less memory for a third more work; the results are the same.
         seed: of each training step, with its number.
-        native: use operators in C++, where the network has some.
     """
 
     metric_names = METRICS
@@ -57,12 +56,11 @@ class DepthModule(TrainingModule):
         mode: str = "min",
         recompute: bool = False,
         seed: int = 0,
-        native: bool = False,
     ) -> None:
         super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
         if self.learns_all:
             net.requires_grad_(True)
-        net.configure(recompute=recompute, native=native)
+        net.configure(recompute=recompute)
         self.tables = RigTables(net)
         self.validation_metric = DepthIndexError(net.num_hypotheses)
 

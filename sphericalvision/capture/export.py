@@ -16,7 +16,7 @@ from torch.fx import GraphModule, Interpreter, Node
 from torch.utils import _pytree
 
 from sphericalvision.capture.predictor import Predictor
-from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, compact_kernels
+from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, recording
 from sphericalvision.io.files import atomic_write
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import signed
@@ -210,7 +210,7 @@ def export_program(
     if program.tables == "inputs":
         tables = rig_tables(program)
         inputs, shapes = (*inputs, tables), (*shapes, dict.fromkeys(tables))
-    with warnings.catch_warnings(), compact_kernels():
+    with warnings.catch_warnings(), recording():
         warnings.simplefilter("ignore")
         program(*inputs)  # makes the tables of icospheres, which are constants then
         traced: Any = torch.export.export(program, inputs, dynamic_shapes=shapes, strict=False).module()

@@ -30,7 +30,6 @@ from sphericalvision.capture.preparation.nearest import (
 )
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError, check_choice, check_type
-from sphericalvision.crown.options import native_pays_at_once
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
@@ -76,8 +75,6 @@ class Predictor:
         num_hypotheses: N; by default that of the training.
         device: where to compute; by default the device of the network, which is the CPU if it was read from weights.
         antialias: whether images finer than the icosphere are averaged over the area between its vertices.
-        native: whether to use faster operators in C++ on a CPU, which are compiled once; ``"auto"``: only if they have
-            been compiled on this machine already.
         preparation: how images are made ready before depth is estimated, ``Preparation()`` when not given: noise is
             smoothed, light compensated. Cameras are turned by ``prepare``, which looks at a few frames.
         channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
@@ -109,7 +106,6 @@ class Predictor:
         num_hypotheses: int | None = None,
         device: torch.device | str | None = None,
         antialias: bool = True,
-        native: bool | Literal["auto"] = False,
         preparation: Preparation | None = None,
         channels: Literal["rgb", "bgr"] = "rgb",
         trained_radius: float = 0.2,
@@ -118,8 +114,6 @@ class Predictor:
         check_single(rig)
         check_choice("method", method, METHODS)
         check_choice("channels", channels, ("rgb", "bgr"))
-        if native not in (True, False, "auto"):
-            raise ArgumentError(f"native: expected True, False or 'auto', got {native!r}")
         net = weights if isinstance(weights, DepthNetwork) else read_network(weights)
         if level is not None:
             check_level(level)
@@ -142,9 +136,7 @@ class Predictor:
         self._lock = threading.Lock()
         self._ready: _Ready | None = None
         self._scaled: DepthNetwork | None = None
-        if native == "auto":
-            native = self._device.type == "cpu" and native_pays_at_once(net)
-        self._net, self._native = net, native
+        self._net = net
         self._method, self._level, self._num_hypotheses = method, level, num_hypotheses
         self._nearest: NearestHypothesis = nearest_hypothesis(
             min_depth, net, rig, trained_radius, method == "network"
@@ -155,11 +147,6 @@ class Predictor:
     def device(self) -> torch.device:
         """Where depth is computed."""
         return self._device
-
-    @property
-    def native(self) -> bool:
-        """Whether operators in C++ are used."""
-        return bool(self._native)
 
     @property
     def rig(self) -> CameraRig:
@@ -371,7 +358,7 @@ class Predictor:
         if self._scaled is not None:
             return self._scaled
         number = self._num_hypotheses
-        net = self._net.with_changes(min_depth=self._min_depth).configure(native=self._native)
+        net = self._net.with_changes(min_depth=self._min_depth)
         if self._method == "semi_global":  # one level coarser than the images
             level = self._level or (net.level if net.images == "sphere" else SCENE_LEVEL - 1)
             net = SemiGlobalSweep(level, number or net.num_hypotheses, net.min_depth, depth_coarsening=1)

@@ -6,11 +6,10 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ShapeError, check_dtype
-from sphericalvision.crown import fast
-from sphericalvision.crown.conv import CrownConv2d, CrownConv3d
-from sphericalvision.crown.layout import Crown, check_crown, crown_relu, from_crown, to_crown
-from sphericalvision.crown.norm import crown_norm
+from sphericalvision.core import ShapeError, check_dtype, uses_reference_kernels
+from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, convolve_crown
+from sphericalvision.crown.layout import Crown, check_crown, from_crown, to_crown
+from sphericalvision.crown.norm import _CrownBatchNorm, crown_norm
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.recompute import RecomputedModule
 
@@ -21,17 +20,16 @@ class _CrownConvNorm(nn.Module):
     """A crown convolution, the normalisation after it and, if asked for, a ReLU."""
 
     conv: CrownConv2d | CrownConv3d
-    norm: nn.Module
+    norm: _CrownBatchNorm
     relu: bool
 
     def forward(self, crown: Crown) -> Crown:
         check_crown(crown)
         check_dtype("crown", crown.col, self.conv.weight)
-        rectangles = fast.conv_norm(*crown, self.conv, self.norm, self.relu)
-        if rectangles is not None:
-            return Crown(*rectangles)
-        normalized = self.norm(self.conv(crown))
-        return crown_relu(normalized) if self.relu else normalized
+        if self.norm.is_affine and not uses_reference_kernels():  # one step in place of two
+            weight, bias = self.norm.folded(self.conv.weight)
+            return convolve_crown(crown, weight, bias, self.conv.stride, self.relu)
+        return self.norm.normalize(self.conv(crown), self.relu)
 
 
 class CrownConvNorm2d(_CrownConvNorm):
@@ -62,16 +60,11 @@ class CrownConvNorm2d(_CrownConvNorm):
 class CrownConvNorm3d(_CrownConvNorm):
     """The same for crowns of volumes, at stride 1; see ``CrownConvNorm2d``.
 
-    Attributes:
-        native: whether blocks that begin with this layer use operators in C++; see ``set_kernel_options``.
-
     Examples:
         >>> import torch
         >>> CrownConvNorm3d(3, 8)(to_crown(torch.rand(1, 3, 4, 42))).row.shape
         torch.Size([1, 5, 8, 4, 3, 5])
     """
-
-    native = False
 
     def __init__(self, in_channels: int, out_channels: int, norm: str = "batch", relu: bool = False) -> None:
         super().__init__()
@@ -113,9 +106,6 @@ def crown_block3d(
     check_dtype("volume", volume, first.conv.weight)
     if volume.shape[1] != channels:
         raise ShapeError(f"volume: expected {channels} channels (dimension 1), got {volume.shape[1]}")
-    result = fast.block3d(volume, first, second, residual)
-    if result is not None:
-        return result
     change = from_crown(second(first(to_crown(volume))))
     return volume + change if residual else change
 

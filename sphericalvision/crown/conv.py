@@ -10,11 +10,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_channels, check_dtype, check_tensor
-from sphericalvision.crown import fast
+from sphericalvision.crown.fast import convolve_rectangles
 from sphericalvision.crown.layout import Crown, check_crown
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS
 
-__all__ = ["CrownConv2d", "CrownConv3d", "crown_conv2d", "crown_conv3d"]
+__all__ = ["CrownConv2d", "CrownConv3d", "convolve_crown", "crown_conv2d", "crown_conv3d"]
 
 
 def _check_weight(weight: Tensor, taps: int, channels: int) -> None:
@@ -40,7 +40,6 @@ def crown_conv2d(
     weight: Float[Tensor, "C_out C_in 7"],
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
-    native: bool = False,
 ) -> Crown:
     """Convolve a crown with seven taps; borders are continued by their own values.
 
@@ -52,7 +51,6 @@ def crown_conv2d(
         weight: ``(out, in, 7)``, shared by all rectangles.
         bias: ``(out,)``.
         stride: 1, or 2 to keep the vertices of the next coarser level.
-        native: whether to use operators in C++ where they fit; see ``set_kernel_options``.
 
     Raises:
         ShapeError: if the crown, its channels or the weight do not fit.
@@ -67,7 +65,7 @@ def crown_conv2d(
         torch.Size([1, 5, 8, 3, 2])
     """
     _check_conv(crown, weight, bias, 2, stride)
-    return _convolve(crown, weight, bias, stride, native)
+    return convolve_crown(crown, weight, bias, stride)
 
 
 def crown_conv3d(
@@ -75,7 +73,6 @@ def crown_conv3d(
     weight: Float[Tensor, "C_out C_in 21"],
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
-    native: bool = False,
 ) -> Crown:
     """Convolve a crown of volumes with seven taps at three neighbouring hypotheses.
 
@@ -84,7 +81,6 @@ def crown_conv3d(
         weight: ``(out, in, 21)``, index ``7 * depth + tap``, shared by all rectangles.
         bias: ``(out,)``.
         stride: 1, or 2 to keep the vertices of the next coarser level; all N hypotheses are kept.
-        native: whether to use operators in C++ where they fit; see ``set_kernel_options``.
 
     Raises:
         ShapeError: if the crown, its channels or the weight do not fit.
@@ -96,22 +92,21 @@ def crown_conv3d(
         torch.Size([1, 5, 8, 16, 3, 5])
     """
     _check_conv(crown, weight, bias, 3, stride)
-    return _convolve(crown, weight, bias, stride, native)
+    return convolve_crown(crown, weight, bias, stride)
 
 
-def _convolve(crown: Crown, weight: Tensor, bias: Tensor | None, stride: int, native: bool) -> Crown:
-    rectangles = fast.conv(*crown, weight, bias, stride, native)
-    if rectangles is None:
-        col = convolve(crown.col, weight, COL_TAPS, bias, stride)
-        rectangles = col, convolve(crown.row, weight, ROW_TAPS, bias, stride)
-    return Crown(*rectangles)
+def convolve_crown(
+    crown: Crown, weight: Tensor, bias: Tensor | None, stride: int, relu: bool = False
+) -> Crown:
+    """Convolve both kinds of rectangles, each with its arrangement of the taps, and rectify them if asked for."""
+    col = convolve_rectangles(crown.col, weight, COL_TAPS, bias, stride, relu=relu)
+    return Crown(col, convolve_rectangles(crown.row, weight, ROW_TAPS, bias, stride, relu=relu))
 
 
 class _CrownConv(nn.Module):
     """Weights of a crown convolution."""
 
     taps: int
-    native = False
 
     def __init__(self, in_channels: int, out_channels: int, stride: int = 1, bias: bool = False) -> None:
         super().__init__()
@@ -152,7 +147,7 @@ class CrownConv2d(_CrownConv):
     taps = 7
 
     def forward(self, crown: Crown) -> Crown:
-        return crown_conv2d(crown, self.weight, self.bias, self.stride, self.native)
+        return crown_conv2d(crown, self.weight, self.bias, self.stride)
 
 
 class CrownConv3d(_CrownConv):
@@ -172,4 +167,4 @@ class CrownConv3d(_CrownConv):
     taps = 21
 
     def forward(self, crown: Crown) -> Crown:
-        return crown_conv3d(crown, self.weight, self.bias, self.stride, self.native)
+        return crown_conv3d(crown, self.weight, self.bias, self.stride)

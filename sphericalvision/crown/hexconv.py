@@ -45,13 +45,13 @@ from sphericalvision.core import (
     check_choice,
     check_dtype,
     check_tensor,
-    uses_compact_kernels,
+    is_recording,
 )
-from sphericalvision.crown import fast
-from sphericalvision.crown.compact import compact_hex_conv
+from sphericalvision.crown.by_lookups import hex_conv_by_lookups
+from sphericalvision.crown.fast import convolve_rectangles
 from sphericalvision.crown.hexpad import fill_charts, hex_pad
 from sphericalvision.crown.places import check_values
-from sphericalvision.crown.taps import COL_TAPS, planar_kernel
+from sphericalvision.crown.taps import COL_TAPS
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import vertex_at
 
@@ -121,7 +121,6 @@ def hex_conv2d(
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
     north: Float[Tensor, " V"] | None = None,
-    native: bool = False,
 ) -> Float[Tensor, "B C_out V_out"]:
     """Convolve values on an icosphere with seven taps: each vertex and its six true neighbours.
 
@@ -131,7 +130,6 @@ def hex_conv2d(
         bias: ``(out,)``.
         stride: 1, or 2 to keep the vertices of the next coarser level.
         north: ``north_fraction(level)`` of this level for taps aligned with north; without it they follow the charts.
-        native: whether to use operators in C++ where they fit; see ``set_kernel_options``.
 
     Returns:
         ``(B, out, V)``, or of the next coarser level; channels are the fastest dimension in memory.
@@ -149,20 +147,11 @@ def hex_conv2d(
         torch.Size([1, 8, 42])
     """
     _check_conv(values, weight, 2, stride, north)
-    if uses_compact_kernels() and north is None:
-        return compact_hex_conv(values, weight, bias, stride, CHART_RINGS)
+    if is_recording() and north is None:
+        return hex_conv_by_lookups(values, weight, bias, stride, CHART_RINGS)
     charts, rings = hex_pad(values)
-    start = stride - 1  # a coarser chart begins at the second row of the finer one
-    inside = charts[..., start:, :].flatten(0, 1)
-
-    def convolve(kernel: Tensor, bias: Tensor | None) -> Tensor:
-        result = fast.conv_charts(charts, kernel, bias, stride, native)
-        if result is None:
-            planar = planar_kernel(kernel, COL_TAPS)
-            result = F.conv2d(inside, planar, bias, stride).unflatten(0, (-1, 5))
-        return result
-
-    own = _oriented(convolve, weight, bias, _own_fraction(north, values, stride))
+    own = _oriented(charts, weight, bias, stride, _own_fraction(north, values, stride))
+    # The twelve vertices of valence five: what each tap reads of their rings, then one product with all taps.
     special = torch.einsum("bivj,vjt->bvit", rings, _taps_of_rings(rings, north)).flatten(2)
     special = (special @ weight.flatten(1).T).mT
     return fill_charts(own, special if bias is None else special + bias[:, None])
@@ -174,7 +163,6 @@ def hex_conv3d(
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
     north: Float[Tensor, " V"] | None = None,
-    native: bool = False,
 ) -> Float[Tensor, "B C_out N V_out"]:
     """Convolve volumes on an icosphere with seven taps at three neighbouring hypotheses.
 
@@ -186,7 +174,6 @@ def hex_conv3d(
         bias: ``(out,)``.
         stride: 1, or 2 to keep the vertices of the next coarser level; all N hypotheses are kept.
         north: ``north_fraction(level)`` of this level for taps aligned with north; without it they follow the charts.
-        native: whether to use operators in C++ where they fit; see ``set_kernel_options``.
 
     Returns:
         ``(B, out, N, V)``, or of the next coarser level.
@@ -201,18 +188,8 @@ def hex_conv3d(
     """
     _check_conv(values, weight, 3, stride, north)
     charts, rings = hex_pad(values)
-    by_depth = weight.unflatten(-1, (3, 7))
-
-    def convolve(kernel: Tensor, bias: Tensor | None) -> Tensor:
-        result = fast.conv_charts(charts, kernel.flatten(2), bias, stride, native)
-        if result is None:
-            inside = _repeat_ends(charts[..., stride - 1 :, :].flatten(0, 1))
-            planar = planar_kernel(kernel, COL_TAPS)
-            result = F.conv3d(inside, planar, bias, (1, stride, stride)).unflatten(0, (-1, 5))
-        return result
-
-    own = _oriented(convolve, by_depth, bias, _own_fraction(north, values, stride))
-    windows = _repeat_ends(rings).unfold(2, 3, 1)
+    own = _oriented(charts, weight, bias, stride, _own_fraction(north, values, stride))
+    windows = _repeat_ends(rings).unfold(2, 3, 1)  # three hypotheses for each, a view
     special = torch.einsum("binvjd,vjt->bnvidt", windows, _taps_of_rings(rings, north)).flatten(3)
     special = (special @ weight.flatten(1).T).permute(0, 3, 1, 2)
     return fill_charts(own, special if bias is None else special + bias[:, None, None])
@@ -223,12 +200,19 @@ def _repeat_ends(values: Tensor) -> Tensor:
     return torch.cat((values[:, :, :1], values, values[:, :, -1:]), 2)
 
 
-def _oriented(convolve: object, weight: Tensor, bias: Tensor | None, fraction: Tensor | None) -> Tensor:
-    """Convolve along the charts, or between two neighbouring orientations."""
-    if fraction is None:
-        return convolve(weight, bias)  # type: ignore[operator]
-    turned = weight.index_select(-1, torch.tensor(NEXT_TAP, device=weight.device))
-    both = convolve(torch.cat((weight, turned)), None if bias is None else bias.repeat(2))  # type: ignore[operator]
+def _oriented(
+    charts: Tensor, weight: Tensor, bias: Tensor | None, stride: int, fraction: Tensor | None
+) -> Tensor:
+    """Convolve charts with their border, or between two neighbouring orientations."""
+    charts = charts[..., stride - 1 :, :]  # a coarser chart begins at the second row of the finer one
+    if fraction is None:  # taps follow the chart
+        return convolve_rectangles(charts, weight, COL_TAPS, bias, stride, border=True)
+    by_depth = weight.unflatten(-1, (-1, 7))
+    # North lies between two neighbours: one convolution has the kernel as it is, with tap 5 on the one before, the
+    # other has it turned on by one neighbour, and each vertex goes its own fraction from one to the other.
+    turned = by_depth.index_select(-1, torch.tensor(NEXT_TAP, device=weight.device)).flatten(2)
+    kernels, biases = torch.cat((weight, turned)), None if bias is None else bias.repeat(2)
+    both = convolve_rectangles(charts, kernels, COL_TAPS, biases, stride, border=True)
     along, next_one = both.chunk(2, 2)
     return torch.lerp(along, next_one, fraction)
 
@@ -276,7 +260,6 @@ class _HexConv(nn.Module):
 
     taps: int
     north: Tensor | None
-    native = False
 
     def __init__(
         self,
@@ -341,7 +324,7 @@ class HexConv2d(_HexConv):
     taps = 7
 
     def forward(self, values: Float[Tensor, "B C_in V"]) -> Float[Tensor, "B C_out V_out"]:
-        return hex_conv2d(values, self.weight, self.bias, self.stride, self.north, self.native)
+        return hex_conv2d(values, self.weight, self.bias, self.stride, self.north)
 
 
 class HexConv3d(_HexConv):
@@ -357,4 +340,4 @@ class HexConv3d(_HexConv):
     taps = 21
 
     def forward(self, values: Float[Tensor, "B C_in N V"]) -> Float[Tensor, "B C_out N V_out"]:
-        return hex_conv3d(values, self.weight, self.bias, self.stride, self.north, self.native)
+        return hex_conv3d(values, self.weight, self.bias, self.stride, self.north)

@@ -2,12 +2,11 @@
 """Charts of an icosphere continued by their true neighbours, and the rings of its twelve special vertices.
 
 With ``n = 2**level``, a chart owns ``2n`` rows and ``n`` columns of vertices. One more row and column on every side
-hold what lies across the border; each of them is a slice of the chart before or after::
+hold what lies across the border. In the north and in the east that is what a ``col`` rectangle has there, too
+(``unfolding``); in the west and in the south it is slices of the chart before::
 
-    row 0           north pole, then column 0 of the next chart, upper half
-    east column     column 0 of the next chart, lower half, then its last row, then the south pole
-    west column     first row of the chart before, then its last column, upper half and one more
-    row 2n + 1      last column of the chart before, lower half
+    west column     its first row, then its last column, upper half and one more
+    row 2n + 1      its last column, lower half
 
 Along the edges of the polar faces this turns the neighbour by a sixth of a turn, as the sphere does. The twelve
 vertices of the icosahedron have five neighbours, so they are gathered apart, as rings.
@@ -22,6 +21,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.crown.places import check_values, own_charts
+from sphericalvision.crown.unfolding import empty_as, fill_north_and_east, fold_north_and_east
 from sphericalvision.icosphere import level_from_num_vertices
 
 __all__ = ["fill_charts", "hex_pad", "ring_ids"]
@@ -166,9 +166,10 @@ class _Take(torch.autograd.Function):
     def forward(ctx: Any, values: Tensor) -> tuple[Tensor, Tensor]:
         n = 2 ** level_from_num_vertices(values.shape[-1])
         charts = own_charts(values, n)
+        # A and B of a chart are the last places of both halves of its west edge: rows n - 1 and 2n - 1 of its own.
         inner = charts[..., n - 1 :: n, 0].movedim(1, -2).flatten(-2)
         special = torch.cat((values[..., :1], inner, values[..., -1:]), -1)
-        taken = _empty(tuple(charts.shape), 2, values, 1).copy_(charts)
+        taken = empty_as(values, 1, tuple(charts.shape), 2).copy_(charts)
         taken[..., n - 1 :: n, 0] = 0
         return taken, special
 
@@ -177,32 +178,19 @@ class _Take(torch.autograd.Function):
         return _Fill.apply(*gradients)
 
 
-def _empty(shape: tuple[int, ...], channel_dim: int, like: Tensor, like_dim: int) -> Tensor:
-    """Return an uninitialised tensor, its channels fastest in memory if those of ``like`` are."""
-    if like.stride(like_dim) != 1 or like.shape[like_dim] == 1:
-        return like.new_empty(shape)
-    others = shape[:channel_dim] + shape[channel_dim + 1 :]
-    return like.new_empty((*others, shape[channel_dim])).movedim(-1, channel_dim)
-
-
 def _pad(values: Tensor) -> tuple[Tensor, Tensor]:
     batch, *channels, vertices = values.shape
     level = level_from_num_vertices(vertices)
     n = 2**level
-    charts = own_charts(values, n)
-    padded = _empty((batch, 5, *channels, 2 * n + 2, n + 2), 2, values, 1)
-    padded[..., 1:-1, 1:-1] = charts
-
-    west = charts[..., 0].roll(-1, 1)  # west edge of the next chart
+    padded = empty_as(values, 1, (batch, 5, *channels, 2 * n + 2, n + 2), 2)
+    fill_north_and_east(padded[..., :-1, 1:], values)
+    # These two corners of the lattice are nobody's neighbours.
     padded[..., 0, 0] = 0
-    padded[..., 0, 1] = values[:, None, ..., 0]
-    padded[..., 0, 2:] = west[..., :n]
-    padded[..., 1 : n + 1, -1] = west[..., n:]
-    padded[..., n + 1 : -2, -1] = charts[..., -1, 1:].roll(-1, 1)
-    padded[..., -2, -1] = values[:, None, ..., -1]
     padded[..., -1, -1] = 0
-
-    east = charts[..., -1].roll(1, 1)  # east edge of the chart before
+    charts = own_charts(values, n)
+    # Rolled by one along the charts: each gets what the chart before it has. Its first row runs along our northern west
+    # edge, its east edge along our southern west edge and, around the corner, along our last row.
+    east = charts[..., -1].roll(1, 1)
     padded[..., 1 : n + 1, 0] = charts[..., 0, :].roll(1, 1)
     padded[..., n + 1 :, 0] = east[..., : n + 1]
     padded[..., -1, 1:-1] = east[..., n:]
@@ -212,16 +200,10 @@ def _pad(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _unpad(padded: Tensor, rings: Tensor) -> Tensor:
-    batch, _, *channels, _, columns = padded.shape
-    n = columns - 2
-    values = _empty((batch, *channels, 2 + 10 * n * n), 1, padded, 2)
-    values[..., 0] = padded[..., 0, 1].sum(1)
-    values[..., -1] = padded[..., -2, -1].sum(1)
+    n = padded.shape[-1] - 2
+    values = fold_north_and_east(padded[..., :-1, 1:])
     charts = own_charts(values, n)
-    charts.copy_(padded[..., 1:-1, 1:-1])
-    charts[..., :n, 0] += padded[..., 0, 2:].roll(1, 1)
-    charts[..., n:, 0] += padded[..., 1 : n + 1, -1].roll(1, 1)
-    charts[..., -1, 1:] += padded[..., n + 1 : -2, -1].roll(1, 1)
+    # As in `_pad`, the other way about: each chart gets back what it gave to the one after it.
     charts[..., 0, :] += padded[..., 1 : n + 1, 0].roll(-1, 1)
     charts[..., : n + 1, -1] += padded[..., n + 1 :, 0].roll(-1, 1)
     charts[..., n:, -1] += padded[..., -1, 1:-1].roll(-1, 1)
@@ -231,7 +213,7 @@ def _unpad(padded: Tensor, rings: Tensor) -> Tensor:
 
 def _fill(charts: Tensor, special: Tensor) -> Tensor:
     batch, _, *channels, _, n = charts.shape
-    values = _empty((batch, *channels, 2 + 10 * n * n), 1, charts, 2)
+    values = empty_as(charts, 2, (batch, *channels, 2 + 10 * n * n), 1)
     own = own_charts(values, n)
     own.copy_(charts)
     own[..., n - 1 :: n, 0] = special[..., 1:-1].unflatten(-1, (5, 2)).movedim(-2, 1)

@@ -16,9 +16,8 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentTypeError, ShapeError, uses_compact_kernels
-from sphericalvision.crown import fast
-from sphericalvision.crown.compact import compact_fold
+from sphericalvision.core import ArgumentTypeError, ShapeError, is_recording
+from sphericalvision.crown.by_lookups import fold_by_lookups
 from sphericalvision.crown.places import (
     check_values,
     level_of_rectangles,
@@ -26,6 +25,7 @@ from sphericalvision.crown.places import (
     sum_over_places,
     values_at_places,
 )
+from sphericalvision.crown.unfolding import mean_over_places, slices_pay, unfold
 
 __all__ = ["Crown", "crown_map", "crown_relu", "exchange", "from_crown", "to_crown"]
 
@@ -105,7 +105,7 @@ def to_crown(values: Num[Tensor, "B C *N V"]) -> Crown:
                 [ 2., 11.]])
     """
     check_values(values)
-    return Crown(*(fast.unfold(values) or values_at_places(values)))
+    return Crown(*(unfold(values) if slices_pay() else values_at_places(values)))
 
 
 def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
@@ -123,11 +123,10 @@ def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
         True
     """
     check_crown(crown)
-    if uses_compact_kernels():
-        return compact_fold(*crown)
-    mean = fast.fold(*crown)
-    if mean is not None:
-        return mean
+    if is_recording():
+        return fold_by_lookups(*crown)
+    if slices_pay():
+        return mean_over_places(*crown)
     return sum_over_places(*crown) / places_per_vertex(crown.level, crown.col)
 
 

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ShapeError, check_choice, check_dtype, uses_compact_kernels
-from sphericalvision.crown.compact import compact_norm
-from sphericalvision.crown.layout import Crown, check_crown, crown_map
+from sphericalvision.core import ShapeError, check_choice, check_dtype
+from sphericalvision.crown.fast import normalize
+from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu
 
 __all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
 
@@ -24,6 +25,10 @@ class _CrownBatchNorm(_BatchNorm):
         """Accept all: the crown is checked as a whole in ``forward``."""
 
     def forward(self, crown: Crown) -> Crown:  # type: ignore[override]
+        return self.normalize(crown)
+
+    def normalize(self, crown: Crown, relu: bool = False) -> Crown:
+        """Normalise a crown, and rectify it if asked for."""
         check_crown(crown, self.spatial_dims)
         if crown.col.shape[2] != self.num_features:
             raise ShapeError(
@@ -31,15 +36,41 @@ class _CrownBatchNorm(_BatchNorm):
             )
         if self.affine:
             check_dtype("crown", crown.col, self.weight)
-        if uses_compact_kernels() and not self.training:
-            return crown_map(
-                lambda r: super(_CrownBatchNorm, self).forward(r.flatten(0, 1)).view(r.shape), crown
-            )
+        pair = None if self.is_affine else normalize(*crown, self, self.per_sample, relu)
+        if pair is not None:
+            return Crown(*pair)
+        normalized = self._plainly(crown)
+        return crown_relu(normalized) if relu else normalized
+
+    def _plainly(self, crown: Crown) -> Crown:
+        if self.is_affine:
+            return crown_map(lambda r: self._layer(r.flatten(0, 1).flatten(-2)).view(r.shape), crown)
         # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
         col, row = (rectangles.flatten(0, 1).flatten(-2) for rectangles in crown)
-        both = super().forward(torch.cat((col, row)))
+        both = self._layer(torch.cat((col, row)))
         col, row = both.chunk(2)  # unlike unbind, its gradient keeps the channels innermost in memory
         return Crown(col.view(crown.col.shape), row.view(crown.row.shape))
+
+    def _layer(self, values: Tensor) -> Tensor:
+        """The layer of torch."""
+        return super().forward(values)
+
+    @property
+    def is_affine(self) -> bool:
+        """Whether it is one multiplication and one addition a channel, as batch normalisation is in evaluation."""
+        return not self.training and self.running_var is not None
+
+    def folded(self, weight: Tensor) -> tuple[Tensor, Tensor]:
+        """Weight ``(out, in, taps)`` and bias of a convolution that normalises, too, where ``is_affine``."""
+        assert self.running_mean is not None
+        assert self.running_var is not None
+        scale = (self.running_var + self.eps).rsqrt()
+        if self.weight is not None:
+            scale = scale * self.weight
+        shift = -self.running_mean * scale
+        if self.bias is not None:
+            shift = shift + self.bias
+        return weight * scale[:, None, None], shift
 
 
 class CrownBatchNorm2d(_CrownBatchNorm):
@@ -88,13 +119,14 @@ class _CrownInstanceNorm(_CrownBatchNorm):
     def __init__(self, num_features: int, eps: float = 1e-5) -> None:
         super().__init__(num_features, eps, track_running_stats=False)
 
-    def forward(self, crown: Crown) -> Crown:  # type: ignore[override]
-        check_crown(crown, self.spatial_dims)
-        if uses_compact_kernels():
-            return Crown(*compact_norm(*crown, self.weight, self.bias, self.eps))
-        samples = zip(crown.col.split(1), crown.row.split(1), strict=True)
-        normalized = [super(_CrownInstanceNorm, self).forward(Crown(*sample)) for sample in samples]
-        return crown_map(lambda *rectangles: torch.cat(rectangles), *normalized)
+    def _plainly(self, crown: Crown) -> Crown:
+        # Channels of all samples side by side are the channels of one batch, of ten rectangles.
+        batch = len(crown.col)
+        together = torch.cat([rectangles.flatten(-2) for rectangles in crown], 1).transpose(0, 1)
+        weight, bias = (None if x is None else x.repeat(batch) for x in (self.weight, self.bias))
+        normalized = F.batch_norm(together.flatten(1, 2), None, None, weight, bias, True, eps=self.eps)
+        col, row = normalized.unflatten(1, (batch, -1)).transpose(0, 1).split(5, 1)
+        return Crown(col.reshape(crown.col.shape), row.reshape(crown.row.shape))
 
 
 class CrownInstanceNorm2d(_CrownInstanceNorm):

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Int, Num, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_tensor, made_once
+from sphericalvision.core import ShapeError, check_tensor, constant_table
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids, vertex_at
 
@@ -41,7 +41,7 @@ def own_charts(values: Shaped[Tensor, "B C *N V"], n: int) -> Shaped[Tensor, "B 
     return values[..., 1:-1].unflatten(-1, (5, 2 * n, n)).movedim(-3, 1)
 
 
-@made_once
+@constant_table
 def place_ids(level: int, device: torch.device | None = None) -> Int[Tensor, "10 places"]:
     """Vertices at the places of five col and then five row rectangles, ``(10, (2n + 1) * (n + 1))``.
 

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
+
+from sphericalvision.core import kernels
+from sphericalvision.crown.fast import settled_way
 
 __all__ = ["RecomputedModule"]
 
@@ -40,24 +43,31 @@ class RecomputedModule(nn.Module):
         if not (self.recompute and self.training and torch.is_grad_enabled()):
             return run(*inputs)
 
+        way = settled_way()  # the same ways twice: else other tensors would be kept than are wanted
+
         def contexts() -> tuple[AbstractContextManager[None], AbstractContextManager[None]]:
-            return nullcontext(), _StillStatistics(self)
+            return kernels(way), _Again(self, way)
 
         return checkpoint(run, *inputs, use_reentrant=False, context_fn=contexts)
 
 
-class _StillStatistics:
+class _Again(AbstractContextManager[None]):
     """Puts running statistics back to what they were before; may be entered again, as second derivatives do."""
 
-    def __init__(self, module: nn.Module) -> None:
+    def __init__(self, module: nn.Module, way: str) -> None:
         norms = [part for part in module.modules() if isinstance(part, _BatchNorm)]
         self.buffers = [buffer for norm in norms for buffer in norm.buffers()]
-        self.before: list[list[Tensor]] = []
+        self.way = way
+        self.open: list[tuple[AbstractContextManager[None], list[Tensor]]] = []
 
     def __enter__(self) -> None:
-        self.before.append([buffer.clone() for buffer in self.buffers])
+        block = kernels(self.way)
+        block.__enter__()
+        self.open.append((block, [buffer.clone() for buffer in self.buffers]))
 
     @torch.no_grad()
-    def __exit__(self, *_: object) -> None:
-        for buffer, value in zip(self.buffers, self.before.pop(), strict=True):
+    def __exit__(self, *error: Any) -> None:
+        block, before = self.open.pop()
+        block.__exit__(*error)
+        for buffer, value in zip(self.buffers, before, strict=True):
             buffer.copy_(value)

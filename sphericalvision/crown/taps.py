@@ -12,8 +12,6 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import uses_compact_kernels
-
 __all__ = ["COL_TAPS", "ROW_TAPS", "Taps", "convolve", "neighbor_taps", "planar_kernel", "repeat_border"]
 
 Taps = tuple[tuple[int, ...], ...]
@@ -35,34 +33,35 @@ def neighbor_taps(taps: Taps) -> list[int]:
 
 
 def convolve(
-    rectangles: Float[Tensor, "B 5 C_in *N h w"],
+    images: Float[Tensor, "B C_in *N h w"],
     weight: Float[Tensor, "C_out C_in 7"] | Float[Tensor, "C_out C_in 21"],
     taps: Taps,
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
-) -> Float[Tensor, "B 5 C_out *N h_out w_out"]:
-    """Convolve rectangles of one kind, continued by their own border values.
+    border: bool = False,
+) -> Float[Tensor, "B C_out *N h_out w_out"]:
+    """Convolve rectangles of one kind, continued by their own border values, in plain torch.
 
     Args:
-        rectangles: ``(B, 5, in, h, w)`` with a weight ``(out, in, 7)``, or ``(B, 5, in, N, h, w)`` with a weight
-            ``(out, in, 21)`` of index ``7 * depth + tap``.
-        weight: as said.
+        images: ``(B, in, h, w)`` or ``(B, in, N, h, w)``.
+        weight: ``(out, in, 7)``, or ``(out, in, 21)`` of index ``7 * depth + tap``.
         taps: ``COL_TAPS`` or ``ROW_TAPS``.
         bias: ``(out,)``.
         stride: in the plane; along N it is 1.
+        border: whether the images have a border of one more place all around; hypotheses never have one.
     """
-    padded = repeat_border(rectangles.flatten(0, 1))
-    if rectangles.ndim == 5:
-        result = F.conv2d(padded, planar_kernel(weight, taps), bias, stride)
-    else:
-        kernel = planar_kernel(weight.unflatten(-1, (3, 7)), taps)
-        result = F.conv3d(padded, kernel, bias, (1, stride, stride))
-    return result.unflatten(0, (-1, 5))
+    if not border:
+        images = repeat_border(images)
+    elif images.ndim == 5:
+        images = torch.cat((images[:, :, :1], images, images[:, :, -1:]), 2)
+    if images.ndim == 4:
+        return F.conv2d(images, planar_kernel(weight, taps), bias, stride)
+    return F.conv3d(images, planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias, (1, stride, stride))
 
 
 def repeat_border(images: Float[Tensor, "B C *N h w"]) -> Float[Tensor, "B C *N_padded h+2 w+2"]:
     """Continue images ``(B, C, h, w)`` or volumes ``(B, C, N, h, w)`` by one more of their border values all around."""
-    if images.ndim == 4 and torch.compiler.is_compiling() and not uses_compact_kernels():
+    if images.ndim == 4 and torch.compiler.is_compiling() and torch.is_grad_enabled():
         # Inductor expects another memory format of the gradient of a padding than it gets.
         tall = torch.cat((images[..., :1, :], images, images[..., -1:, :]), -2)
         return torch.cat((tall[..., :1], tall, tall[..., -1:]), -1)

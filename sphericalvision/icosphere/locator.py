@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import uses_compact_kernels, uses_reference_kernels
+from sphericalvision.core import is_recording, uses_reference_kernels
 from sphericalvision.icosphere.descent import barycentric_weights, descend
 from sphericalvision.icosphere.fast.triangle_table import (
     coefficients,
@@ -52,7 +52,7 @@ def fast_wing_open() -> bool:
         ...     fast_wing_open()
         False
     """
-    return not (uses_reference_kernels() or torch.compiler.is_exporting())
+    return is_recording() or not (uses_reference_kernels() or torch.compiler.is_exporting())
 
 
 class TriangleLocator:
@@ -86,9 +86,7 @@ class TriangleLocator:
         self.level = check_level(level)
         device = torch.device(device)
         self.chunk_size = chunk_size(device)
-        self._table = (
-            triangle_table(level, dtype, device) if fast_wing_open() or uses_compact_kernels() else None
-        )
+        self._table = triangle_table(level, dtype, device) if fast_wing_open() else None
         self.faces = icosphere_faces(level, device) if self._table is None else self._table.ids
 
     @torch.no_grad()
@@ -102,7 +100,7 @@ class TriangleLocator:
             unit = F.normalize(rays.T, dim=-1)
             found = descend(unit, self.level)
             return found.numbers(self.level), barycentric_weights(unit, found.corners).T
-        if uses_compact_kernels():
+        if is_recording():
             return find_in_few_steps(rays, self._table)
         triangles, shares = find_triangles(rays, self._table)
         return triangles, shares.div_(shares.sum(0))

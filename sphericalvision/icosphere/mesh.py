@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, made_once
+from sphericalvision.core import ArgumentError, constant_table
 from sphericalvision.icosphere.topology import check_level
 
 __all__ = ["icosahedron_rectangles", "icosphere_vertices"]
@@ -43,7 +43,7 @@ def icosahedron_rectangles(
     )
 
 
-@made_once
+@constant_table
 def icosphere_vertices(
     level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
 ) -> Float[Tensor, "V 3"]:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_dtype, check_floating, check_tensor
 from sphericalvision.crown import set_kernel_options
-from sphericalvision.crown.options import kernel_option
+from sphericalvision.crown.options import recomputes
 from sphericalvision.icosphere import Icosphere, num_icosphere_vertices
 from sphericalvision.models.arguments import RemembersArguments
 from sphericalvision.sphere.intake import Intake
@@ -299,31 +299,22 @@ class DepthNetwork(RemembersArguments):
         like = next(chain(self.parameters(), self.buffers()), None)
         if like is not None:
             net.to(device=like.device, dtype=like.dtype if like.is_floating_point() else None)
-        return net.configure(native=self.native, recompute=self.recompute).train(self.training)
+        if recomputes(self):
+            net.configure(recompute=True)
+        return net.train(self.training)
 
-    def configure(self, native: bool | None = None, recompute: bool | None = None) -> Self:
-        """Choose between ways to compute the same results, at any time; returns the network. ``None`` changes nothing.
+    def configure(self, recompute: bool) -> Self:
+        """Choose whether training saves memory by computing the inside of blocks twice, a third more work.
 
-        Parts that offer a choice have an attribute of its name.
-
-        Args:
-            native: whether convolutions and normalisations on a CPU use operators in C++, which is faster. They are
-                compiled when first used on a machine.
-            recompute: whether training saves memory by computing the inside of blocks twice, a third more work.
+        The results stay the same. Returns the network.
 
         Raises:
             ArgumentError: if no part of this network has such a choice.
-            MissingCompilerError: if the operators could not be compiled.
         """
-        set_kernel_options(self, native=native, recompute=recompute)
+        set_kernel_options(self, recompute=recompute)
         return self
-
-    @property
-    def native(self) -> bool:
-        """Whether operators in C++ are used; see ``configure``."""
-        return kernel_option(self, "native")
 
     @property
     def recompute(self) -> bool:
         """Whether training computes the inside of blocks twice; see ``configure``."""
-        return kernel_option(self, "recompute")
+        return recomputes(self)

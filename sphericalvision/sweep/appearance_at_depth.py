@@ -10,10 +10,9 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import uses_compact_kernels
 from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import TriangleLocator, icosphere_vertices, level_from_num_vertices
-from sphericalvision.sweep.visibility import check_seen
+from sphericalvision.sweep.visibility import check_seen, one_at_a_time
 
 __all__ = ["AppearanceAtDepth", "appearance_at_depth"]
 
@@ -60,7 +59,7 @@ def appearance_at_depth(
     locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
     shown = check_seen(seen, images).to(images)[:, :, None]
     rows = torch.cat((images * shown, shown), 2).transpose(2, 3).contiguous()  # colours beside each other
-    if uses_compact_kernels():
+    if not one_at_a_time(images):
         return _all_at_once(rows, locator, vertices, offsets, inverse_depths)
     found = []
     for sample, offset, inverse_depth in zip(rows, offsets, inverse_depths, strict=True):

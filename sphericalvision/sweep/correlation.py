@@ -16,13 +16,13 @@ import torch
 from jaxtyping import Bool, Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, uses_compact_kernels
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables
-from sphericalvision.sweep.visibility import check_seen
+from sphericalvision.sweep.visibility import check_seen, one_at_a_time
 
 __all__ = ["LEAST_SHARE", "NOISE", "correlation_evidence", "mean_of_better_half", "window_correlations"]
 
@@ -91,7 +91,7 @@ def correlation_evidence(
     if not shared and len(tables.ids) != batch:
         raise ShapeError(f"tables: expected those of {batch} rigs or of one for all, got {len(tables.ids)}")
     known = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
-    if uses_compact_kernels():
+    if not one_at_a_time(images):
         return _evidence(images, known, tables, level, noise)
     return torch.cat(
         [
@@ -139,6 +139,7 @@ def _sweep(images: Tensor, known: Tensor, tables: SweepTables) -> tuple[Tensor, 
     known = known[:, :, None]
     mean = (images * known).sum(-1, keepdim=True) / known.sum(-1, keepdim=True).clamp(min=1)
     values = sphere_sweep(torch.cat(((images - mean) * known, known), 2), tables).values
+    # (B, n, C + 1, N, V) to vertices first: a window of seven vertices is then seven contiguous rows of all the rest.
     planes = values.permute(4, 1, 2, 0, 3).flatten(3).contiguous()
     share = planes[:, :, -1]
     seen = (share > LEAST_SHARE).to(images.dtype)
@@ -161,9 +162,11 @@ def window_correlations(
         noise: contrast below which nothing is told.
     """
     num_cameras = seen.shape[1]
+    # Means over a window count what is seen of it alone: those of values by that of `seen`, the share.
     share = ring_mean(seen).clamp(min=1e-6)
     local = (colors - ring_mean(colors) / share[:, :, None]) * seen[:, :, None]
     products = [(local[:, a] * local[:, b]).sum(1) for a, b in _pairs(num_cameras)]
+    # Squares of each camera and products of each pair, colours summed up: n + n (n - 1) / 2 planes for one gather.
     planes = torch.cat((local.square().sum(2), torch.stack(products, 1)), 1)
     planes = ring_mean(planes, level)
     share = share[ids_of_coarser_level(level_from_num_vertices(len(seen)), level, seen.device)]
@@ -191,7 +194,7 @@ def mean_of_better_half(
         tensor([0.5000])
     """
     ordered = list(values)
-    for a, b in _comparators(len(ordered)):
+    for a, b in _comparators(len(ordered)):  # the same for all places, however their values lie
         ordered[a], ordered[b] = torch.maximum(ordered[a], ordered[b]), torch.minimum(ordered[a], ordered[b])
     half = (count + 1).div(2, rounding_mode="floor")
     total = torch.zeros_like(ordered[0])
@@ -206,6 +209,8 @@ def _pairs(num_cameras: int) -> list[tuple[int, int]]:
 
 def _comparators(length: int) -> Iterator[tuple[int, int]]:
     """Places to compare, one pair after the other, so that any sequence of this length ends up sorted."""
+    # Runs of `merged` values, each in order, become runs of twice as many: compared are values `distance` apart, first
+    # those of two runs, then ever closer ones, and never across the border of what is merged.
     merged = 1
     while merged < length:
         distance = merged

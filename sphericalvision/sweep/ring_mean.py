@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import made_once
+from sphericalvision.core import constant_table
 from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids
@@ -40,7 +40,7 @@ def ring_mean(values: Float[Tensor, " V *rest"], level: int | None = None) -> Fl
     return weighted_rows(values.flatten(1), ids, weights).view(len(ids), *values.shape[1:])
 
 
-@made_once
+@constant_table
 def ids_of_coarser_level(
     level: int, coarser: int, device: torch.device | str | None = None
 ) -> Int[Tensor, " V"]:

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, made_once, uses_compact_kernels
+from sphericalvision.core import ArgumentError, ShapeError, constant_table, is_recording
 from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.lines import icosphere_lines
@@ -74,7 +74,7 @@ def semi_global_smoothing(
         expected = f"({cost.shape[0]}, C, {cost.shape[2]})"
         raise ShapeError(f"guide: expected shape {expected}, got {tuple(guide.shape)}")
     planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
-    if uses_compact_kernels():
+    if is_recording():
         along = [
             _scanned(planes, guide, paths, first, small_penalty, large_penalty, contrast)
             for paths, first in smoothing_paths(level, lead, cost.device)
@@ -124,7 +124,7 @@ def _scanned(
     return reached.movedim(0, 2).flatten(2)
 
 
-@made_once
+@constant_table
 def _arrivals(level: int, lead: float, device: torch.device) -> MeansById:
     """Which of the costs along all paths are those of a vertex."""
     ids = [paths[first:].flatten() for paths, first in smoothing_paths(level, lead, device)]

@@ -9,13 +9,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_tensor
+from sphericalvision.core import ShapeError, check_tensor, is_recording
 from sphericalvision.icosphere import icosphere_vertices
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["check_seen", "seen_in_view"]
+__all__ = ["check_seen", "one_at_a_time", "seen_in_view"]
 
 
 def seen_in_view(rig: CameraRig, level: int) -> Bool[Tensor, "*b n V"]:
@@ -46,3 +46,11 @@ def check_seen(
     if seen.ndim not in (2, 3) or tuple(seen.shape) != shape[-seen.ndim :]:
         raise ShapeError(f"seen: expected shape {shape} or {shape[1:]}, got {tuple(seen.shape)}")
     return seen.expand(shape)
+
+
+def one_at_a_time(values: Tensor) -> bool:
+    """Whether samples are computed one after the other, so that what belongs together stays in the cache of a CPU.
+
+    Other devices and recorded programs want few large operations.
+    """
+    return values.device.type == "cpu" and not is_recording()

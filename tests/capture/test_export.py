@@ -21,7 +21,7 @@ from sphericalvision.capture.export import (
     with_constants_folded,
 )
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
-from sphericalvision.core import ArgumentError, compact_kernels
+from sphericalvision.core import ArgumentError, recording
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
 from sphericalvision.scenes import make_scene, render_rig
@@ -77,7 +77,7 @@ def test_the_compact_way_is_the_same_for_a_whole_network() -> None:
     images = example_images(program, batch=2)
     with torch.inference_mode():
         expected = program(images)
-        with compact_kernels():
+        with recording():
             found = program(images)
     for ours, theirs in zip(found, expected, strict=True):
         torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4)

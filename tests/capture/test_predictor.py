@@ -157,18 +157,6 @@ def test_calls_run_side_by_side_where_there_are_cores_for_both(
     assert torch.equal(found[0].index, found[1].index)
 
 
-def test_operators_that_were_compiled_before_are_used(
-    rig: CameraRig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    net = IcoSweepNet(2, 4, feature_channels=2, norm="instance")
-    for there in (False, True):
-        monkeypatch.setattr("sphericalvision.crown.fast.native_at_hand", lambda there=there: there)
-        assert Predictor(rig, net, min_depth=0.5, native="auto").native == there
-        assert not Predictor(rig, WinnerTakesAll(3, 8), min_depth=0.5, native="auto").native
-    with pytest.raises(ArgumentError, match="native: expected True, False or 'auto', got 'yes'"):
-        Predictor(rig, net, native="yes")  # type: ignore[arg-type]
-
-
 def test_the_nearest_depth_is_found_scaled_or_given(images: Images) -> None:
     small = ring_rig(4, radius=0.05, image_size=(96, 96))
     scene = make_scene("hall", seed=3)

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every operator and network of the crown by its fast ways and by the readable formulas."""
+"""Every operator and network of the crown by layers in torch, by operators in C++, and by the readable formulas."""
 
 from __future__ import annotations
 
-import shutil
 from functools import partial
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor, nn
-from torch.utils import cpp_extension
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import reference_kernels
+from sphericalvision.core import kernels
 from sphericalvision.crown import (
     CrownBatchNorm2d,
     CrownBatchNorm3d,
@@ -36,10 +34,11 @@ from sphericalvision.crown import (
     set_kernel_options,
     to_crown,
 )
-from sphericalvision.crown.fast import door, wherever_possible
+from sphericalvision.crown.fast import door
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.models.features import FeatureExtractor
 from sphericalvision.models.regularization import CostRegularizer
+from tests.crown.compiler import needs_compiler
 from tests.laws.fast_laws import (
     FastCase,
     law_gradients_agree,
@@ -83,13 +82,8 @@ def recomputing(module: nn.Module) -> nn.Module:
     return module
 
 
-def native(module: nn.Module) -> nn.Module:
-    set_kernel_options(module, native=True)
-    return module
-
-
 def case(name: str, make: Any, *shape: int) -> FastCase:
-    return FastCase(name, make, shape, wherever_possible)
+    return FastCase(name, make, shape)
 
 
 V0, V1, V2, V3 = 12, 42, 162, 642
@@ -124,6 +118,10 @@ OPERATORS = [
     case("block, batch norm, recomputed", lambda: recomputing(CrownBlock3d(2, 3, 2)), 2, 4, V1),
     case("head, batch norm", lambda: Head("batch"), 3, 6, V1),
     case("head, instance norm", lambda: Head("instance"), 3, 4, V1),
+    case("conv2d, level 3, 20 channels", lambda: between(CrownConv2d(20, 18)), 20, V3),
+    case("conv3d, N = 8, 33 channels", lambda: between(CrownConv3d(33, 16)), 33, 8, V2),
+    case("hexconv2d, north, 17 channels", lambda: HexConv2d(3, 17, orientation="north", level=1), 3, V1),
+    case("conv, batch norm 3d, 18 channels", lambda: between(CrownConvNorm3d(2, 18)), 2, 4, V1),
 ]
 
 NETWORKS = [
@@ -137,116 +135,100 @@ NETWORKS = [
     case("network, variance", lambda: Network(aggregation="variance", norm="instance"), 2, 3, V3),
 ]
 
-NATIVE = [
-    case("conv2d", lambda: native(between(CrownConv2d(3, 4, bias=True))), 3, V1),
-    case("conv2d, level 0", lambda: native(between(CrownConv2d(17, 2))), 17, V0),
-    case("conv2d, level 3, 20 channels", lambda: native(between(CrownConv2d(20, 18))), 20, V3),
-    case("conv3d, N = 5", lambda: native(between(CrownConv3d(2, 3, bias=True))), 2, 5, V1),
-    case("conv3d, N = 1", lambda: native(between(CrownConv3d(2, 3))), 2, 1, V0),
-    case("conv3d, N = 8, 33 channels", lambda: native(between(CrownConv3d(33, 16))), 33, 8, V2),
-    case("hexconv2d", lambda: native(HexConv2d(3, 4, bias=True)), 3, V2),
-    case("hexconv2d, north", lambda: native(HexConv2d(3, 17, orientation="north", level=1)), 3, V1),
-    case("hexconv3d", lambda: native(HexConv3d(2, 3, bias=True)), 2, 6, V1),
-    case("conv, batch norm, relu 2d", lambda: native(between(CrownConvNorm2d(3, 4, relu=True))), 3, V2),
-    case("conv, batch norm 3d", lambda: native(between(CrownConvNorm3d(2, 18))), 2, 4, V1),
-    case(
-        "conv, instance norm, stride 2", lambda: native(between(CrownConvNorm2d(3, 4, 2, "instance"))), 3, V1
-    ),
-    case(
-        "conv, instance norm, relu 3d",
-        lambda: native(between(CrownConvNorm3d(2, 3, "instance", True))),
-        2,
-        4,
-        V2,
-    ),
-]
-
-
-def compiler_is_there() -> bool:
-    return shutil.which("c++") is not None and cpp_extension.is_ninja_available()
-
-
-needs_compiler = pytest.mark.skipif(not compiler_is_there(), reason="needs a C++ compiler and ninja")
+WAYS = ["plain", pytest.param("require", marks=needs_compiler)]
+by_each_way = pytest.mark.parametrize("way", WAYS)
 
 
 def each(cases: list[FastCase]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("case", cases, ids=[case.name for case in cases])
 
 
+@by_each_way
 @each(OPERATORS)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("training", [False, True])
-def test_values(case: FastCase, dtype: torch.dtype, training: bool) -> None:
-    law_values_agree(case, 2, dtype, training)
+def test_values(case: FastCase, way: str, dtype: torch.dtype, training: bool) -> None:
+    law_values_agree(case, 2, dtype, training, way)
 
 
+@by_each_way
 @each(NETWORKS)
 @pytest.mark.parametrize(("dtype", "training"), [(torch.float32, False), (torch.float64, True)])
-def test_values_of_networks(case: FastCase, dtype: torch.dtype, training: bool) -> None:
-    law_values_agree(case, 2, dtype, training)
+def test_values_of_networks(case: FastCase, way: str, dtype: torch.dtype, training: bool) -> None:
+    law_values_agree(case, 2, dtype, training, way)
 
 
+@by_each_way
 @each(OPERATORS)
 @pytest.mark.parametrize("batch", [1, 3])
-def test_values_of_any_batch(case: FastCase, batch: int) -> None:
-    law_values_agree(case, batch, torch.float32, training=True)
+def test_values_of_any_batch(case: FastCase, way: str, batch: int) -> None:
+    law_values_agree(case, batch, torch.float32, training=True, way=way)
 
 
+@by_each_way
+@each([case for case in OPERATORS if "norm" not in case.name])
+def test_an_empty_batch(case: FastCase, way: str) -> None:
+    law_values_agree(case, 0, torch.float32, training=False, way=way)
+
+
+@by_each_way
 @each(OPERATORS)
 @pytest.mark.parametrize("training", [False, True])
-def test_gradients(case: FastCase, training: bool) -> None:
-    law_gradients_agree(case, 2, training)
+def test_gradients(case: FastCase, way: str, training: bool) -> None:
+    law_gradients_agree(case, 2, training, way)
 
 
+@by_each_way
 @each(NETWORKS)
-def test_gradients_of_networks(case: FastCase) -> None:
-    law_gradients_agree(case, 2, training=True)
+def test_gradients_of_networks(case: FastCase, way: str) -> None:
+    law_gradients_agree(case, 2, training=True, way=way)
 
 
+@by_each_way
 @each(OPERATORS)
-def test_gradients_of_gradients(case: FastCase) -> None:
-    law_gradients_of_gradients_agree(case, 2, training=True)
+def test_gradients_of_gradients(case: FastCase, way: str) -> None:
+    law_gradients_of_gradients_agree(case, 2, training=True, way=way)
 
 
+@by_each_way
 @each(OPERATORS + NETWORKS)
-def test_modes(case: FastCase) -> None:
-    law_modes_agree(case, 2)
+def test_modes(case: FastCase, way: str) -> None:
+    law_modes_agree(case, 2, way)
 
 
 @needs_compiler
-@each(NATIVE)
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("training", [False, True])
-def test_values_of_operators_in_cpp(case: FastCase, dtype: torch.dtype, training: bool) -> None:
-    law_values_agree(case, 2, dtype, training)
-
-
-@needs_compiler
-@each(NATIVE)
-def test_gradients_of_operators_in_cpp(case: FastCase) -> None:
-    law_gradients_agree(case, 2, training=True)
-    law_gradients_of_gradients_agree(case, 1, training=True)
-    law_modes_agree(case, 2)
+@each([case for case in OPERATORS if case.name == "block, batch norm, residual"])
+def test_operators_compile(case: FastCase) -> None:
+    """Into one graph, by what they say of shapes; a backend that runs it as it is."""
+    function = case.function(torch.float32)
+    inputs = case.inputs(1, torch.float32).requires_grad_()
+    with kernels("require"):
+        expected = function(inputs)
+        result = torch.compile(function, backend="aot_eager", fullgraph=True)(inputs)
+        wanted, found = (torch.autograd.grad(x.square().sum(), inputs)[0] for x in (expected, result))
+    torch.testing.assert_close(result, expected, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(found, wanted, rtol=1e-3, atol=1e-4)
 
 
 @needs_compiler
 def test_any_number_of_threads_has_the_same_gradients() -> None:
     """Each thread sums up its part of the gradient of a weight."""
-    layer = native(HexConv3d(5, 6))
+    layer = HexConv3d(5, 6)
     values = torch.randn(2, 5, 6, V2)
     before, found = torch.get_num_threads(), []
     try:
         for threads in (1, 3):
             torch.set_num_threads(threads)
-            found.append(torch.autograd.grad(layer(values).square().sum(), layer.weight)[0])
+            with kernels("require"):
+                found.append(torch.autograd.grad(layer(values).square().sum(), layer.weight)[0])
     finally:
         torch.set_num_threads(before)
     torch.testing.assert_close(*found, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("stride", [1, 2])
-@pytest.mark.parametrize("reference", [False, True])
-def test_convolutions_are_differentiable_twice(stride: int, reference: bool) -> None:
+@pytest.mark.parametrize("way", ["reference", *WAYS])
+def test_convolutions_are_differentiable_twice(stride: int, way: str) -> None:
     """By finite differences; and inputs that nothing depends on have no gradient, all others have one."""
     values = torch.randn(1, 1, V1, dtype=torch.float64, requires_grad=True)
     volume = torch.randn(1, 1, 2, V1, dtype=torch.float64, requires_grad=True)
@@ -255,7 +237,7 @@ def test_convolutions_are_differentiable_twice(stride: int, reference: bool) -> 
     def convolve(function: Any, values: Tensor, weight: Tensor) -> Tensor:
         return from_crown(function(to_crown(values), weight, None, stride)).square()
 
-    with reference_kernels() if reference else wherever_possible():
+    with kernels(way):
         for function, inputs in ((crown_conv2d, (values, weight)), (crown_conv3d, (volume, weight3d))):
             run = partial(convolve, function)
             assert torch.autograd.gradcheck(run, inputs, fast_mode=True)
@@ -265,34 +247,14 @@ def test_convolutions_are_differentiable_twice(stride: int, reference: bool) -> 
             assert all(gradient is not None and gradient.abs().max() > 0 for gradient in second)
 
 
-class Entered:
-    """A name of the door's that stands for a function or class behind it, and keeps that somebody came in."""
-
-    def __init__(self, name: str, behind: Any, entered: set[str]) -> None:
-        self.name, self.behind, self.entered = name, behind, entered
-
-    def __call__(self, *inputs: Any, **options: Any) -> Any:
-        self.entered.add(self.name)
-        return self.behind(*inputs, **options)
-
-    def apply(self, *inputs: Any) -> Any:
-        """Of a ``torch.autograd.Function``."""
-        self.entered.add(self.name)
-        return self.behind.apply(*inputs)
-
-
 @each(NETWORKS)
-def test_reference_kernels_leave_the_fast_wing_alone(case: FastCase, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the fast wing nothing is entered but its door, which says no."""
-    entered: set[str] = set()
-    wing = door.__name__.rpartition(".")[0]
-    for name, found in list(vars(door).items()):
-        home = getattr(found, "__module__", "") or ""
-        if callable(found) and home.startswith(wing) and home not in (door.__name__, f"{wing}.policy"):
-            monkeypatch.setattr(door, name, Entered(name, found, entered))
+def test_operators_are_left_alone_unless_asked_for(case: FastCase, monkeypatch: pytest.MonkeyPatch) -> None:
+    def entered(*_: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(door, "hex_convolution", entered)
+    monkeypatch.setattr(door, "crown_normalization", entered)
     function, inputs = case.function(torch.float32), case.inputs(1, torch.float32).requires_grad_()
-    for context, closed in ((reference_kernels, True), (wherever_possible, False)):
-        entered.clear()
-        with context():
+    for way in ("reference", "plain"):
+        with kernels(way):
             function(inputs).square().sum().backward()
-        assert (not entered) == closed, entered

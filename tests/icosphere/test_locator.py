@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, compact_kernels, reference_kernels
+from sphericalvision.core import ArgumentError, recording, reference_kernels
 from sphericalvision.icosphere import Icosphere, TriangleLocator, icosphere_faces, icosphere_vertices, locate
 from sphericalvision.icosphere.fast.triangle_table import triangle_table
 
@@ -169,7 +169,7 @@ def test_few_steps_are_enough(level: int) -> None:
     vertices = icosphere_vertices(min(level, 4)).T  # on corners any of the triangles is right
     for columns, exact in ((rays, True), (vertices * 3, False)):
         triangles, weights = TriangleLocator(level).find(columns.contiguous())
-        with compact_kernels():
+        with recording():
             found, shares = TriangleLocator(level).find(columns.contiguous())
         slack = 8 * 2**level * torch.finfo(torch.float32).eps
         assert shares.min() > -2 * slack

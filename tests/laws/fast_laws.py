@@ -8,14 +8,13 @@ alike; a new operator is one line in a list of cases.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from sphericalvision.core import reference_kernels
+from sphericalvision.core import kernels
 
 __all__ = [
     "FastCase",
@@ -34,13 +33,11 @@ class FastCase:
         name: shown by pytest.
         make: a new module of the same parameters each time, or a function of one tensor.
         shape: of one sample of the input.
-        forced: a context in which the fast way steps in at every size and precision, if the room has one.
     """
 
     name: str
     make: Callable[[], Callable[[Tensor], Any]]
     shape: tuple[int, ...]
-    forced: Callable[[], AbstractContextManager[None]] = nullcontext
 
     def function(self, dtype: torch.dtype) -> Callable[[Tensor], Any]:
         """The function in a precision, with the same parameters and statistics each time."""
@@ -74,17 +71,19 @@ def _assert_close(found: Sequence[Tensor], wanted: Sequence[Tensor], tolerance: 
         torch.testing.assert_close(one, other, rtol=0, atol=tolerance * scale)
 
 
-def law_values_agree(case: FastCase, batch: int, dtype: torch.dtype, training: bool) -> None:
+def law_values_agree(
+    case: FastCase, batch: int, dtype: torch.dtype, training: bool, way: str = "auto"
+) -> None:
     """Values, and running statistics after a step of training, with and without gradients."""
     tolerance = 1e-9 if dtype == torch.float64 else 2e-4
     inputs = case.inputs(batch, dtype)
     answers = []
-    for context in (reference_kernels, case.forced):
+    for other in ("reference", way):
         for grad in (True, False):
             function = case.function(dtype)
             if isinstance(function, nn.Module):
                 function.train(training)
-            with context(), torch.set_grad_enabled(grad):
+            with kernels(other), torch.set_grad_enabled(grad):
                 result = _tensors(function(inputs))
             buffers = list(function.buffers()) if isinstance(function, nn.Module) else []
             answers.append([*(x.detach() for x in result), *buffers])
@@ -92,13 +91,7 @@ def law_values_agree(case: FastCase, batch: int, dtype: torch.dtype, training: b
         _assert_close(answer, answers[0], tolerance)
 
 
-def _gradients(
-    case: FastCase,
-    batch: int,
-    training: bool,
-    context: Callable[[], AbstractContextManager[None]],
-    second: bool,
-) -> list[Tensor]:
+def _gradients(case: FastCase, batch: int, training: bool, way: str, second: bool) -> list[Tensor]:
     """Gradients in float64 by inputs and parameters; the second ones are of a sum that weighs all first ones."""
     function = case.function(torch.float64)
     parameters = []
@@ -115,7 +108,7 @@ def _gradients(
         ]
         return torch.stack(parts).sum()
 
-    with context():
+    with kernels(way):
         total = weigh([x.square() for x in _tensors(function(inputs))])
         found = torch.autograd.grad(total, [inputs, *parameters], create_graph=second, materialize_grads=True)
         if second:
@@ -124,26 +117,26 @@ def _gradients(
     return list(found)
 
 
-def law_gradients_agree(case: FastCase, batch: int, training: bool) -> None:
+def law_gradients_agree(case: FastCase, batch: int, training: bool, way: str = "auto") -> None:
     """Gradients by inputs and parameters, in float64."""
-    wanted, found = (_gradients(case, batch, training, c, False) for c in (reference_kernels, case.forced))
+    wanted, found = (_gradients(case, batch, training, w, False) for w in ("reference", way))
     _assert_close(found, wanted, 1e-7)
 
 
-def law_gradients_of_gradients_agree(case: FastCase, batch: int, training: bool) -> None:
+def law_gradients_of_gradients_agree(case: FastCase, batch: int, training: bool, way: str = "auto") -> None:
     """Gradients of gradients by inputs and parameters, in float64."""
-    wanted, found = (_gradients(case, batch, training, c, True) for c in (reference_kernels, case.forced))
+    wanted, found = (_gradients(case, batch, training, w, True) for w in ("reference", way))
     assert any(x.abs().max() > 0 for x in wanted)
     _assert_close(found, wanted, 1e-6)
 
 
-def law_modes_agree(case: FastCase, batch: int) -> None:
+def law_modes_agree(case: FastCase, batch: int, way: str = "auto") -> None:
     """What was computed in inference mode leaves nothing behind that training could not use, and the reverse."""
     function = case.function(torch.float32)
     if isinstance(function, nn.Module):
         function.eval()
     inputs = case.inputs(batch, torch.float32)
-    with case.forced():
+    with kernels(way):
         with torch.inference_mode():
             first = _tensors(function(inputs))
         result = _tensors(function(inputs.clone().requires_grad_()))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -11,10 +12,12 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.core import kernels
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet, state_dict_from_reference
 from sphericalvision.sweep import SphereSweep, SweepTables, soft_argmax, sphere_sweep
+from tests.crown.compiler import needs_compiler
 
 DOUBLE = torch.float64
 
@@ -45,8 +48,18 @@ def test_number_of_parameters() -> None:
     assert sum(parameter.numel() for parameter in IcoSweepNet().parameters()) == 1_380_224
 
 
+WAYS = ["reference", "plain", pytest.param("require", marks=needs_compiler)]
+
+
+@pytest.fixture(params=WAYS)
+def way(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Every way to the same numbers."""
+    with kernels(request.param):
+        yield request.param
+
+
 @torch.no_grad()
-def test_stages_in_eval_mode(reference: Any) -> None:
+def test_stages_in_eval_mode(reference: Any, way: str) -> None:
     net = network(reference).eval()
     tables = reference.tables(2)
     features = net.extract_features(reference.images)
@@ -66,7 +79,7 @@ def test_stages_in_eval_mode(reference: Any) -> None:
 
 
 @torch.no_grad()
-def test_eval_mode_in_float64(reference: Any) -> None:
+def test_eval_mode_in_float64(reference: Any, way: str) -> None:
     net = network(reference, DOUBLE).eval()
     logits = scores(net, reference.images.double(), reference.tables(2))
     torch.testing.assert_close(logits, reference.vertices("eval64.cost_logits"), rtol=0, atol=1e-10)
@@ -75,7 +88,7 @@ def test_eval_mode_in_float64(reference: Any) -> None:
     )
 
 
-def test_a_training_step_in_float64(reference: Any) -> None:
+def test_a_training_step_in_float64(reference: Any, way: str) -> None:
     """Statistics are those of one camera at a time, in order; gradients agree to seven digits."""
     net = network(reference, DOUBLE).train()
     index = net(reference.images.double(), reference.tables(2))

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError, MissingCompilerError, ShapeError
-from sphericalvision.crown import Crown, CrownConvNorm3d, from_crown, to_crown
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.crown import Crown, from_crown, to_crown
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.models.regularization import CostRegularizer
@@ -143,31 +143,12 @@ def test_recomputing_changes_neither_gradients_nor_statistics(generator: torch.G
         torch.testing.assert_close(other, one, msg=name)
 
 
-def test_options_reach_every_layer_and_can_be_taken_back(
-    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sphericalvision.crown.fast.native_operators", lambda: None)
-    net = small_net().configure(native=True, recompute=True)
-    assert net.native
+def test_recomputing_reaches_every_block_and_can_be_taken_back() -> None:
+    net = small_net().configure(recompute=True)
     assert net.recompute
-    convolutions = [part for part in net.regularizer.modules() if isinstance(part, CrownConvNorm3d)]
-    assert len(convolutions) == 11
-    assert all(convolution.native for convolution in convolutions)
     assert all(part.recompute for part in (net.features, net.regularizer.fusion, *net.regularizer.blocks))
-    net.configure(native=False)
-    assert not net.native
-    assert net.recompute
-
-
-def test_native_stays_off_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing() -> None:
-        raise MissingCompilerError("no compiler")
-
-    monkeypatch.setattr("sphericalvision.crown.fast.native_operators", missing)
-    net = small_net()
-    with pytest.raises(MissingCompilerError):
-        net.configure(native=True)
-    assert not net.native
+    assert net.with_changes(num_hypotheses=8).recompute
+    assert not net.configure(recompute=False).recompute
 
 
 def test_a_few_steps_fit_one_sample(generator: torch.Generator) -> None:

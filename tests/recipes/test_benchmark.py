@@ -102,15 +102,13 @@ def test_every_stage_has_its_row_its_needs_and_its_share_of_the_peak(tmp_path: P
     }
 
 
-def test_native_has_its_rows_and_is_off_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sphericalvision.crown.fast.native_operators", lambda: None)
-    rows = benchmark(config("options=[native]", "training=false", "only=inference|regulariser"), tmp_path)
-    assert {row.name for row in rows} == {"plain", "sphericalvision", "sphericalvision, native"}
-    assert len(rows) == 9
+def test_layers_have_their_rows(tmp_path: Path) -> None:
+    rows = benchmark(config("options=[layers]", "training=false", "only=inference|regulariser"), tmp_path)
+    assert {row.name for row in rows} == {"plain", "sphericalvision", "sphericalvision, layers"}
     (comparison,) = (
-        c for c in comparisons(config("options=[native]"), torch.device("cpu")) if "whole" in c.title
+        c for c in comparisons(config("options=[layers]"), torch.device("cpu")) if "whole" in c.title
     )
-    torch.testing.assert_close(*(comparison.runs[name]() for name in ("plain", "sphericalvision, native")))
+    torch.testing.assert_close(*(comparison.runs[name]() for name in ("plain", "sphericalvision, layers")))
 
 
 def test_share_of_the_peak_is_the_least_time_over_the_time_taken() -> None:

@@ -61,17 +61,6 @@ def words(capture: Path, weights: Path, output: str) -> list[str]:
     ]
 
 
-def test_native_operators_are_asked_for(
-    run: Run, capture: Path, weights: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[None] = []
-    monkeypatch.setattr("sphericalvision.crown.fast.native_operators", lambda: asked.append(None))
-    run("predict", *words(capture, weights, "out"), "frames=[3]", "native=false")
-    assert not asked
-    run("predict", *words(capture, weights, "out"), "frames=[3]", "native=true")
-    assert len(asked) == 1
-
-
 def test_depth_of_a_capture_without_a_network(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
     run("predict", *words(capture, weights, "out"), "method=semi_global", "frames=[3]")
     with np.load(tmp_path / "out/00003_depth.npz") as arrays:

@@ -78,8 +78,6 @@ def test_networks_are_not_mixed_up(
     )
     with pytest.raises(ArgumentError, match="level: OmniMVS has no such hyper-parameter, leave it out"):
         load_network(path, level=5)
-    with pytest.raises(ArgumentError, match="native: OmniMVS has nothing to choose there"):
-        load_network(path, native=True)
     assert load_network(path, min_depth=1.0).min_depth == 1.0
     sphere_only = [word for word in WORDS if not word.startswith("experiment")]
     message = failing(

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, compact_kernels
+from sphericalvision.core import ArgumentError, ShapeError, recording
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors
 from sphericalvision.sweep import semi_global_smoothing
 from sphericalvision.sweep.smoothing import smoothing_paths
@@ -157,5 +157,5 @@ def test_the_compact_way_is_the_same(guided: bool, generator: torch.Generator) -
     cost = torch.rand(2, 5, 162, generator=generator)
     guide = torch.rand(2, 3, 162, generator=generator) if guided else None
     expected = semi_global_smoothing(cost, 0.3, 3.6, guide, 0.4)
-    with compact_kernels():
+    with recording():
         torch.testing.assert_close(semi_global_smoothing(cost, 0.3, 3.6, guide, 0.4), expected)

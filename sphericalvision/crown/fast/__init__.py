@@ -1,40 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What exists for speed alone; the rest of ``crown`` enters by ``door`` and works without.
+"""Operators in C++ for CPUs; the rest of ``crown`` enters by ``door`` and works without.
 
-========================  ==========================================================================================
-``door``, ``policy``      what the layers ask, and when fast ways may step in
-``layout``                crowns by slices
-``planar``                2D convolutions that keep no borders for the backward pass
-``winograd``              3D convolutions with a third of the multiplications, upon ``winograd_rows``
-``hex_native``            2D and 3D convolutions with a third to a seventh of them, by operators in C++ (``native``)
-``chain``, ``block``      two layers from vertices to vertices, for inference and for training, by ``rectangles``
-``block_parts``           what both passes of ``block`` share
-``norms``                 normalisation folded into a convolution, or rectified in place
-``double_backward``       gradients of gradients, by the reference
-``workspace``             memory kept between calls
-========================  ==========================================================================================
+=====================  ==============================================================================================
+``door``               what the layers ask, and when operators step in
+``convolution``        2D and 3D convolutions with a seventh to a third of the multiplications, as operators of torch
+``normalization``      normalisation and ReLU in two passes over memory each way, as an operator of torch
+``double_backward``    gradients of gradients, by the reference
+``build``              compiling beside the work, and the cache
+=====================  ==============================================================================================
 """
 
-from sphericalvision.crown.fast.door import (
-    block3d,
-    conv,
-    conv_charts,
-    conv_norm,
-    fold,
-    native_at_hand,
-    native_operators,
-    unfold,
-    wherever_possible,
-)
+from sphericalvision.crown.fast.door import convolve_rectangles, normalize, settled_way
 
-__all__ = [
-    "block3d",
-    "conv",
-    "conv_charts",
-    "conv_norm",
-    "fold",
-    "native_at_hand",
-    "native_operators",
-    "unfold",
-    "wherever_possible",
-]
+__all__ = ["convolve_rectangles", "normalize", "settled_way"]

@@ -13,31 +13,31 @@ __all__ = ["reference_gradients"]
 
 def reference_gradients(
     reference: Callable[..., Tensor | tuple[Tensor, ...]],
-    inputs: Sequence[Tensor | None],
+    inputs: Sequence[Tensor],
     needed: Sequence[bool],
     *gradients: Tensor,
 ) -> list[Tensor | None]:
     """Return the gradients of ``reference(*inputs)`` as differentiable functions of the inputs and of ``gradients``.
 
-    What a backward pass does where ``torch.is_grad_enabled()``, which there means that a graph of the gradient is
-    wanted (``create_graph=True``). Fast backward passes write into buffers, which no graph can follow; so the forward
-    pass is computed once more, plainly. That costs time, but second derivatives are rare.
+    Operators write into buffers, which no graph can follow; so what they were given is computed once more, plainly.
+    That costs time, but second derivatives are rare.
 
     Args:
         reference: the same function in plain torch.
-        inputs: its arguments, as they were saved; None for those that are missing.
+        inputs: its arguments, as they were saved.
         needed: which of them want a gradient.
         gradients: of the result or of each of several.
     """
     with torch.enable_grad():
-        # Views, so that a tensor that is given twice is told apart.
-        views = [None if tensor is None else tensor.view_as(tensor) for tensor in inputs]
+        # Views, so that a tensor that is given twice is told apart; all with a gradient, which the reference may want.
+        views = [
+            tensor.view_as(tensor) if tensor.requires_grad else tensor.detach().requires_grad_()
+            for tensor in inputs
+        ]
         result = reference(*views)
         results = (result,) if isinstance(result, Tensor) else result
-        wanted = [view for view, need in zip(views, needed, strict=True) if need and view is not None]
+        wanted = [view for view, need in zip(views, needed, strict=True) if need]
         found = iter(
             torch.autograd.grad(results, wanted, gradients, create_graph=True, materialize_grads=True)
         )
-    return [
-        next(found) if need and view is not None else None for view, need in zip(views, needed, strict=True)
-    ]
+    return [next(found) if need else None for need in needed]

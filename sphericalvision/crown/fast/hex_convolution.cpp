@@ -43,11 +43,11 @@ template <typename T>
 constexpr int CHANNELS = 8;
 #else
 template <typename T>
-constexpr int VECTORS = 1;
+constexpr int VECTORS = 2;
 template <typename T>
 constexpr int TOGETHER = sizeof(T) == 4 ? 6 : 2;
 template <typename T>
-constexpr int CHANNELS = sizeof(T) == 4 ? 4 : 2;
+constexpr int CHANNELS = 4;
 #endif
 
 // Along the hypotheses: which factor comes from which given planes, and gives which results. Images have one of each.
@@ -544,6 +544,7 @@ void hex_convolve_backward_weight(const at::Tensor& given, const at::Tensor& gra
 }  // namespace
 
 TORCH_LIBRARY_FRAGMENT(sphericalvision, library) {
+  library.def("lanes() -> int", [] { return LANES; });
   library.def("hex_convolve(Tensor given, Tensor weight, Tensor? bias, bool rectify, int border, Tensor(a!) result) -> ()");
   library.def("hex_convolve_backward_given(Tensor grad, Tensor weight, int border, Tensor(a!) grad_given) -> ()");
   library.def("hex_convolve_backward_weight(Tensor given, Tensor grad, int border, Tensor(a!) parts) -> ()");

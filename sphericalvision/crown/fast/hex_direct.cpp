@@ -35,7 +35,7 @@ template <typename T>
 constexpr int PLACES = sizeof(T) == 4 ? 20 : 10;
 #else
 template <typename T>
-constexpr int PLACES = sizeof(T) == 4 ? 5 : 2;
+constexpr int PLACES = sizeof(T) == 4 ? 12 : 4;
 #endif
 
 // Six planes (rows, width) of vectors for each block of channels: a strip on its way.
@@ -207,8 +207,8 @@ std::vector<T>& buffer(const int which) {  // kept between calls: fresh pages co
 }
 
 template <typename T>
-void forward(const Volumes<T>& given, const T* weight, const int64_t* taps, const T* bias, const int64_t border,
-             const Volumes<T>& result) {
+void forward(const Volumes<T>& given, const T* weight, const int64_t* taps, const T* bias, const bool rectify,
+             const int64_t border, const Volumes<T>& result) {
   const int64_t width = result.width, groups = (result.depth + RESULTS - 1) / RESULTS;
   const Strips strips(result.height, FACTORS * (width + 2) * (given.blocks + result.blocks) * LANES * sizeof(T));
   at::parallel_for(0, result.batch * groups * strips.count, 1, [&](const int64_t begin, const int64_t end) {
@@ -229,7 +229,10 @@ void forward(const Volumes<T>& given, const T* weight, const int64_t* taps, cons
             for (int k = 0; k < FACTORS; ++k) m[k] = load(products.at(k, block, row, column));
             winograd::to_results<T>(m, y);
             T* to = result.at(b, group * RESULTS, first + row, column, block);
-            for (int64_t k = 0; k < deep; ++k) store(to + k * result.deep, Vec<T>(y[k] + shift), count);
+            for (int64_t k = 0; k < deep; ++k) {
+              const Vec<T> value = y[k] + shift;
+              store(to + k * result.deep, rectify ? Vec<T>(value < Vec<T>{} ? Vec<T>{} : value) : value, count);
+            }
           }
         }
       }
@@ -320,7 +323,7 @@ void check(const at::Tensor& given, const at::Tensor& weight, const at::Tensor& 
 }
 
 void hex_direct(const at::Tensor& given, const at::Tensor& weight, const at::Tensor& taps,
-                  const std::optional<at::Tensor>& bias, const int64_t border, at::Tensor result) {
+                const std::optional<at::Tensor>& bias, const bool rectify, const int64_t border, at::Tensor result) {
   check(given, weight, taps, result, border, 0);
   TORCH_CHECK(weight.size(2) == given.size(4) && weight.size(3) == padded(result.size(4)), "weight does not fit");
   TORCH_CHECK(!bias || (bias->is_contiguous() && bias->numel() == result.size(4) && bias->scalar_type() == given.scalar_type()),
@@ -328,7 +331,7 @@ void hex_direct(const at::Tensor& given, const at::Tensor& weight, const at::Ten
   AT_DISPATCH_FLOATING_TYPES(given.scalar_type(), "hex_direct", [&] {
     const Volumes<scalar_t> from(given, "given"), to(result, "result");
     const scalar_t* shift = bias ? bias->const_data_ptr<scalar_t>() : nullptr;
-    forward(from, weight.const_data_ptr<scalar_t>(), taps.const_data_ptr<int64_t>(), shift, border, to);
+    forward(from, weight.const_data_ptr<scalar_t>(), taps.const_data_ptr<int64_t>(), shift, rectify, border, to);
   });
 }
 
@@ -356,7 +359,8 @@ void hex_direct_backward_weight(const at::Tensor& given, const at::Tensor& grad,
 }  // namespace
 
 TORCH_LIBRARY_FRAGMENT(sphericalvision, library) {
-  library.def("hex_direct(Tensor given, Tensor weight, Tensor taps, Tensor? bias, int border, Tensor(a!) result) -> ()");
+  library.def("hex_direct(Tensor given, Tensor weight, Tensor taps, Tensor? bias, bool rectify, int border, "
+              "Tensor(a!) result) -> ()");
   library.def("hex_direct_backward_given(Tensor grad, Tensor weight, Tensor taps, int border, Tensor(a!) grad_given) -> ()");
   library.def("hex_direct_backward_weight(Tensor given, Tensor grad, Tensor taps, int border, Tensor(a!) parts) -> ()");
 }

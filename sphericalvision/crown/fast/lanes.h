@@ -1,5 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sixteen channels as one vector: of AVX-512 in single precision, of several narrower ones elsewhere.
+// As many channels as one register of the processor holds in single precision: one vector.
+//
+// A vector that is wider than a register has no machine mode: GCC keeps it in memory, and every sum of products then waits
+// for a store and a load. So the width follows the instruction set. (Double precision, which serves to check gradients,
+// takes two registers a vector and is slow.)
 
 #pragma once
 
@@ -8,7 +12,13 @@
 
 namespace lanes {
 
+#if defined(__AVX512F__)
 constexpr int64_t LANES = 16;
+#elif defined(__AVX2__)
+constexpr int64_t LANES = 8;
+#else
+constexpr int64_t LANES = 4;
+#endif
 
 template <typename T>
 struct Lanes {

@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import made_once
+from sphericalvision.core import constant_table
 from sphericalvision.icosphere.descent import descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.mesh import icosphere_vertices
@@ -29,7 +29,7 @@ __all__ = ["TriangleTable", "coefficients", "find_in_few_steps", "find_triangles
 CELLS, MOST_CELLS = 8, 512
 #: Steps across edges before the way down is taken after all.
 STEPS = 16
-#: Steps of those who cannot ask whether they are there: around a corner from the middle of a cell.
+#: Steps where the loop cannot depend on the rays, as in exported programs: around a corner from the middle of a cell.
 FEW_STEPS = 3
 #: Level up to which cells are looked up by the way down.
 FIRST = 1
@@ -81,11 +81,13 @@ def find_triangles(
         return triangles, shares
     away = _outside(shares, table.level)
     where, astray, now, parts = away, rays, triangles, shares
+    # Fewer and fewer rays are astray: each round looks at those alone that are, `where` among all rays they stand.
     for _ in range(STEPS):
         if not len(away):
             return triangles, shares
         astray, parts = astray.index_select(1, away), parts.index_select(1, away)
-        # Across the edge opposite to the corner of the least coefficient.
+        # Across the edge opposite to the corner of the least coefficient: 0 where that is a's, and else 1 for b's or
+        # 2 for c's. Three comparisons of whole rows, where argmin would go through columns of three one by one.
         a, b, c = parts
         least = ((b < a) | (c < a)).int().mul_((c < b).int().add_(1))
         step = now.index_select(0, away).mul_(3).add_(least)
@@ -128,7 +130,7 @@ def find_in_few_steps(
     return triangles, (shares / shares.sum(1, keepdim=True)).T
 
 
-@made_once
+@constant_table
 def _matrix_rows(level: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Matrices of ``triangle_table``, one beside the other in memory: ``(T, 9)``."""
     return triangle_table(level, dtype, device).matrices.view(9, -1).T.contiguous()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Crowns and hexagonal convolutions by few large operations: what ``core.compact_kernels`` asks for."""
+"""Crowns and hexagonal convolutions by a few large lookups: for programs that are recorded (``core.recording``)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import made_once
+from sphericalvision.core import constant_table
 from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.crown.places import level_of_rectangles, place_ids
 from sphericalvision.crown.taps import COL_TAPS, neighbor_taps
@@ -16,12 +16,12 @@ from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids
 
-__all__ = ["compact_fold", "compact_hex_conv", "compact_norm"]
+__all__ = ["fold_by_lookups", "hex_conv_by_lookups"]
 
 Rings = tuple[tuple[int, ...], ...]
 
 
-def compact_fold(
+def fold_by_lookups(
     col: Float[Tensor, "B 5 C *N long short"], row: Float[Tensor, "B 5 C *N short long"]
 ) -> Float[Tensor, "B C *N V"]:
     """Return the mean of each vertex over all its places, as ``from_crown`` does."""
@@ -29,30 +29,12 @@ def compact_fold(
     return mean_by_id(places, _fold_tables(level_of_rectangles(col), col.device))
 
 
-@made_once
+@constant_table
 def _fold_tables(level: int, device: torch.device) -> MeansById:
     return means_by_id(place_ids(level, device).flatten(), num_icosphere_vertices(level))
 
 
-def compact_norm(
-    col: Float[Tensor, "B 5 C *N long short"],
-    row: Float[Tensor, "B 5 C *N short long"],
-    weight: Float[Tensor, " C"],
-    bias: Float[Tensor, " C"],
-    eps: float,
-) -> tuple[Float[Tensor, "B 5 C *N long short"], Float[Tensor, "B 5 C *N short long"]]:
-    """Normalise the rectangles of each sample by its own statistics, as ``CrownInstanceNorm2d`` and 3d do."""
-    over = (1, *range(3, col.ndim))
-    shape = (-1, *(1,) * (col.ndim - 3))
-    # Both kinds of rectangle have as many places.
-    mean = (col.mean(over, keepdim=True) + row.mean(over, keepdim=True)) / 2
-    col, row = col - mean, row - mean
-    variance = (col.square().mean(over, keepdim=True) + row.square().mean(over, keepdim=True)) / 2
-    scale = (variance + eps).rsqrt() * weight.view(shape)
-    return col * scale + bias.view(shape), row * scale + bias.view(shape)
-
-
-def compact_hex_conv(
+def hex_conv_by_lookups(
     values: Float[Tensor, "B C_in V"],
     weight: Float[Tensor, "C_out C_in 7"],
     bias: Float[Tensor, " C_out"] | None,
@@ -76,7 +58,7 @@ def compact_hex_conv(
     return F.linear(found, weight.mT.flatten(1), bias).mT
 
 
-@made_once
+@constant_table
 def _tap_tables(
     level: int, stride: int, rings: Rings, device: torch.device
 ) -> tuple[Int[Tensor, "12 5"], Int[Tensor, "V_out 7"]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compact way gives the numbers of the others."""
+"""What is recorded gives the numbers of the others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import compact_kernels, uses_compact_kernels, uses_reference_kernels
+from sphericalvision.core import is_recording, recording, uses_reference_kernels
 from sphericalvision.crown import Crown, CrownBatchNorm3d, CrownBlock3d, from_crown, hex_conv2d
 from sphericalvision.crown.norm import crown_norm
 from sphericalvision.icosphere import icosphere_vertices
@@ -17,20 +17,20 @@ from sphericalvision.icosphere import icosphere_vertices
 
 def compare(function: Callable[[], Tensor]) -> None:
     expected = function()
-    with compact_kernels():
+    with recording():
         found = function()
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
 
 
 def test_blocks_open_and_close() -> None:
-    with compact_kernels():
-        assert uses_compact_kernels()
+    with recording():
+        assert is_recording()
         assert uses_reference_kernels()
-        with compact_kernels():
+        with recording():
             inner = icosphere_vertices(1)
             assert icosphere_vertices(1) is inner
         assert icosphere_vertices(1) is not inner
-    assert not uses_compact_kernels()
+    assert not is_recording()
     assert not uses_reference_kernels()
 
 

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the operators in C++ come from: the machine's compiler, beside the work, and then the user's cache.
+
+The library lies in ``$XDG_CACHE_HOME/sphericalvision`` (``~/.cache/sphericalvision``), a folder that nobody else may
+write to, under a name that follows from all that it depends on: sources, torch, compiler and processor. Its digest lies
+beside it, so that a damaged file is made anew and not loaded.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import logging
+import os
+import platform
+import shutil
+import stat
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+import torch
+
+from sphericalvision.core import MissingCompilerError
+
+__all__ = ["operators_ready"]
+
+SOURCES = [
+    Path(__file__).with_name(name) for name in ("hex_convolution.cpp", "hex_direct.cpp", "normalization.cpp")
+]
+HEADERS = [Path(__file__).with_name(name) for name in ("lanes.h", "volumes.h", "winograd_lines.h")]
+
+PATIENCE = 20.0
+"""Seconds after the first convolution from which compiling pays: about what it takes.
+
+Nobody knows how long a process will go on. Who waits until it has worked for as long as compiling takes never wastes
+more than that, and short commands never compile: the rule of those who rent skis until they have paid for a pair.
+"""
+
+# What the processor has, as torch names it. Nothing else is asked for, so that machines may share a folder.
+_INSTRUCTIONS = {
+    "AVX2": ["-mavx2", "-mfma"],
+    "AVX512": ["-mavx2", "-mfma", "-mavx512f", "-mavx512bw", "-mavx512dq", "-mavx512vl"],
+}
+_GAIN = "convolutions on this CPU would be two to five times as fast by operators in C++"
+
+_log = logging.getLogger("sphericalvision")
+
+
+class _State:
+    """Of this process: whether the operators are loaded, and what has been tried."""
+
+    loaded = False
+    given_up = False  # nothing more is tried by itself
+    first_asked: float | None = None
+    compiling: threading.Thread | None = None
+    lock = threading.Lock()
+    processes: list[subprocess.Popen[str]] = []  # noqa: RUF012
+
+
+def operators_ready(way: str) -> bool:
+    """Whether operators are to be used in a way of ``core.kernels``; asked before each of them.
+
+    Raises:
+        MissingCompilerError: with ``"require"``, if they cannot be had.
+    """
+    if way not in ("auto", "require"):
+        return False
+    if _State.loaded or torch.compiler.is_compiling():  # who traces a function cannot load a library
+        return _State.loaded
+    if way == "require":
+        with _State.lock:
+            return _State.loaded or _load_or_compile()
+    if not _State.given_up and _State.compiling is None:
+        _consider()
+    return _State.loaded
+
+
+def _consider() -> None:
+    """Load what is in the cache, or begin to compile once that pays."""
+    now = time.monotonic()
+    if _State.first_asked is None:
+        _State.first_asked = now
+        try:
+            if _is_whole(_library()):
+                _load(_library())
+        except (OSError, RuntimeError, MissingCompilerError):
+            pass  # it is made anew below, or said why not
+        return
+    # Results that must not change from run to run must not change within one either.
+    if now - _State.first_asked < PATIENCE or torch.are_deterministic_algorithms_enabled():
+        return
+    _State.compiling = threading.Thread(target=_compile_beside, name="compiles operators", daemon=True)
+    _State.compiling.start()
+
+
+def _compile_beside() -> None:
+    start = time.monotonic()
+    try:
+        folder = _folder()
+        _compiler()
+        _log.warning(
+            "compiling faster operators in C++ beside the work, once, into %s (a minute or less)", folder
+        )
+        with _State.lock:
+            _load_or_compile("nice", "-n", "10")
+        _log.warning("operators in C++ are used from here on, after %.0f s", time.monotonic() - start)
+    except (MissingCompilerError, OSError) as error:
+        _State.given_up = True
+        _log.warning("%s: %s", _GAIN, error)
+
+
+def _load_or_compile(*before: str) -> bool:
+    """Load the library, made anew unless it is there and whole; a command to compile may be put ``before``."""
+    try:
+        library = _library()
+        with _alone(library.parent):
+            if not _is_whole(library):
+                _compile(library, list(before) if before and shutil.which(before[0]) else [])
+            try:
+                _load(library)
+            except (OSError, RuntimeError):  # of a torch that says the same of itself and is another
+                _compile(library, [])
+                _load(library)
+    except (OSError, RuntimeError, subprocess.SubprocessError) as error:
+        if isinstance(error, MissingCompilerError):
+            raise
+        raise MissingCompilerError(
+            f"the C++ operators could not be built: {error}. They need a C++ compiler, such as g++ (CXX names "
+            "another), and a folder to write to (XDG_CACHE_HOME names another than ~/.cache); without them everything "
+            "works, only slower"
+        ) from error
+    return True
+
+
+def _load(library: Path) -> None:
+    torch.ops.load_library(library)
+    _State.loaded = True
+
+
+def _folder() -> Path:
+    """The folder of the library, which only this user may write to.
+
+    Raises:
+        OSError: there is none, and none can be made.
+    """
+    named = os.environ.get("XDG_CACHE_HOME")
+    folder = (Path(named) if named else Path.home() / ".cache") / "sphericalvision"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = folder.stat()
+    if hasattr(os, "getuid") and found.st_uid != os.getuid():
+        raise PermissionError(f"{folder} belongs to somebody else")
+    if stat.S_IMODE(found.st_mode) & 0o077:
+        folder.chmod(0o700)
+    return folder
+
+
+@cache
+def _compiler() -> tuple[str, str]:
+    """The compiler and what it says of itself.
+
+    Raises:
+        MissingCompilerError: there is none.
+    """
+    command = os.environ.get("CXX") or "c++"
+    found = shutil.which(command)
+    if found is None:
+        raise MissingCompilerError(
+            f"the C++ operators need a C++ compiler, such as g++; {command} was not found (CXX names another)"
+        )
+    said = subprocess.run([found, "--version"], capture_output=True, text=True, timeout=60)
+    return found, said.stdout
+
+
+def _flags() -> list[str]:
+    threads = [] if sys.platform == "darwin" else ["-fopenmp"]
+    abi = f"-D_GLIBCXX_USE_CXX11_ABI={int(torch._C._GLIBCXX_USE_CXX11_ABI)}"
+    return [
+        "-O3",
+        "-std=c++20",
+        "-fPIC",
+        abi,
+        *threads,
+        *_INSTRUCTIONS.get(torch.backends.cpu.get_cpu_capability(), []),
+    ]
+
+
+def _library() -> Path:
+    """Where the library is or will be; its name follows from all that it depends on."""
+    machine = [sys.platform, platform.machine(), *platform.libc_ver()]
+    code = [path.read_text() for path in SOURCES + HEADERS]
+    parts = [*code, torch.__version__, torch.__config__.show(), *machine, *_compiler(), *_flags()]
+    return _folder() / f"operators_{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:16]}.so"
+
+
+def _digest_file(library: Path) -> Path:
+    return library.with_suffix(".sha256")
+
+
+def _is_whole(library: Path) -> bool:
+    """Whether the library is there as it was written."""
+    try:
+        found = hashlib.sha256(library.read_bytes()).hexdigest()
+        return _digest_file(library).read_text() == found
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """One process at a time compiles; others wait and find what it made."""
+    with (folder / "lock").open("w") as lock:
+        if sys.platform != "win32":
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _compile(library: Path, before: list[str]) -> None:
+    """Write the library and its digest; a file takes its place when it is whole and on the disk."""
+    root = Path(torch.__file__).parent
+    headers = root / "include"
+    include = ["-isystem", str(headers), "-isystem", str(headers / "torch" / "csrc" / "api" / "include")]
+    undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
+    compiler, _ = _compiler()
+    with tempfile.TemporaryDirectory(dir=library.parent) as name:
+        objects = [Path(name) / f"{source.stem}.o" for source in SOURCES]
+        made = Path(name) / library.name
+        _run_all(
+            [*before, compiler, *_flags(), *include, "-c", str(source), "-o", str(to)]
+            for source, to in zip(SOURCES, objects, strict=True)
+        )
+        # Threads are those of torch, in the one OpenMP that it has loaded.
+        libraries = [f"-L{root / 'lib'}", "-ltorch_cpu", "-lc10", *undefined]
+        _run_all([[compiler, "-shared", *map(str, objects), *libraries, "-o", str(made)]])
+        digest = Path(name) / "digest"
+        digest.write_text(hashlib.sha256(made.read_bytes()).hexdigest())
+        for path, to in ((made, library), (digest, _digest_file(library))):
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+            path.replace(to)
+
+
+def _run_all(commands: Iterator[list[str]] | list[list[str]]) -> None:
+    """Run commands side by side.
+
+    Raises:
+        RuntimeError: with what matters of the output of one that fails.
+    """
+    _State.processes = [
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        for command in commands
+    ]
+    outputs = [process.communicate()[1] for process in _State.processes]
+    for process, output in zip(_State.processes, outputs, strict=True):
+        if process.returncode:
+            lines = output.splitlines() or [f"{process.args!r} ended with {process.returncode}"]
+            raise RuntimeError(next((line for line in lines if "error" in line), lines[0])[:300])
+    _State.processes = []
+
+
+@atexit.register
+def _stop_compiling() -> None:
+    for process in _State.processes:
+        process.kill()

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Charts continued by what lies across their borders, and crowns made of them, by slices.
+
+Whole edges are copied at a time where ``places`` looks up every vertex: same values, and a fraction of the time on a
+CPU. With ``n = 2**level`` a chart owns ``2n`` rows and ``n`` columns of vertices. One more row in the north and one
+more column in the east make it a ``col`` rectangle; all of these vertices are owned by the next chart, or are poles::
+
+    row 0           north pole, then column 0 of the next chart, upper half
+    last column     column 0 of the next chart, lower half, then its last row, then the south pole
+
+A ``row`` rectangle is the northern half of one of these beside the southern half of the next one, whose columns meet.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.core import uses_reference_kernels
+from sphericalvision.crown.fast import settled_way
+from sphericalvision.crown.places import own_charts
+from sphericalvision.icosphere import level_from_num_vertices
+
+__all__ = [
+    "empty_as",
+    "fill_north_and_east",
+    "fold_north_and_east",
+    "mean_over_places",
+    "slices_pay",
+    "unfold",
+]
+
+
+def slices_pay() -> bool:
+    """Whether crowns are made by slices.
+
+    Not for the reference, for compilers, which are slow at many slices, or inside the transforms of ``torch.func``,
+    which take functions apart that torch knows.
+    """
+    transformed = torch._C._are_functorch_transforms_active()
+    return not (uses_reference_kernels() or torch.compiler.is_compiling() or transformed)
+
+
+class Unfold(torch.autograd.Function):
+    """Copy each vertex of ``(B, C, [N,] V)`` to all its places, col and row; the adjoint is ``Fold``."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, channels_fastest: bool) -> tuple[Tensor, Tensor]:
+        return _unfold(values, channels_fastest)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        return Fold.apply(*gradients), None
+
+
+class Fold(torch.autograd.Function):
+    """Sum each vertex over all its places; the adjoint is ``Unfold``."""
+
+    @staticmethod
+    def forward(ctx: Any, col: Tensor, row: Tensor) -> Tensor:
+        ctx.channels_fastest = col.stride(2) == 1
+        return _fold(col, row)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor]:
+        return Unfold.apply(gradient, ctx.channels_fastest)
+
+
+def unfold(values: Float[Tensor, "B C *N V"]) -> tuple[Tensor, Tensor]:
+    """Return col and row rectangles of values; channels are fastest in memory where that pays.
+
+    It does for operators in C++ and for convolutions of torch, but not for the gradients of torch's normalisations.
+    """
+    col, row = Unfold.apply(values, not torch.is_grad_enabled() or settled_way() != "plain")
+    return col, row
+
+
+def mean_over_places(
+    col: Float[Tensor, "B 5 C *N long short"], row: Float[Tensor, "B 5 C *N short long"]
+) -> Float[Tensor, "B C *N V"]:
+    """Return the mean of each vertex over all its places."""
+    n, one = col.shape[-1] - 1, col.new_ones(1)
+    number = _fold(one.expand(1, 5, 1, 2 * n + 1, n + 1), one.expand(1, 5, 1, n + 1, 2 * n + 1)).view(-1)
+    return Fold.apply(col, row) * number.reciprocal()
+
+
+def empty_as(like: Tensor, like_dim: int, shape: tuple[int, ...], channel_dim: int) -> Float[Tensor, " ..."]:
+    """Return an uninitialised tensor, its channels fastest in memory if those of ``like`` are."""
+    if like.stride(like_dim) != 1 or like.shape[like_dim] == 1:
+        return like.new_empty(shape)
+    return _channels_fastest(like, shape, channel_dim)
+
+
+def _channels_fastest(like: Tensor, shape: tuple[int, ...], channel_dim: int) -> Tensor:
+    others = shape[:channel_dim] + shape[channel_dim + 1 :]
+    return like.new_empty((*others, shape[channel_dim])).movedim(-1, channel_dim)
+
+
+def fill_north_and_east(
+    rectangles: Float[Tensor, "B 5 C *N long short"], values: Float[Tensor, "B C *N V"]
+) -> None:
+    """Write values into rectangles ``(B, 5, C, [N,] 2n + 1, n + 1)``: charts and their northern and eastern borders."""
+    n = rectangles.shape[-1] - 1
+    charts = own_charts(values, n)
+    west, south = charts[..., 0].roll(-1, 1), charts[..., -1, :].roll(-1, 1)  # edges of the next chart
+    rectangles[..., 1:, :-1] = charts
+    rectangles[..., 0, 0] = values[:, None, ..., 0]
+    rectangles[..., 0, 1:] = west[..., :n]
+    rectangles[..., 1 : n + 1, n] = west[..., n:]
+    rectangles[..., n + 1 : -1, n] = south[..., 1:]
+    rectangles[..., -1, n] = values[:, None, ..., -1]
+
+
+def fold_north_and_east(rectangles: Float[Tensor, "B 5 C *N long short"]) -> Float[Tensor, "B C *N V"]:
+    """Sum rectangles into values: the adjoint of ``fill_north_and_east``, line by line."""
+    batch, _, *channels, _, columns = rectangles.shape
+    n = columns - 1
+    values = empty_as(rectangles, 2, (batch, *channels, 2 + 10 * n * n), 1)
+    values[..., 0] = rectangles[..., 0, 0].sum(1)
+    values[..., -1] = rectangles[..., -1, n].sum(1)
+    charts = own_charts(values, n)
+    charts.copy_(rectangles[..., 1:, :-1])
+    charts[..., :n, 0] += rectangles[..., 0, 1:].roll(1, 1)
+    charts[..., n:, 0] += rectangles[..., 1 : n + 1, n].roll(1, 1)
+    charts[..., -1, 1:] += rectangles[..., n + 1 : -1, n].roll(1, 1)
+    return values
+
+
+def _unfold(values: Tensor, channels_fastest: bool) -> tuple[Tensor, Tensor]:
+    batch, *channels, vertices = values.shape
+    n = 2 ** level_from_num_vertices(vertices)
+    new = _channels_fastest if channels_fastest else lambda like, shape, _: like.new_empty(shape)
+    col = new(values, (batch, 5, *channels, 2 * n + 1, n + 1), 2)
+    row = new(values, (batch, 5, *channels, n + 1, 2 * n + 1), 2)
+    fill_north_and_east(col, values)
+    # The northern half of each chart, then the southern half of the next one, without the column that both have.
+    row[..., : n + 1] = col[..., : n + 1, :]
+    row[:, :4, ..., n + 1 :] = col[:, 1:, ..., n:, 1:]
+    row[:, 4, ..., n + 1 :] = col[:, 0, ..., n:, 1:]
+    return col, row
+
+
+def _fold(col: Tensor, row: Tensor) -> Tensor:
+    n = col.shape[-1] - 1
+    total = empty_as(col, 2, tuple(col.shape), 2).copy_(col)
+    total[..., : n + 1, :] += row[..., : n + 1]
+    total[:, 1:, ..., n:, 1:] += row[:, :4, ..., n + 1 :]
+    total[:, 0, ..., n:, 1:] += row[:, 4, ..., n + 1 :]
+    return fold_north_and_east(total)

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Operators in C++: convolutions by Winograd's algorithms along all dimensions, and what uses them."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.core import kernels
+from sphericalvision.crown import HexConv2d
+from sphericalvision.crown.fast.convolution import hex_convolution
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, planar_kernel, repeat_border
+from tests.crown.compiler import needs_compiler
+
+pytestmark = needs_compiler
+
+
+@pytest.fixture(autouse=True, scope="module")
+def loaded() -> None:
+    with kernels("require"):
+        HexConv2d(1, 1)(torch.zeros(1, 1, 12))
+
+
+def convolved(images: Tensor, weight: Tensor, bias: Tensor | None, taps: Taps) -> Tensor:
+    return hex_convolution(images, weight, bias, taps == ROW_TAPS, False, False)
+
+
+def direct(images: Tensor, weight: Tensor, bias: Tensor | None, taps: Taps) -> Tensor:
+    """The sum over all taps, of images or of volumes."""
+    if images.ndim == 4:
+        return F.conv2d(repeat_border(images), planar_kernel(weight, taps), bias)
+    return F.conv3d(repeat_border(images), planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias)
+
+
+@pytest.mark.parametrize("taps", [COL_TAPS, ROW_TAPS])
+@pytest.mark.parametrize("size", [(4, 5, 9), (5, 8, 4), (1, 1, 2), (6, 17, 9), (5, 3), (17, 34)])
+@pytest.mark.parametrize(("channels", "out"), [(3, 5), (16, 20), (17, 48)])
+def test_values_and_gradients_are_those_of_the_direct_sum(
+    generator: torch.Generator, taps: Taps, size: tuple[int, ...], channels: int, out: int
+) -> None:
+    def draw(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator, dtype=torch.float64).requires_grad_()
+
+    inputs = draw(2, channels, *size), draw(out, channels, 7 if len(size) == 2 else 21), draw(out)
+    result, expected = convolved(*inputs, taps), direct(*inputs, taps)
+    torch.testing.assert_close(result, expected)
+    upstream = torch.randn(expected.shape, generator=generator, dtype=torch.float64)
+    ours, theirs = (torch.autograd.grad(of, inputs, upstream) for of in (result, expected))
+    torch.testing.assert_close(ours, theirs)
+
+
+def test_error_of_single_precision_is_small(generator: torch.Generator) -> None:
+    volumes = torch.randn(1, 64, 8, 17, 9, generator=generator).requires_grad_()
+    weight = (torch.randn(64, 64, 21, generator=generator) / 36).requires_grad_()
+    exact = direct(volumes.double(), weight.double(), None, COL_TAPS)
+    result = convolved(volumes, weight, None, COL_TAPS)
+    assert (result - exact).abs().max() < 1e-5 * exact.abs().max()
+    upstream = torch.randn(result.shape, generator=generator)
+    for ours, theirs in zip(
+        torch.autograd.grad(result, (volumes, weight), upstream),
+        torch.autograd.grad(exact, (volumes, weight), upstream.double()),
+        strict=True,
+    ):
+        assert (ours - theirs).abs().max() < 1e-5 * theirs.abs().max()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_any_number_of_threads(generator: torch.Generator, threads: int) -> None:
+    inputs = (
+        torch.randn(2, 16, 9, 16, 7, generator=generator).requires_grad_(),
+        (torch.randn(24, 16, 21, generator=generator) / 18).requires_grad_(),
+    )
+    upstream = torch.randn(2, 24, 9, 16, 7, generator=generator)
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        result = convolved(*inputs, None, ROW_TAPS)
+        ours = torch.autograd.grad(result, inputs, upstream)
+    finally:
+        torch.set_num_threads(before)
+    expected = direct(*inputs, None, ROW_TAPS)
+    torch.testing.assert_close(result, expected, atol=1e-5, rtol=1e-5)
+    theirs = torch.autograd.grad(expected, inputs, upstream)
+    torch.testing.assert_close(ours, theirs, atol=1e-3, rtol=1e-4)
+
+
+def test_parts_of_larger_tensors_are_convolved(generator: torch.Generator) -> None:
+    """Views of any strides, with and without channels next to each other, also with a border that is given."""
+    weight, bias = torch.randn(16, 20, 21, generator=generator) / 20, torch.randn(16, generator=generator)
+    around = torch.randn(2, 9, 8, 11, 20, generator=generator)
+    for given in (around[:, 1:7, 1:, 2:-1].movedim(-1, 1), around.movedim(-1, 1).contiguous()[:, :, ::2]):
+        expected = direct(given, weight, bias, COL_TAPS).relu()
+        result = hex_convolution(given, weight, bias, False, False, True)
+        torch.testing.assert_close(result, expected, atol=1e-5, rtol=1e-5)
+        inside = direct(given, weight, bias, COL_TAPS)[..., 1:-1, 1:-1]
+        result = hex_convolution(given, weight, bias, False, True, False)
+        torch.testing.assert_close(result, inside, atol=1e-5, rtol=1e-5)
+
+
+def test_operators_pass_the_checks_of_torch() -> None:
+    """Schema, fake results, autograd: what ``torch.compile`` and ``meta`` tensors rely on."""
+    for shape, out, taps in (((2, 3, 5, 3), 4, 7), ((1, 17, 6, 5, 3), 3, 21)):
+        inputs = torch.randn(shape, requires_grad=True), torch.randn(out, shape[1], taps, requires_grad=True)
+        torch.library.opcheck(
+            torch.ops.sphericalvision.hex_convolution.default,
+            (*inputs, torch.randn(out, requires_grad=True), True, False, False),
+            test_utils=("test_schema", "test_autograd_registration", "test_faketensor"),
+        )
+    col, row = torch.randn(2, 5, 3, 5, 3, requires_grad=True), torch.randn(2, 5, 3, 3, 5, requires_grad=True)
+    torch.library.opcheck(
+        torch.ops.sphericalvision.crown_normalization.default,
+        (col, row, torch.rand(3, requires_grad=True), torch.rand(3, requires_grad=True), 1e-5, True, True),
+        test_utils=("test_schema", "test_autograd_registration", "test_faketensor"),
+    )
+
+
+def test_operators_refuse_what_does_not_fit() -> None:
+    operators = torch.ops.sphericalvision
+    given, result, taps = torch.zeros(1, 6, 6, 6, 18), torch.zeros(1, 6, 6, 6, 5), torch.arange(7)
+    lanes = operators.lanes()
+    wide, few = (torch.zeros(6, number, 18, 5 + -5 % lanes) for number in (23, 7))
+    operators.hex_convolve(given, wide, None, False, 0, result)
+    operators.hex_direct(given, few, taps, None, False, 0, result)
+    for wrong in (
+        (given.double(), wide, None, False, 0, result),
+        (given.movedim(-1, 1).contiguous().movedim(1, -1), wide, None, False, 0, result),
+        (given[..., :7], wide, None, False, 0, result),
+        (given, wide[..., :3].contiguous(), None, False, 0, result),
+        (given, wide[:1].contiguous(), None, False, 0, result),
+        (given, wide, torch.zeros(6), False, 0, result),
+        (given, wide, None, False, 0, result[:, :5]),
+        (given[0], wide, None, False, 0, result),
+    ):
+        with pytest.raises(RuntimeError):
+            operators.hex_convolve(*wrong)
+    with pytest.raises(RuntimeError):
+        operators.hex_direct(given, few, taps + 5, None, False, 0, result)

@@ -117,7 +117,7 @@ def test_wrong_words_are_told_in_a_paragraph(
 WRONG_PARTS = (
     "data.num_train=0 data.train_seed=-1 data.min_depth=0 data.panorama_size=[4] data.samples_per_pixel=0",
     "data.entries=[] data.mesh_up=x rig.num_cameras=0 rig.image_size=[32] rig.field_of_view_deg=400 model.level=two",
-    "trainer.precision=half loss.delta=small callbacks.panels.num_frames=-1 task.native=maybe",
+    "trainer.precision=half loss.delta=small callbacks.panels.num_frames=-1",
 )
 """Words of a training that the parts refuse which take them, before it starts; what is said begins as above."""
 

@@ -15,12 +15,13 @@ from omegaconf import DictConfig
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
+from sphericalvision.capture.estimating import MOST_WORKERS
 from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.threads import side_by_side, threads_kept
 from sphericalvision.capture.sources.videos import Videos
 from sphericalvision.recipes.benchmark.measuring import Comparison
-from sphericalvision.recipes.commands.predict import MOST_WORKERS, run
+from sphericalvision.recipes.commands.predict import run
 from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["comparisons"]

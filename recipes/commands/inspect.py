@@ -13,11 +13,12 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
-from sphericalvision.capture.sources.captures import find_capture, find_masks, read_frame
+from sphericalvision.capture.sources.captures import find_capture, read_frame
+from sphericalvision.capture.sources.opening import rig_with_masks
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
-from sphericalvision.io.images import read_image, write_image
+from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.rigs import radians, read_calibration
 from sphericalvision.viz import angle_map, coverage_panorama, rig_picture
@@ -34,11 +35,7 @@ def load_rig(config: DictConfig) -> tuple[CameraRig, bool]:
         rig = rig.subset([str(name) for name in config.cameras])
     if config.masks is None:
         return rig, known
-    masks = {
-        name: read_image(path, rig.cameras[name].image_size, f"the mask of camera {name}")[0] > 0.5
-        for name, path in find_masks(config.masks, rig.names).items()
-    }
-    return CameraRig(rig.cameras, rig.world_from_camera, masks), known
+    return rig_with_masks(rig, config.masks)[0], known
 
 
 def print_cameras(rig: CameraRig, title: str) -> None:
@@ -116,8 +113,8 @@ def inspect(config: DictConfig, folder: Path) -> list[Path]:
     rig, known = load_rig(config)
     images: Mapping[str, Tensor] = {}
     if config.images is not None:
-        capture = find_capture(config.images, rig.names, None if config.frame is None else [config.frame])
-        images = read_frame(next(iter(capture.files.values())), rig)
+        files = find_capture(config.images, rig.names, None if config.frame is None else [config.frame])
+        images = read_frame(next(iter(files.values())), rig)
     print_cameras(rig, str(config.calibration))
     if known:
         print_poses(rig, config)

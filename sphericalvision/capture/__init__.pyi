@@ -10,10 +10,10 @@ from .depth import DepthImage as DepthImage
 from .predictor import Predictor as Predictor
 from .preparation.own_body import OwnBody as OwnBody
 from .preparation.own_body import find_own_body as find_own_body
-from .preparation.photometric import (
+from .preparation.photometry import (
     PhotometricCalibration as PhotometricCalibration,
 )
-from .preparation.photometric import (
+from .preparation.photometry import (
     calibrate_photometry as calibrate_photometry,
 )
 from .preparation.preparation import Preparation as Preparation

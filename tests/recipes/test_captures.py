@@ -23,31 +23,31 @@ def touch(root: Path, *names: str) -> str:
 @pytest.mark.parametrize("labels", ["123", "012"])
 def test_cameras_are_counted_from_one_or_from_zero(tmp_path: Path, labels: str) -> None:
     root = touch(tmp_path, *(f"cam{label}/{frame:05d}.png" for label in labels for frame in (2, 10)))
-    files = find_capture(root + "/cam{camera}/{frame:05d}.png", NAMES).files
+    files = find_capture(root + "/cam{camera}/{frame:05d}.png", NAMES)
     assert list(files) == ["00002", "00010"]
     assert [path.parent.name for path in files["00010"].values()] == [f"cam{label}" for label in labels]
 
 
 def test_names_of_cameras_come_before_numbers(tmp_path: Path) -> None:
     root = touch(tmp_path, "front.png", "back.png", "0.png", "1.png")
-    (files,) = find_capture(root + "/{camera}.png", ["front", "back"]).files.values()
+    (files,) = find_capture(root + "/{camera}.png", ["front", "back"]).values()
     assert [path.name for path in files.values()] == ["front.png", "back.png"]
 
 
 def test_frames_are_in_the_order_of_their_numbers_and_complete(tmp_path: Path) -> None:
     root = touch(tmp_path, *(f"{c}/{f}.jpg" for c in "123" for f in ("9", "10", "100")), "1/11.jpg")
-    assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES).files) == ["9", "10", "100"]
+    assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES)) == ["9", "10", "100"]
 
 
 def test_digits_only_where_the_pattern_says_so(tmp_path: Path) -> None:
     root = touch(tmp_path, *(f"{c}/{f}.jpg" for c in "123" for f in ("7", "mask")))
-    assert list(find_capture(root + "/{camera}/{frame:d}.jpg", NAMES).files) == ["7"]
-    assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES, ["mask"]).files) == ["mask"]
+    assert list(find_capture(root + "/{camera}/{frame:d}.jpg", NAMES)) == ["7"]
+    assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES, ["mask"])) == ["mask"]
 
 
 def test_a_camera_may_stand_twice_in_a_pattern(tmp_path: Path) -> None:
     root = touch(tmp_path, *(f"cam{c}/view{c}_{f:03d}.png" for c in "123" for f in (1, 2)))
-    files = find_capture(root + "/cam{camera}/view{camera}_{frame:03d}.png", NAMES, [2]).files
+    files = find_capture(root + "/cam{camera}/view{camera}_{frame:03d}.png", NAMES, [2])
     assert [path.name for path in files["002"].values()] == [
         "view1_002.png",
         "view2_002.png",
@@ -57,7 +57,7 @@ def test_a_camera_may_stand_twice_in_a_pattern(tmp_path: Path) -> None:
 
 def test_special_characters_in_folders_are_literal(tmp_path: Path) -> None:
     root = touch(tmp_path / "run [1] *", "cam1/1.png", "cam2/1.png", "cam3/1.png")
-    assert list(find_capture(root + "/cam{camera}/{frame}.png", NAMES).files) == ["1"]
+    assert list(find_capture(root + "/cam{camera}/{frame}.png", NAMES)) == ["1"]
 
 
 def test_relative_patterns_start_in_the_working_folder(
@@ -65,7 +65,7 @@ def test_relative_patterns_start_in_the_working_folder(
 ) -> None:
     touch(tmp_path, "cam1/1.png", "cam2/1.png", "cam3/1.png")
     monkeypatch.chdir(tmp_path)
-    assert list(find_capture("./cam{camera}/{frame}.png", NAMES).files) == ["1"]
+    assert list(find_capture("./cam{camera}/{frame}.png", NAMES)) == ["1"]
 
 
 def test_masks_are_one_for_each_camera(tmp_path: Path) -> None:

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
@@ -18,15 +17,10 @@ from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparatio
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
 from sphericalvision.recipes.study.comparison.tracks import Track
-from sphericalvision.scenes import MeshScene, ray_depth, render_directions, render_rig
+from sphericalvision.scenes import render_directions
 from sphericalvision.scenes.cache import ArrayCache
-from sphericalvision.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.scenes.meshes import mesh_files
-from sphericalvision.scenes.recipes import make_scene
-from sphericalvision.scenes.registry import kind_of
-from sphericalvision.scenes.rendering.primitives import Primitives
-from sphericalvision.scenes.rendering.scene import Scene
-from sphericalvision.scenes.world import CLEAR_RADIUS, GENERATION, NATURAL_MIN_DEPTH
+from sphericalvision.scenes.world import GENERATION, NATURAL_MIN_DEPTH, World, WorldFrame, rendered
 from sphericalvision.sphere import Equirectangular
 
 __all__ = ["NATURAL_SIZE", "Frame", "Size", "aligner", "render_frame"]
@@ -97,52 +91,40 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
     """
     seed = track.seed(number)
     recipe = track if size.image_rows is None else track.smaller(size.image_rows)
-    rig = recipe.rig.make(seed)
-    scene, in_view, body = _scene(track, rig, seed)
-    name = track.frame_name(number)
-    images = _pictures(in_view, rig, f"{name}-{track.carrier}" if body else name, size, cache)
-    masks = carrier_masks(body, rig) if body else {}
-    told = CameraRig(rig.cameras, rig.world_from_camera, masks if track.masked else {})
-    generator = torch.Generator().manual_seed(seed)
-    disturbed = track.disturbance({"images": images, "rig": told}, generator)
-    shown = size.preparation.images(disturbed["rig"], disturbed["images"])
+    rig, name = recipe.rig.make(seed), track.frame_name(number)
+    world = World(
+        rig,
+        track.kind,
+        meshes=mesh_files(list(track.meshes)) if track.meshes else None,
+        carrier=track.carrier,
+        masked=float(track.masked),
+        faults=track.disturbance,
+        prepare=size.preparation.of_images,
+        samples_per_pixel=size.samples_per_pixel,
+        render=partial(_rendered, name if track.carrier is None else f"{name}-{track.carrier}", cache),
+    )
+    frame = world.frame(seed)
     vertices = Icosphere(size.level).vertices
     around = Equirectangular(size.panorama_rows, 2 * size.panorama_rows).directions
     return Frame(
         name,
-        shown,
-        _aligned(disturbed["rig"], shown) if size.preparation.align else disturbed["rig"],
-        CameraRig(rig.cameras, disturbed["rig"].world_from_camera, masks),
-        ray_depth(scene, rig.center, vertices).reciprocal(),
-        ray_depth(scene, rig.center, around).reciprocal(),
-        render_directions(scene, rig.center, vertices),
+        dict(frame.images),
+        _aligned(frame.rig, frame.images) if size.preparation.align else frame.rig,
+        CameraRig(rig.cameras, frame.posed_rig.world_from_camera, frame.free),
+        frame.inverse_depth(vertices),
+        frame.inverse_depth(around),
+        render_directions(frame.scene, rig.center, vertices),
         tuple(recipe.rig.tilted(tilt).make(seed) for tilt in track.shared_tilts_deg),
     )
 
 
-def _scene(
-    track: Track, rig: CameraRig, seed: int
-) -> tuple[Scene | MeshScene, Scene | MeshScene, Primitives | None]:
-    """The scene, what cameras see of it, and the body of the carrier in that."""
-    if track.meshes:
-        mesh = mesh_files(list(track.meshes)).make(seed, CLEAR_RADIUS, rig.center)
-        return mesh, mesh, None
-    scene = make_scene(kind_of(track.kind, seed), seed, center=rig.center, clear_radius=CLEAR_RADIUS)
-    if track.carrier is None:
-        return scene, scene, None
-    return scene, *with_carrier(scene, track.carrier, rig, seed)
-
-
-def _pictures(
-    scene: Scene | MeshScene, rig: CameraRig, name: str, size: Size, cache: Path | None
-) -> Mapping[str, Tensor]:
+def _rendered(name: str, cache: Path | None, frame: WorldFrame) -> Mapping[str, Tensor]:
     """What the cameras show, by way of bytes, as cameras give them."""
-    numbers = (GENERATION, size.samples_per_pixel, NATURAL_MIN_DEPTH)
-    folder = None if cache is None else cache / f"benchmark-{rig_fingerprint(rig, numbers)}"
+    numbers = (GENERATION, frame.world.samples_per_pixel, NATURAL_MIN_DEPTH)
+    folder = None if cache is None else cache / f"benchmark-{rig_fingerprint(frame.true_rig, numbers)}"
 
     def make() -> dict[str, Tensor]:
-        pictures = render_rig(scene, rig, size.samples_per_pixel)
-        return {name: (255 * picture).round().byte() for name, picture in pictures.items()}
+        return {name: (255 * image).round().byte() for name, image in rendered(frame).items()}
 
     return {key: image.float() / 255 for key, image in ArrayCache(folder).get(name, make).items()}
 

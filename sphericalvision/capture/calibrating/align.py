@@ -18,6 +18,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.capture.calibrating.turns import rotations, turned
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.least_squares import solve_least_squares
 
@@ -125,10 +126,7 @@ def align_rig(rig: CameraRig, matches: RayMatches, *, expected: float = math.rad
     inliers = (misses.abs() < 2 * scale) & pairs.in_front(turns, 2 * scale)
     _check_enough(inliers, matches, rig)
     spread = pairs.spread(turns, inliers)
-    aligned = _rotations(turns) @ poses[:, :3, :3]
-    poses = torch.cat((torch.cat((aligned, poses[:, :3, 3:]), -1), poses[:, 3:]), -2)
-    better = CameraRig(rig.cameras, poses.to(rig.world_from_camera), rig.masks)
-    return AlignedRig(better, turns.to(rig.world_from_camera), spread, misses.abs(), inliers)
+    return AlignedRig(turned(rig, turns), turns.to(rig.world_from_camera), spread, misses.abs(), inliers)
 
 
 class _Pairs:
@@ -150,9 +148,9 @@ class _Pairs:
 
     def turned(self, turns: Tensor) -> tuple[Tensor, Tensor]:
         """Both rays (m, 3) in the world."""
-        rotations = _rotations(turns)
+        by_camera = rotations(turns)
         one, other = (
-            (rotations[which] @ ray.unsqueeze(-1)).squeeze(-1)
+            (by_camera[which] @ ray.unsqueeze(-1)).squeeze(-1)
             for which, ray in zip((self.first, self.second), self.rays, strict=True)
         )
         return one, other
@@ -203,14 +201,6 @@ class _Pairs:
             torch.linalg.pinv(free @ columns.mT @ columns @ free, hermitian=True) * misses.square().mean()
         )
         return variance.diagonal().view(-1, 3).sum(-1).clamp(min=0).sqrt()
-
-
-def _rotations(turns: Tensor) -> Tensor:
-    """Rotations (n, 3, 3), smooth at 0, where the search begins."""
-    x, y, z = turns.unbind(-1)
-    zero = torch.zeros_like(x)
-    skew = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
-    return torch.linalg.matrix_exp(skew)
 
 
 def _check(matches: RayMatches, number: int) -> None:

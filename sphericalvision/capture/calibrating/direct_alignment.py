@@ -25,8 +25,8 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.resolution import pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.capture.calibrating.turns import rotations, turned
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.geometry import transform_from_axis_angle
 
 __all__ = ["DirectAlignment", "align_rig_direct"]
 
@@ -142,13 +142,7 @@ def align_rig_direct(
     with torch.no_grad():
         problem = _Problem(rig, views, directions, trust, expected)
         turns, agreement = problem.solve(depth * problem.radius, iterations)
-    poses = rig.world_from_camera.clone()
-    poses[:, :3, :3] = (_rotations(turns) @ poses[:, :3, :3].double()).to(poses)
-    return DirectAlignment(
-        CameraRig(rig.cameras, poses, rig.masks),
-        turns.to(poses),
-        agreement,
-    )
+    return DirectAlignment(turned(rig, turns), turns.to(rig.world_from_camera), agreement)
 
 
 class _Samples(NamedTuple):
@@ -242,7 +236,7 @@ class _Problem:
         rays = self.directions + parallax.unsqueeze(-1) * offset
         length = rays.norm(dim=-1, keepdim=True)
         rays = rays / length
-        world_from_camera = (_rotations(turns)[place] @ self.rotations[place]).to(rays)
+        world_from_camera = (rotations(turns)[place] @ self.rotations[place]).to(rays)
         values, valid = view.look(rays @ world_from_camera)
         small = 0.3 * view.pixel
         by_turn, by_depth = (
@@ -325,10 +319,6 @@ def _tangents(rays: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
     first = F.normalize(torch.linalg.cross(axis, rays, dim=-1), dim=-1)
     for tangent in (first, torch.linalg.cross(rays, first, dim=-1)):
         yield tangent, torch.linalg.cross(tangent, rays, dim=-1)
-
-
-def _rotations(turns: Tensor) -> Tensor:
-    return transform_from_axis_angle(turns, torch.zeros_like(turns))[..., :3, :3]
 
 
 def _check(

@@ -21,6 +21,7 @@ from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.models.ocam_polynomials import fit_inverse_polynomial
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.capture.calibrating.board_pose import pose_from_directions
+from sphericalvision.capture.calibrating.turns import rotations
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import invert_transform, transform_points
 from sphericalvision.geometry.least_squares import solve_least_squares
@@ -202,14 +203,8 @@ def _finished(found: Camera, like: Camera) -> Camera:
 def _moves(changes: Tensor) -> Tensor:
     """Rigid transforms (*, 4, 4) of rotation vectors and shifts (*, 6), smooth at 0, where the search begins."""
     vector, shift = changes[..., :3], changes[..., 3:]
-    angle = (vector.square().sum(-1) + 1e-30).sqrt()[..., None, None]
-    x, y, z = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    skew = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
-    rotation = torch.eye(3).to(vector) + skew * (angle.sin() / angle)
-    rotation = rotation + skew @ skew * (2 * (angle / 2).sin().square() / angle.square())
     last = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(vector).expand(*vector.shape[:-1], 1, 4)
-    return torch.cat((torch.cat((rotation, shift.unsqueeze(-1)), -1), last), -2)
+    return torch.cat((torch.cat((rotations(vector), shift.unsqueeze(-1)), -1), last), -2)
 
 
 class _Bundle:

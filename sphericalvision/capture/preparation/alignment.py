@@ -13,13 +13,10 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.resolution import pixels_a_radian
 from sphericalvision.capture import align_rig_direct
+from sphericalvision.capture.calibrating.turns import turned
 from sphericalvision.capture.depth import Depth
 from sphericalvision.capture.preparation.compensation import compensated
-from sphericalvision.geometry.transforms import (
-    axis_angle_from_transform,
-    invert_transform,
-    transform_from_axis_angle,
-)
+from sphericalvision.geometry.transforms import axis_angle_from_transform, invert_transform
 from sphericalvision.icosphere import icosphere_vertices
 
 __all__ = ["RigTurns", "turned_rig"]
@@ -50,9 +47,9 @@ class RigTurns(NamedTuple):
     def described(self) -> str:
         """Return what was turned and what it brought."""
         angles = zip(self.rig.names, self.turns.norm(dim=-1).tolist(), strict=True)
-        turned = ", ".join(f"{name} by {math.degrees(angle):.2f}°" for name, angle in angles)
+        which = ", ".join(f"{name} by {math.degrees(angle):.2f}°" for name, angle in angles)
         before, after = self.agreement
-        return f"turns {turned}: images agree better, {after:.3f} in place of {before:.3f} of 1"
+        return f"turns {which}: images agree better, {after:.3f} in place of {before:.3f} of 1"
 
 
 def turned_rig(depths: Sequence[Depth]) -> RigTurns | None:
@@ -93,26 +90,23 @@ def turned_rig(depths: Sequence[Depth]) -> RigTurns | None:
         or float(mean.norm(dim=-1).max()) > MOST
     ):
         return None
-    poses = rig.world_from_camera.clone()
-    rotations = transform_from_axis_angle(mean, torch.zeros_like(mean))[:, :3, :3]
-    poses[:, :3, :3] = (rotations @ poses[:, :3, :3].double()).to(poses)
     before, after = (sum(found[part] for _, found in halves) / 2 for part in (0, 1))
-    return RigTurns(CameraRig(rig.cameras, poses, rig.masks), mean, (before, after))
+    return RigTurns(turned(rig, mean), mean, (before, after))
 
 
 def _found(
     rig: CameraRig, images: dict[str, Tensor], directions: Tensor, inverse_depth: Tensor, weights: Tensor
 ) -> tuple[Tensor, tuple[float, float]]:
     """Turns ``(n, 3)`` from coarse to fine, and how well the finest images agreed before and after."""
-    turned = rig
+    better = rig
     for pixel, blur, iterations in STEPS:
         found = align_rig_direct(
-            turned, images, directions, inverse_depth, weights, pixel=pixel, blur=blur, iterations=iterations
+            better, images, directions, inverse_depth, weights, pixel=pixel, blur=blur, iterations=iterations
         )
-        turned = found.rig
+        better = found.rig
         if blur == STEPS[0][1]:
             agreement = found.agreement
-    moved = turned.world_from_camera.double() @ invert_transform(rig.world_from_camera.double())
+    moved = better.world_from_camera.double() @ invert_transform(rig.world_from_camera.double())
     return axis_angle_from_transform(moved)[0], agreement
 
 

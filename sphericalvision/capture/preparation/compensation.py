@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.preparation.photometric import Photometer, PhotometricCalibration, pixel_angles
+from sphericalvision.capture.preparation.photometry import Photometer, PhotometricCalibration, pixel_angles
 
 __all__ = ["Compensation", "Compensator", "compensated", "denoised", "noise_of"]
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from torch import Tensor
@@ -15,18 +14,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_image
 
-__all__ = ["Capture", "find_capture", "find_masks", "read_frame"]
-
-
-@dataclass(frozen=True)
-class Capture:
-    """Image files of a capture.
-
-    Attributes:
-        files: frame -> camera name -> file; frames in order.
-    """
-
-    files: Mapping[str, Mapping[str, Path]]
+__all__ = ["find_capture", "find_masks", "read_frame"]
 
 
 def find_capture(
@@ -35,8 +23,8 @@ def find_capture(
     frames: Iterable[int | str] | None = None,
     leave_out: Iterable[Path] = (),
     key: str = "images",
-) -> Capture:
-    """Find the frames that every camera has, or the frames asked for.
+) -> dict[str, dict[str, Path]]:
+    """Find the frames that every camera has, or the frames asked for: frame -> camera name -> file, frames in order.
 
     ``{camera}`` stands for the camera's name in the rig, the number in that name, or its place counted from 0
     or from 1: the first of these for which all cameras have files. ``{frame}`` stands for the frame, with a
@@ -89,7 +77,7 @@ def find_capture(
                     f"{key}: {_path(pattern, label, frame)}: no such file, frame {frame} of camera {name}; its first "
                     f"frames are {', '.join(sorted(files, key=_natural)[:4])}. Correct frames=... or the pattern."
                 )
-    return Capture({frame: {name: found[name][frame] for name in names} for frame in chosen})
+    return {frame: {name: found[name][frame] for name in names} for frame in chosen}
 
 
 def find_masks(pattern: str, names: Sequence[str]) -> dict[str, Path]:
@@ -98,8 +86,8 @@ def find_masks(pattern: str, names: Sequence[str]) -> dict[str, Path]:
         raise ArgumentError(
             f"masks: expected a pattern with {{camera}} only, such as 'capture/cam{{camera}}/mask.png', got {pattern!r}"
         )
-    (files,) = find_capture(pattern, names, key="masks").files.values()
-    return dict(files)
+    (files,) = find_capture(pattern, names, key="masks").values()
+    return files
 
 
 def read_frame(files: Mapping[str, Path], rig: CameraRig) -> dict[str, Tensor]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.sources.captures import Capture, read_frame
+from sphericalvision.capture.sources.captures import read_frame
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image_size
 
@@ -98,14 +99,14 @@ class Files:
     """Frames of image files.
 
     Args:
-        capture: the files.
+        files: frame -> camera name -> file.
         rig: of the cameras, for the sizes of their images.
     """
 
     live, rate = False, 0.0
 
-    def __init__(self, capture: Capture, rig: CameraRig) -> None:
-        self.files, self.rig = dict(capture.files), rig
+    def __init__(self, files: Mapping[str, Mapping[str, Path]], rig: CameraRig) -> None:
+        self.files, self.rig = dict(files), rig
         self._sampled: dict[str, Frame] = {}
 
     def sizes(self) -> dict[str, tuple[int, int]]:

@@ -59,7 +59,7 @@ def open_source(
                     f"images: {path}: no such file (a video with the views of all cameras expected)"
                 )
             return Videos({"": path}, rig)
-        (files,) = find_capture(images, rig.names).files.values()
+        (files,) = find_capture(images, rig.names).values()
         return Videos(files, rig)
     if path.is_dir():
         return _of_folder(path, rig, frames, leave_out)

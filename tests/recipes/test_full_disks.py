@@ -92,7 +92,8 @@ def test_a_read_only_disk_is_told(
 ) -> None:
     folder = disk("size=1m", "ro")
     said = failing(command, *COMMANDS[command], output(command, folder))
-    assert "disk must not be written to; choose another place" in said.replace("/out", "")
+    assert "Read-only file system" in said
+    assert "choose another place" in said
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -102,7 +103,7 @@ def test_a_file_where_a_folder_should_be_is_told(
     (capture / "file").write_text("here")
     said = failing(command, *COMMANDS[command], output(command, capture / "file"))
     assert "file" in said
-    assert any(words in said for words in ("is a file, so no folder can be there", "Not a directory"))
+    assert any(words in said for words in ("Not a directory", "File exists"))
 
 
 def test_frames_of_a_disk_that_was_full_are_rendered_again(

@@ -27,7 +27,6 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from sphericalvision.core import ArgumentError, SphericalVisionError, check_choice
 from sphericalvision.recipes.app.cli import console
-from sphericalvision.recipes.app.command import output_folder
 from sphericalvision.recipes.app.next_steps import own_configs
 from sphericalvision.recipes.app.words import quote_paths
 from sphericalvision.recipes.evaluation.records import read_json, write_json
@@ -213,7 +212,7 @@ def train_here(config: DictConfig) -> None:
     """The task of a training, in whatever process the launcher has chosen."""
     from sphericalvision.recipes.commands.train import train
 
-    folder, began = output_folder(), time.monotonic()
+    folder, began = Path(HydraConfig.get().runtime.output_dir), time.monotonic()
     words = [*own_configs(), *HydraConfig.get().overrides.task]
     # Lightning starts further processes of a training by the command line of this one, and tells them by variables.
     with (

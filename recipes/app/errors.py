@@ -57,6 +57,8 @@ def override_message(error: Exception, command: str) -> str:
         group, _, option = error.missing_cfg_file.rpartition("/")
         extra = f" (a plugin? pip install 'sphericalvision[{PLUGINS[group]}]')" if group in PLUGINS else ""
         known = ", ".join(error.options or ())
+        if group.partition("/")[0] == "rig":
+            extra = "; a calibration file is rig=file rig.path=..."
         return f"{group}={option}: there is no such option{extra}; known are {known}"
     program = f"sphericalvision-{command}"
     if command in ("demo", "digits_table"):
@@ -67,6 +69,8 @@ def override_message(error: Exception, command: str) -> str:
         near = difflib.get_close_matches(key, known_keys, 3) or [
             name for name in known_keys if name.split(".")[-1] == key.split(".")[-1]
         ]
+        if key == "rig" and "calibration" in known_keys:  # a group of the commands that render
+            near = ["calibration"]
         hint = f"did you mean {' or '.join(near[:3])}? " if near else ""
         return f"{key}: there is no such key in this configuration; {hint}All keys: {program} --help"
     return f"{text}; {program} --help lists groups with their options, and keys"

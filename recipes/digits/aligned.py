@@ -20,7 +20,10 @@ class AlignedCrownConv2d(CrownConv2d):
     """
 
     def forward(self, crown: Crown) -> Crown:
-        col, row = (convolve(part, self.weight, COL_TAPS, self.bias, self.stride) for part in crown)
+        col, row = (
+            convolve(part.flatten(0, 1), self.weight, COL_TAPS, self.bias, self.stride).unflatten(0, (-1, 5))
+            for part in crown
+        )
         return Crown(col, row)
 
 

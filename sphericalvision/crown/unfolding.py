@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Num
 from torch import Tensor
 
 from sphericalvision.core import uses_reference_kernels
@@ -69,7 +69,7 @@ class Fold(torch.autograd.Function):
         return Unfold.apply(gradient, ctx.channels_fastest)
 
 
-def unfold(values: Float[Tensor, "B C *N V"]) -> tuple[Tensor, Tensor]:
+def unfold(values: Num[Tensor, "B C *N V"]) -> tuple[Tensor, Tensor]:
     """Return col and row rectangles of values; channels are fastest in memory where that pays.
 
     It does for operators in C++ and for convolutions of torch, but not for the gradients of torch's normalisations.
@@ -100,7 +100,7 @@ def _channels_fastest(like: Tensor, shape: tuple[int, ...], channel_dim: int) ->
 
 
 def fill_north_and_east(
-    rectangles: Float[Tensor, "B 5 C *N long short"], values: Float[Tensor, "B C *N V"]
+    rectangles: Num[Tensor, "B 5 C *N long short"], values: Num[Tensor, "B C *N V"]
 ) -> None:
     """Write values into rectangles ``(B, 5, C, [N,] 2n + 1, n + 1)``: charts and their northern and eastern borders."""
     n = rectangles.shape[-1] - 1

@@ -21,6 +21,7 @@ REGISTRIES = (
     ("sphericalvision.cameras.registry", "MODELS"),
     ("sphericalvision.cameras.calibration.formats", "FORMATS"),
     ("sphericalvision.models.weights.registry", "NETWORKS"),
+    ("sphericalvision.scenes.registry", "KINDS"),
     ("sphericalvision.sweep.aggregation", "AGGREGATIONS"),
 )
 """Examples add to copies of these: other tests look at all that is registered."""

@@ -21,6 +21,7 @@ from sphericalvision.icosphere import Icosphere, locate
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import inverse_depth_from_index
+from sphericalvision.sweep.hypotheses import INVERSE_DEPTH_OFFSET
 
 if TYPE_CHECKING:
     from sphericalvision.capture.points import SurfacePoints
@@ -90,8 +91,9 @@ class Depth:
 
     @property
     def inverse_depth(self) -> Float[Tensor, "*batch_and_grid"]:
-        """``(*b, *grid)`` in 1/m."""
-        return inverse_depth_from_index(self.index, self.network.num_hypotheses, self.min_depth)
+        """``(*b, *grid)`` in 1/m, at least that of index 0: depth is finite and positive."""
+        index = self.index.to(torch.promote_types(self.index.dtype, torch.float32))
+        return positive(inverse_depth_from_index(index, self.network.num_hypotheses, self.min_depth))
 
     @property
     def depth(self) -> Float[Tensor, "*batch_and_grid"]:
@@ -250,7 +252,17 @@ class Depth:
 
     def _parts(self, values: Tensor, reached: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         inverse_depth, confidence, seen = values.reshape(3, *self.batch_shape, values.shape[-1])
-        return inverse_depth.where(reached, math.nan), confidence, (seen > 0.5) & reached
+        return positive(inverse_depth).where(reached, math.nan), confidence, (seen > 0.5) & reached
+
+
+def positive(inverse_depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Return inverse depth in 1/m, at least that of index 0: what networks and interpolation say is off by rounding.
+
+    Examples:
+        >>> positive(torch.tensor([-1e-6, 0.5])).reciprocal()  # far away, not far behind
+        tensor([8.3886e+06, 2.0000e+00])
+    """
+    return inverse_depth.clamp(min=INVERSE_DEPTH_OFFSET)
 
 
 @lru_cache(maxsize=4)

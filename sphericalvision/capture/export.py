@@ -15,6 +15,7 @@ from torch.func import functional_call
 from torch.fx import GraphModule, Interpreter, Node
 from torch.utils import _pytree
 
+from sphericalvision.capture.depth import positive
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, recording
 from sphericalvision.io.files import atomic_write
@@ -120,7 +121,9 @@ class RigProgram(nn.Module):
         index, confidence, seen = self.net.predict(
             images, _pytree.tree_unflatten(leaves, self.structure), self.seen
         )
-        inverse_depth = inverse_depth_from_index(index.float(), self.net.num_hypotheses, self.net.min_depth)
+        inverse_depth = positive(
+            inverse_depth_from_index(index.float(), self.net.num_hypotheses, self.net.min_depth)
+        )
         if self.shape is None:
             return inverse_depth, confidence, seen
         shape = (images.shape[0], *self.shape)
@@ -128,7 +131,7 @@ class RigProgram(nn.Module):
         values, reached = self.net.index_at(together, self.rays)
         inverse_depth, confidence, both = values.unflatten(0, (3, -1)).unbind()
         return (
-            inverse_depth.where(reached, float("nan")).view(shape),
+            positive(inverse_depth).where(reached, float("nan")).view(shape),
             confidence.view(shape),
             ((both > 0.5) & reached).view(shape),
         )

@@ -9,8 +9,6 @@ Convention:
 
 from __future__ import annotations
 
-import math
-
 import torch
 from jaxtyping import Float, Num
 from torch import Tensor
@@ -29,6 +27,8 @@ __all__ = [
 
 MAX_HYPOTHESES = 4096
 """The most hypotheses: twenty times those of any published network."""
+MIN_DEPTHS = 1e-5, 1e5
+"""Metres: far above rounding, and far below the depth of index 0."""
 INVERSE_DEPTH_OFFSET = torch.finfo(torch.float32).eps  # 1/m, added to all hypotheses
 
 
@@ -43,8 +43,11 @@ def check_hypotheses(num_hypotheses: int, min_depth: float) -> None:
             f"num_hypotheses: expected {MAX_HYPOTHESES} at most, got {num_hypotheses}; take fewer"
         )
     check_type("min_depth", min_depth, (int, float), "metres to the nearest hypothesis")
-    if not (math.isfinite(min_depth) and min_depth > 0):
-        raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
+    least, most = MIN_DEPTHS
+    if not least <= min_depth <= most:
+        raise ArgumentError(
+            f"min_depth: expected a positive number of metres, {least:g} to {most:g}, got {min_depth!r}"
+        )
 
 
 def inverse_depth_hypotheses(

@@ -16,7 +16,9 @@ from torch import Tensor
 import sphericalvision
 from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, FisheyeCamera, PinholeCamera, ring_rig
+from sphericalvision.capture import Depth
 from sphericalvision.capture import predictor as predictor_module
+from sphericalvision.capture.export import RigProgram
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import ToSphere
@@ -240,6 +242,33 @@ def test_panorama_and_cameras_show_the_surface(rig: CameraRig, images: Images) -
         depth.camera("cam9")
 
 
+@pytest.mark.parametrize("level", [3, 6])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16])
+def test_depth_is_finite_and_positive_wherever_it_is_asked_for(level: int, dtype: torch.dtype) -> None:
+    """Near and infinitely far side by side, and indices off by rounding: weights of interpolation are, too."""
+    rig = ring_rig(3, image_size=(16, 16))
+    net = WinnerTakesAll(level, 32, min_depth=0.55, depth_coarsening=0)
+    size = net.grid.num_vertices
+    index = 31 * torch.randint(0, 2, (size,), generator=torch.Generator().manual_seed(0)) - 1e-5
+    depth = Depth(index.to(dtype), torch.ones(size), torch.ones(size) > 0, net, rig, {})
+    for found in (depth.depth, depth.panorama(128).depth, depth.camera("cam2").depth, depth.inverse_depth):
+        found = found[~found.isnan()]
+        assert len(found)
+        assert found.isfinite().all()
+        assert found.min() > 0
+    nearest = depth.panorama(128).depth.min()
+    assert nearest == pytest.approx(0.55, rel=1e-3)
+
+
+def test_a_sky_above_what_floats_has_no_depth_behind_the_rig() -> None:
+    rig = ring_rig(4, image_size=(64, 64))
+    depth = Predictor(rig, min_depth=0.55)(render_rig(make_scene("skies", seed=3), rig))
+    assert depth.panorama(320).depth.min() > 0.5
+    program = RigProgram(Predictor(rig, depth.network, min_depth=0.55), height=320)
+    with torch.inference_mode():
+        assert program(torch.stack(list(depth.images.values()))[None])[0].min() > 0
+
+
 def test_networks_on_panoramas_are_predictors_too(rig: CameraRig, images: Images) -> None:
     net = OmniMVS(8, output_size=(8, 32), feature_channels=2, num_cameras=4, num_scales=2).eval()
     depth = Predictor(rig, net, min_depth=0.5)(images)
@@ -282,8 +311,9 @@ def test_mistakes_are_named(rig: CameraRig, images: Images, predictor: Predictor
         predictor({**images, "cam1": torch.zeros(SIZE, dtype=torch.int64)})
     with pytest.raises(ArgumentError, match="it has 3 cameras"):
         Predictor(rig.subset([0, 1, 2]), IcoSweepNet(3, 4, feature_channels=2))
-    with pytest.raises(ArgumentError, match="min_depth"):
-        Predictor(rig, "icosweepnet-small", min_depth="near")  # type: ignore[arg-type]
+    for nonsense in ("near", 5e-324, 1e10, math.nan, 0, True):
+        with pytest.raises(ArgumentError, match="min_depth"):
+            Predictor(rig, "icosweepnet-small", min_depth=nonsense)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="method"):
         Predictor(rig, method="magic")  # type: ignore[arg-type]
     one_place = CameraRig([FisheyeCamera.from_field_of_view(SIZE, 3.0)] * 2, torch.eye(4).repeat(2, 1, 1))

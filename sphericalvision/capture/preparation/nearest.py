@@ -15,6 +15,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere.intake import Intake
+from sphericalvision.sweep.hypotheses import check_hypotheses
 from sphericalvision.sweep.nearest_depth import nearest_depth
 
 __all__ = [
@@ -150,12 +151,9 @@ def check_places(rig: CameraRig) -> None:
 
 def checked_min_depth(min_depth: Any) -> float:
     """Return metres, or raise ``ArgumentError`` for what is no positive number."""
-    if (
-        isinstance(min_depth, bool)
-        or not isinstance(min_depth, int | float)
-        or not 0 < min_depth < float("inf")
-    ):
+    if isinstance(min_depth, bool) or not isinstance(min_depth, int | float):
         raise ArgumentError(
             f"min_depth: expected a positive number of metres, 'auto', 'scene' or None (as trained), got {min_depth!r}"
         )
+    check_hypotheses(2, min_depth)
     return float(min_depth)

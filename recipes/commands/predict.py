@@ -231,8 +231,9 @@ def run(
                 elif stop_on_error and frame.error is not None:
                     raise frame.error
                 else:
+                    if str(frame.error) not in wrong:  # many frames may be missing for one reason
+                        say(f"left out: {frame.error}", style="yellow")
                     wrong.append(str(frame.error))
-                    say(f"left out: {frame.error}", style="yellow")
                 speed = f"{number / (time.perf_counter() - began):.2f} frames/s"
                 progress.update(task, advance=1, speed=speed)
     except KeyboardInterrupt:

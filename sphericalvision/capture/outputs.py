@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import errno
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -288,7 +289,7 @@ class Outputs:
 
 
 class _Video:
-    """A video of colours above depth, which is there once it is whole.
+    """A video of colours above depth, which is there once it is whole and its frames have been read back.
 
     It is called ``depth.mp4``, or by the first of ``depth_2.mp4``, ... that is free. With ``go_on`` it begins with the
     frames of the ``depth.mp4`` that is there, whose place it takes.
@@ -300,8 +301,8 @@ class _Video:
         self.path = next(folder / name for name in names if go_on or not (folder / name).exists())
         self.rate = rate
         self._whole = ExitStack()
-        self._temporary = self._whole.enter_context(atomic_write(self.path))
         self._writer: cv2.VideoWriter | None = None
+        self._number = 0
 
     def write(self, views: Views) -> None:
         """Add a frame."""
@@ -313,30 +314,54 @@ class _Video:
         )
         picture = np.concatenate((colors, depth))
         picture = np.pad(picture, [(0, size % 2) for size in picture.shape[:2]] + [(0, 0)], mode="edge")
+        picture = cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2BGR)
         if self._writer is None:
-            self._writer = self._opened((picture.shape[1], picture.shape[0]))
-        self._writer.write(cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2BGR))
+            self._writer = self._opened(picture)
+        self._add(self._writer, picture)
 
     def close(self) -> None:
-        """Finish the file and give it its name."""
-        if self._writer is not None:
-            self._writer.release()
-            self._whole.close()
+        """Finish the file and give it its name.
 
-    def _opened(self, size: tuple[int, int]) -> cv2.VideoWriter:
-        """A writer, with the frames of the video that is there, if they are as large."""
-        writer = cv2.VideoWriter(str(self._temporary), cv2.VideoWriter.fourcc(*"mp4v"), self.rate, size)
+        Raises:
+            OSError: not all of its frames can be read back, as on a full disk, of which OpenCV says nothing.
+        """
+        if self._writer is None:
+            return
+        with self._whole:
+            self._writer.release()
+            there = sum(1 for _ in _frames_of(self._temporary))
+            if there != self._number:
+                raise OSError(
+                    errno.ENOSPC, f"{there} of {self._number} frames could be written", str(self.path)
+                )
+
+    def _opened(self, picture: npt.NDArray[Any]) -> cv2.VideoWriter:
+        """A writer for such pictures, with the frames of the video that is there, if they are as large."""
+        self._temporary = self._whole.enter_context(atomic_write(self.path))
+        writer = cv2.VideoWriter(
+            str(self._temporary), cv2.VideoWriter.fourcc(*"mp4v"), self.rate, picture.shape[1::-1]
+        )
         if not writer.isOpened():
             self._temporary.unlink(missing_ok=True)
             raise FileFormatError(
                 f"{self.path}: this OpenCV writes no MPEG-4 videos; leave video out of outputs"
             )
-        if self.path.is_file():
-            before = cv2.VideoCapture(str(self.path))
-            while (frame := before.read()[1]) is not None and frame.shape[1::-1] == size:
-                writer.write(frame)
-            before.release()
+        for frame in _frames_of(self.path) if self.path.is_file() else ():
+            if frame.shape == picture.shape:
+                self._add(writer, frame)
         return writer
+
+    def _add(self, writer: cv2.VideoWriter, picture: npt.NDArray[Any]) -> None:
+        writer.write(picture)
+        self._number += 1
+
+
+def _frames_of(path: Path) -> Iterator[npt.NDArray[Any]]:
+    """The frames of a video, as long as it can be read."""
+    video = cv2.VideoCapture(str(path))
+    while (frame := video.read()[1]) is not None:
+        yield frame
+    video.release()
 
 
 def prefix_of(frame: str) -> str:

@@ -6,7 +6,8 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -15,12 +16,15 @@ import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.capture import Depth
+from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source, rig_for_images
 from sphericalvision.capture.sources.threads import Behind, ahead, side_by_side, threads_kept
 from sphericalvision.capture.sources.videos import views_layout
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image, write_image
+from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.recipes.app.captures import masked_by_itself
 from tests.recipes.tiny import Run
 
@@ -143,6 +147,53 @@ def test_what_cannot_be_opened_or_cut_is_named(capture: Path, tmp_path: Path) ->
         open_source(str(capture / "row.avi"), RIG, frames=[1])
     with pytest.raises(ArgumentError, match="of 7 frame"):
         open_source(str(capture / "row.avi"), RIG).names(Selection(9))
+
+
+def test_a_video_that_was_cut_or_is_shorter_than_another_is_told(
+    failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
+) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (FRAMES, 32, 160, 3), np.uint8)
+    write_video(capture / "row.avi", list(noise))
+    whole = (capture / "row.avi").read_bytes()
+    (capture / "row.avi").write_bytes(whole[: len(whole) // 2])
+    source = open_source(str(capture / "row.avi"), RIG)
+    frames = list(source.frames(Selection(), lambda _: True))
+    there = sum(frame.images is not None for frame in frames)
+    assert 0 < there < FRAMES == len(frames)
+    assert f"ends after {there} of the 7 frames" in str(frames[-1].error)
+    words = [
+        f"calibration={capture / 'rig.yaml'}",
+        f"checkpoint={weights}",
+        "device=cpu",
+        "height=16",
+        "align=false",
+    ]
+    said = failing("predict", *words, f"images={capture}/row.avi", "output=out", "min_depth=1")
+    assert f"{FRAMES - there} of 7 frames were left out" in said
+    write_video(capture / "videos/cam2.avi", [picture(frame, 1) for frame in range(5)])
+    with pytest.warns(UserWarning, match=r"cam2 5.* 2 that not all cameras have are left out"):
+        shorter = open_source(str(capture / "videos"), RIG)
+    assert len(list(shorter.frames(Selection(), lambda _: True))) == 5
+
+
+def test_a_video_gets_its_name_when_its_frames_can_be_read_back(tmp_path: Path) -> None:
+    """A limit on the size of files is what a full disk is to OpenCV, which says nothing."""
+    resource = pytest.importorskip("resource")
+    net = SemiGlobalSweep(3, 8)
+    index, ones = torch.rand(net.grid.num_vertices), torch.ones(net.grid.num_vertices)
+    images = {name: torch.rand(3, *SIZE) for name in RIG.names}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for limit, number in ((limits[0], 4), (4096, 0)):
+        outputs = Outputs(tmp_path / str(number), Settings(["video"], height=64))
+        for frame in range(4):
+            outputs.write(str(frame), Depth(8 * index.roll(frame), ones, ones > 0, net, RIG, images))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
+        try:
+            with nullcontext() if number else pytest.raises(OSError, match="of 4 frames could be written"):
+                outputs.close()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [path.relative_to(tmp_path) for path in tmp_path.rglob("*.*")] == [Path("4/depth.mp4")]
 
 
 def test_a_resized_capture_has_a_resized_rig() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import string
+import warnings
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -37,6 +38,8 @@ def find_capture(
         leave_out: files that are no images, such as masks that lie beside them.
         key: that the pattern was given by, for messages.
 
+    A frame that some cameras lack is left out with a warning.
+
     Raises:
         ArgumentError: the pattern has no ``{camera}``, or other fields.
         MissingFileError: no files, or a frame asked for is missing; the message names what was looked for.
@@ -63,10 +66,16 @@ def find_capture(
     common = set.intersection(*(set(files) for files in found.values()))
     if wanted is None:
         chosen = sorted(common, key=_natural)
+        counts = ", ".join(f"{name}: {len(files)}" for name, files in found.items())
         if not chosen:
-            counts = ", ".join(f"{name}: {len(files)}" for name, files in found.items())
             raise MissingFileError(
                 f"{key}: no frame of {pattern!r} is there for every camera ({counts} files)"
+            )
+        if lacking := sorted(set().union(*found.values()) - common, key=_natural):
+            warnings.warn(
+                f"{key}: {len(lacking)} frame(s) that not every camera has are left out, {', '.join(lacking[:4])} "
+                f"first ({counts} files)",
+                stacklevel=2,
             )
     else:
         chosen = wanted

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -19,6 +20,8 @@ from sphericalvision.core import ArgumentError, FileFormatError
 __all__ = ["VIDEO_SUFFIXES", "Videos", "split_views", "views_layout"]
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+COUNTED = (".mp4", ".avi", ".mov", ".m4v")
+"""Those whose headers say how many frames there are."""
 Picture = npt.NDArray[Any]
 Opened = dict[str, cv2.VideoCapture]
 
@@ -41,12 +44,20 @@ class Videos:
         with ExitStack() as stack:
             videos = self._open(stack)
             self.rate = next(iter(videos.values())).get(cv2.CAP_PROP_FPS) or 0.0
-            counts = [int(video.get(cv2.CAP_PROP_FRAME_COUNT)) for video in videos.values()]
+            counts = {name: int(video.get(cv2.CAP_PROP_FRAME_COUNT)) for name, video in videos.items()}
             self._sizes = {
                 name: (int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(video.get(cv2.CAP_PROP_FRAME_WIDTH)))
                 for name, video in videos.items()
             }
-        self.num_frames = None if self.live or min(counts) <= 0 else min(counts)
+        fewest, most = min(counts.values()), max(counts.values())
+        self.num_frames = None if self.live or fewest <= 0 else fewest
+        if self.num_frames and fewest < most:
+            listed = ", ".join(f"{name} {count}" for name, count in counts.items())
+            warnings.warn(
+                f"images: the videos have different numbers of frames ({listed}); "
+                f"{most - fewest} that not all cameras have are left out",
+                stacklevel=2,
+            )
 
     def sizes(self) -> dict[str, tuple[int, int]]:
         """Camera name -> (height, width) of its images."""
@@ -86,6 +97,8 @@ class Videos:
                 number += 1
                 grabbed = [video.grab() for video in videos.values()]
                 if not all(grabbed):
+                    ended = list(self.files.values())[grabbed.index(False)]
+                    yield from self._missing(ended, number, selection, wanted)
                     return
                 if number not in selection or not wanted(_name(number)):
                     continue
@@ -97,6 +110,25 @@ class Videos:
                     )
                     continue
                 yield Frame(_name(number), self._by_camera(images))
+
+    def _missing(
+        self, file: Path | int, number: int, selection: Selection, wanted: Callable[[str], bool]
+    ) -> Iterator[Frame]:
+        """Frames after the end of a video that its header promises, chosen and wanted; each says why it is not there.
+
+        Containers whose headers count no frames tell how long they last, of which OpenCV makes a number: these may end
+        a second early.
+        """
+        promised = self.num_frames or 0
+        if not str(file).lower().endswith(COUNTED) and promised - number <= self.rate:
+            return
+        error = FileFormatError(
+            f"{file}: ends after {number} of the {promised} frames that its header promises; copy it again, or "
+            f"predict what is there with stop={number}"
+        )
+        for missing in range(number, promised):
+            if missing in selection and wanted(_name(missing)):
+                yield Frame(_name(missing), None, error)
 
     def _by_camera(self, images: Mapping[str, Picture]) -> dict[str, Picture]:
         rgb = {name: cv2.cvtColor(image, cv2.COLOR_BGR2RGB) for name, image in images.items()}

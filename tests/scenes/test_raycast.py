@@ -11,11 +11,25 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, pack
-from sphericalvision.scenes.rendering.raycast import Hit, occluded, surface, trace
+from sphericalvision.scenes.rendering.ray_packets import RayPackets, packed
+from sphericalvision.scenes.rendering.raycast import blocked, first_hits, trace
+from sphericalvision.scenes.rendering.surfaces import normals_and_uv
 
 
 def unit_vectors(count: int, generator: torch.Generator) -> Tensor:
     return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
+
+
+def packets(origins: Tensor, directions: Tensor) -> RayPackets:
+    """Rays with an origin each, or one for all."""
+    start = packed(origins.T.contiguous()) if origins.ndim > 1 else origins[:, None, None]
+    return RayPackets(start, packed(directions.T.contiguous()))
+
+
+def trace_each(primitives: Primitives, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+    """Distances and rows, from an origin for each ray."""
+    found = first_hits(primitives, packets(origins, directions))
+    return found[0].flatten()[: len(directions)], found[1].flatten()[: len(directions)]
 
 
 def random_primitives(count: int, generator: torch.Generator, shapes: tuple[str, ...] = SHAPES) -> Primitives:
@@ -74,7 +88,7 @@ def test_cylinder_is_hit_on_side_and_cap() -> None:
     origins = torch.tensor([[0.2, -1.0, 0.1], [0.0, 2.0, -3.0], [0.3, 2.0, -3.0], [0.6, -1.0, 0.0]])
     directions = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
     expected = torch.tensor([2.0, 2.5, 3.0 - math.sqrt(0.5**2 - 0.3**2), math.inf])
-    torch.testing.assert_close(trace(cylinder, origins, directions).distance, expected)
+    torch.testing.assert_close(trace_each(cylinder, origins, directions)[0], expected)
 
 
 def test_rectangle_ends_where_its_half_size_says() -> None:
@@ -112,10 +126,10 @@ def test_neighbouring_rays_meet_what_they_meet_alone(generator: torch.Generator)
         directions = torch.nn.functional.normalize(
             axis + 0.1 * torch.randn(200, 3, generator=generator), dim=-1
         )
-        origins, limits = torch.zeros(200, 3), torch.full((200,), limit)
-        narrow, alone = (trace(primitives, start, directions) for start in (torch.zeros(3), origins))
-        torch.testing.assert_close(narrow.distance, alone.distance, rtol=1e-5, atol=1e-5)
-        hidden = occluded(primitives, torch.zeros(3), directions, limits)
+        narrow = trace(primitives, torch.zeros(3), directions)
+        alone, _ = trace_each(primitives, torch.zeros(200, 3), directions)
+        torch.testing.assert_close(narrow.distance, alone, rtol=1e-5, atol=1e-5)
+        hidden = shadowed(primitives, directions, torch.full((200,), limit))
         clear = (narrow.distance - limit).abs() > 1e-3
         assert torch.equal(hidden[clear], (narrow.distance < limit)[clear])
 
@@ -136,9 +150,12 @@ def test_nearest_of_many_is_the_least_of_each_alone(generator: torch.Generator) 
 def test_shared_origin_equals_one_origin_a_ray(generator: torch.Generator) -> None:
     primitives, directions = random_primitives(20, generator), unit_vectors(2000, generator)
     origin = torch.tensor([0.1, -0.2, 0.3])
-    one, many = trace(primitives, origin, directions), trace(primitives, origin.expand(2000, 3), directions)
-    torch.testing.assert_close(one.distance, many.distance, rtol=1e-4, atol=1e-4)
-    assert (one.primitive == many.primitive).float().mean() > 0.999
+    one, (distance, row) = (
+        trace(primitives, origin, directions),
+        trace_each(primitives, origin.expand(2000, 3), directions),
+    )
+    torch.testing.assert_close(one.distance, distance, rtol=1e-4, atol=1e-4)
+    assert (one.primitive == row).float().mean() > 0.999
 
 
 def test_more_rays_than_a_chunk_in_any_shape(generator: torch.Generator) -> None:
@@ -172,24 +189,28 @@ def test_normals_are_unit_face_the_ray_and_stand_on_the_surface(generator: torch
     origin = torch.zeros(3, dtype=torch.float64)
     hit = trace(primitives, origin, directions)
     met = hit.primitive >= 0
-    rays, hit = directions[met], Hit(hit.distance[met], hit.primitive[met])
-    spot = surface(primitives, origin, rays, hit)
-    torch.testing.assert_close(spot.normal.norm(dim=-1), torch.ones_like(hit.distance))
-    assert ((spot.normal * rays).sum(-1) <= 0).all()
+    rays, distance, row = directions[met], hit.distance[met], hit.primitive[met]
+    position = distance[:, None] * rays
+    normal = normals_and_uv(primitives, position.T.contiguous(), rays.T.contiguous(), row)[0].T
+    torch.testing.assert_close(normal.norm(dim=-1), torch.ones_like(distance))
+    assert ((normal * rays).sum(-1) <= 0).all()
     # A tangent step stays on the surface to first order: the distance along the normal to a solid is the ray's hit.
-    back = trace(primitives, spot.position + 0.01 * spot.normal, -spot.normal)
-    torch.testing.assert_close(
-        back.distance[back.primitive == hit.primitive].median(), torch.tensor(0.01).double()
-    )
-    assert (back.distance <= 0.01 + 1e-9).all()
+    back, back_row = trace_each(primitives, position + 0.01 * normal, -normal)
+    torch.testing.assert_close(back[back_row == row].median(), torch.tensor(0.01).double())
+    assert (back <= 0.01 + 1e-9).all()
 
 
-def test_occluded_is_a_hit_before_the_limit(generator: torch.Generator) -> None:
+def shadowed(primitives: Primitives, directions: Tensor, limits: Tensor) -> Tensor:
+    """Whether something stands on each ray from the world's origin before its limit."""
+    return blocked(primitives, packets(torch.zeros(3), directions), packed(limits)).flatten()[: len(limits)]
+
+
+def test_blocked_is_a_hit_before_the_limit(generator: torch.Generator) -> None:
     primitives, directions = random_primitives(30, generator), unit_vectors(3000, generator)
     limits = 1 + 5 * torch.rand(3000, generator=generator)
     expected = trace(primitives, torch.zeros(3), directions).distance < limits
     assert 0.05 < expected.float().mean() < 0.95
-    assert torch.equal(occluded(primitives, torch.zeros(3), directions, limits), expected)
+    assert torch.equal(shadowed(primitives, directions, limits), expected)
 
 
 def test_convention_yaw_turns_forward_towards_right() -> None:
@@ -213,8 +234,6 @@ def test_bad_arguments_are_named() -> None:
     ball = pack([Part("ellipsoid", (0.0, 0.0, 3.0), (1.0, 1.0, 1.0))])
     with pytest.raises(ShapeError, match="directions"):
         trace(ball, torch.zeros(3), torch.zeros(4, 2))
-    with pytest.raises(ShapeError, match="origins"):
-        trace(ball, torch.zeros(5, 3), torch.zeros(4, 3))
     with pytest.raises(ArgumentError, match="shape"):
         pack([Part("cone", (0.0, 0.0, 3.0), (1.0, 1.0, 1.0))])
     with pytest.raises(ArgumentError, match="half"):

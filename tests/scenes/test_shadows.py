@@ -18,7 +18,6 @@ from sphericalvision.scenes.rendering.ray_packets import (
     RAYS,
     RayPackets,
     candidate_pairs,
-    coherent_order,
     packed,
 )
 from sphericalvision.scenes.rendering.raycast import first_hits
@@ -160,16 +159,6 @@ def test_bundles_that_start_anywhere_meet_what_their_rays_meet(generator: torch.
     possible[primitives.columns.order[pairs.place], pairs.packet] = True
     assert not (met & ~possible).any()
     assert possible.float().mean() < 0.9
-
-
-def test_scattered_rays_are_put_in_order(generator: torch.Generator) -> None:
-    directions = torch.nn.functional.normalize(torch.randn(20000, 3, generator=generator), dim=-1).T
-    order = coherent_order(directions)
-    assert order is not None
-    assert torch.equal(order.sort().values, torch.arange(20000))
-    extent = [(x.amax(-1) - x.amin(-1)).mean() for x in map(packed, (directions, directions[:, order]))]
-    assert extent[1] < 0.4 * extent[0]
-    assert coherent_order(directions[:, :RAYS]) is None
 
 
 @pytest.mark.parametrize("size", [(5, 7), (17, 33), (32, 48)])

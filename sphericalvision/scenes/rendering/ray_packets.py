@@ -10,7 +10,6 @@ Vectors of packets are stored as ``(3, b, RAYS)``, so that every operation runs 
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
@@ -25,7 +24,6 @@ __all__ = [
     "CandidatePairs",
     "RayPackets",
     "candidate_pairs",
-    "coherent_order",
     "packed",
 ]
 
@@ -33,8 +31,6 @@ __all__ = [
 RAYS = 256
 #: Relative and absolute widening of boxes (in half sizes of a primitive), and of origins' distances, for rounding.
 MARGIN, ROUNDING = 1e-3, 1e-5
-#: Packets whose directions spread wider than this (mean side of their box) are worth sorting.
-WIDE = 0.25
 #: Distances below this (metres) are the surface that the ray starts from.
 NEAREST = 1e-4
 #: Distances beyond this are none.
@@ -75,19 +71,6 @@ def packed(columns: Tensor, rays: int = RAYS) -> Tensor:
     if missing:
         columns = torch.cat([columns, columns[..., -1:].expand(*columns.shape[:-1], missing)], -1)
     return columns.reshape(*columns.shape[:-1], -1, rays)
-
-
-def coherent_order(direction: Tensor) -> Tensor | None:
-    """A permutation ``(n,)`` that makes neighbours of rays ``(3, n)`` from one point; None where they are already."""
-    count = direction.shape[1]
-    if count <= RAYS:
-        return None
-    whole = direction[:, : count - count % RAYS].reshape(3, -1, RAYS)
-    if (whole.amax(-1) - whole.amin(-1)).mean() < WIDE:
-        return None
-    cells = math.ceil((count / (math.pi * RAYS)) ** 0.5)  # one is about as large as a packet should be
-    x, y, z = ((direction + 1) * (cells / 2)).long().clamp(0, cells - 1)
-    return ((x * cells + y) * cells + z).argsort()
 
 
 def candidate_pairs(

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_last_dim
+from sphericalvision.core import check_last_dim
 from sphericalvision.scenes.rendering.intersections import HUGE, INTERSECTIONS
 from sphericalvision.scenes.rendering.primitives import Primitives
 from sphericalvision.scenes.rendering.ray_packets import (
@@ -25,12 +25,10 @@ from sphericalvision.scenes.rendering.ray_packets import (
     CandidatePairs,
     RayPackets,
     candidate_pairs,
-    coherent_order,
     packed,
 )
-from sphericalvision.scenes.rendering.surfaces import normals_and_uv
 
-__all__ = ["Hit", "Surface", "blocked", "first_hits", "occluded", "surface", "trace"]
+__all__ = ["Hit", "blocked", "chunk_size", "first_hits", "trace"]
 
 #: Packets looked at together, and pairs intersected together, on the CPU: few enough for a core's cache, many enough
 #: for the time that an operation takes to start. Other devices take many more at once.
@@ -49,28 +47,12 @@ class Hit(NamedTuple):
     primitive: Int[Tensor, "*rays"]
 
 
-class Surface(NamedTuple):
-    """Points on primitives.
-
-    Attributes:
-        position: ``(n, 3)`` metres.
-        normal: ``(n, 3)``, unit, on the ray's side.
-        uv: ``(n, 2)`` coordinates on the surface, metres.
-    """
-
-    position: Float[Tensor, "n 3"]
-    normal: Float[Tensor, "n 3"]
-    uv: Float[Tensor, "n 2"]
-
-
-def trace(
-    primitives: Primitives, origins: Float[Tensor, "*#rays 3"], directions: Float[Tensor, "*rays 3"]
-) -> Hit:
-    """First primitive along each ray.
+def trace(primitives: Primitives, origin: Float[Tensor, " 3"], directions: Float[Tensor, "*rays 3"]) -> Hit:
+    """First primitive along each ray from a point.
 
     Args:
         primitives: the table to hit.
-        origins: ``(3,)`` shared by all rays (fast), or ``(*, 3)``, metres.
+        origin: ``(3,)`` metres.
         directions: ``(*, 3)`` unit directions.
 
     Returns:
@@ -82,55 +64,17 @@ def trace(
         >>> trace(ball, torch.zeros(3), torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])).distance
         tensor([2., inf])
     """
-    shape = directions.shape[:-1]
-    origin, direction = _columns(origins, directions)
-    distance = direction.new_empty(direction.shape[1])
-    primitive = torch.empty_like(distance, dtype=torch.long)
-    for part, rays in _chunks(origin, direction):
-        near, row = first_hits(primitives, rays)
-        distance[part], primitive[part] = near.flatten()[: len(part)], row.flatten()[: len(part)]
-    return Hit(distance.reshape(shape), primitive.reshape(shape))
-
-
-def occluded(
-    primitives: Primitives,
-    origins: Float[Tensor, "*#rays 3"],
-    directions: Float[Tensor, "*rays 3"],
-    limits: Float[Tensor, "*rays"],
-) -> Bool[Tensor, "*rays"]:
-    """Whether something stands on each ray before its limit: bool ``(*)``.
-
-    Args:
-        primitives: the table to hit.
-        origins: ``(3,)`` or ``(*, 3)``, metres.
-        directions: ``(*, 3)`` unit directions.
-        limits: ``(*)`` metres.
-    """
-    origin, direction = _columns(origins, directions)
-    limit = limits.reshape(-1)
-    answer = torch.empty_like(limit, dtype=torch.bool)
-    for part, rays in _chunks(origin, direction):
-        hidden = blocked(primitives, rays, packed(limit[part]))
-        answer[part] = hidden.flatten()[: len(part)]
-    return answer.reshape(limits.shape)
-
-
-def surface(
-    primitives: Primitives, origins: Float[Tensor, "... 3"], directions: Float[Tensor, "n 3"], hit: Hit
-) -> Surface:
-    """Where and how hit surfaces lie; every ray given must have hit something.
-
-    Args:
-        primitives: the table that was traced.
-        origins: ``(3,)`` or ``(n, 3)``.
-        directions: ``(n, 3)``.
-        hit: their hits, each ``(n,)``.
-    """
-    position = origins + hit.distance[:, None] * directions
-    normal, uv, _ = normals_and_uv(
-        primitives, position.T.contiguous(), directions.T.contiguous(), hit.primitive
+    check_last_dim("directions", directions, 3)
+    rays, size = packed(directions.reshape(-1, 3).T.contiguous()), chunk_size(directions.device)
+    parts = [
+        first_hits(primitives, RayPackets(origin[:, None, None], part.contiguous()))
+        for part in rays.split(size, 1)
+    ]
+    distance, primitive = (
+        torch.cat(column).flatten()[: directions.numel() // 3].view(directions.shape[:-1])
+        for column in zip(*parts, strict=True)
     )
-    return Surface(position, normal.T, uv.T + primitives.uv_origin[hit.primitive])
+    return Hit(distance, primitive)
 
 
 def first_hits(primitives: Primitives, rays: RayPackets) -> tuple[Tensor, Tensor]:
@@ -146,8 +90,8 @@ def first_hits(primitives: Primitives, rays: RayPackets) -> tuple[Tensor, Tensor
         if len(inside := pairs.near.nonzero()[:, 0]):
             first, last = enter.index_select(0, inside), leave.index_select(0, inside)
             enter[inside] = torch.where(first > NEAREST, first, last)
-        # A ray that leaves before it enters misses, by however little; multiplied by something huge that is a distance
-        # no hit has, and a comparison and a choice are saved.
+        # A ray that leaves before it enters misses. By however little it does: times HUGE (1e30) that is farther than
+        # FAR (1e18), where no hit is, and 0 stays 0 for a hit. This saves a comparison and a choice for each pair.
         miss = enter.clamp(min=NEAREST).sub_(leave).clamp_(min=0)
         first = enter.add_(miss, alpha=HUGE)
         packet = pairs.packet[:, None].expand_as(first)
@@ -155,7 +99,10 @@ def first_hits(primitives: Primitives, rays: RayPackets) -> tuple[Tensor, Tensor
         found.append((pairs, packet, first))
     which = torch.full_like(nearest, FAR)
     for pairs, packet, first in found:
-        # The row where this is the nearest, and something very large elsewhere; of equals the first row counts.
+        # `scatter_reduce_` tells the least value of a ray, not whose it is. So all are asked again: each bids its row
+        # of the table plus HUGE times how much later than the nearest it is. For the nearest that is the row alone (a
+        # float32 holds whole numbers up to 2**24); for all others it is beyond FAR, since floats that differ at all
+        # differ by more than FAR / HUGE. Of equals the first row counts; where everything missed FAR remains.
         late = first.sub_(nearest.index_select(0, pairs.packet))
         row = primitives.columns.order.index_select(0, pairs.place).to(late.dtype)
         which.scatter_reduce_(0, packet, torch.add(row[:, None], late, alpha=HUGE), "amin")
@@ -188,30 +135,6 @@ def blocked(primitives: Primitives, rays: RayPackets, limit: Tensor, own: Tensor
             shared[inside] = torch.where(ahead, shared.index_select(0, inside), behind)
         most.scatter_reduce_(0, pairs.packet[:, None].expand_as(shared), shared, "amax")
     return most >= 0
-
-
-def _columns(origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-    """Rays as ``(3, 1 or n)`` and ``(3, n)``."""
-    check_last_dim("directions", directions, 3)
-    check_last_dim("origins", origins, 3)
-    if origins.ndim > 1 and origins.shape != directions.shape:
-        raise ShapeError(
-            f"origins: expected (3,) or the shape of directions {tuple(directions.shape)}, "
-            f"got {tuple(origins.shape)}"
-        )
-    return origins.reshape(-1, 3).T.contiguous(), directions.reshape(-1, 3).T.contiguous()
-
-
-def _chunks(origin: Tensor, direction: Tensor) -> Iterator[tuple[Tensor, RayPackets]]:
-    """Packets of neighbours, and the numbers of the rays in them (without those that fill up the last packet)."""
-    shared = origin.shape[1] == 1
-    order = coherent_order(direction) if shared else None
-    if order is None:
-        order = torch.arange(direction.shape[1], device=direction.device)
-    for part in order.split(chunk_size(direction.device) * RAYS):
-        if len(part):
-            start = origin[:, :, None] if shared else packed(origin.index_select(1, part))
-            yield part, RayPackets(start, packed(direction.index_select(1, part)))
 
 
 def chunk_size(device: torch.device) -> int:

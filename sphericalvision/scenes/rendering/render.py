@@ -18,7 +18,7 @@ from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.cameras.base import check_single
 from sphericalvision.core import ArgumentError, check_last_dim, check_tensor, check_type
 from sphericalvision.scenes.rendering.mesh_scene import MeshScene
-from sphericalvision.scenes.rendering.ray_packets import RAYS, RayPackets, coherent_order, packed
+from sphericalvision.scenes.rendering.ray_packets import RAYS, RayPackets, packed
 from sphericalvision.scenes.rendering.raycast import chunk_size, trace
 from sphericalvision.scenes.rendering.scene import Scene
 from sphericalvision.scenes.rendering.shading import SurfaceTable, radiance
@@ -35,7 +35,8 @@ def ray_depth(
     Args:
         scene: primitives, or a mesh.
         origin: ``(3,)`` metres, for example ``rig.center``.
-        directions: ``(*, 3)`` unit directions of any grid, for example ``Icosphere(5).vertices``.
+        directions: ``(*, 3)`` unit directions of any grid, for example ``Icosphere(5).vertices``; it is fast where
+            neighbours in the tensor are neighbours on the sphere.
 
     Returns:
         Metres along each ray ``(*)``; inf where the ray leaves the scene.
@@ -117,15 +118,8 @@ def render_directions(
     shape = directions.shape[:-1]
     rays = directions.reshape(-1, 3).T.contiguous()
     spread = torch.as_tensor(spread).to(directions).expand(shape).reshape(-1)
-    order = coherent_order(rays)
-    if order is None:
-        order = torch.arange(rays.shape[1], device=rays.device)
-    rays, spread = rays.index_select(1, order), spread.index_select(0, order)
-    light = torch.empty_like(rays)
-    if len(order):
-        packets = _exposed(scene, origin.to(directions), packed(rays), packed(spread))
-        light[:, order] = packets.flatten(1)[:, : len(order)]
-    return _develop(light).view(3, *shape)
+    light = _exposed(scene, origin.to(directions), packed(rays), packed(spread))
+    return _develop(light.flatten(1)[:, : rays.shape[1]]).view(3, *shape)
 
 
 @torch.no_grad()

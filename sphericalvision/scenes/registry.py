@@ -26,8 +26,8 @@ ENTRY_POINTS = "sphericalvision.scenes"
 """Group of entry points, name -> recipe of a scene, in which other packages offer theirs."""
 
 Recipe = Callable[[torch.Generator, float], Scene]
-"""From a generator of randomness and the free space around the rig in metres to a scene: the rig at its origin, y down,
-not yet exposed."""
+"""From ``generator``, the source of every random choice, and ``clear_radius``, metres around the rig in which nothing
+stands, to a scene: the rig at its origin, y down, not yet exposed."""
 
 #: Kinds that take turns from seed to seed, by the name of the mixture. Lists that stay as they are, whatever kinds are
 #: added: so a seed of a mixture means the same scene for ever.

@@ -7,62 +7,46 @@ import math
 
 import torch
 
+from sphericalvision.scenes.kinds import rooms
 from sphericalvision.scenes.kinds.furniture import place
-from sphericalvision.scenes.kinds.palette import Palette
-from sphericalvision.scenes.kinds.rooms import (
-    Opening,
-    Room,
-    add_window,
-    build_shell,
-    decorate,
-    furnish,
-    hang_small_things,
-    random_opening,
-)
+from sphericalvision.scenes.kinds.palette import DAYLIGHT, Palette
 from sphericalvision.scenes.registry import register_scene
-from sphericalvision.scenes.rendering.primitives import Part, pack
-from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.primitives import Part
+from sphericalvision.scenes.rendering.scene import Lamp, Scene
 
 __all__ = ["random_corridor"]
 
 
 @register_scene("corridor")
 def random_corridor(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
-    """A corridor of 10 to 45 m, 1.5 to 3 m wide, around the rig, y down; not yet exposed (see `make_scene`).
-
-    Args:
-        generator: source of every random choice.
-        clear_radius: nothing stands nearer to the origin than this (metres).
-    """
+    """A corridor of 10 to 45 m, 1.5 to 3 m wide, around the rig, y down; not yet exposed (see `make_scene`)."""
     palette = Palette(generator)
     left, right = palette.uniform(0.75, 1.5), palette.uniform(0.75, 1.5)
     back, front = palette.log_uniform(2.0, 15.0), palette.log_uniform(8.0, 30.0)
     height = palette.uniform(2.2, 3.2)
     floor = palette.uniform(0.75, min(1.6, height - 0.75))
-    corridor = Room(palette, (-left, -back), (right, front), floor, floor - height, clear_radius)
-    openings: dict[int, Opening] = {}
+    corridor = rooms.Room(palette, (-left, -back), (right, front), floor, floor - height, clear_radius)
+    openings: dict[int, rooms.Opening] = {}
     if palette.chance(0.6):  # the far end, which is the first of the four sides
-        openings[0] = random_opening(corridor, 0, left + right, 0.9, height - 0.2)
-    build_shell(corridor, openings)
+        openings[0] = rooms.random_opening(corridor, 0, left + right, 0.9, height - 0.2)
+    rooms.build_shell(corridor, openings)
     for opening in openings.values():
-        add_window(corridor, 0, opening)
+        rooms.add_window(corridor, 0, opening)
     _doors(corridor)
     _lamps(corridor)
-    furnish(corridor, palette.integer(1, 5))
-    decorate(corridor)
-    hang_small_things(corridor)
-    return Scene(
-        primitives=pack(corridor.parts),
-        materials=pack_materials(palette.materials),
-        lamps=pack_lamps(corridor.lamps),
+    rooms.furnish(corridor, palette.integer(1, 5))
+    rooms.decorate(corridor)
+    rooms.hang_small_things(corridor)
+    return palette.scene(
+        corridor.parts,
+        corridor.lamps,
         ambient=palette.uniform(0.08, 0.16)
         * torch.tensor([1.0, palette.uniform(0.9, 1.0), palette.uniform(0.8, 1)]),
-        background=torch.tensor([[0.45, 0.6, 0.9], [0.35, 0.33, 0.3]]) * palette.uniform(0.5, 1.2),
-        exposure=torch.tensor(1.0),
+        background=DAYLIGHT * palette.uniform(0.5, 1.2),
     )
 
 
-def _doors(corridor: Room) -> None:
+def _doors(corridor: rooms.Room) -> None:
     """Closed doors with frames and handles along the two long walls."""
     palette = corridor.palette
     material, frame, handle = palette.any_surface(1.5), palette.paint(), palette.metal()
@@ -88,7 +72,7 @@ def _doors(corridor: Room) -> None:
             corridor.add(place(leaf, x, 0.0, z, yaw))
 
 
-def _lamps(corridor: Room) -> None:
+def _lamps(corridor: rooms.Room) -> None:
     """Flat lamps in a row under the ceiling, of which the nearest few light."""
     palette = corridor.palette
     start, end = corridor.low[1], corridor.high[1]

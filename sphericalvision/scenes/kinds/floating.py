@@ -11,7 +11,7 @@ import torch
 from sphericalvision.scenes.kinds.palette import Palette
 from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, pack
-from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.scene import Lamp, Scene
 
 __all__ = ["random_floating_objects"]
 
@@ -20,10 +20,6 @@ __all__ = ["random_floating_objects"]
 def random_floating_objects(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """Many textured objects and thin rods in mid-air, the rig at the origin; not yet exposed (see
     `make_scene`).
-
-    Args:
-        generator: source of every random choice.
-        clear_radius: nothing floats nearer to the origin than this (metres).
     """
     palette = Palette(generator)
     far = palette.log_uniform(12.0, 80.0)
@@ -52,13 +48,10 @@ def random_floating_objects(generator: torch.Generator, clear_radius: float = 0.
                 away,
             )
         )
-    return Scene(
-        primitives=pack(parts),
-        materials=pack_materials(palette.materials),
-        lamps=pack_lamps(lamps),
+    return palette.scene(
+        parts,
+        lamps,
         ambient=palette.uniform(0.1, 0.2) * torch.ones(3),
-        background=torch.zeros(2, 3),
-        exposure=torch.tensor(1.0),
     )
 
 

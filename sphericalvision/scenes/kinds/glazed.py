@@ -7,25 +7,13 @@ import math
 
 import torch
 
+from sphericalvision.scenes.kinds import rooms
 from sphericalvision.scenes.kinds.furniture import place
 from sphericalvision.scenes.kinds.labels import labelled
-from sphericalvision.scenes.kinds.palette import Palette
-from sphericalvision.scenes.kinds.rooms import (
-    Opening,
-    Room,
-    add_frame,
-    add_window,
-    build_shell,
-    decorate,
-    furnish,
-    hang_lamps,
-    hang_small_things,
-    random_opening,
-    wall_piece,
-)
+from sphericalvision.scenes.kinds.palette import DAYLIGHT, Palette, level
 from sphericalvision.scenes.registry import register_scene
-from sphericalvision.scenes.rendering.primitives import Part, pack
-from sphericalvision.scenes.rendering.scene import Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.primitives import Part
+from sphericalvision.scenes.rendering.scene import Scene
 
 __all__ = ["random_glazed_room"]
 
@@ -40,65 +28,60 @@ def random_glazed_room(generator: torch.Generator, clear_radius: float = 0.6) ->
     Windows are hatches to walls of glass. Bars divide one into any number of panes, or none; curtains hang beside some.
     Outside is the sky over a ground that may lie some floors lower, with or without houses and trees, mostly brighter
     than the room. A window without a view and a bright picture on a wall differ in little but the frame and the light.
-
-    Args:
-        generator: source of every random choice.
-        clear_radius: nothing stands nearer to the origin than this (metres).
     """
     palette = Palette(generator)
     sides = [palette.log_uniform(1.2, 6.0) for _ in range(4)]
     height = palette.uniform(2.3, 3.6)
     floor = palette.uniform(0.75, min(1.7, height - 0.8))
-    room = Room(palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius)
+    room = rooms.Room(
+        palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius
+    )
     order = torch.randperm(4, generator=generator).tolist()
     openings = {side: _opening(room, side) for side in order[: palette.integer(2, 4)]}
-    build_shell(room, openings)
-    hang_lamps(room, palette.integer(1, 2))
+    rooms.build_shell(room, openings)
+    rooms.hang_lamps(room, palette.integer(1, 2))
     for side, opening in openings.items():
-        (add_window if palette.chance(0.15) else _glaze)(room, side, opening)
+        (rooms.add_window if palette.chance(0.15) else _glaze)(room, side, opening)
     if palette.chance(0.7):
         _outside(room)
-    furnish(room, palette.integer(3, 14))
-    decorate(room)
-    hang_small_things(room)
-    blue = torch.tensor([[0.45, 0.6, 0.9], [0.35, 0.33, 0.3]])
-    return Scene(
-        primitives=pack(room.parts),
-        materials=pack_materials(palette.materials),
-        lamps=pack_lamps(room.lamps),
+    rooms.furnish(room, palette.integer(3, 14))
+    rooms.decorate(room)
+    rooms.hang_small_things(room)
+    return palette.scene(
+        room.parts,
+        room.lamps,
         ambient=palette.uniform(0.06, 0.16) * torch.ones(3),
-        background=blue * palette.log_uniform(0.4, 3.0),
-        exposure=torch.tensor(1.0),
+        background=DAYLIGHT * palette.log_uniform(0.4, 3.0),
     )
 
 
-def _opening(room: Room, side: int) -> Opening:
+def _opening(room: rooms.Room, side: int) -> rooms.Opening:
     """A hatch, a window, a French window or most of the wall."""
     palette = room.palette
     kind = palette.uniform()
     if kind < 0.25:
         bottom = palette.uniform(0.8, 1.4)
-        return random_opening(
+        return rooms.random_opening(
             room, side, palette.uniform(0.3, 0.8), bottom, bottom + palette.uniform(0.3, 0.9)
         )
     if kind < 0.65:
         bottom = palette.uniform(0.3, 1.0)
-        return random_opening(room, side, palette.uniform(0.8, 2.4), bottom, palette.uniform(1.6, 2.4))
+        return rooms.random_opening(room, side, palette.uniform(0.8, 2.4), bottom, palette.uniform(1.6, 2.4))
     if kind < 0.85:
-        return random_opening(room, side, palette.uniform(0.8, 2.0), 0.02, palette.uniform(2.0, 2.4))
-    return random_opening(
+        return rooms.random_opening(room, side, palette.uniform(0.8, 2.0), 0.02, palette.uniform(2.0, 2.4))
+    return rooms.random_opening(
         room, side, palette.uniform(2.0, 9.0), palette.uniform(0.02, 0.6), palette.uniform(2.1, 3.3)
     )
 
 
-def _glaze(room: Room, side: int, opening: Opening) -> None:
+def _glaze(room: rooms.Room, side: int, opening: rooms.Opening) -> None:
     """A frame, bars between panes, and perhaps curtains; what is behind is left as it is."""
     palette = room.palette
     yaw, x, z, start, end = room.sides()[side]
     first, last, upper, lower = opening
     material = palette.paint() if palette.chance(0.6) else palette.metal()
     if palette.chance(0.85):
-        add_frame(room, side, opening, material, "window")
+        rooms.add_frame(room, side, opening, material, "window")
     along, down, wide, high = (first + last) / 2, (upper + lower) / 2, last - first, lower - upper
     thick = palette.uniform(0.012, 0.04)
     upright, level = palette.choose(((0, 0), (1, 0), (1, 1), (2, 1), (int(wide / 0.7), int(high / 0.9))))
@@ -117,19 +100,15 @@ def _glaze(room: Room, side: int, opening: Opening) -> None:
         top, bottom = max(upper - 0.1, room.ceiling), min(lower + 0.1, room.floor)
         for left, right in ((first - 0.2, first + drawn), (last - drawn, last + 0.2)):
             piece = (max(left, start), min(right, end), top, bottom)
-            room.add(labelled(wall_piece(cloth, yaw, x, z, piece, casts=False, lift=0.08), "window"))
+            room.add(labelled(rooms.wall_piece(cloth, yaw, x, z, piece, casts=False, lift=0.08), "window"))
 
 
-def _outside(room: Room) -> None:
+def _outside(room: rooms.Room) -> None:
     """A ground below or at the room's floor, and houses and trees on it."""
     palette = room.palette
     below = room.floor + (0.05 if palette.chance(0.5) else palette.log_uniform(1.0, 15.0))
-    flat = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
     ground = _shone_upon(palette, palette.patterned(tile=palette.uniform(1.5, 6.0)))
-    level = Part(
-        "rectangle", (0.0, below, 0.0), (OUTSIDE, OUTSIDE, 1.0), ground, rotation=flat, casts_shadow=False
-    )
-    parts = [level]
+    parts = [level(0.0, below, 0.0, OUTSIDE, OUTSIDE, ground)]
     reach = math.hypot(*(max(abs(a), abs(b)) for a, b in zip(room.low, room.high, strict=True)))
     for _ in range(palette.integer(0, 6)):
         away, turn = reach + palette.log_uniform(1.5, 50.0), palette.uniform(0, 2 * math.pi)

@@ -7,48 +7,42 @@ import math
 
 import torch
 
+from sphericalvision.scenes.kinds import rooms
 from sphericalvision.scenes.kinds.furniture import place
 from sphericalvision.scenes.kinds.palette import Palette
-from sphericalvision.scenes.kinds.rooms import Room, build_shell, decorate, furnish, hang_small_things
 from sphericalvision.scenes.registry import register_scene
-from sphericalvision.scenes.rendering.primitives import Part, pack
-from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.primitives import Part
+from sphericalvision.scenes.rendering.scene import Lamp, Scene
 
 __all__ = ["random_hall"]
 
 
 @register_scene("hall")
 def random_hall(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
-    """A hall of 10 to 40 m with the rig somewhere in it, y down; not yet exposed (see `make_scene`).
-
-    Args:
-        generator: source of every random choice.
-        clear_radius: nothing stands nearer to the origin than this (metres).
-    """
+    """A hall of 10 to 40 m with the rig somewhere in it, y down; not yet exposed (see `make_scene`)."""
     palette = Palette(generator)
     sides = [palette.log_uniform(3.0, 20.0) for _ in range(4)]
     height, floor = palette.uniform(5.0, 11.0), palette.uniform(0.75, 1.7)
-    hall = Room(palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius)
-    build_shell(hall, {})
+    hall = rooms.Room(
+        palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius
+    )
+    rooms.build_shell(hall, {})
     _columns(hall)
     _beams(hall)
     _strip_lights(hall, palette.integer(2, 3))
     for _ in range(palette.integer(4, 12)):
         _crates(hall)
-    furnish(hall, palette.integer(4, 10))
-    decorate(hall)
-    hang_small_things(hall)
-    return Scene(
-        primitives=pack(hall.parts),
-        materials=pack_materials(palette.materials),
-        lamps=pack_lamps(hall.lamps),
+    rooms.furnish(hall, palette.integer(4, 10))
+    rooms.decorate(hall)
+    rooms.hang_small_things(hall)
+    return palette.scene(
+        hall.parts,
+        hall.lamps,
         ambient=palette.uniform(0.08, 0.16) * torch.tensor([1.0, 1.0, palette.uniform(0.9, 1.1)]),
-        background=torch.zeros(2, 3),
-        exposure=torch.tensor(1.0),
     )
 
 
-def _columns(hall: Room) -> None:
+def _columns(hall: rooms.Room) -> None:
     """Rows of equal columns from floor to ceiling, without those that would stand at the rig."""
     palette = hall.palette
     step, thickness = palette.uniform(3.0, 7.0), palette.uniform(0.12, 0.4)
@@ -64,7 +58,7 @@ def _columns(hall: Room) -> None:
                 hall.circles.append((x, z, 1.5 * thickness))
 
 
-def _beams(hall: Room) -> None:
+def _beams(hall: rooms.Room) -> None:
     """Beams across the ceiling."""
     palette = hall.palette
     (x0, z0), (x1, z1) = hall.low, hall.high
@@ -75,7 +69,7 @@ def _beams(hall: Room) -> None:
         hall.add([Part("box", middle, ((x1 - x0) / 2, deep, thick), material, casts_shadow=False)])
 
 
-def _strip_lights(hall: Room, count: int) -> None:
+def _strip_lights(hall: rooms.Room, count: int) -> None:
     """Long glowing boxes under the ceiling; the middle of each is the lamp that lights."""
     palette = hall.palette
     (x0, z0), (x1, z1) = hall.low, hall.high
@@ -88,7 +82,7 @@ def _strip_lights(hall: Room, count: int) -> None:
         hall.lamps.append(Lamp((x, y + 0.1, z), (power, power, 0.95 * power), reach=2.0))
 
 
-def _crates(hall: Room) -> None:
+def _crates(hall: rooms.Room) -> None:
     """A few boxes or barrels on top of each other."""
     palette = hall.palette
     (x0, z0), (x1, z1) = hall.low, hall.high

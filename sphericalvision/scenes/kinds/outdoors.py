@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 import torch
 
 from sphericalvision.scenes.kinds.furniture import footprint_radius, place
-from sphericalvision.scenes.kinds.palette import Palette
+from sphericalvision.scenes.kinds.palette import Palette, level
 from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
-from sphericalvision.scenes.rendering.scene import Color, Lamp, Material, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.scene import Color, Lamp, Material, Scene
 from sphericalvision.scenes.rendering.textures import PHOTOGRAPHS
 
 __all__ = ["random_outdoor_place"]
@@ -51,12 +51,7 @@ class _Place:
 @register_scene("skies", other_sky=True)
 @register_scene("outdoors")
 def random_outdoor_place(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
-    """A street, yard or meadow with the rig at its origin, y down; not yet exposed (see `make_scene`).
-
-    Args:
-        generator: source of every random choice.
-        clear_radius: nothing stands nearer to the origin than this (metres).
-    """
+    """A street, yard or meadow with the rig at its origin, y down; not yet exposed (see `make_scene`)."""
     palette = Palette(generator)
     spot = _Place(palette, palette.uniform(0.75, 1.8), clear_radius)
     _ground(spot)
@@ -73,13 +68,11 @@ def random_outdoor_place(generator: torch.Generator, clear_radius: float = 0.6) 
     cloudy = palette.uniform()
     zenith = torch.lerp(torch.tensor([0.2, 0.42, 0.95]), torch.tensor([0.65, 0.68, 0.72]), cloudy)
     haze = torch.lerp(torch.tensor([0.7, 0.8, 0.95]), torch.tensor([0.8, 0.8, 0.8]), cloudy)
-    return Scene(
-        primitives=pack(spot.parts),
-        materials=pack_materials(palette.materials),
-        lamps=pack_lamps([_sun(palette, cloudy)]),
+    return palette.scene(
+        spot.parts,
+        [_sun(palette, cloudy)],
         ambient=0.3 * zenith + 0.12,
         background=torch.stack([zenith, haze]) * palette.uniform(0.9, 1.2),
-        exposure=torch.tensor(1.0),
     )
 
 
@@ -111,13 +104,8 @@ def _ground(spot: _Place) -> None:
         ),
     )
     first = palette.integer(0, 3)
-    flat = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
-    half = (HORIZON, HORIZON, 1.0)
     # Nothing is below the ground, so it need not cast a shadow.
-    below = Part(
-        "rectangle", (0.0, spot.ground, 0.0), half, kinds[first](), rotation=flat, casts_shadow=False
-    )
-    spot.parts.append(below)
+    spot.parts.append(level(0.0, spot.ground, 0.0, HORIZON, HORIZON, kinds[first]()))
     if palette.chance(0.7):
         wide, x = palette.uniform(1.0, 4.0), palette.uniform(-5.0, 5.0)
         road = Part("box", (x, spot.ground + 0.08, 0.0), (wide, 0.1, HORIZON), kinds[(first + 2) % 4]())
@@ -149,8 +137,8 @@ def _house(palette: Palette) -> list[Part]:
         Part("box", (palette.uniform(-0.6, 0.6) * x, -1.05, z), (0.5, 1.05, 0.05), frame),
     ]
     wide, step = palette.uniform(0.35, 0.7), palette.uniform(1.6, 2.6)
-    for level in range(1, int(height / 2.8) + 1):
-        y = -2.8 * level + 1.1
+    for storey in range(1, int(height / 2.8) + 1):
+        y = -2.8 * storey + 1.1
         for k in range(int((2 * x - 0.8) / step)):
             across = -x + 0.9 + k * step
             for side in (-1, 1):

@@ -10,12 +10,16 @@ from typing import TypeVar
 
 import torch
 
-from sphericalvision.scenes.rendering.scene import Color, Material
+from sphericalvision.scenes.rendering.primitives import Part, pack
+from sphericalvision.scenes.rendering.scene import Color, Lamp, Material, Scene, pack_lamps, pack_materials
 from sphericalvision.scenes.rendering.textures import PATTERNS, PHOTOGRAPHS, VARIANTS
 
-__all__ = ["Palette"]
+__all__ = ["DAYLIGHT", "Palette", "level"]
 
 Item = TypeVar("Item")
+
+DAYLIGHT = torch.tensor([[0.45, 0.6, 0.9], [0.35, 0.33, 0.3]])
+"""A blue sky over grey ground, as a background."""
 
 
 class Palette:
@@ -136,3 +140,29 @@ class Palette:
     def glowing(self, color: Color, emission: float) -> int:
         """A plain surface that gives off light."""
         return self.add(Material(texture=0, dark=color, bright=color, emission=emission))
+
+    def scene(
+        self,
+        parts: Sequence[Part],
+        lamps: Sequence[Lamp],
+        ambient: torch.Tensor,
+        background: torch.Tensor | None = None,
+    ) -> Scene:
+        """The scene of these parts in the palette's materials, under a black sky unless told; not yet exposed."""
+        return Scene(
+            primitives=pack(parts),
+            materials=pack_materials(self.materials),
+            lamps=pack_lamps(lamps),
+            ambient=ambient,
+            background=torch.zeros(2, 3) if background is None else background,
+            exposure=torch.tensor(1.0),
+        )
+
+
+def level(
+    x: float, y: float, z: float, wide: float, deep: float, material: int, casts: bool = False, label: int = 0
+) -> Part:
+    """A level rectangle around (x, y, z) that reaches ``wide`` and ``deep`` metres along x and z to either side."""
+    flat = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    half = (wide, deep, 1.0)
+    return Part("rectangle", (x, y, z), half, material, rotation=flat, casts_shadow=casts, label=label)

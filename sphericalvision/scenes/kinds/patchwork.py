@@ -8,11 +8,11 @@ import math
 import torch
 
 from sphericalvision.scenes.kinds.furniture import footprint_radius, place
-from sphericalvision.scenes.kinds.palette import Palette
+from sphericalvision.scenes.kinds.palette import Palette, level
 from sphericalvision.scenes.kinds.rooms import Room, wall_piece
 from sphericalvision.scenes.registry import register_scene
-from sphericalvision.scenes.rendering.primitives import Part, pack
-from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.primitives import Part
+from sphericalvision.scenes.rendering.scene import Lamp, Scene
 
 __all__ = ["LAMPLESS", "any_picture", "lamps_near", "random_patchwork"]
 
@@ -31,10 +31,6 @@ def random_patchwork(generator: torch.Generator, clear_radius: float = 0.6) -> S
     Nothing is as one would expect it: the rig is anywhere between floor and ceiling, or up to eight metres above the
     ground, and every surface shows a photograph or pattern of any size, or a plain colour. So depth can be told by
     nothing but parallax. In other scenes the ground is always as far below the rig as people hold one.
-
-    Args:
-        generator: source of every random choice.
-        clear_radius: nothing stands nearer to the origin than this (metres).
     """
     palette = Palette(generator)
     lampless, plain = palette.chance(LAMPLESS), palette.choose((0.05, 0.2, 0.8))
@@ -54,13 +50,10 @@ def random_patchwork(generator: torch.Generator, clear_radius: float = 0.6) -> S
         for _ in range(palette.integer(0, 8)):
             _block(spot, plain)
     lamps = [] if lampless else lamps_near(palette, clear_radius, spot.floor - spot.ceiling, is_open)
-    return Scene(
-        primitives=pack(spot.parts),
-        materials=pack_materials(palette.materials),
-        lamps=pack_lamps(lamps),
+    return palette.scene(
+        spot.parts,
+        lamps,
         ambient=torch.full((3,), 1.0 if lampless else palette.uniform(0.15, 0.5)),
-        background=torch.zeros(2, 3),
-        exposure=torch.tensor(1.0),
     )
 
 
@@ -101,19 +94,13 @@ def _shell(spot: Room, is_open: bool, plain: float) -> None:
     palette = spot.palette
     (x0, z0), (x1, z1) = spot.low, spot.high
     x, z, wide, deep = (x0 + x1) / 2, (z0 + z1) / 2, (x1 - x0) / 2, (z1 - z0) / 2
-    flat = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
     tiled = palette.log_uniform(0.7, 8.0) if is_open else 2 * max(wide, deep)
     ground = any_picture(palette, 0.3 * plain if is_open else plain, tiled)
-    level = Part(
-        "rectangle", (x, spot.floor, z), (wide, deep, 1.0), ground, rotation=flat, casts_shadow=False
-    )
-    spot.parts.append(level)
+    spot.parts.append(level(x, spot.floor, z, wide, deep, ground))
     if is_open:
         return
     above = any_picture(palette, max(plain, 0.4), tiled)
-    spot.parts.append(
-        Part("rectangle", (x, spot.ceiling, z), (wide, deep, 1.0), above, rotation=flat, casts_shadow=False)
-    )
+    spot.parts.append(level(x, spot.ceiling, z, wide, deep, above))
     alike = any_picture(palette, plain, 2 * max(wide, deep))
     for yaw, wx, wz, start, end in spot.sides():
         material = alike if palette.chance(0.5) else any_picture(palette, plain, end - start)

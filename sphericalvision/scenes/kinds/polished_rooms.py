@@ -7,21 +7,12 @@ from dataclasses import replace
 
 import torch
 
+from sphericalvision.scenes.kinds import rooms
 from sphericalvision.scenes.kinds.furniture import place
-from sphericalvision.scenes.kinds.palette import Palette
-from sphericalvision.scenes.kinds.rooms import (
-    Room,
-    add_window,
-    build_shell,
-    decorate,
-    furnish,
-    hang_lamps,
-    hang_small_things,
-    random_opening,
-)
+from sphericalvision.scenes.kinds.palette import DAYLIGHT, Palette
 from sphericalvision.scenes.registry import register_scene
-from sphericalvision.scenes.rendering.primitives import Part, pack
-from sphericalvision.scenes.rendering.scene import Material, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.primitives import Part
+from sphericalvision.scenes.rendering.scene import Material, Scene
 
 __all__ = ["random_polished_room"]
 
@@ -31,38 +22,34 @@ def random_polished_room(generator: torch.Generator, clear_radius: float = 0.6) 
     """A room on a floor that mirrors a third to three quarters of its light; not yet exposed (see `make_scene`).
 
     Depth is that of the floor itself, which the mirrored room below it is not: what photo-consistency gets wrong.
-
-    Args:
-        generator: source of every random choice.
-        clear_radius: nothing stands nearer to the origin than this (metres).
     """
     palette = Palette(generator)
     sides = [palette.log_uniform(1.5, 8.0) for _ in range(4)]
     height = palette.uniform(2.4, 4.5)
     floor = palette.uniform(0.75, min(1.7, height - 0.8))
-    room = Room(palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius)
+    room = rooms.Room(
+        palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius
+    )
     side = palette.integer(0, 3)
-    window = random_opening(room, side, palette.uniform(1.0, 2.5), 0.5, 2.1)
-    build_shell(room, {side: window})
+    window = rooms.random_opening(room, side, palette.uniform(1.0, 2.5), 0.5, 2.1)
+    rooms.build_shell(room, {side: window})
     _polish(room)
-    hang_lamps(room, palette.integer(1, 2))
-    add_window(room, side, window)
+    rooms.hang_lamps(room, palette.integer(1, 2))
+    rooms.add_window(room, side, window)
     if palette.chance(0.4):
         _wall_mirror(room, (side + 1) % 4)
-    furnish(room, palette.integer(6, 14))
-    decorate(room, rug=False)
-    hang_small_things(room)
-    return Scene(
-        primitives=pack(room.parts),
-        materials=pack_materials(palette.materials),
-        lamps=pack_lamps(room.lamps),
+    rooms.furnish(room, palette.integer(6, 14))
+    rooms.decorate(room, rug=False)
+    rooms.hang_small_things(room)
+    return palette.scene(
+        room.parts,
+        room.lamps,
         ambient=palette.uniform(0.08, 0.16) * torch.ones(3),
-        background=torch.tensor([[0.45, 0.6, 0.9], [0.35, 0.33, 0.3]]) * palette.uniform(0.5, 1.2),
-        exposure=torch.tensor(1.0),
+        background=DAYLIGHT * palette.uniform(0.5, 1.2),
     )
 
 
-def _polish(room: Room) -> None:
+def _polish(room: rooms.Room) -> None:
     """Give the floor, which is the first part of a shell, a material that mirrors."""
     palette = room.palette
     names = ("marble", "tiles", "noise", "checks")
@@ -71,7 +58,7 @@ def _polish(room: Room) -> None:
     room.parts[0] = replace(room.parts[0], material=ground)
 
 
-def _wall_mirror(room: Room, side: int) -> None:
+def _wall_mirror(room: rooms.Room, side: int) -> None:
     """A mirror in a frame on a wall."""
     palette = room.palette
     yaw, x, z, start, end = room.sides()[side]

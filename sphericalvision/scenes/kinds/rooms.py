@@ -16,16 +16,17 @@ from sphericalvision.scenes.kinds.furniture import (
     place,
 )
 from sphericalvision.scenes.kinds.labels import labelled
-from sphericalvision.scenes.kinds.palette import Palette
+from sphericalvision.scenes.kinds.palette import DAYLIGHT, Palette, level
 from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
-from sphericalvision.scenes.rendering.scene import Lamp, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.scene import Lamp, Scene
 
 __all__ = [
     "Opening",
     "Room",
     "add_door",
     "add_frame",
+    "add_shell",
     "add_window",
     "build_shell",
     "decorate",
@@ -96,12 +97,7 @@ def _from_floor_to_ceiling(part: Part, height: float) -> Part:
 
 @register_scene("room")
 def random_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
-    """A furnished room with the rig at its origin, y down; not yet exposed (see `make_scene`).
-
-    Args:
-        generator: source of every random choice.
-        clear_radius: nothing stands nearer to the origin than this (metres).
-    """
+    """A furnished room with the rig at its origin, y down; not yet exposed (see `make_scene`)."""
     palette = Palette(generator)
     sides = [palette.log_uniform(1.2, 6.0) for _ in range(4)]
     height = palette.uniform(2.3, 3.4) if palette.chance(0.8) else palette.uniform(3.4, 5.0)
@@ -128,13 +124,11 @@ def random_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     decorate(room)
     hang_small_things(room)
     ambient = palette.uniform(0.06, 0.14)
-    return Scene(
-        primitives=pack(room.parts),
-        materials=pack_materials(palette.materials),
-        lamps=pack_lamps(room.lamps),
+    return palette.scene(
+        room.parts,
+        room.lamps,
         ambient=ambient * torch.tensor([1.0, palette.uniform(0.9, 1.0), palette.uniform(0.8, 1.1)]),
-        background=torch.tensor([[0.45, 0.6, 0.9], [0.35, 0.33, 0.3]]) * palette.uniform(0.5, 1.2),
-        exposure=torch.tensor(1.0),
+        background=DAYLIGHT * palette.uniform(0.5, 1.2),
     )
 
 
@@ -161,41 +155,41 @@ def wall_piece(
 
 
 def build_shell(room: Room, openings: dict[int, Opening], skip: int | None = None) -> None:
-    """Floor, ceiling and walls, with holes where the openings are."""
+    """Floor, ceiling and walls of any look, with holes where the openings are."""
     palette = room.palette
-    (x0, z0), (x1, z1) = room.low, room.high
     glossy = palette.uniform(0.08, 0.3) if palette.chance(0.35) else 0.0
     grounds = ("wood", "wood", "tiles", "checks", "noise", "weave", "marble", "mosaic", "bricks")
     ground = palette.patterned(grounds, palette.uniform(0.8, 2.5), palette.uniform(0.6, 1.0), mirror=glossy)
     roof = palette.paint() if palette.chance(0.7) else palette.any_surface(2.0)
-    middle = ((x0 + x1) / 2, (z0 + z1) / 2)
-    half = ((x1 - x0) / 2, (z1 - z0) / 2, 1.0)
-    flat = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
-    # Only with an opening can a lamp stand on the other side of these.
-    casts = bool(openings)
-    for y, material, name in ((room.floor, ground, "floor"), (room.ceiling, roof, "ceiling")):
-        plane = Part(
-            "rectangle", (middle[0], y, middle[1]), half, material, rotation=flat, casts_shadow=casts
-        )
-        room.parts += labelled([plane], name)
     wall = palette.paint() if palette.chance(0.4) else palette.any_surface(2.5)
-    for side, (yaw, x, z, start, end) in enumerate(room.sides()):
-        if side == skip:
-            continue
-        material = wall if palette.chance(0.6) else palette.any_surface(2.5)
-        if side not in openings:
-            whole = (start, end, room.ceiling, room.floor)
-            room.parts += labelled(wall_piece(material, yaw, x, z, whole, casts), "wall")
-            continue
-        first, last, upper, lower = openings[side]
-        pieces = (
-            (start, first, room.ceiling, room.floor),
-            (last, end, room.ceiling, room.floor),
-            (first, last, room.ceiling, upper),
-            (first, last, lower, room.floor),
-        )
+    walls = {
+        side: wall if palette.chance(0.6) else palette.any_surface(2.5) for side in range(4) if side != skip
+    }
+    # Only with an opening can a lamp stand on the other side of these.
+    add_shell(room, ground, roof, walls, openings, casts=bool(openings))
+
+
+def add_shell(
+    room: Room, ground: int, roof: int, walls: dict[int, int], openings: dict[int, Opening], casts: bool
+) -> None:
+    """Floor, ceiling and walls of given materials, with holes where the openings are."""
+    (x0, z0), (x1, z1) = room.low, room.high
+    for y, material, name in ((room.floor, ground, "floor"), (room.ceiling, roof, "ceiling")):
+        plane = level((x0 + x1) / 2, y, (z0 + z1) / 2, (x1 - x0) / 2, (z1 - z0) / 2, material, casts)
+        room.parts += labelled([plane], name)
+    for side, material in walls.items():
+        yaw, x, z, start, end = room.sides()[side]
+        pieces = [(start, end, room.ceiling, room.floor)]
+        if side in openings:
+            first, last, upper, lower = openings[side]
+            pieces = [
+                (start, first, room.ceiling, room.floor),
+                (last, end, room.ceiling, room.floor),
+                (first, last, room.ceiling, upper),
+                (first, last, lower, room.floor),
+            ]
         for piece in pieces:
-            room.parts += labelled(wall_piece(material, yaw, x, z, piece, casts=True), "wall")
+            room.parts += labelled(wall_piece(material, yaw, x, z, piece, casts), "wall")
 
 
 def add_frame(room: Room, side: int, opening: Opening, material: int, name: str) -> None:

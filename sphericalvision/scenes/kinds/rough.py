@@ -11,7 +11,7 @@ from sphericalvision.scenes.kinds.palette import Palette
 from sphericalvision.scenes.kinds.patchwork import LAMPLESS, any_picture, lamps_near
 from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
-from sphericalvision.scenes.rendering.scene import Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.scene import Scene
 
 __all__ = ["random_rough_place"]
 
@@ -32,10 +32,6 @@ def random_rough_place(generator: torch.Generator, clear_radius: float = 0.6) ->
     A cave is what up to three hollow balls, boxes and cylinders have in common, each turned anyhow. In other scenes
     floors are level and walls upright, and a network learns to count on it; scans of terrain, tunnels and attics are
     not so, and rigs are not held level.
-
-    Args:
-        generator: source of every random choice.
-        clear_radius: nothing stands nearer to the origin than this (metres).
     """
     palette = Palette(generator)
     lampless, plain = palette.chance(LAMPLESS), palette.choose((0.05, 0.1, 0.5))
@@ -47,13 +43,10 @@ def random_rough_place(generator: torch.Generator, clear_radius: float = 0.6) ->
         if _clear(part, clear_radius):
             parts.append(part)
     lamps = [] if lampless else lamps_near(palette, clear_radius, palette.uniform(2.0, 5.0), is_open)
-    return Scene(
-        primitives=pack(parts),
-        materials=pack_materials(palette.materials),
-        lamps=pack_lamps(lamps),
+    return palette.scene(
+        parts,
+        lamps,
         ambient=torch.full((3,), 1.0 if lampless else palette.uniform(0.15, 0.5)),
-        background=torch.zeros(2, 3),
-        exposure=torch.tensor(1.0),
     )
 
 

@@ -4,12 +4,14 @@ from .classifier import SphereClassifier as SphereClassifier
 from .icosweepnet import IcoSweepNet as IcoSweepNet
 from .omnimvs import OmniMVS as OmniMVS
 from .refinedsweepnet import RefinedSweepNet as RefinedSweepNet
+from .romnistereo import RomniStereo as RomniStereo
 from .segmenter import SphereSegmenter as SphereSegmenter
 from .training_free import ConstantDepth as ConstantDepth
 from .training_free import SemiGlobalSweep as SemiGlobalSweep
 from .training_free import WinnerTakesAll as WinnerTakesAll
 from .weights import available_weights as available_weights
 from .weights import load_reference_checkpoint as load_reference_checkpoint
+from .weights import load_romnistereo_checkpoint as load_romnistereo_checkpoint
 from .weights import load_weights as load_weights
 from .weights import pretrained as pretrained
 from .weights import register_network as register_network

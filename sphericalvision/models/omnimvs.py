@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures, Transference
 from sphericalvision.models.weights.registry import register_network
@@ -146,7 +146,8 @@ class OmniMVS(DepthNetwork):
         Raises:
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
-        tables = self._fitting_tables(rig, images, seen)
+        self.check_images(images, seen)
+        tables = self.sweep.tables_for(images, rig)
         features = self.extract_features(images)
         swept = self.sweep_features(features, tables, seen)
         volume = self.aggregation(swept)
@@ -180,20 +181,6 @@ class OmniMVS(DepthNetwork):
         return SweepVolume(
             torch.stack(volumes, 1), points_seen.expand(len(features), *points_seen.shape[-4:])
         )
-
-    def _fitting_tables(
-        self, rig: CameraRig | PanoramaTables, images: Tensor, seen: Tensor | None
-    ) -> PanoramaTables:
-        """The tables of a rig, if the images are of the size and the number that it asks for."""
-        tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
-        self.check_images(images, seen)
-        if tuple(images.shape[-2:]) != tables.image_size:
-            height, width = tables.image_size
-            raise ShapeError(
-                f"images: the rig is calibrated for {height} x {width} (height x width), "
-                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
-            )
-        return tables
 
     def _estimate(self, scores: Tensor, tables: PanoramaTables, seen: Tensor | None) -> DepthEstimate:
         """Index and confidence of scores ``(B, N, h * w)``, and what was seen at the nearest sphere that is swept."""

@@ -136,6 +136,23 @@ class PanoramaSweep(nn.Module):
         grid = self._normalized(pixels, seen, size)
         return PanoramaTables(grid.unflatten(-2, self.grid.shape), seen.unflatten(-1, self.grid.shape), size)
 
+    def tables_for(
+        self, images: Float[Tensor, "B _ C H W"], rig: CameraRig | PanoramaTables
+    ) -> PanoramaTables:
+        """Return the tables of a rig, if the images are of the size that it asks for.
+
+        Raises:
+            ShapeError: if they are not.
+        """
+        tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
+        if tuple(images.shape[-2:]) != tables.image_size:
+            height, width = tables.image_size
+            raise ShapeError(
+                f"images: the rig is calibrated for {height} x {width} (height x width), "
+                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
+            )
+        return tables
+
     def _normalized(self, pixels: Tensor, seen: Tensor, image_size: tuple[int, int]) -> Tensor:
         """Places (*, 2) on the maps, as grid_sample counts them."""
         height, width = map_size(image_size, self.stride)

@@ -26,6 +26,7 @@ from sphericalvision.models import (
     IcoSweepNet,
     OmniMVS,
     RefinedSweepNet,
+    RomniStereo,
     SemiGlobalSweep,
     WinnerTakesAll,
     load_weights,
@@ -85,6 +86,14 @@ def trained(net: DepthNetwork) -> DepthNetwork:
     return net
 
 
+def moving(net: RomniStereo) -> RomniStereo:
+    """The network with steps of more than a hypothesis, which a new one does not make."""
+    with torch.no_grad():
+        net.update.step[1].weight.mul_(100)
+        net.update.step[1].bias.fill_(4)
+    return net
+
+
 NETWORKS = {
     "icosweepnet": Example(
         lambda: IcoSweepNet(3, 4, **SMALL), {"level": 4, "min_depth": 0.3}, {"feature_channels": 3}
@@ -117,6 +126,18 @@ NETWORKS = {
         ),
         {"level": 4, "num_hypotheses": 9, "min_depth": 0.3},
         {"widths": (4, 6)},
+    ),
+    "romnistereo": Example(
+        lambda: moving(RomniStereo(16, feature_channels=2, output_size=(8, 16), in_channels=3, iterations=2)),
+        {"min_depth": 0.3, "output_size": (16, 32), "iterations": 3},
+        {"feature_channels": 3},
+    ),
+    "romnistereo, normalised by sample, within latitudes": Example(
+        lambda: moving(
+            RomniStereo(16, feature_channels=2, output_size=(8, 32), norm="instance", iterations=1)
+        ),
+        {"num_hypotheses": 20},
+        {"in_channels": 3},
     ),
     "semi-global sweep": Example(
         lambda: SemiGlobalSweep(3, 8, depth_coarsening=1), {"level": 4, "num_hypotheses": 6}, {}

@@ -30,7 +30,9 @@ def test_every_network_of_the_package_has_an_example() -> None:
     assert {network_class(name) for name in network_names()} <= examples
 
 
-@pytest.mark.parametrize("name", [name for name in NETWORKS if name.startswith(("icosweepnet", "omnimvs"))])
+@pytest.mark.parametrize(
+    "name", [name for name in NETWORKS if name.startswith(("icosweep", "omnimvs", "romni"))]
+)
 def test_networks_run_on_the_meta_device(name: str) -> None:
     """Shapes alone, with tables made before: to count operations, or to look at a network too large for a machine."""
     net = NETWORKS[name].make()

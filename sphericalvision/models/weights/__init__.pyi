@@ -8,3 +8,4 @@ from .registry import network_class as network_class
 from .registry import network_name as network_name
 from .registry import network_names as network_names
 from .registry import register_network as register_network
+from .romnistereo_checkpoint import load_romnistereo_checkpoint as load_romnistereo_checkpoint

@@ -14,6 +14,10 @@ from sphericalvision.models.weights.filling import made
 from sphericalvision.models.weights.pretrained import STUDY, available_weights, pretrained
 from sphericalvision.models.weights.reference import load_reference_checkpoint
 from sphericalvision.models.weights.registry import network_class
+from sphericalvision.models.weights.romnistereo_checkpoint import (
+    is_romnistereo,
+    load_romnistereo_checkpoint,
+)
 
 __all__ = ["read_network"]
 
@@ -25,8 +29,8 @@ def read_network(source: str | Path | None = None) -> DepthNetwork:
     """Return the network of a file, of a training's checkpoint, or of weights that ship, on the CPU and in eval mode.
 
     Args:
-        source: ``.safetensors``, a ``.ckpt`` of a training, or ``.pth`` in the authors' format; or the name of weights
-            that ship with the package, of which the best when not given.
+        source: ``.safetensors``, a ``.ckpt`` of a training, or ``.pth`` in the format of the authors of IcoSweepNet or
+            RomniStereo; or the name of weights that ship with the package, of which the best when not given.
 
     Raises:
         ArgumentError: the suffix is of no known format.
@@ -46,7 +50,7 @@ def read_network(source: str | Path | None = None) -> DepthNetwork:
     if path.suffix == ".safetensors":
         return load_weights(path)
     if path.suffix in REFERENCE_SUFFIXES:
-        return load_reference_checkpoint(path)
+        return (load_romnistereo_checkpoint if is_romnistereo(path) else load_reference_checkpoint)(path)
     if path.suffix != ".ckpt":
         known = ", ".join((".safetensors", ".ckpt", *REFERENCE_SUFFIXES))
         raise ArgumentError(f"checkpoint: {path} has none of the suffixes of checkpoints, {known}")

@@ -23,7 +23,7 @@ from sphericalvision.capture.sources.opening import (
     spread_evenly,
 )
 from sphericalvision.core import ArgumentError
-from sphericalvision.io.images import read_image, write_mask
+from sphericalvision.io.images import read_mask, write_mask
 from sphericalvision.recipes.app.rigs import keys_named, radians, rig_from_file
 
 __all__ = ["masked_by_itself", "open_capture", "open_moving", "with_own_body_masked"]
@@ -109,7 +109,7 @@ def open_moving(
     source = open_source(images, single, frames, () if mask is None else [Path(mask)])
     source.rig = rig_for_images(single, source.sizes())
     size = source.rig.cameras[NAME].image_size
-    usable = None if mask is None else read_image(mask, size, "the mask")[0] > 0.5
+    usable = None if mask is None else read_mask(mask, size, "the mask")
     with keys_named(images="poses"):
         return Moving(source, trajectory, window, spacing or 0.0, usable)
 

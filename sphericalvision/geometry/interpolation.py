@@ -89,6 +89,9 @@ def bilinear_sample(
             "image and pixels: expected leading dimensions that broadcast with each other, "
             f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
         ) from None
+    if not pixels.numel():  # which grid_sample refuses
+        none = image.flatten(-2)[..., :0].expand(*batch, -1, -1)
+        return none.reshape(*batch, image.shape[-3], pixels.shape[-2])
     flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
     if image.dtype in (torch.float16, torch.bfloat16):  # whose places would be half a pixel off
         flat_image = flat_image.float()

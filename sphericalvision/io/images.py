@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import FileFormatError, ShapeError, check_file
+from sphericalvision.core import FileFormatError, ShapeError, check_choice, check_file
 from sphericalvision.io.files import write_bytes
 
 __all__ = [
@@ -34,6 +34,9 @@ __all__ = [
 MAX_PIXELS = 2**27
 """Pixels of all pages of an image file together; a file that says it has more is refused before it is decoded."""
 
+ORIENTATION = 0x0112
+"""Tag of an image file: which way up it is to be shown."""
+
 SIZES_UNKNOWN = (b"II*", b"MM\0*", b"II+", b"MM\0+", b"#?")
 """How files begin whose sizes Pillow does not always know: TIFF in one of its many variants, Radiance HDR."""
 
@@ -43,6 +46,8 @@ Size = tuple[int, int]
 
 def read_pages(path: str | Path, what: str = "an image", image_size: Size | None = None) -> list[Array]:
     """Read all pages of an image file as stored (colour pages as RGB), without scaling.
+
+    Images are not turned, whatever the file says of an orientation: calibrations are of what the sensor stores.
 
     Args:
         path: any format OpenCV reads.
@@ -54,24 +59,7 @@ def read_pages(path: str | Path, what: str = "an image", image_size: Size | None
         FileFormatError: the file is not an image, is cut short, has another size, or says that it has more than
             ``MAX_PIXELS`` pixels.
     """
-    path = check_file(path, what)
-    encoded = np.fromfile(path, dtype=np.uint8)
-    sizes = _sizes(encoded)
-    _check_sizes(path, sizes, image_size)
-    pages: Sequence[Array] = ()
-    # OpenCV believes damaged headers, too, and takes gigabytes for what they say: no size, no decoding.
-    believed = bool(sizes) or encoded[:4].tobytes().startswith(SIZES_UNKNOWN)
-    if believed and _chunks_fit(encoded):
-        with suppress(cv2.error):
-            pages = cv2.imdecodemulti(encoded, cv2.IMREAD_UNCHANGED)[1]
-    if not pages:
-        raise FileFormatError(
-            f"{path}: cannot be read as an image ({encoded.size} bytes); the file is damaged, cut "
-            f"short, or of an unknown format. {what[:1].upper() + what[1:]} was expected: "
-            f"copy or download the file again."
-        )
-    _check_sizes(path, [(page.shape[0], page.shape[1]) for page in pages], image_size)
-    return [_to_rgb(np.asarray(page)) for page in pages]
+    return [_to_rgb(page) for page in _decoded(path, what, image_size)]
 
 
 def read_image_size(path: str | Path, what: str = "an image") -> Size:
@@ -101,6 +89,8 @@ def read_image(
 ) -> Float[Tensor, "3 h w"]:
     """Read an image as float32 ``(3, h, w)`` in [0, 1]; grey gets three equal channels, alpha is dropped.
 
+    It is not turned, whatever the file says of an orientation.
+
     Args:
         path: any format OpenCV reads, with 8 or 16 bits a channel.
         image_size: the ``(height, width)`` that the calibration promises, checked if given.
@@ -115,7 +105,7 @@ def read_image(
         >>> read_image("grey.png", image_size=(4, 6)).shape  # three equal channels
         torch.Size([3, 4, 6])
     """
-    page = _first_page(path, image_size, what)
+    page = _to_rgb(_first_page(path, image_size, what))
     if page.ndim == 2:
         page = np.repeat(page[..., None], 3, axis=-1)
     scaled = page.astype(np.float32) / np.float32(np.iinfo(page.dtype).max)
@@ -123,23 +113,44 @@ def read_image(
 
 
 def read_mask(
-    path: str | Path, image_size: Size | None = None, what: str = "a mask image"
+    path: str | Path,
+    image_size: Size | None = None,
+    what: str = "a mask image",
+    usable: Literal["white", "black"] = "white",
 ) -> Bool[Tensor, "h w"]:
-    """Read a mask as bool ``(h, w)``, True where the image is at least half white.
+    """Read a mask as bool ``(h, w)``, True where images are usable: where it is, or is not, at least half white.
+
+    White is 1, 255 or 65,535: the least of these that nothing in the file exceeds. Where an image has an alpha channel
+    that is not the same everywhere, that is the mask; of other colour images the brightness counts.
 
     Args:
-        path: any format OpenCV reads, with 8 or 16 bits a channel; of a colour image the brightness counts.
+        path: any format OpenCV reads, with 8 or 16 bits a channel.
         image_size: the ``(height, width)`` of the camera's images, checked if given.
         what: what is expected there, for the error messages.
+        usable: the colour of what is usable.
 
     Raises:
         MissingFileError: there is no such file.
-        FileFormatError: the file is not readable, is no 8- or 16-bit image, or has another size.
+        FileFormatError: the file is not readable, is no 8- or 16-bit image, has another size, or leaves nothing.
+
+    Examples:
+        >>> write_pages("mask.png", [np.array([[0, 1, 1]], np.uint8)])
+        >>> read_mask("mask.png"), read_mask("mask.png", usable="black")
+        (tensor([[False,  True,  True]]), tensor([[ True, False, False]]))
     """
+    check_choice("usable", usable, ("white", "black"))
     page = _first_page(path, image_size, what)
-    if page.ndim == 3:
-        page = cv2.cvtColor(page, cv2.COLOR_RGB2GRAY)
-    return torch.from_numpy(page > np.iinfo(page.dtype).max // 2)
+    if page.ndim == 3 and page.shape[-1] == 4 and page[..., 3].min() < page[..., 3].max():
+        page = page[..., 3]
+    elif page.ndim == 3:
+        page = cv2.cvtColor(_to_rgb(page), cv2.COLOR_RGB2GRAY)
+    white = next(level for level in (1, 255, 65535) if page.max(initial=0) <= level)
+    kept = (page > white // 2) == (usable == "white")
+    if not kept.any():
+        raise FileFormatError(
+            f"{path}: the mask leaves nothing of the image; {what} has to be {usable} where images are usable"
+        )
+    return torch.from_numpy(kept)
 
 
 def write_pages(path: str | Path, pages: list[Array]) -> None:
@@ -211,31 +222,61 @@ def write_mask(path: str | Path, mask: Bool[Tensor, "h w"]) -> None:
 
 
 def _first_page(path: str | Path, image_size: Size | None, what: str) -> Array:
-    """The first page, if it has 8 or 16 bits a channel."""
-    page = read_pages(path, what, image_size)[0]
+    """The first page as OpenCV has it, ``(h, w)`` or blue, green, red and maybe alpha, if it has 8 or 16 bits."""
+    page = _decoded(path, what, image_size)[0]
     if page.dtype not in (np.uint8, np.uint16):
         raise FileFormatError(f"{path}: expected 8 or 16 bits a channel, got {page.dtype} pixels")
-    return page
+    return page[..., 0] if page.ndim == 3 and page.shape[-1] == 1 else page
 
 
-def _sizes(encoded: Array) -> list[Size]:
+def _decoded(path: str | Path, what: str, image_size: Size | None) -> list[Array]:
+    """All pages as OpenCV decodes them, after what ``read_pages`` checks."""
+    path = check_file(path, what)
+    encoded = np.fromfile(path, dtype=np.uint8)
+    sizes, turned = _sizes(encoded)
+    if turned:
+        raise FileFormatError(
+            f"{path}: this TIFF says that it is turned; store it as it is meant, without that tag"
+        )
+    _check_sizes(path, sizes, image_size)
+    pages: Sequence[Array] = ()
+    # OpenCV believes damaged headers, too, and takes gigabytes for what they say: no size, no decoding.
+    believed = bool(sizes) or encoded[:4].tobytes().startswith(SIZES_UNKNOWN)
+    if believed and _chunks_fit(encoded):
+        with suppress(cv2.error):
+            pages = cv2.imdecodemulti(encoded, cv2.IMREAD_UNCHANGED)[1]
+    if not pages:
+        raise FileFormatError(
+            f"{path}: cannot be read as an image ({encoded.size} bytes); the file is damaged, cut "
+            f"short, or of an unknown format. {what[:1].upper() + what[1:]} was expected: "
+            f"copy or download the file again."
+        )
+    _check_sizes(path, [(page.shape[0], page.shape[1]) for page in pages], image_size)
+    return [np.asarray(page) for page in pages]
+
+
+def _sizes(encoded: Array) -> tuple[list[Size], bool]:
     """(height, width) of every page as the headers say; nothing where a header is damaged, or only OpenCV knows it.
+
+    And whether OpenCV would turn what is stored, as it does TIFFs with an orientation, and no other format.
 
     Pixels are not decoded, so a small file that claims to be a huge image costs nothing.
     """
     from PIL import Image  # only who reads files pays for it
 
     sizes: list[Size] = []
+    turned = False
     with warnings.catch_warnings(), suppress(Exception):  # Pillow raises whatever it meets in a damaged file
         warnings.simplefilter("ignore")
         try:
             with Image.open(io.BytesIO(encoded.tobytes())) as image:
+                turned = image.format == "TIFF" and image.getexif().get(ORIENTATION, 1) != 1
                 while sum(height * width for height, width in sizes) <= MAX_PIXELS:
                     image.seek(len(sizes))  # the first page, then one after the other until there is none
                     sizes.append((image.height, image.width))
         except Image.DecompressionBombError:  # whose own bound is a little higher
             sizes.append((MAX_PIXELS, MAX_PIXELS))
-    return sizes
+    return sizes, turned
 
 
 def _chunks_fit(encoded: Array) -> bool:

@@ -92,6 +92,15 @@ def test_gradcheck(generator: torch.Generator, wrap: bool) -> None:
     assert torch.autograd.gradcheck(lambda i, p: bilinear_sample(i, p, wrap_longitude=wrap), (image, pixels))
 
 
+@pytest.mark.parametrize(("batch", "number"), [((), 0), ((0,), 4), ((2, 3), 0)])
+def test_no_pixels_have_no_values(batch: tuple[int, ...], number: int) -> None:
+    image = torch.rand(*batch, 3, 4, 5, requires_grad=True)
+    found = bilinear_sample(image, torch.zeros(*batch, number, 2))
+    assert found.shape == (*batch, 3, number)
+    found.sum().backward()
+    assert not image.grad.any()  # type: ignore[union-attr]
+
+
 def test_integer_images_are_refused() -> None:
     with pytest.raises(ValueError, match=r"uint8.*convert"):
         bilinear_sample(torch.zeros(1, 2, 2, dtype=torch.uint8), torch.zeros(1, 2))

@@ -12,9 +12,18 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from sphericalvision.core import FileFormatError, MissingFileError, ShapeError
-from sphericalvision.io.images import read_image, read_mask, read_pages, write_image, write_mask, write_pages
+from sphericalvision.io.images import (
+    read_image,
+    read_image_size,
+    read_mask,
+    read_pages,
+    write_image,
+    write_mask,
+    write_pages,
+)
 
 
 def test_eight_bit_colours_come_back_and_channels_are_red_green_blue(tmp_path: Path) -> None:
@@ -74,6 +83,23 @@ def test_errors_name_file_cause_and_remedy(tmp_path: Path) -> None:
         write_image(tmp_path / "a.nonsense", torch.zeros(1, 4, 6))
 
 
+def test_orientation_is_ignored(tmp_path: Path) -> None:
+    """As of videos: a calibration is of what the sensor stores."""
+    stored = np.zeros((4, 6, 3), np.uint8)
+    stored[0] = 255
+    exif = Image.Exif()
+    exif[0x0112] = 6  # a quarter turn
+    for suffix in ("png", "jpg"):
+        Image.fromarray(stored).save(tmp_path / f"a.{suffix}", exif=exif)
+        image = read_image(tmp_path / f"a.{suffix}")
+        assert image.shape == (3, 4, 6)
+        assert image[:, 0].min() > 0.8
+        assert read_image_size(tmp_path / f"a.{suffix}") == (4, 6)
+    Image.fromarray(stored).save(tmp_path / "a.tiff", exif=exif)
+    with pytest.raises(FileFormatError, match=r"a\.tiff: this TIFF says that it is turned"):
+        read_image(tmp_path / "a.tiff")
+
+
 def test_a_cut_off_file_is_refused(tmp_path: Path) -> None:
     noise = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
     write_image(tmp_path / "whole.png", noise)
@@ -93,6 +119,17 @@ def test_masks_come_back_and_are_true_from_half_white(tmp_path: Path) -> None:
     assert read_mask(tmp_path / "deep.png").tolist() == [[False, True]]
     cv2.imwrite(str(tmp_path / "green.png"), np.array([[[0, 255, 0], [255, 0, 0]]], np.uint8))
     assert read_mask(tmp_path / "green.png").tolist() == [[True, False]]  # by brightness
+    for levels in ((0, 1), (0, 255), (0, 65535)):
+        for dtype in (np.uint8, np.uint16)[levels[1] > 255 :]:
+            cv2.imwrite(str(tmp_path / "levels.png"), np.array([levels], dtype))
+            assert read_mask(tmp_path / "levels.png").tolist() == [[False, True]], (levels, dtype)
+            assert read_mask(tmp_path / "levels.png", usable="black").tolist() == [[True, False]]
+    cv2.imwrite(str(tmp_path / "alpha.png"), np.array([[[0, 0, 0, 255], [255, 255, 255, 0]]], np.uint8))
+    assert read_mask(tmp_path / "alpha.png").tolist() == [[True, False]]
+    for level, usable in ((0, "white"), (100, "white"), (255, "black")):
+        cv2.imwrite(str(tmp_path / "nothing.png"), np.full((2, 2), level, np.uint8))
+        with pytest.raises(FileFormatError, match=rf"nothing\.png: the mask leaves nothing .* {usable}"):
+            read_mask(tmp_path / "nothing.png", usable=usable)  # type: ignore[arg-type]
     with pytest.raises(FileFormatError, match=r"mask\.png: expected 5 x 7 .* got 7 x 5"):
         read_mask(tmp_path / "mask.png", (7, 5))
     with pytest.raises(MissingFileError, match="a mask image expected"):

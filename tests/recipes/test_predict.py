@@ -134,7 +134,7 @@ def test_images_and_network_are_read_once(
 ) -> None:
     decoded: list[str] = []
     networks: list[object] = []
-    read, load = sphericalvision.io.images.read_pages, sphericalvision.capture.predictor.read_network
+    read, load = sphericalvision.io.images._decoded, sphericalvision.capture.predictor.read_network
 
     def read_pages(path: Path, *more: object) -> object:
         decoded.append(str(path))
@@ -144,7 +144,7 @@ def test_images_and_network_are_read_once(
         networks.append(weights)
         return load(weights)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(sphericalvision.io.images, "read_pages", read_pages)
+    monkeypatch.setattr(sphericalvision.io.images, "_decoded", read_pages)
     monkeypatch.setattr(sphericalvision.capture.predictor, "read_network", read_network)
     run("predict", *words(capture, weights, "out"), "align=true", "min_depth=scene", "outputs=[npz]")
     assert sorted(decoded) == sorted(map(str, capture.glob("cam*/0*.png")))
@@ -214,6 +214,19 @@ def test_masked_pixels_have_no_influence(run: Run, capture: Path, weights: Path,
     run("predict", *words(capture, weights, "after"), masks, "frames=[3]", "antialias=false")
     before, after = (np.load(tmp_path / name / "00003_depth.npz")["index"] for name in ("before", "after"))
     np.testing.assert_allclose(after, before, atol=1e-5)
+
+
+def test_a_camera_that_a_mask_leaves_next_to_nothing_of_sees_nothing(
+    run: Run, failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
+) -> None:
+    mask = np.zeros(SIZE, np.uint8)
+    cv2.imwrite(str(capture / "cam2/mask.png"), mask)
+    given = [*words(capture, weights, "out"), f"masks={capture}/cam{{camera}}/mask.png", "frames=[3]"]
+    assert f"{capture}/cam2/mask.png: the mask leaves nothing" in failing("predict", *given)
+    mask[20, 24] = 1
+    cv2.imwrite(str(capture / "cam2/mask.png"), mask)
+    run("predict", *given)
+    assert len(trimesh.load(tmp_path / "out/00003_points.ply").vertices)
 
 
 def test_the_rigs_own_body_is_masked(

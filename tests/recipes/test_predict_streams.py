@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -38,10 +39,10 @@ def picture(frame: int, camera: int) -> np.ndarray:
     return np.full((*SIZE, 3), 20 + 30 * frame + 5 * camera, np.uint8)
 
 
-def write_video(path: Path, pictures: list[np.ndarray]) -> None:
+def write_video(path: Path, pictures: list[np.ndarray], codec: str = "MJPG") -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     height, width = pictures[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 5.0, (width, height))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 5.0, (width, height))
     assert writer.isOpened()
     for image in pictures:
         writer.write(image)
@@ -108,6 +109,23 @@ def test_colours_of_videos_are_red_green_blue(tmp_path: Path) -> None:
     assert frame.images is not None
     assert frame.images["cam2"][..., 0].mean() > 180
     assert frame.images["cam2"][..., 2].mean() < 30
+
+
+def test_videos_are_not_turned(tmp_path: Path) -> None:
+    """As image files: whatever the header says, here half a turn."""
+    stored = np.zeros((*SIZE, 3), np.uint8)
+    stored[:16] = 255
+    path = tmp_path / "all.mp4"
+    write_video(path, [np.concatenate([stored] * 4, 1)] * 2, "mp4v")
+    content = bytearray(path.read_bytes())
+    at = content.find(b"tkhd") + 8 + 20 + 16
+    content[at : at + 36] = struct.pack(
+        ">9i", -(1 << 16), 0, 0, 0, -(1 << 16), 0, 160 << 16, 32 << 16, 1 << 30
+    )
+    path.write_bytes(content)
+    frame = open_source(str(path), RIG).samples()[0]
+    assert frame.images is not None
+    assert frame.images["cam3"][2].mean() > 200
 
 
 def test_live_cameras_are_frames_without_an_end(

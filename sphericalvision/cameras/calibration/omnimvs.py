@@ -56,7 +56,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         poses.append(numbers(entry(values, "pose", where), f"{where}, pose", 6))
         mask = values.get("invalid_mask")
         if mask and (path.parent / str(mask)).is_file():
-            masks[name] = ~read_mask(path.parent / str(mask), cameras[name].image_size)
+            masks[name] = read_mask(path.parent / str(mask), cameras[name].image_size, usable="black")
     table = torch.tensor(poses, dtype=torch.float64)
     return Contents(cameras, transform_from_axis_angle(table[:, :3], table[:, 3:]), masks)
 

@@ -12,7 +12,7 @@ from sphericalvision.capture.sources.captures import find_capture, find_masks
 from sphericalvision.capture.sources.frames import Files, Source
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, MissingFileError
-from sphericalvision.io.images import read_image
+from sphericalvision.io.images import read_mask
 
 __all__ = ["open_source", "rig_for_images", "rig_with_masks", "spread_evenly"]
 
@@ -133,7 +133,7 @@ def rig_with_masks(rig: CameraRig, masks: str) -> tuple[CameraRig, list[Path]]:
     """
     files = find_masks(masks, rig.names)
     usable = {
-        name: read_image(path, rig.cameras[name].image_size, f"the mask of camera {name}")[0] > 0.5
+        name: read_mask(path, rig.cameras[name].image_size, f"the mask of camera {name}")
         for name, path in files.items()
     }
     return CameraRig(rig.cameras, rig.world_from_camera, masks=usable), list(files.values())

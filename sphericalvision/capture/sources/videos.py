@@ -139,6 +139,9 @@ class Videos:
         for name, file in self.files.items():
             video = cv2.VideoCapture(file if isinstance(file, int) else str(file))
             stack.callback(video.release)
+            video.set(
+                cv2.CAP_PROP_ORIENTATION_AUTO, 0
+            )  # as image files: calibrations are of what the sensor stores
             if not video.isOpened():
                 what = f"camera {file} of this machine" if isinstance(file, int) else str(file)
                 raise FileFormatError(

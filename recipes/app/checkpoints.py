@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 
-__all__ = ["initialize", "load_network"]
+__all__ = ["initialize", "load_network", "refuse_others"]
 
 
 def load_network(
@@ -48,8 +50,19 @@ def initialize(net: DepthNetwork, weights: str | Path) -> None:
         )
     state, expected = other.state_dict(), net.state_dict()
     if {name: tensor.shape for name, tensor in state.items()} != {n: t.shape for n, t in expected.items()}:
-        mine, theirs = net.hyperparameters, other.hyperparameters
-        differ = [key for key in mine if mine[key] != theirs.get(key) and key not in ("level", "min_depth")]
+        refuse_others(weights, other.hyperparameters, net.hyperparameters, ("level", "min_depth"))
+    net.load_state_dict(state)
+
+
+def refuse_others(
+    weights: str | Path, theirs: Mapping[str, Any], mine: Mapping[str, Any], free: Sequence[str] = ()
+) -> None:
+    """Refuse weights of other hyper-parameters, but for those that are ``free``.
+
+    Raises:
+        ArgumentError: those that differ, of both.
+    """
+    if differ := [key for key in mine if mine[key] != theirs.get(key) and key not in free]:
         raise ArgumentError(
             f"init_weights: {weights} has "
             + ", ".join(f"{key} = {theirs.get(key)}" for key in differ)
@@ -57,4 +70,3 @@ def initialize(net: DepthNetwork, weights: str | Path) -> None:
             + " ".join(f"model.{key}={theirs.get(key)}" for key in differ)
             + " or take other weights"
         )
-    net.load_state_dict(state)

@@ -3,18 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
-from torch.optim import Optimizer
-from torch.optim.lr_scheduler import LRScheduler
+from torchmetrics import Metric
 from torchmetrics.classification import MulticlassAccuracy
 
-from sphericalvision.core import ArgumentError, FileFormatError, check_file
+from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.models.classifier import SphereClassifier
 from sphericalvision.models.weights.filling import made
+from sphericalvision.recipes.app.checkpoints import refuse_others
 from sphericalvision.recipes.digits.dataset import ORIENTATIONS
 from sphericalvision.recipes.training.orientations import OrientationModule
 
@@ -22,50 +20,23 @@ __all__ = ["ClassificationModule"]
 
 
 class ClassificationModule(OrientationModule):
-    """A classifier on the sphere, validated and tested on upright and on rotated samples.
-
-    Args:
-        net: the network; ``net.num_classes`` classes.
-        loss: of logits and labels.
-        optimizer: makes the optimiser of parameters.
-        scheduler: makes the schedule of an optimiser.
-        monitor: the validated value that chooses the best checkpoint.
-        mode: "min" or "max", its best direction.
-        seed: of each training step, with its number.
-    """
+    """A classifier on the sphere, validated and tested on upright and on rotated samples."""
 
     metric_names = ORIENTATIONS
     unit = "percent correct"
 
-    def __init__(
-        self,
-        net: SphereClassifier,
-        loss: Callable[[Tensor, Tensor], Tensor],
-        optimizer: Callable[..., Optimizer],
-        scheduler: Callable[[Optimizer], LRScheduler],
-        monitor: str = "val/upright",
-        mode: str = "max",
-        seed: int = 0,
-    ) -> None:
-        super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
-        number = net.hyperparameters["num_classes"]
-        self.scores = nn.ModuleDict(
-            {name: MulticlassAccuracy(number, average="micro") for name in ORIENTATIONS}
-        )
+    def score(self) -> Metric:
+        """Share of what is right."""
+        return MulticlassAccuracy(self.net.hyperparameters["num_classes"], average="micro")
 
     def initialize(self, weights: str | Path) -> None:
         """Start from the parameters of a checkpoint of the same network.
 
         Raises:
-            ArgumentError: the other network differs; the message names the first difference.
+            ArgumentError: the other network differs; the message names how.
         """
         other = self.stored_network(Path(weights))
-        for key, value in self.net.hyperparameters.items():
-            if other.hyperparameters[key] != value:
-                raise ArgumentError(
-                    f"init_weights: {weights} has {key} = {other.hyperparameters[key]}, the network to train has "
-                    f"{value}; set model.{key}={other.hyperparameters[key]} or take other weights"
-                )
+        refuse_others(weights, other.hyperparameters, self.net.hyperparameters)
         self.net.load_state_dict(other.state_dict())
 
     @staticmethod

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, cast
 
 from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
 from torchmetrics import Metric
 
 from sphericalvision.recipes.training.module import TrainingModule
@@ -14,10 +17,35 @@ __all__ = ["OrientationModule"]
 
 
 class OrientationModule(TrainingModule):
-    """A network of classes with a metric for each orientation, whose loaders are in the order of ``scores``."""
+    """A network of classes, with a metric for each of the orientations that ``metric_names`` names.
 
-    scores: nn.ModuleDict
-    """Metrics of predicted and true classes, by the name of the orientation."""
+    Args:
+        net: the network; ``net.num_classes`` classes.
+        loss: of logits and labels.
+        optimizer: as of ``TrainingModule``, like the rest.
+        scheduler: so is this.
+        monitor: the validated value that chooses the best checkpoint.
+        mode: "min" or "max", its best direction.
+        seed: of each training step, with its number.
+    """
+
+    def __init__(
+        self,
+        net: nn.Module,
+        loss: Callable[[Tensor, Tensor], Tensor],
+        optimizer: Callable[..., Optimizer],
+        scheduler: Callable[[Optimizer], LRScheduler],
+        monitor: str = "val/upright",
+        mode: str = "max",
+        seed: int = 0,
+    ) -> None:
+        super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
+        #: Metrics of predicted and true classes; loaders are in their order.
+        self.scores = nn.ModuleDict({name: self.score() for name in self.metric_names})
+
+    def score(self) -> Metric:
+        """A new metric. Every subclass implements it."""
+        raise NotImplementedError(f"{type(self).__name__}.score")
 
     def percent(self, score: Metric) -> Tensor:
         """What is logged of a metric."""

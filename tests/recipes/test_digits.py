@@ -84,7 +84,7 @@ def test_rotations_are_fixed_in_tests_and_new_in_training() -> None:
 
 
 def test_splits_share_no_digit() -> None:
-    data = DigitsDataModule("hex", 3, num_val=200, num_test=500)
+    data = DigitsDataModule(network="hex", level=3, num_val=200, num_test=500)
     numbers = [number for split in ("train", "val", "test") for number in data.indices[split]]
     assert numbers == list(range(NUM_DIGITS))
     assert len(data.indices["train"]) == 1097
@@ -147,10 +147,10 @@ def test_training_and_table(run: Run, tmp_path: Path, network: str) -> None:
 def test_test_accuracies_are_those_of_a_loop(run: Run, tmp_path: Path) -> None:
     run("train", *TINY, "model.network=hex", "output=run")
     net = ClassificationModule.stored_network(tmp_path / "run/checkpoints/best.ckpt").eval()
-    data = DigitsDataModule("hex", 3, num_val=8, num_test=12)
+    data = DigitsDataModule(network="hex", level=3, num_val=8, num_test=12)
     (tested,) = json.loads((tmp_path / "run/test.json").read_text()).values()
     for orientation, percent in tested.items():
-        digits = data.digits("test", orientation)
+        digits = data.samples("test", orientation)
         samples = [digits[i] for i in range(len(digits))]
         right = [int(net(s["values"][None]).argmax() == s["label"]) for s in samples]
         assert percent == pytest.approx(100 * sum(right) / len(right), abs=1e-3)

@@ -85,8 +85,8 @@ def test_samples_are_kept(tmp_path: Path) -> None:
 
 
 def test_splits_share_no_room() -> None:
-    data = LabelledRoomsDataModule("hex", 3, num_train=400)
-    rooms = {split: data.rooms(split, "upright") for split in ("train", "val", "test")}
+    data = LabelledRoomsDataModule(network="hex", level=3, num_train=400)
+    rooms = {split: data.samples(split, "upright") for split in ("train", "val", "test")}
     seeds = [set(range(r.first_seed, r.first_seed + len(r))) for r in rooms.values()]
     assert len(set.union(*seeds)) == sum(map(len, seeds)) == 480
 

@@ -94,7 +94,9 @@ def check_node(config: Any, where: str, given: Sequence[str] = ()) -> None:
         ) from error
     try:
         parameters = inspect.signature(target).parameters
-        hints = get_type_hints(target.__init__ if inspect.isclass(target) else target, include_extras=True)
+        fields = "__dataclass_fields__" in vars(target)  # inherited ones are hinted where they stand
+        hinted = target.__init__ if inspect.isclass(target) and not fields else target
+        hints = get_type_hints(hinted, include_extras=True)
     except (TypeError, ValueError, NameError):  # built in C, or hints that only a type checker sees
         return
     open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())

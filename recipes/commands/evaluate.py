@@ -23,6 +23,7 @@ from sphericalvision.recipes.app.captures import with_own_body_masked
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
 from sphericalvision.recipes.datamodules.base import SampleDataModule
+from sphericalvision.recipes.datamodules.entries import DepthDataModule
 from sphericalvision.recipes.evaluation.baselines import baselines
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import evaluate
@@ -70,7 +71,7 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     as_used = bool(found or preparation != AS_IT_IS)
     more = ["sphere" if config.baselines else "depth", *(["fisheye"] if as_used else [])]
     data.serve(net, *more, depth_level=config.model.level - 2)
-    if as_used and "fisheye" not in (getattr(data, "entries", None) or ()):
+    if as_used and not (isinstance(data, DepthDataModule) and "fisheye" in data.wanted.entries):
         raise ArgumentError(
             f"data: the group preparation, masks and model.min_depth=auto or scene want the images of the cameras (the "
             f"entry 'fisheye'), which samples of {type(data).__name__} do not hold; take other data, or leave them out"

@@ -3,16 +3,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
 
 import pytorch_lightning as pl
 import torch
+from pydantic import Field
 from torch.utils.data import DataLoader, Dataset
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.collate import collate_samples
+from sphericalvision.recipes.app.kinds import Count, Number
 
-__all__ = ["SampleDataModule", "TrainingStream", "even_batches"]
+__all__ = ["PreparedSamples", "SampleDataModule", "TrainingStream", "even_batches"]
 
 ENDLESS = 2**40
 
@@ -97,8 +100,11 @@ def even_batches(number: int, batch_size: int, world: int) -> list[list[int]]:
     return [[next(indices) for _ in range(size + (n < larger))] for n in range(rounds * world)]
 
 
+@dataclass(eq=False, repr=False)
 class SampleDataModule(pl.LightningDataModule):
     """Loaders over data sets that subclasses make; ``dataset(split)`` is all they need to say.
+
+    Fields of data modules are the keys of their files in ``conf/data``.
 
     Args:
         batch_size: samples in a batch.
@@ -106,14 +112,15 @@ class SampleDataModule(pl.LightningDataModule):
         seed: of order and augmentation in training.
     """
 
-    has_truth = True
+    batch_size: Count = 4
+    num_workers: Number = 0
+    seed: int = 0
+
+    has_truth: ClassVar[bool] = True
     """Whether validation and test samples hold the true depth, so that ``sphericalvision-evaluate`` can use them."""
 
-    def __init__(self, batch_size: int = 4, num_workers: int = 0, seed: int = 0) -> None:
+    def __post_init__(self) -> None:
         super().__init__()
-        if batch_size < 1:
-            raise ArgumentError(f"data.batch_size: expected 1 or more, got {batch_size}")
-        self.batch_size, self.num_workers, self.seed = batch_size, num_workers, seed
         self.samples_seen = 0
 
     def dataset(self, split: str) -> Dataset[Sample]:
@@ -168,20 +175,14 @@ class SampleDataModule(pl.LightningDataModule):
         rank, world = self.rank_and_world()
         if world == 1:
             return self.loader(dataset)
-        batches = even_batches(len(dataset), self.batch_size, world)[rank::world]  # type: ignore[arg-type]
-        return DataLoader(
-            dataset,
-            batch_sampler=batches,
-            num_workers=self.num_workers,
-            collate_fn=collate_samples,
-            persistent_workers=self.num_workers > 0,
-        )
+        return self.loader(dataset, even_batches(len(dataset), self.batch_size, world)[rank::world])  # type: ignore[arg-type]
 
-    def loader(self, dataset: Dataset[Sample]) -> DataLoader[Sample]:
-        """Batches of any data set of these samples, in order."""
+    def loader(self, dataset: Dataset[Sample], batches: list[list[int]] | None = None) -> DataLoader[Sample]:
+        """Batches of any data set of these samples, in order unless ``batches`` says which."""
         return DataLoader(
             dataset,
-            batch_size=self.batch_size,
+            batch_size=self.batch_size if batches is None else 1,
+            batch_sampler=batches,
             num_workers=self.num_workers,
             collate_fn=collate_samples,
             persistent_workers=self.num_workers > 0,
@@ -196,3 +197,17 @@ class SampleDataModule(pl.LightningDataModule):
     def load_state_dict(self, state_dict: dict[str, int]) -> None:
         """Continue behind the samples that were used up."""
         self.samples_seen = state_dict["samples_seen"]
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class PreparedSamples(SampleDataModule):
+    """Samples of which each has a rig of its own, so that batches are of one, and whose images are made ready.
+
+    Args:
+        photometric: as of ``Preparation``.
+    """
+
+    batch_size: Annotated[
+        Literal[1], Field(description="1, as rigs differ (see trainer.accumulate_grad_batches)")
+    ] = 1
+    photometric: bool = True

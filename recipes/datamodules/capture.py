@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
@@ -19,7 +19,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.predictor import check_number
 from sphericalvision.capture.preparation.nearest import nearest_hypothesis
-from sphericalvision.capture.preparation.preparation import AS_IT_IS, AUTO, Preparation
+from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.capture.pseudo_labels import PseudoLabeller, PseudoLabels
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.opening import spread_evenly
@@ -29,7 +29,8 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.captures import open_capture, with_own_body_masked
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Number, Positive, Share, Text, Unit
-from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
+from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
+from sphericalvision.recipes.datamodules.entries import check_on_icospheres
 from sphericalvision.scenes.disturbances import RandomFaults
 from sphericalvision.scenes.draws import by_seed_and_globally
 from sphericalvision.scenes.random_rig_scenes import WorldSamples
@@ -69,7 +70,8 @@ def rehearsed_world(
     return World.of(chosen, rig=rig, prepare=preparation.of_images, draws=by_seed_and_globally)
 
 
-class CaptureDataModule(SampleDataModule):
+@dataclass(eq=False, repr=False, kw_only=True)
+class CaptureDataModule(PreparedSamples):
     """Frames of a capture, some to learn from and some to judge by, and rendered scenes seen through its rig.
 
     What is to be learned of a frame is what the network, as it is at first, says of the undisturbed images where it
@@ -79,7 +81,8 @@ class CaptureDataModule(SampleDataModule):
     rig.
 
     Lengths are scaled so that the nearest hypothesis is that of the network: scaling a rig and everything around it
-    changes no image. Frames are read once and kept, at most 512 rows of each image.
+    changes no image. Frames are read once and kept, at most 512 rows of each image. What makes images ready is done to
+    the disturbed ones, too, so that what is left of the disturbances is learned.
 
     Args:
         images: pattern of images or videos, or folder, as ``sphericalvision-predict`` takes it.
@@ -99,59 +102,38 @@ class CaptureDataModule(SampleDataModule):
         rendered: share of training samples that are rendered scenes.
         rendered_seed: of the first rendered scene.
         world: what rendered scenes show, and faults of theirs and of the frames, as ``conf/world/rehearsal.yaml``.
-        batch_size: samples in a batch: 1, as rigs differ.
-        num_workers: processes that prepare samples.
-        seed: of order and disturbances.
-        **preparation: what is done to images, as of ``Preparation``; also to the disturbed ones, so that what is left
-            of the disturbances is learned.
     """
+
+    images: Text
+    calibration: Text | None = None
+    frames: list[int | str] | None = None
+    start: Number = 0
+    stop: Count | None = None
+    every: Count = 1
+    num_frames: Annotated[int, Ge(2)] = 50
+    held_out_every: Annotated[int, Ge(2)] = 5
+    cameras: Names | None = None
+    masks: Text | None = None
+    translation_unit: Unit | None = None
+    max_angle_deg: HalfAngle | None = None
+    min_depth: Positive | Literal["auto", "scene"] = "auto"
+    trained_radius: Positive = 0.2
+    rendered: Share = 0.5
+    rendered_seed: Number = 5_000_000
+    world: dict[str, Any] = field(default_factory=lambda: world_values("rehearsal"))
 
     has_truth = False
 
-    def __init__(
-        self,
-        images: Text,
-        calibration: Text | None = None,
-        frames: list[int | str] | None = None,
-        start: Number = 0,
-        stop: Count | None = None,
-        every: Count = 1,
-        num_frames: Annotated[int, Ge(2)] = 50,
-        held_out_every: Annotated[int, Ge(2)] = 5,
-        cameras: Names | None = None,
-        masks: Text | None = None,
-        translation_unit: Unit | None = None,
-        max_angle_deg: HalfAngle | None = None,
-        min_depth: Positive | Literal["auto", "scene"] = "auto",
-        trained_radius: Positive = 0.2,
-        rendered: Share = 0.5,
-        rendered_seed: Number = 5_000_000,
-        world: dict[str, Any] | None = None,
-        batch_size: int = 1,
-        num_workers: int = 0,
-        seed: int = 0,
-        **preparation: bool,
-    ) -> None:
-        if batch_size != 1:
-            raise ArgumentError(
-                f"data.batch_size: expected 1, as disturbed rigs differ, got {batch_size}; set "
-                "trainer.accumulate_grad_batches"
-            )
-        if rendered_seed + NUM_RENDERED > HELD_OUT_SEED:
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rendered_seed + NUM_RENDERED > HELD_OUT_SEED:
             raise ArgumentError(
                 f"data.rendered_seed: seeds from {HELD_OUT_SEED} are held out for the benchmark, and {NUM_RENDERED} "
-                f"scenes follow this one; set {HELD_OUT_SEED - NUM_RENDERED} or less, got {rendered_seed}"
+                f"scenes follow this one; set {HELD_OUT_SEED - NUM_RENDERED} or less, got {self.rendered_seed}"
             )
-        super().__init__(batch_size, num_workers, seed)
-        self.images = images
-        self.selection = Selection(start, stop, every)
-        self.num_frames, self.held_out_every = num_frames, held_out_every
-        self.min_depth, self.trained_radius = min_depth, trained_radius
-        self.rendered, self.rendered_seed = rendered, rendered_seed
-        self.world = world_values("rehearsal") if world is None else world
-        self.preparation = Preparation(**preparation, own_body=masks == AUTO)
-        keys = (cameras, masks, translation_unit, max_angle_deg, frames)
-        self.source = open_capture(images, calibration or images, *keys)
+        self.preparation = Preparation.from_keys(vars(self))
+        keys = (self.cameras, self.masks, self.translation_unit, self.max_angle_deg, self.frames)
+        self.source = open_capture(self.images, self.calibration or self.images, *keys)
         if len(self.source.rig) < 2:
             raise ArgumentError("data.cameras: expected two or more that see the same things, got one")
         self.names = self._chosen(self.source)
@@ -160,7 +142,7 @@ class CaptureDataModule(SampleDataModule):
         self.net: DepthNetwork | None = None
 
     def _chosen(self, source: Source) -> list[str]:
-        names = source.names(self.selection)
+        names = source.names(Selection(self.start, self.stop, self.every))
         if names is None:
             raise ArgumentError("data.images: expected a recording, not live cameras")
         if len(names) < 2:
@@ -181,8 +163,7 @@ class CaptureDataModule(SampleDataModule):
         Raises:
             ArgumentError: the network is not one on icospheres, or for another number of cameras.
         """
-        if net.images != "sphere" or net.depth_level is None:
-            raise ArgumentError(f"data: captures are for networks on icospheres, not {type(net).__name__}")
+        check_on_icospheres(net, "captures")
         check_number(net, self.rig)
         self.net = net
 

@@ -3,22 +3,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Annotated, Any, NamedTuple
 
+from annotated_types import MinLen
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import ToSphere
-from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
+from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 from sphericalvision.sphere.intake import Intake
 
-__all__ = ["ENTRIES", "ChosenEntries", "Wanted", "images_of", "truth_of"]
+__all__ = [
+    "ENTRIES",
+    "ChosenEntries",
+    "DepthDataModule",
+    "Entries",
+    "Wanted",
+    "check_on_icospheres",
+    "images_of",
+    "truth_of",
+]
 
 ENTRIES = ("sphere", "fisheye", "panorama")
 
-Sample = dict[str, Any]
+Entries = Annotated[Sequence[str], MinLen(1)] | None
+"""What samples are asked to hold, in place of what the network wants."""
 
 
 class Wanted(NamedTuple):
@@ -32,55 +44,48 @@ class Wanted(NamedTuple):
         min_depth: nearest hypothesis in metres.
     """
 
-    entries: tuple[str, ...]
-    level: int
-    depth_level: int
-    panorama_size: tuple[int, int] | None
-    min_depth: float
+    entries: tuple[str, ...] = ("sphere",)
+    level: int = 5
+    depth_level: int = 3
+    panorama_size: tuple[int, int] | None = None
+    min_depth: float = NATURAL_MIN_DEPTH
 
     @classmethod
-    def by(cls, net: DepthNetwork) -> Wanted:
-        """What a network wants, by its ``images`` and ``grid``."""
-        images = ("sphere",) if net.images == "sphere" else ("fisheye",)
-        if isinstance(net.grid, Icosphere):
-            truth = () if net.images == "sphere" else ("depth",)
-            level = net.level if net.images == "sphere" else net.grid.level + 2
-            return cls((*images, *truth), level, net.grid.level, None, net.min_depth)
-        level = net.level if net.images == "sphere" else 5
-        height, width = net.grid.shape
-        whole = height if net.grid.max_latitude > 1.5 else width // 4
-        return cls((*images, "panorama"), level, level - 2, (whole, width), net.min_depth)
+    def by(cls, net: DepthNetwork, depth_level: int | None = None) -> Wanted:
+        """What a network wants, by its ``images`` and ``grid``; depth at vertices may be wanted at another level."""
+        sphere = net.images == "sphere"
+        entries: tuple[str, ...] = ("sphere",) if sphere else ("fisheye",)
+        size, usual = None, net.depth_level
+        if usual is None:
+            grid: Any = net.grid
+            height, width = grid.shape
+            size = (height if grid.max_latitude > 1.5 else width // 4, width)
+            entries, usual = (*entries, "panorama"), (net.level if sphere else 5) - 2
+        elif not sphere:
+            entries = (*entries, "depth")
+        chosen = usual if depth_level is None else depth_level
+        return cls(entries, net.level if sphere else chosen + 2, chosen, size, net.min_depth)
 
-    def scale(self, given: Mapping[str, Any], depth_level: int | None = None) -> dict[str, Any]:
-        """``level``, ``depth_level`` and ``min_depth`` as given, or else the network's.
 
-        A level that is given brings depth two levels below, as always, unless that is given, too.
+def check_on_icospheres(net: DepthNetwork, samples: str) -> None:
+    """Refuse a network that takes or gives anything that is not on an icosphere."""
+    if net.images != "sphere" or net.depth_level is None:
+        raise ArgumentError(f"data: {samples} are for networks on icospheres, not {type(net).__name__}")
 
-        Raises:
-            ArgumentError: images or, where ``depth_level`` is not given, depth are wanted on another icosphere than the
-                network's. It is said here, before anything is rendered.
-        """
-        if (
-            "sphere" in self.entries
-            and "depth" not in self.entries
-            and given["level"] not in (None, self.level)
-        ):
-            raise ArgumentError(
-                f"data.level: the network takes images of level {self.level}, got {given['level']}; set "
-                f"model.level={given['level']} or leave data.level out"
-            )
-        mine = {"level": self.level, "depth_level": self.depth_level, "min_depth": self.min_depth}
-        chosen = {key: mine[key] if given[key] is None else given[key] for key in mine}
-        if given["depth_level"] is None and depth_level is not None:
-            chosen["depth_level"] = depth_level
-        elif given["depth_level"] is None and given["level"] is not None:
-            chosen["depth_level"] = given["level"] - 2
-        if self.panorama_size is None and depth_level is None and chosen["depth_level"] != self.depth_level:
-            raise ArgumentError(
-                f"data.depth_level: the network estimates depth at level {self.depth_level}, got "
-                f"{chosen['depth_level']}; leave data.level and data.depth_level out"
-            )
-        return chosen
+
+class DepthDataModule(SampleDataModule):
+    """Samples with depth, as the network wants them that they are for; a field ``entries`` may ask for others."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.given: Sequence[str] = getattr(self, "entries", None) or ()
+        self.wanted = Wanted(tuple(self.given or ("sphere",)))
+
+    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
+        """Give samples that suit a network, with ``more`` entries; entries that the configuration names stay."""
+        wanted = Wanted.by(net, depth_level)
+        entries = tuple(self.given or dict.fromkeys((*wanted.entries, *more)))
+        self.wanted = wanted._replace(entries=entries)
 
 
 def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:
@@ -99,15 +104,16 @@ def truth_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor]:
     Raises:
         ArgumentError: these samples do not hold it, or only on another icosphere.
     """
-    if not isinstance(net.grid, Icosphere):
+    grid: Any = net.grid
+    if net.depth_level is None:
         whole = (_entry(batch, f"panorama_{name}", net) for name in ("inverse_depth", "valid"))
-        inverse_depth, valid = (net.grid.rows_of(values) for values in whole)
+        inverse_depth, valid = (grid.rows_of(values) for values in whole)
         return inverse_depth, valid
     inverse_depth, valid = _entry(batch, "inverse_depth", net), _entry(batch, "valid", net)
     if inverse_depth.shape[-1:] != net.grid.shape:
         raise ArgumentError(
-            f"data.level: samples have depth at {inverse_depth.shape[-1]} vertices, {type(net).__name__} estimates it "
-            f"at {net.grid.shape[0]} (level {net.grid.level}); set data.depth_level={net.grid.level}"
+            f"data: samples have depth at {inverse_depth.shape[-1]} vertices, {type(net).__name__} estimates it "
+            f"at {net.grid.shape[0]} (level {net.grid.level}); take data of that level"
         )
     return inverse_depth, valid
 
@@ -139,9 +145,7 @@ class ChosenEntries:
     """
 
     def __init__(self, entries: Sequence[str], level: int, depth_level: int | None = None) -> None:
-        self.entries = tuple(entries)
-        if not self.entries:
-            raise ArgumentError(f"data.entries: expected some of {', '.join(map(repr, ENTRIES))}, got none")
+        self.entries = tuple("sphere" if entry == "depth" else entry for entry in entries)
         for entry in self.entries:
             check_choice("data.entries", entry, ENTRIES)
         self.to_sphere = ToSphere(level, depth_level) if "sphere" in self.entries else None

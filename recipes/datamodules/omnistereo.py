@@ -3,30 +3,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from annotated_types import Ge, MinLen
+from annotated_types import Ge
 from torch.utils.data import Dataset
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift
 from sphericalvision.data.augmentation.transforms import Compose
-from sphericalvision.recipes.app.kinds import Positive, Text
-from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
-from sphericalvision.recipes.datamodules.entries import ChosenEntries, Wanted
+from sphericalvision.recipes.app.kinds import Text
+from sphericalvision.recipes.datamodules.base import Sample
+from sphericalvision.recipes.datamodules.entries import ChosenEntries, DepthDataModule, Entries
 from sphericalvision.recipes.datamodules.skipping import SkipDamaged
 
 __all__ = ["OmniStereoDataModule"]
 
 
-class OmniStereoDataModule(SampleDataModule):
+class OmniStereoDataModule(DepthDataModule):
     """OmniThings and its kin from disk, split and augmented as in the paper.
 
     Args:
         root: folder of the set that is trained on.
-        level: icosphere level of the images.
-        min_depth: nearest hypothesis in metres of the network; checked against the release.
         dataset: "omnithings", "omnihouse", "sunny", "cloudy" or "sunset".
         protocol: whose splits, "paper" or "official".
         release: "png" or "tiff"; detected when not given.
@@ -41,7 +39,6 @@ class OmniStereoDataModule(SampleDataModule):
         seed: of order and augmentation in training.
         entries: what samples hold: some of "sphere" (for networks on the icosphere), "fisheye" and "panorama" (for
             networks on panoramas), with the keys of ``SceneDataset``.
-        depth_level: icosphere level of the depth at vertices.
         on_error: "stop" at a frame whose files cannot be read, or "skip" it: training takes the next one in its place,
             validation and test go without, and what was left out is said at the end.
     """
@@ -49,8 +46,6 @@ class OmniStereoDataModule(SampleDataModule):
     def __init__(
         self,
         root: Text,
-        level: int | None = None,
-        min_depth: Positive | None = None,
         dataset: str = "omnithings",
         protocol: str = "paper",
         release: Literal["png", "tiff"] | None = None,
@@ -63,15 +58,13 @@ class OmniStereoDataModule(SampleDataModule):
         batch_size: int = 4,
         num_workers: int = 4,
         seed: int = 0,
-        entries: Annotated[Sequence[str], MinLen(1)] | None = None,
-        depth_level: int | None = None,
+        entries: Entries = None,
         on_error: Literal["stop", "skip"] = "stop",
     ) -> None:
+        self.entries = entries
         super().__init__(batch_size, num_workers, seed)
         self.on_error = on_error
         self.skipping: list[SkipDamaged] = []
-        self.level, self.depth_level, self.min_depth = level, depth_level, min_depth
-        self.entries = None if entries is None else tuple(entries)
         self.splits = {"train": train_split, "val": val_split, "test": test_split}
         self.photometric, self.shift = photometric, shift
         self.options: dict[str, Any] = {
@@ -81,15 +74,6 @@ class OmniStereoDataModule(SampleDataModule):
             "release": release,
             "missing": missing,
         }
-
-    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
-        """Give samples that suit a network, with ``more`` entries; what the configuration says stays."""
-        wanted = Wanted.by(net)
-        entries = ["sphere" if entry == "depth" else entry for entry in (*wanted.entries, *more)]
-        self.entries = self.entries or tuple(dict.fromkeys(entries))
-        mine = {"level": self.level, "depth_level": self.depth_level, "min_depth": self.min_depth}
-        scale = wanted.scale(mine, depth_level)
-        self.level, self.depth_level, self.min_depth = (scale[key] for key in mine)
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Frames of one split, augmented in "train"."""
@@ -110,7 +94,7 @@ class OmniStereoDataModule(SampleDataModule):
         return [sentence for part in self.skipping if (sentence := part.left_out()) is not None]
 
     def _read(self, split: str, stages: list[Callable[[Sample], Sample]], counts: bool) -> Dataset[Sample]:
-        entries = ChosenEntries(self.entries or ("sphere",), self.level or 7, self.depth_level)
+        entries = ChosenEntries(self.wanted.entries, self.wanted.level, self.wanted.depth_level)
         frames = self.read(split, *stages, entries)
         if self.on_error == "stop":
             return frames
@@ -125,10 +109,11 @@ class OmniStereoDataModule(SampleDataModule):
         """
         transform = Compose(*stages)
         frames = OmniStereoDataset(split=self.splits[split], transform=transform, **self.options)
-        if self.min_depth is not None and abs(frames.min_depth / self.min_depth - 1) > 0.02:
+        min_depth = self.wanted.min_depth
+        if abs(frames.min_depth / min_depth - 1) > 0.02:
             raise ArgumentError(
                 f"data.root: {self.options['root']} has the minimum depth {frames.min_depth:g} m "
-                f"({frames.release}), the network {self.min_depth:g} m; set "
+                f"({frames.release}), the network {min_depth:g} m; set "
                 f"model.min_depth={frames.min_depth:g} to work at the scale of the set"
             )
         return frames

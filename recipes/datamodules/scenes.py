@@ -5,26 +5,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, ClassVar, Literal
 
-import torch
-from annotated_types import Len, MinLen
+from annotated_types import Len
 from rich.progress import track
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader, Dataset, Subset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import PhotometricAugmentation, RotateFivefold
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Size, Text
-from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
-from sphericalvision.recipes.datamodules.entries import Wanted
+from sphericalvision.recipes.datamodules.base import Sample
+from sphericalvision.recipes.datamodules.entries import DepthDataModule, Entries
 from sphericalvision.scenes import SceneDataset
 from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.world import HELD_OUT_SEED
 
-__all__ = ["Augmented", "SceneDataModule"]
+__all__ = ["RenderedDataModule", "SceneDataModule"]
 
 
 class Augmented(Dataset[Sample]):
@@ -40,89 +40,44 @@ class Augmented(Dataset[Sample]):
         return self.transform(self.dataset[index])
 
 
-class SceneDataModule(SampleDataModule):
-    """Rendered scenes: train, validation and test scenes come from disjoint ranges of seeds.
+@dataclass(eq=False, repr=False, kw_only=True)
+class RenderedDataModule(DepthDataModule):
+    """Samples that are rendered: those of training, validation and test come from disjoint ranges of seeds.
 
     Args:
-        rig: what the scenes are seen through.
-        level: icosphere level of the images on the sphere.
-        depth_level: icosphere level of the depth.
-        min_depth: nearest hypothesis in metres; nearer points are not valid.
-        entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama".
-        panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
-        kind: of ``make_scene``, or a mixture: "mixed" or "all".
-        num_train: number of training scenes.
-        num_val: number of validation scenes.
-        num_test: number of test scenes.
-        train_seed: seed of the first training scene.
-        val_seed: seed of the first validation scene.
-        test_seed: seed of the first test scene.
+        num_train: number of training samples.
+        num_val: number of validation samples.
+        num_test: number of test samples.
+        train_seed: seed of the first training sample.
+        val_seed: seed of the first validation sample.
+        test_seed: seed of the first test sample.
         samples_per_pixel: rays per image pixel.
-        antialias: average images over the area between vertices before they are looked up.
-        augment: in training, turn the world by random multiples of 72 degrees and vary colours.
+        augment: in training, change samples by ``augmentation``.
         cache_dir: folder where rendered samples are kept; rendered again each time when not given.
-        batch_size: samples in a batch.
-        num_workers: processes that prepare samples, and that render before training.
-        seed: of the order in training.
-        mesh: file of a textured mesh, several, or a folder: scenes are free places in it, in place of a kind.
-        mesh_up: axis that points up in it, "y" (glTF) or "z".
-        mesh_scale: metres in one unit of it.
-        carrier: what carries the rig and is in view: "pole", "robot" or "vehicle"; nothing when not given.
-        tilts_deg: least and largest degrees by which the cameras look further down in training and validation, drawn
-            for each scene; see ``SceneDataset``. The rig as it is when not given, as in the test.
     """
 
-    def __init__(
-        self,
-        rig: CameraRig,
-        level: int | None = None,
-        depth_level: int | None = None,
-        min_depth: Positive | None = None,
-        entries: Annotated[Sequence[str], MinLen(1)] | None = None,
-        panorama_size: Size | None = None,
-        kind: str = "mixed",
-        num_train: Count = 1000,
-        num_val: Count = 32,
-        num_test: Count = 64,
-        train_seed: Number = 0,
-        val_seed: Number = 1_000_000,
-        test_seed: Number = 2_000_000,
-        samples_per_pixel: Count = 4,
-        antialias: bool = True,
-        augment: bool = True,
-        cache_dir: Text | None = None,
-        batch_size: int = 4,
-        num_workers: int = 0,
-        seed: int = 0,
-        mesh: str | list[str] | None = None,
-        mesh_up: Literal["y", "z"] = "y",
-        mesh_scale: Positive = 1.0,
-        carrier: str | None = None,
-        tilts_deg: Annotated[Sequence[float], Len(2, 2)] | None = None,
-    ) -> None:
-        super().__init__(batch_size, num_workers, seed)
-        self.rig, self.cache_dir, self.augment = rig, cache_dir, augment
-        self.options: dict[str, Any] = {
-            "level": level,
-            "depth_level": depth_level,
-            "kind": kind,
-            "samples_per_pixel": samples_per_pixel,
-            "antialias": antialias,
-            "min_depth": min_depth,
-            "meshes": None if mesh is None else mesh_files(mesh, mesh_up, mesh_scale),
-            "carrier": carrier,
-        }
-        self.entries = None if entries is None else tuple(entries)
-        self.panorama_size = panorama_size
-        self.tilts = None if tilts_deg is None else tuple(math.radians(angle) for angle in tilts_deg)
-        self.scenes = {
-            "train": (num_train, train_seed),
-            "val": (num_val, val_seed),
-            "test": (num_test, test_seed),
-        }
-        self._check_disjoint()
+    num_train: Count = 1000
+    num_val: Count = 32
+    num_test: Count = 64
+    train_seed: Number = 0
+    val_seed: Number = 1_000_000
+    test_seed: Number = 2_000_000
+    samples_per_pixel: Count = 4
+    augment: bool = True
+    cache_dir: Text | None = None
 
-    def _check_disjoint(self) -> None:
+    augmentation: ClassVar[tuple[Callable[[Sample], Sample], ...]]
+    """What is done at random to training samples."""
+    made_before: ClassVar[tuple[str, ...]] = ("train", "val")
+    """Splits that are rendered before training, so that their progress shows; the others as it goes."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.scenes = {
+            "train": (self.num_train, self.train_seed),
+            "val": (self.num_val, self.val_seed),
+            "test": (self.num_test, self.test_seed),
+        }
         for split, (number, first) in self.scenes.items():
             if first + number > HELD_OUT_SEED:
                 raise ArgumentError(
@@ -137,62 +92,101 @@ class SceneDataModule(SampleDataModule):
                     f"starts at {start}); set data.{other}_seed to {end} or more"
                 )
 
-    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
-        """Give samples that suit a network, with ``more`` entries; what the configuration says stays."""
-        wanted = Wanted.by(net)
-        self.entries = self.entries or tuple(dict.fromkeys((*wanted.entries, *more)))
-        self.panorama_size = self.panorama_size or wanted.panorama_size
-        self.options |= wanted.scale(self.options, depth_level)
+    def plain(self, split: str) -> Dataset[Sample]:
+        """Samples of one split as they are rendered. Every subclass implements it."""
+        raise NotImplementedError(f"{type(self).__name__}.plain")
 
     def dataset(self, split: str) -> Dataset[Sample]:
-        """Scenes of one split, augmented in "train"."""
-        scenes = self.scene_dataset(split)
+        """Samples of one split, augmented in "train"."""
+        samples = self.plain(split)
         if split != "train" or not self.augment:
-            return scenes
-        return Augmented(scenes, Compose(RotateFivefold(), PhotometricAugmentation()))
+            return samples
+        return Augmented(samples, Compose(*self.augmentation))
 
-    def plain_train_dataset(self) -> SceneDataset:
-        """Training scenes without augmentation."""
-        return self.scene_dataset("train")
+    def plain_train_dataset(self) -> Dataset[Sample]:
+        """Training samples without augmentation."""
+        return self.plain("train")
 
-    def scene_dataset(self, split: str) -> SceneDataset:
+    def prepare_data(self) -> None:
+        """Render, where a cache keeps it, what training and validation will read, so that its progress shows."""
+        for split in self.made_before:
+            self.render(split)
+
+    def render(self, split: str) -> None:
+        """Render the samples of a split that are not known to be in the cache; does nothing without a cache."""
+        if self.cache_dir is None:
+            return
+        samples = self.plain(split)
+        is_cached = getattr(samples, "is_cached", lambda index: False)
+        missing = [index for index in range(self.scenes[split][0]) if not is_cached(index)]
+        if not missing:
+            return
+        loader = DataLoader(Subset(samples, missing), batch_size=None, num_workers=self.num_workers)
+        for _ in track(loader, f"rendering {split} scenes", total=len(missing)):
+            pass
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class SceneDataModule(RenderedDataModule):
+    """Scenes of one kind or mixture, seen through one rig.
+
+    Args:
+        rig: what the scenes are seen through.
+        entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama"; what the network wants if null.
+        panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
+        kind: of ``make_scene``, or a mixture: "mixed" or "all".
+        antialias: average images over the area between vertices before they are looked up.
+        mesh: file of a textured mesh, several, or a folder: scenes are free places in it, in place of a kind.
+        mesh_up: axis that points up in it, "y" (glTF) or "z".
+        mesh_scale: metres in one unit of it.
+        carrier: what carries the rig and is in view: "pole", "robot" or "vehicle"; nothing when not given.
+        tilts_deg: least and largest degrees by which the cameras look further down in training and validation, drawn
+            for each scene; see ``SceneDataset``. The rig as it is when not given, as in the test.
+    """
+
+    rig: CameraRig
+    entries: Entries = None
+    panorama_size: Size | None = None
+    kind: str = "mixed"
+    antialias: bool = True
+    mesh: str | list[str] | None = None
+    mesh_up: Literal["y", "z"] = "y"
+    mesh_scale: Positive = 1.0
+    carrier: str | None = None
+    tilts_deg: Annotated[Sequence[float], Len(2, 2)] | None = None
+
+    augmentation = (RotateFivefold(), PhotometricAugmentation())
+
+    def plain(self, split: str) -> SceneDataset:
         """Scenes of one split, as rendered.
 
         Raises:
             ArgumentError: the panorama cannot be turned by multiples of 72 degrees.
         """
         number, first_seed = self.scenes[split]
-        entries, size = self.entries or ("sphere",), self.panorama_size or (80, 160)
-        if self.augment and "panorama" in entries and size[1] % 5:
+        wanted = self.wanted
+        height, width = self.panorama_size or wanted.panorama_size or (80, 160)
+        if self.augment and "panorama" in wanted.entries and width % 5:
             raise ArgumentError(
-                "data.panorama_size: turning by multiples of 72 degrees wants a width that is a multiple of 5, got "
-                f"{size[1]}; or set data.augment=false"
+                f"data.panorama_size: turning by multiples of 72 degrees wants a width that is a multiple of 5, got "
+                f"{width}; or set data.augment=false"
             )
-        chosen = self.options | {"tilts": None if split == "test" else self.tilts}
+        tilted = self.tilts_deg is not None and split != "test"
+        low, high = map(math.radians, self.tilts_deg or (0.0, 0.0))
         return SceneDataset(
             number,
             self.rig,
-            first_seed=first_seed,
-            cache_dir=self.cache_dir,
-            entries=entries,
-            panorama=(int(size[0]), int(size[1])),
-            **{key: value for key, value in chosen.items() if value is not None},
+            wanted.level,
+            self.kind,
+            first_seed,
+            self.samples_per_pixel,
+            wanted.min_depth,
+            self.antialias,
+            self.cache_dir,
+            wanted.entries,
+            (height, width),
+            meshes=None if self.mesh is None else mesh_files(self.mesh, self.mesh_up, self.mesh_scale),
+            carrier=self.carrier,
+            depth_level=wanted.depth_level,
+            tilts=(low, high) if tilted else None,
         )
-
-    def prepare_data(self) -> None:
-        """Render, where a cache keeps it, what training and validation will read, so that its progress shows."""
-        for split in ("train", "val"):
-            self.render(split)
-
-    def render(self, split: str) -> None:
-        """Render the scenes of a split that are not in the cache yet; does nothing without a cache."""
-        if self.cache_dir is None:
-            return
-        scenes = self.scene_dataset(split)
-        missing = [i for i in range(len(scenes)) if not scenes.is_cached(i)]
-        if not missing:
-            return
-        subset = torch.utils.data.Subset(scenes, missing)
-        loader = DataLoader(subset, batch_size=None, num_workers=self.num_workers)
-        for _ in track(loader, f"rendering {split} scenes", total=len(missing)):
-            pass

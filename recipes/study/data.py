@@ -16,9 +16,8 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import RotateFisheye
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
-from sphericalvision.recipes.datamodules.entries import ChosenEntries
+from sphericalvision.recipes.datamodules.entries import ChosenEntries, Wanted
 from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
-from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 
 __all__ = ["INPUTS", "View", "study_frames", "training_depths", "views"]
 
@@ -82,34 +81,37 @@ def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset
         raise ArgumentError(
             "data: expected data=fisheye_scenes, whose samples hold fisheye images, or a set on disk"
         )
-    node |= {"entries": ["sphere", "fisheye", "panorama"], "augment": False}
-    node |= {"panorama_size": list(config.panorama_size), **dict(config.model)}
+    node |= {"augment": False, "panorama_size": list(config.panorama_size)}
     if config.frames is not None:
         node["num_test"] = config.frames
     del node["rig"]
     data = build(node, "data", rig=rig.rotated(tilt=math.radians(view.angle_deg)))
+    data.wanted = wanted(config)
     data.render("test")
     return data, data.dataset("test")
 
 
 def _on_disk(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
-    data = build({**config.data, **config.model}, "data")
+    data = build(config.data, "data")
     if not isinstance(data, OmniStereoDataModule):
         raise ArgumentError("data: expected data=fisheye_scenes, or a set on disk such as data=omnihouse")
     size = None if config.image_size is None else [int(side) for side in config.image_size]
     turned = RotateFisheye(tilt=math.radians(view.angle_deg), image_size=size)
-    return data, data.read("test", turned, ChosenEntries(("sphere", "fisheye", "panorama"), data.level))
+    data.wanted = wanted(config)
+    return data, data.read("test", turned, ChosenEntries(data.wanted.entries, data.wanted.level))
+
+
+def wanted(config: DictConfig) -> Wanted:
+    """What samples of a study hold, for networks of all kinds."""
+    level, min_depth = config.model.level, config.model.min_depth
+    return Wanted(("sphere", "fisheye", "panorama"), level, level - 2, None, min_depth)
 
 
 def training_depths(training: DictConfig, level: int, most: int) -> tuple[Tensor, Tensor]:
     """Inverse depth and validity ``(F, V_{level-2})`` of at most ``most`` frames that a training has, evenly chosen."""
-    settings = {"level": level, "min_depth": training.model.min_depth, "entries": None}
-    data = build({**training.data, **settings}, "data")
-    if isinstance(data, SceneDataModule):
-        data.entries = ("depth",)  # nothing is rendered
-        frames: Dataset[Sample] = data.plain_train_dataset()
-    else:
-        frames = data.plain_train_dataset()
+    data = build(training.data, "data")
+    data.wanted = Wanted(("depth",), level, level - 2, None, training.model.min_depth)  # no image is rendered
+    frames: Dataset[Sample] = data.plain_train_dataset()
     total = len(frames)  # type: ignore[arg-type]
     chosen = range(0, total, max(1, -(-total // most)))
     samples = [frames[index] for index in chosen]

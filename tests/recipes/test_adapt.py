@@ -71,7 +71,11 @@ def test_weights_are_kept_only_if_photo_consistency_rises(
 def test_frames_are_divided_and_taught_by_the_network_itself(tmp_path: Path, weights: Path) -> None:
     write_knocked_capture(tmp_path / "c", degrees=0.0)
     data = CaptureDataModule(
-        f"{tmp_path}/c", calibration=f"{tmp_path}/c/rig.yaml", held_out_every=2, min_depth=1.1, rendered=0.0
+        images=f"{tmp_path}/c",
+        calibration=f"{tmp_path}/c/rig.yaml",
+        held_out_every=2,
+        min_depth=1.1,
+        rendered=0.0,
     )
     net = load_weights(weights)
     data.serve(net)
@@ -99,7 +103,7 @@ def test_frames_are_divided_and_taught_by_the_network_itself(tmp_path: Path, wei
 def test_rendered_scenes_stand_in_a_share_of_the_time(tmp_path: Path, weights: Path) -> None:
     write_knocked_capture(tmp_path / "c", degrees=0.0)
     words = {"calibration": f"{tmp_path}/c/rig.yaml", "min_depth": 1.1, "rendered": 1.0}
-    data = CaptureDataModule(f"{tmp_path}/c", **words)  # type: ignore[arg-type]
+    data = CaptureDataModule(images=f"{tmp_path}/c", **words)  # type: ignore[arg-type]
     data.serve(load_weights(weights))
     data.setup("fit")
     torch.manual_seed(0)
@@ -126,7 +130,7 @@ def test_a_rehearsed_scene_is_the_same_but_for_its_disturbances() -> None:
 
 def test_scenes_of_the_benchmark_are_not_rehearsed() -> None:
     with pytest.raises(ArgumentError, match=r"data\.rendered_seed: .* 9900000 or less"):
-        CaptureDataModule("nowhere", rendered_seed=9_900_001)
+        CaptureDataModule(images="nowhere", rendered_seed=9_900_001)
 
 
 @pytest.mark.slow

@@ -121,7 +121,7 @@ def test_seeds_are_held_out() -> None:
     assert {track.seed(0) for track in TRACKS.values()} == {HELD_OUT_SEED}
     rig = TRACKS["room"].smaller(16).rig.make(0)
     with pytest.raises(ArgumentError, match="held out for the benchmark"):
-        SceneDataModule(rig, train_seed=HELD_OUT_SEED - 10, num_train=11)
+        SceneDataModule(rig=rig, train_seed=HELD_OUT_SEED - 10, num_train=11)
     with pytest.raises(ArgumentError, match="seeds below"):
         TRACKS["room"].seed(-1)
 

@@ -55,7 +55,7 @@ WRONG_VALUES = (
     ("calibrate", "images=*.png board=7x5 square=0.03", "field_of_view_deg=400"),
     ("calibrate", "images=*.png board=7x5", "square=0"),
     ("calibrate", "images=*.png square=0.03", "board=seven"),
-    ("evaluate", "", "split=all data.level=two"),
+    ("evaluate", "", "split=all data.num_test=two"),
     ("study", "", "seeds=[] panorama_size=[8] on_change=ask"),
     ("benchmark", "", "seconds=0 groups=[everything] settings=[[5]] settings=[5,16] image_size=[32]"),
 )
@@ -115,7 +115,7 @@ def test_wrong_words_are_told_in_a_paragraph(
 
 
 WRONG_PARTS = (
-    "data.num_train=0 data.train_seed=-1 data.min_depth=0 data.panorama_size=[4] data.samples_per_pixel=0",
+    "data.num_train=0 data.train_seed=-1 data.panorama_size=[4] data.samples_per_pixel=0",
     "data.entries=[] data.mesh_up=x rig.num_cameras=0 rig.image_size=[32] rig.field_of_view_deg=400 model.level=two",
     "trainer.precision=half loss.delta=small callbacks.panels.num_frames=-1",
 )
@@ -126,8 +126,6 @@ PARTS = (
     ("trainer.strategy=dpp trainer.accelerator=cpu", "trainer: "),
     ("trainer.strategy=fsdp trainer.accelerator=cpu", "trainer: "),
     ("trainer.accelerator=cpu trainer.devices=[0]", "trainer: "),
-    ("data.level=9", "data.level: the network takes images of level 3, got 9"),
-    ("data.depth_level=2", "data.depth_level: the network estimates depth at level 1, got 2"),
     ("model.norm=layer", "norm: expected one of"),
     ("model._target_=nothing.at.all", "model._target_: 'nothing.at.all' cannot be imported"),
     ("optimizer.betas=[1,2]", "optimizer"),

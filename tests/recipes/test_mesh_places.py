@@ -16,6 +16,7 @@ from sphericalvision.cameras import EquirectangularCamera, ring_rig  # noqa: E40
 from sphericalvision.core import ArgumentError, MissingFileError  # noqa: E402
 from sphericalvision.icosphere import Icosphere  # noqa: E402
 from sphericalvision.io.images import read_image  # noqa: E402
+from sphericalvision.recipes.datamodules.entries import Wanted  # noqa: E402
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule  # noqa: E402
 from sphericalvision.scenes import (  # noqa: E402
     MeshScene,
@@ -81,9 +82,8 @@ def glb(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_scene_and_its_export_are_the_same_data(glb: Path, tmp_path: Path) -> None:
     """Samples of the recipe's data module from a place in the file, beside the scene seen from that place."""
     rig = ring_rig(2, radius=0.1, image_size=(32, 32))
-    module = SceneDataModule(
-        rig, level=4, min_depth=0.55, mesh=str(glb), cache_dir=str(tmp_path), num_test=2, num_train=1
-    )
+    module = SceneDataModule(rig=rig, mesh=str(glb), cache_dir=str(tmp_path), num_test=2, num_train=1)
+    module.wanted = Wanted(level=4, depth_level=2)
     module.render("test")
     cached = sorted(path.name for path in tmp_path.rglob("*.npz"))
     assert len(cached) == 4

@@ -122,6 +122,8 @@ class _CrownInstanceNorm(_CrownBatchNorm):
     def _plainly(self, crown: Crown) -> Crown:
         # Channels of all samples side by side are the channels of one batch, of ten rectangles.
         batch = len(crown.col)
+        if not batch:
+            return crown
         together = torch.cat([rectangles.flatten(-2) for rectangles in crown], 1).transpose(0, 1)
         weight, bias = (None if x is None else x.repeat(batch) for x in (self.weight, self.bias))
         normalized = F.batch_norm(together.flatten(1, 2), None, None, weight, bias, True, eps=self.eps)

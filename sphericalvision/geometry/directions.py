@@ -15,10 +15,11 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import check_floating, check_last_dim, check_tensor
+from sphericalvision.core import ArgumentError, check_floating, check_last_dim, check_tensor
 
 __all__ = [
     "angle_from_axis",
+    "check_directions",
     "components",
     "cosine_and_lifted_sinc",
     "directions_from_longitude_latitude",
@@ -118,6 +119,20 @@ def holds(condition: Bool[Tensor, " ..."]) -> bool:
         (False, True)
     """
     return not has_numbers(condition) or bool(condition.all())
+
+
+def check_directions(directions: Float[Tensor, "*batch 3"]) -> None:
+    """Raise unless ``directions`` are ``(*, 3)``, floating point and without NaN, which lies in no cell of a grid.
+
+    Examples:
+        >>> check_directions(torch.eye(3))
+    """
+    check_last_dim("directions", directions, 3)
+    check_floating("directions", directions)
+    if not holds(directions == directions):
+        raise ArgumentError(
+            "directions: expected numbers, got NaN; leave these out, no value is nearest to them"
+        )
 
 
 def safe_sqrt(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
@@ -238,7 +253,7 @@ def longitude_latitude_from_directions(
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """Longitude in [−π, π] and latitude in [−π/2, π/2] (*), radians, of ``directions`` (*, 3) of any length.
 
-    At a pole the longitude is 0 and its derivative, which has no limit there, is 0 too.
+    At a pole the longitude is 0. Its derivative, which has no limit there, is 0 within √ε of the poles.
 
     Examples:
         >>> longitude, latitude = longitude_latitude_from_directions(torch.tensor([0.0, 0.0, 1.0]))
@@ -250,5 +265,7 @@ def longitude_latitude_from_directions(
     x, y, z = components(directions)
     tiny = torch.finfo(z.dtype).tiny ** 0.5
     squared = torch.addcmul(x * x, z, z)
-    longitude = torch.atan2(x, z + (tiny - squared).clamp_min(0))  # at a pole z is lifted off 0
+    away = squared > torch.finfo(y.dtype).eps * y * y
+    x, z = (torch.where(away, side, side.detach()) for side in (x, z))
+    longitude = torch.atan2(x, z + (tiny - squared.detach()).clamp_min(0))  # at a pole z is lifted off 0
     return longitude, torch.atan2(-y, (squared + tiny * tiny).sqrt())

@@ -49,7 +49,7 @@ def bilinear_sample(
 
     Args:
         image: floating point, as then are the values; its leading dimensions broadcast with those of ``pixels``.
-        pixels: (u, v) with integer pixel centres.
+        pixels: (u, v) with integer pixel centres; the value at a NaN is NaN.
         wrap_longitude: the image is a full equirectangular panorama: its left and right edges meet, and beyond
             a pole the panorama continues on the opposite side.
         padding: beyond the outermost pixel centres ``"border"`` repeats them and ``"zeros"`` fades to zero.
@@ -89,7 +89,7 @@ def bilinear_sample(
             "image and pixels: expected leading dimensions that broadcast with each other, "
             f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
         ) from None
-    if not pixels.numel():  # which grid_sample refuses
+    if 0 in (*batch, pixels.shape[-2]):  # which grid_sample refuses
         none = image.flatten(-2)[..., :0].expand(*batch, -1, -1)
         return none.reshape(*batch, image.shape[-3], pixels.shape[-2])
     flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
@@ -99,4 +99,5 @@ def bilinear_sample(
     grid = ((2 * pixels + 1) / size - 1).to(flat_image.dtype).expand(*batch, *pixels.shape[-2:])
     grid = grid.reshape(-1, 1, *pixels.shape[-2:])
     values = F.grid_sample(flat_image, grid, padding_mode=padding, align_corners=False)
+    values = torch.where(grid.isnan().any(-1).unsqueeze(1), torch.nan, values)
     return values.reshape(*batch, image.shape[-3], pixels.shape[-2]).to(image.dtype)

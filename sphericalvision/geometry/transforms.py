@@ -7,7 +7,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim, check_tensor
+from sphericalvision.core import (
+    ArgumentError,
+    ShapeError,
+    check_floating,
+    check_last_dim,
+    check_tensor,
+)
 from sphericalvision.geometry.broadcasting import broadcast_shapes
 from sphericalvision.geometry.directions import holds
 
@@ -55,6 +61,8 @@ def transform_points(
 ) -> Float[Tensor, "*batch 3"]:
     """Take ``points`` (*, n, 3) in b-coordinates to a-coordinates (*, n, 3) with ``a_from_b`` (*, 4, 4).
 
+    One point (3,) becomes (*, 3), one for each of the transforms.
+
     Examples:
         >>> shift = torch.eye(4)
         >>> shift[2, 3] = 1.0
@@ -64,6 +72,8 @@ def transform_points(
     _check_transform("a_from_b", a_from_b)
     check_last_dim("points", points, 3)
     check_floating("points", points)
+    if points.ndim == 1:
+        return transform_points(a_from_b, points[None]).squeeze(-2)
     return points @ a_from_b[..., :3, :3].mT + a_from_b[..., None, :3, 3]
 
 

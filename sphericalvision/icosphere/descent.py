@@ -13,7 +13,7 @@ from torch import Tensor
 from sphericalvision.icosphere.mesh import icosahedron_rectangles
 from sphericalvision.icosphere.topology import icosphere_faces, vertex_at
 
-__all__ = ["Triangles", "barycentric_weights", "base_corners", "base_places", "descend", "triple"]
+__all__ = ["Triangles", "barycentric_weights", "base_corners", "base_places", "convex", "descend", "triple"]
 
 
 class Triangles(NamedTuple):
@@ -69,7 +69,21 @@ def barycentric_weights(
     """Return ``(M, 3)`` weights from determinants of small differences, which are accurate in float32."""
     a, b, c = (corner - unit for corner in corners)
     volumes = torch.stack((triple(unit, b, c), triple(unit, c, a), triple(unit, a, b)), -1)
-    return volumes / volumes.sum(-1, keepdim=True)
+    return convex(volumes, -1)
+
+
+def convex(shares: Float[Tensor, " ..."], dim: int) -> Float[Tensor, " ..."]:
+    """Weights of three corners ``(*)`` from their shares along ``dim``: none is negative, and they add up to one.
+
+    On an edge rounding gives a corner a little less than nothing. Left so, values above zero could be interpolated to
+    one below it.
+
+    Examples:
+        >>> convex(torch.tensor([3.0, 1.0, -1e-6]), 0)
+        tensor([0.7500, 0.2500, 0.0000])
+    """
+    shares = shares.clamp(min=0)
+    return shares / shares.sum(dim, keepdim=True)
 
 
 def triple(a: Float[Tensor, "M 3"], b: Float[Tensor, "M 3"], c: Float[Tensor, "M 3"]) -> Float[Tensor, " M"]:

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim, check_tensor
+from sphericalvision.geometry.directions import check_directions
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere.adjacency import icosphere_edges, icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
@@ -122,10 +123,14 @@ class Icosphere(nn.Module):
 
         All triangles are acute, so the nearest vertex is a corner of the containing triangle.
 
+        Raises:
+            ArgumentError: a direction is NaN.
+
         Examples:
             >>> Icosphere(2).nearest(torch.tensor([0.0, -1.0, 0.01]))
             tensor(0)
         """
+        check_directions(directions)
         ids, _ = locate(directions, self.level)
         unit = torch.nn.functional.normalize(directions, dim=-1)
         distances = (self.vertices[ids] - unit[..., None, :]).square().sum(-1)

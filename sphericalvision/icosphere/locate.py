@@ -27,7 +27,7 @@ def locate(
     """Find the triangle of an icosphere that each direction pierces, and where.
 
     The weights are the barycentric coordinates of the point where the ray meets the plane of the triangle:
-    they sum to one, are non-negative up to rounding, and are differentiable in the directions. Directions on
+    they are not negative, sum to one, and are differentiable in the directions. Directions on
     an edge or a vertex get one of the triangles that share it.
 
     Args:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import is_recording, uses_reference_kernels
-from sphericalvision.icosphere.descent import barycentric_weights, descend
+from sphericalvision.icosphere.descent import barycentric_weights, convex, descend
 from sphericalvision.icosphere.fast.triangle_table import (
     coefficients,
     find_in_few_steps,
@@ -103,6 +103,7 @@ class TriangleLocator:
         if is_recording():
             return find_in_few_steps(rays, self._table)
         triangles, shares = find_triangles(rays, self._table)
+        shares = shares.clamp_(min=0)
         return triangles, shares.div_(shares.sum(0))
 
     def weights(self, rays: Float[Tensor, "3 m"], triangles: Int[Tensor, " m"]) -> Float[Tensor, "3 m"]:
@@ -111,5 +112,4 @@ class TriangleLocator:
             vertices = icosphere_vertices(self.level, torch.float64, rays.device).to(rays.dtype)
             a, b, c = vertices[self.faces[triangles]].unbind(1)
             return barycentric_weights(F.normalize(rays.T, dim=-1), (a, b, c)).T
-        shares = coefficients(rays, triangles, self._table)
-        return shares / shares.sum(0)
+        return convex(coefficients(rays, triangles, self._table), 0)

@@ -51,7 +51,7 @@ def icosphere_within(
     narrow = angle <= math.pi / 2
     chords = torch.cdist(
         (unit if narrow else -unit).reshape(-1, 3), vertices, compute_mode="donot_use_mm_for_euclid_dist"
-    ).view(*directions.shape[:-1], -1)
+    ).view(*directions.shape[:-1], len(vertices))
     rounding = 4 * torch.finfo(chords.dtype).eps
     if narrow:
         return chords <= 2 * math.sin(angle / 2) + rounding

@@ -103,7 +103,8 @@ def _all_at_once(
     rays = vertices[:, None, None, None] + offset * inverse_depths[:, None]  # (3, B, n, K, V)
     triangles, shares = locator.find(rays.flatten(1))
     first_row = torch.arange(batch * cameras, device=rows.device) * number
-    bags = locator.faces.index_select(0, triangles).view(batch * cameras, -1, 3) + first_row[:, None, None]
+    bags = locator.faces.index_select(0, triangles).view(batch * cameras, inverse_depths.shape[1:].numel(), 3)
+    bags = bags + first_row[:, None, None]
     values = weighted_rows(rows.reshape(-1, channels), bags.view(-1, 3), shares.T)
     values = values.view(*rays.shape[1:], channels)
     weights = (values[..., -1:] > 0.5).to(values)

@@ -4,7 +4,8 @@
 Convention:
     Index ``i`` is 0-based: 0 is infinity, ``N - 1`` is the smallest depth. ``1 / depth = i / ((N - 1) *
     min_depth) + eps`` with the float32 machine epsilon, so that the depth of index 0 is a large number
-    (8388608 m) and not infinity. Worked number: 17 hypotheses from 0.5 m put index 8 at 1 m.
+    (8388608 m) and not infinity. Indices below 0, as rounding makes them, are taken for 0.
+    Worked number: 17 hypotheses from 0.5 m put index 8 at 1 m.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ __all__ = [
     "inverse_depth_hypotheses",
 ]
 
+_MOST_INDEX = 1e30  # whose depth is still above zero in float32
 MAX_HYPOTHESES = 4096
 """The most hypotheses: twenty times those of any published network."""
 MIN_DEPTHS = 1e-5, 1e5
@@ -77,7 +79,9 @@ def inverse_depth_hypotheses(
 def inverse_depth_from_index(
     index: Num[Tensor, "*batch"], num_hypotheses: int, min_depth: float
 ) -> Float[Tensor, "*batch"]:
-    """Return the inverse depth in 1/m of (fractional) hypothesis indices ``(*)``.
+    """Return the inverse depth in 1/m, positive and finite, of (fractional) hypothesis indices ``(*)``.
+
+    Computed in float32 at least, and returned so: half precision has no number for the farthest depth. A NaN stays one.
 
     Examples:
         >>> inverse_depth_from_index(torch.tensor([8.0, 16.0]), num_hypotheses=17, min_depth=0.5)
@@ -85,13 +89,16 @@ def inverse_depth_from_index(
     """
     check_hypotheses(num_hypotheses, min_depth)
     check_tensor("index", index, "(*)")
+    index = index.to(torch.promote_types(index.dtype, torch.float32)).clamp(0, _MOST_INDEX)
     return index * (1 / ((num_hypotheses - 1) * min_depth)) + INVERSE_DEPTH_OFFSET
 
 
 def depth_from_index(
     index: Num[Tensor, "*batch"], num_hypotheses: int, min_depth: float
 ) -> Float[Tensor, "*batch"]:
-    """Return the depth in metres of (fractional) hypothesis indices ``(*)``.
+    """Return the depth in metres, positive and finite, of (fractional) hypothesis indices ``(*)``.
+
+    Computed in float32 at least; a NaN stays one.
 
     Examples:
         >>> depth_from_index(torch.tensor([8.0, 16.0]), num_hypotheses=17, min_depth=0.5)

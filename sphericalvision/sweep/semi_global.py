@@ -239,7 +239,7 @@ def semi_global_costs(
 def _colors_at(images: Tensor, shown: Tensor, tables: SweepTables, winner: Tensor) -> Tensor:
     """Mean ``(B, C, V)`` over the cameras that see it of the colours at hypotheses ``(B, V)``."""
     batch, _, channels, _ = images.shape
-    place = winner.view(batch, 1, -1, 1)
+    place = winner[:, None, :, None]
     chosen = []
     for table in (tables.ids, tables.weights, tables[2].unsqueeze(-1)):
         entries = table.view(-1, *table.shape[-4:])

@@ -53,4 +53,4 @@ def one_at_a_time(values: Tensor) -> bool:
 
     Other devices and recorded programs want few large operations.
     """
-    return values.device.type == "cpu" and not is_recording()
+    return values.device.type == "cpu" and not is_recording() and len(values) > 0

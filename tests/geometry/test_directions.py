@@ -51,12 +51,12 @@ def test_longitude_and_latitude_survive_the_round_trip(generator: torch.Generato
 
 
 def test_poles_have_longitude_zero_and_finite_gradients() -> None:
-    poles = torch.tensor([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0]], requires_grad=True)
+    poles = torch.tensor([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [1e-25, -1.0, 0.0]], requires_grad=True)
     longitude, latitude = longitude_latitude_from_directions(poles)
-    assert longitude.tolist() == [0, 0]
-    torch.testing.assert_close(latitude, torch.tensor([math.pi / 2, -math.pi / 2]))
+    assert longitude[:2].tolist() == [0, 0]
+    torch.testing.assert_close(latitude, torch.tensor([math.pi / 2, -math.pi / 2, math.pi / 2]))
     (gradient,) = torch.autograd.grad((longitude + latitude).sum(), poles)
-    assert torch.isfinite(gradient).all()
+    assert gradient.abs().max() <= 1
 
 
 def test_safe_functions_have_finite_gradients_at_zero() -> None:

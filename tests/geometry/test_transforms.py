@@ -55,6 +55,17 @@ def test_inverse_is_the_matrix_inverse(generator: torch.Generator) -> None:
     torch.testing.assert_close(invert_transform(transforms), torch.linalg.inv(transforms))
 
 
+def test_one_point_by_many_poses(generator: torch.Generator) -> None:
+    poses, point = (
+        random_transforms(generator, 2, 4),
+        torch.randn(3, generator=generator, dtype=torch.float64),
+    )
+    torch.testing.assert_close(
+        transform_points(poses, point), transform_points(poses, point[None])[..., 0, :]
+    )
+    assert transform_points(poses[0, 0], point).shape == (3,)
+
+
 def test_points_against_homogeneous_coordinates(generator: torch.Generator) -> None:
     transforms = random_transforms(generator, 4)
     points = torch.randn(4, 7, 3, generator=generator, dtype=torch.float64)

@@ -67,6 +67,37 @@ def test_cells_of_the_nearest_value_have_the_stated_solid_angles(name: str) -> N
     assert difference.max() < GRIDS[name].cells
 
 
+@pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", NAMES)
+def test_interpolation_is_convex(name: str, count: int) -> None:
+    """No result is beyond the values, on the values' own directions and between two of them neither."""
+    grid = make(name, 16).to(torch.float32)  # type: ignore[attr-defined]
+    own = grid.directions.reshape(-1, 3)
+    directions = torch.cat((spread_directions(count).float(), own, own[1:] + own[:-1], own + own.roll(7, 0)))
+    values = torch.randint(2, (1, *grid.shape), generator=torch.Generator().manual_seed(0)).float()
+    for found in (grid.sample(values, directions), 1 - grid.sample(1 - values, directions)):
+        assert found[found.isfinite()].min() >= -1e-6
+        assert found[found.isfinite()].max() <= 1 + 1e-6
+    assert grid.sample(values, directions).nan_to_num().min() >= 0
+
+
+@pytest.mark.parametrize("kind", [torch.float32, DOUBLE])
+@pytest.mark.parametrize("name", NAMES)
+def test_nan_is_nan_or_refused(name: str, kind: torch.dtype) -> None:
+    grid = make(name).to(kind)  # type: ignore[attr-defined]
+    bad = torch.eye(3, dtype=kind).masked_fill(torch.eye(3, dtype=torch.bool), torch.nan)
+    directions = torch.cat((bad + grid.directions.reshape(-1, 3)[:3], grid.directions.reshape(-1, 3)[3:5]))
+    found = grid.sample(torch.ones(2, *grid.shape, dtype=kind), directions)
+    assert found.isnan().tolist() == [[True] * 3 + [False] * 2] * 2
+    if hasattr(grid, "locate"):
+        ids, weights = grid.locate(directions)
+        assert weights.isnan().all(-1).tolist() == [True] * 3 + [False] * 2
+        assert ids.min() >= 0
+        assert ids.max() < math.prod(grid.shape)
+    with pytest.raises(ArgumentError, match=r"directions: .* NaN"):
+        grid.nearest(directions)
+
+
 @pytest.mark.parametrize("mode", ["bilinear", "nearest", "area"])
 @pytest.mark.parametrize("name", NAMES)
 def test_onto_itself_is_the_identity(name: str, mode: str) -> None:

@@ -88,6 +88,13 @@ def test_ring_and_nested_name_the_same_pixels(nside: int) -> None:
     torch.testing.assert_close(ring.directions, nested.directions[nested_from_ring(ids, nside)])
     assert torch.equal(ring_from_nested(nested_from_ring(ids, nside), nside), ids)
     assert torch.equal(nested_from_ring(ids, nside).sort().values, ids)
+    for renumbered in (ring_from_nested, nested_from_ring):
+        neighbors = renumbered(ring.neighbors, nside)
+        assert torch.equal(neighbors < 0, ring.neighbors < 0)
+        assert renumbered(torch.tensor([-1, 0]), nside)[0] == -1
+        for nowhere in (-2, 12 * nside**2):
+            with pytest.raises(ArgumentError, match=r"ids: .* -1 for none"):
+                renumbered(torch.tensor([nowhere]), nside)
 
 
 def test_convention_healpix_numbers_are_healpys() -> None:

@@ -73,6 +73,19 @@ def test_infinity_has_index_zero_and_a_finite_gradient() -> None:
     assert depth.grad.tolist() == pytest.approx([0.0, -31 * 0.55 / 4])
 
 
+@pytest.mark.parametrize("kind", [torch.float16, torch.bfloat16, torch.float32, DOUBLE, torch.int64])
+@pytest.mark.parametrize(("number", "nearest"), [(2, 1e-5), (32, 0.55), (4096, 1e5)])
+def test_every_index_has_a_positive_finite_depth(number: int, nearest: float, kind: torch.dtype) -> None:
+    """Whatever rounding or a network makes of an index, its depth is ahead; only a NaN has none."""
+    indices = torch.tensor([-torch.inf, -3.0, -1e-6, 0.0, 1e-6, 1.0, 1e9, torch.inf], dtype=DOUBLE).to(kind)
+    inverse_depth = inverse_depth_from_index(indices, number, nearest)
+    for found in (inverse_depth, depth_from_index(indices, number, nearest), inverse_depth.reciprocal()):
+        assert found.isfinite().all()
+        assert (found > 0).all()
+        assert found.dtype == (DOUBLE if kind == DOUBLE else torch.float32)
+    assert depth_from_index(torch.tensor(torch.nan), number, nearest).isnan()
+
+
 def test_closer_than_the_smallest_depth_is_not_clamped() -> None:
     assert index_from_depth(torch.tensor(0.25), 11, 0.5).item() == pytest.approx(20, abs=1e-4)
 
@@ -84,6 +97,8 @@ def test_closer_than_the_smallest_depth_is_not_clamped() -> None:
         (2.5, 0.5, "num_hypotheses"),
         (8, 0.0, "min_depth"),
         (8, float("nan"), "min_depth"),
+        (8, 5e-324, "min_depth"),
+        (8, 1e10, "min_depth"),
     ],
 )
 def test_nonsense_is_refused(number: int, min_depth: float, name: str) -> None:

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import constant_table
-from sphericalvision.icosphere.descent import descend
+from sphericalvision.icosphere.descent import convex, descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import icosphere_faces
@@ -127,7 +127,7 @@ def find_in_few_steps(
             least, corner = shares.min(1)
             beyond = table.neighbors.index_select(0, triangles * 3 + corner.int())
             triangles = beyond.where(least < -slack * shares.sum(1), triangles)
-    return triangles, (shares / shares.sum(1, keepdim=True)).T
+    return triangles, convex(shares, 1).T
 
 
 @constant_table

@@ -44,11 +44,11 @@ class SphereGrid(Protocol):
     def sample(
         self, values: Float[Tensor, "*values"], directions: Float[Tensor, "*points 3"]
     ) -> Float[Tensor, "*results"]:
-        """Interpolate ``(*b, c, *shape)`` at ``(*b, n, 3)`` or ``(n, 3)``, giving ``(*b, c, n)``."""
+        """Interpolate ``(*b, c, *shape)`` at ``(*b, n, 3)`` or ``(n, 3)``, giving ``(*b, c, n)``; NaN at NaN."""
 
     def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the index ``(*)``, into the flattened grid, of the value in whose cell ``(*, 3)`` lies.
 
         That is the value nearest by angle on an icosphere. Pixels of a panorama, a cube map, HEALPix or a tangent image
-        are no Voronoi cells: beside their edges another centre may be nearer, by less than a pixel.
+        are no Voronoi cells: beside their edges another centre may be nearer, by less than a pixel. A NaN is refused.
         """

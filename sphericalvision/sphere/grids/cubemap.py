@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from sphericalvision.core import check_last_dim
 from sphericalvision.geometry import bilinear_sample, normalize
-from sphericalvision.geometry.directions import safe_sqrt
+from sphericalvision.geometry.directions import check_directions, safe_sqrt
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
@@ -140,10 +140,14 @@ class Cubemap(nn.Module):
     def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the index ``(*)`` of the pixel that contains each direction ``(*, 3)``.
 
+        Raises:
+            ArgumentError: a direction is NaN.
+
         Examples:
             >>> Cubemap(1).nearest(torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.1]])).tolist()
             [0, 5]
         """
+        check_directions(directions)
         face, tangents = self.face_coordinates(directions)
         column, row = ((tangents + 1) * (self.size / 2)).floor().long().clamp(0, self.size - 1).unbind(-1)
         return (face * self.size + row) * self.size + column

@@ -15,6 +15,7 @@ from sphericalvision.geometry import (
     directions_from_longitude_latitude,
     longitude_latitude_from_directions,
 )
+from sphericalvision.geometry.directions import check_directions
 from sphericalvision.geometry.interpolation import wrap_panorama
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 
@@ -174,11 +175,14 @@ class Equirectangular(nn.Module):
 
         A direction midway between two columns or rows, as whole meridians of an icosphere are, goes to the even one.
 
+        Raises:
+            ArgumentError: a direction is NaN.
+
         Examples:
             >>> Equirectangular(3, 5).nearest(torch.tensor([0.0, 0.0, 1.0]))
             tensor(7)
         """
-        check_last_dim("directions", directions, 3)
+        check_directions(directions)
         # Single precision makes ties of what differs from one by rounding only.
         column, row = self.pixels(directions.detach().double()).float().round().long().unbind(-1)
         return row.clamp(0, self.height - 1) * self.width + column.clamp(0, self.width - 1)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from sphericalvision.core import check_choice, check_last_dim
 from sphericalvision.geometry import longitude_latitude_from_directions, normalize
-from sphericalvision.geometry.directions import safe_hypot
+from sphericalvision.geometry.directions import check_directions, safe_hypot
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.healpix_pixels import (
@@ -106,11 +106,14 @@ class Healpix(nn.Module):
     def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the number ``(*)`` of the pixel that contains each direction ``(*, 3)``.
 
+        Raises:
+            ArgumentError: a direction is NaN.
+
         Examples:
             >>> Healpix(1).nearest(torch.tensor([0.0, 0.0, 1.0])).item()
             4
         """
-        check_last_dim("directions", directions, 3)
+        check_directions(directions)
         face, x, y = place_of_direction(normalize(directions.detach()))
         column, row = ((side * self.nside).floor().long().clamp(0, self.nside - 1) for side in (x, y))
         number = nested_from_place if self.nested else ring_from_place

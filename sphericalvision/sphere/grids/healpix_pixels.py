@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.geometry.directions import holds
 
 __all__ = [
     "NEIGHBOR_STEPS",
@@ -53,29 +54,40 @@ _CROSSINGS = (
 
 
 def nested_from_ring(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
-    """Numbers ``(*)`` in the nested order of pixels numbered ring by ring ``(*)``.
+    """Numbers ``(*)`` in the nested order of pixels numbered ring by ring ``(*)``; -1, no pixel, stays -1.
 
     Raises:
-        ArgumentError: if nside is no power of two.
+        ArgumentError: if nside is no power of two, or there is no such pixel.
 
     Examples:
         >>> nested_from_ring(torch.arange(6), 2).tolist()
         [3, 7, 11, 15, 2, 1]
     """
-    return nested_from_place(*place_from_ring(ids, nside), nside)
+    found = nested_from_place(*place_from_ring(_checked(ids, nside), nside), nside)
+    return torch.where(ids < 0, -1, found)
 
 
 def ring_from_nested(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
-    """Numbers ``(*)`` ring by ring of pixels numbered in the nested order ``(*)``.
+    """Numbers ``(*)`` ring by ring of pixels numbered in the nested order ``(*)``; -1, no pixel, stays -1.
 
     Raises:
-        ArgumentError: if nside is no power of two.
+        ArgumentError: if nside is no power of two, or there is no such pixel.
 
     Examples:
         >>> ring_from_nested(torch.arange(4), 2).tolist()  # the four children of base face 0
         [13, 5, 4, 0]
     """
-    return ring_from_place(*place_from_nested(ids, nside), nside)
+    found = ring_from_place(*place_from_nested(_checked(ids, nside), nside), nside)
+    return torch.where(ids < 0, -1, found)
+
+
+def _checked(ids: Tensor, nside: int) -> Tensor:
+    """Numbers ``(*)`` of pixels, the first one in place of -1, or ``ArgumentError``."""
+    if not holds((ids >= -1) & (ids < 12 * nside**2)):
+        raise ArgumentError(
+            f"ids: expected pixels 0 to {12 * nside**2 - 1}, or -1 for none, got {int(ids.min())} to {int(ids.max())}"
+        )
+    return ids.clamp(min=0)
 
 
 def nested_from_place(

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry import bilinear_sample
+from sphericalvision.geometry.directions import check_directions
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
@@ -151,7 +152,12 @@ class TangentImages(nn.Module):
         return patch, plane / self.pixel_size + (self.size - 1) / 2
 
     def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
-        """Return the index ``(*)`` of the pixel, in the patch of the containing face, that each direction falls on."""
+        """Return the index ``(*)`` of the pixel, in the patch of the containing face, that each direction falls on.
+
+        Raises:
+            ArgumentError: a direction is NaN.
+        """
+        check_directions(directions)
         patch, pixels = self.face_coordinates(directions)
         column, row = (pixels + 0.5).floor().long().clamp(0, self.size - 1).unbind(-1)
         return (patch * self.size + row) * self.size + column

@@ -331,6 +331,32 @@ def uses_reference_kernels() -> bool:
 P = ParamSpec("P")
 R = TypeVar("R")
 
+
+def full_precision(function: Callable[P, R]) -> Callable[P, R]:
+    """Make a function compute in the precision of what it is given, inside of ``torch.autocast`` too.
+
+    For geometry: products of matrices in bfloat16 would move pixels and triangles.
+
+    Examples:
+        >>> @full_precision
+        ... def product(a, b):
+        ...     return a @ b
+        >>> with torch.autocast("cpu", torch.bfloat16):
+        ...     product(torch.ones(2, 2), torch.ones(2, 2)).dtype
+        torch.float32
+    """
+
+    @wraps(function)
+    def exact(*args: P.args, **kwargs: P.kwargs) -> R:
+        device = next((kind for kind in ("cpu", "cuda", "mps") if torch.is_autocast_enabled(kind)), None)
+        if device is None:
+            return function(*args, **kwargs)
+        with torch.autocast(device, enabled=False):
+            return exact(*args, **kwargs)
+
+    return exact
+
+
 _recordings: list[dict[Any, Any]] = []
 """Tables of the open ``recording`` blocks."""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every public name on the meta device, where tensors have shapes and no numbers; and of nothing.
+"""Every public name on the meta device, where tensors have shapes and no numbers; under autocast; and of nothing.
 
 The meta device shows what a machine without a GPU cannot: a tensor made on the wrong device, or a look at a number
 (``.item()``, ``bool(...)``, ``nonzero``), which on a GPU waits for all that was asked for before. What does not run
@@ -385,6 +385,30 @@ def test_every_public_name_is_in_one_of_the_tables() -> None:
     names = {line.partition(": ")[2] for line in INVENTORY.read_text().splitlines()}
     assert not set(CALLS) & set(EXCEPTIONS)
     assert set(CALLS) | set(EXCEPTIONS) == names, set(CALLS) ^ set(EXCEPTIONS) ^ names
+
+
+ROOMS = (cameras, geometry, icosphere, losses, metrics, sphere, sweep)
+CASTS = (
+    "SphereConv2d",
+    "sphere_conv2d",
+    "make_seamless",
+    "Concatenation",
+)  # convolutions, which autocast is for
+EXACT = [name for room in ROOMS for name in dir(room) if name in CALLS and name not in CASTS]
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_autocast_leaves_its_numbers_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PLACE, "device", "cpu")
+    monkeypatch.setitem(PLACE, "sizes", {5: 500})
+    found = []
+    for mixed in (False, True):
+        torch.manual_seed(0)
+        with torch.autocast("cpu", torch.bfloat16, enabled=mixed):
+            found.append(list(tensors(CALLS[name]())))
+    assert found[0]
+    for alone, inside in zip(*found, strict=True):
+        torch.testing.assert_close(inside, alone, rtol=0, atol=0, equal_nan=True)
 
 
 @pytest.mark.parametrize("name", CALLS)

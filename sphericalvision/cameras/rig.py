@@ -28,6 +28,7 @@ from sphericalvision.core import (
     check_last_dim,
     check_tensor,
     check_type,
+    full_precision,
     short_repr,
 )
 from sphericalvision.geometry import (
@@ -186,6 +187,7 @@ class CameraRig:
             raise ArgumentError(f"order: expected a permutation of 0 to {len(self) - 1}, got {order}")
         return self.subset(order)
 
+    @full_precision
     def rotated(
         self, tilt: float | Float[Tensor, " ..."] = 0.0, rotation: Float[Tensor, "*rigs 3 3"] | None = None
     ) -> CameraRig:
@@ -358,6 +360,7 @@ class CameraRig:
             )
         return self.project_along(directions, inverse_depths).valid
 
+    @full_precision
     def _project_rays(self, rays: Sequence[Tensor]) -> Projection:
         """Pixels of the rays ``(*b, P, 3)`` from each camera, whose coordinates are turned like the world's."""
         pixels, valid = [], []

@@ -14,7 +14,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_poses
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.core import ArgumentError, check_choice, full_precision
 
 __all__ = ["UPS", "Trajectory"]
 
@@ -105,6 +105,7 @@ class Trajectory:
             dict.fromkeys(names, camera), poses, None if mask is None else dict.fromkeys(names, mask)
         )
 
+    @full_precision
     def turned(self, up: str) -> Trajectory:
         """Return the poses in a world whose y points down, as everywhere in this package.
 

@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sphericalvision.core import full_precision
+
 __all__ = ["LeastSquares", "solve_least_squares"]
 
 _PATIENCE = 12  # rejected steps in a row, each with ten times the damping
@@ -25,6 +27,7 @@ class LeastSquares(NamedTuple):
 
 
 @torch.no_grad()
+@full_precision
 def solve_least_squares(
     residuals: Callable[[Tensor], Tensor],
     start: Float[Tensor, " p"],

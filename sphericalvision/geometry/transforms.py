@@ -13,6 +13,7 @@ from sphericalvision.core import (
     check_floating,
     check_last_dim,
     check_tensor,
+    full_precision,
 )
 from sphericalvision.geometry.broadcasting import broadcast_shapes
 from sphericalvision.geometry.directions import holds
@@ -42,6 +43,7 @@ def _assemble(rotation: Tensor, translation: Tensor) -> Tensor:
     return torch.cat((upper, last), dim=-2)
 
 
+@full_precision
 def invert_transform(a_from_b: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
     """The rigid transform ``b_from_a`` (*, 4, 4); exact for rotations, no linear solve.
 
@@ -56,6 +58,7 @@ def invert_transform(a_from_b: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*b
     return _assemble(rotation, -(rotation @ a_from_b[..., :3, 3:]).squeeze(-1))
 
 
+@full_precision
 def transform_points(
     a_from_b: Float[Tensor, "*poses 4 4"], points: Float[Tensor, "*points 3"]
 ) -> Float[Tensor, "*batch 3"]:

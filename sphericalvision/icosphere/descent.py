@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from sphericalvision.core import full_precision
 from sphericalvision.icosphere.mesh import icosahedron_rectangles
 from sphericalvision.icosphere.topology import icosphere_faces, vertex_at
 
@@ -91,6 +92,7 @@ def triple(a: Float[Tensor, "M 3"], b: Float[Tensor, "M 3"], c: Float[Tensor, "M
     return (a * torch.linalg.cross(b, c)).sum(-1)
 
 
+@full_precision
 def descend(unit: Float[Tensor, "M 3"], level: int) -> Triangles:
     """Return the triangles that contain unit vectors ``(M, 3)``; corners are recomputed on the way, in their dtype."""
     bases = base_corners(unit)

@@ -7,12 +7,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ShapeError, full_precision
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 
 __all__ = ["local_appearance"]
 
 
+@full_precision
 def local_appearance(
     images: Float[Tensor, "*batch 3 V"], seen: Bool[Tensor, "*batch V"] | None = None
 ) -> Float[Tensor, "*batch 7 V"]:

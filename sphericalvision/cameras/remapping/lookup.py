@@ -15,12 +15,14 @@ from torch import Tensor, nn
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.model_alone import lifted
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.core import full_precision
 from sphericalvision.geometry.broadcasting import broadcast_shapes
 from sphericalvision.geometry.lookup import ImageLookup
 
 __all__ = ["PyramidLookup", "image_edges", "level_size", "nearest_pixel", "source_pixels"]
 
 
+@full_precision
 def source_pixels(
     source: Camera,
     target: Camera,

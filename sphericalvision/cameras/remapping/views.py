@@ -14,11 +14,12 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ShapeError, full_precision
 
 __all__ = ["perspective_views", "rotation_from_yaw_pitch_roll"]
 
 
+@full_precision
 def rotation_from_yaw_pitch_roll(angles: Float[Tensor, "*views 3"]) -> Float[Tensor, "*views 3 3"]:
     """Rotations (*, 3, 3), source_from_view, of a view that is yawed, then pitched, then rolled, (*, 3) in radians.
 

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor, nn
 
-from sphericalvision.core import check_last_dim
+from sphericalvision.core import check_last_dim, full_precision
 from sphericalvision.geometry import bilinear_sample, normalize
 from sphericalvision.geometry.directions import check_directions, safe_sqrt
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
@@ -121,6 +121,7 @@ class Cubemap(nn.Module):
         dtype = dtype or self.directions.dtype
         return rays[..., :3].to(dtype), shares.to(dtype)
 
+    @full_precision
     def face_coordinates(
         self, directions: Float[Tensor, "*batch 3"]
     ) -> tuple[Int[Tensor, "*batch"], Float[Tensor, "*batch 2"]]:

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.cameras import PinholeCamera
-from sphericalvision.core import ArgumentError, check_last_dim
+from sphericalvision.core import ArgumentError, check_last_dim, full_precision
 from sphericalvision.geometry import bilinear_sample
 from sphericalvision.geometry.directions import check_directions
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
@@ -132,6 +132,7 @@ class TangentImages(nn.Module):
         dtype = dtype or self.directions.dtype
         return rays.to(dtype), shares.to(dtype)
 
+    @full_precision
     def face_coordinates(
         self, directions: Float[Tensor, "*batch 3"]
     ) -> tuple[Int[Tensor, "*batch"], Float[Tensor, "*batch 2"]]:

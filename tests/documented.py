@@ -257,7 +257,8 @@ BENCHMARK = [
     "image_size=[32,32]",
     "num_points=100",
     "num_frames=1",
-    "peak_size=64",
+    "image_sides=[32]",
+    "presets=[fast]",
     "device=cpu",
 ]
 METHODS = [

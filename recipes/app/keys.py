@@ -132,7 +132,6 @@ KEYS: dict[str, Any] = {
     "only": Text | None,
     "seconds": Positive,
     "threads": Count | None,
-    "peak_size": Count,
     "settings": list[Size],
     "feature_channels": Count,
     "image_size": Size,
@@ -141,6 +140,8 @@ KEYS: dict[str, Any] = {
     "variants": list[str],
     "convolution_settings": list[Size],
     "num_points": Count,
+    "image_sides": Annotated[list[Count], MinLen(1)],
+    "presets": Annotated[list[Literal["default", "fast", "fine"]], MinLen(1)],
 }
 """Key -> its type."""
 

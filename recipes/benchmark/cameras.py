@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera models beside other libraries, in turns."""
+"""Camera models beside other libraries: kornia and OpenCV, and ds-msp and py360convert where they are installed."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
 
+import cv2
+import numpy as np
 import torch
 import torch.nn.functional as F
+from kornia.geometry.camera import distortion_kannala_brandt as kornia_kannala_brandt
 from omegaconf import DictConfig
+from torch import Tensor
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
@@ -25,31 +32,41 @@ from sphericalvision.cameras import (
     Remap,
     UnifiedCamera,
 )
-from sphericalvision.recipes.benchmark.camera_peers import Peers, perspective_peers
 from sphericalvision.recipes.benchmark.measuring import Comparison
 
-__all__ = ["cameras", "comparisons"]
+__all__ = ["cameras", "models"]
 
 SIZE, FOCAL, CENTER = (800, 800), [240.0, 241.0], [399.2, 400.7]
+WIDE = math.radians(95)
 DISTORTION = [-0.0069, 0.0448, -0.0435, 0.0084]
 """Of a fisheye with Kannala and Brandt's model."""
-WIDE = math.radians(95)
 PLUMB_BOB = [-0.2, 0.05, 1e-3, -1e-3, 0.0]
 DOUBLE_SPHERE = [-0.2, 0.58]
-RADIAL = [240.0, -2.0, 12.0, -4.0]
 OCAM, OCAM_INVERSE, AFFINE = [-240.0, 0.0, 1.1e-3, 2e-7, 1e-10], [376.0, 235.0, -2.0, 9.0], [1.0, 1e-3, 2e-3]
+MATRIX = np.array([[FOCAL[0], 0, CENTER[0]], [0, FOCAL[1], CENTER[1]], [0, 0, 1]])
+
+Runs = dict[str, Callable[[], Any]]
 
 
-def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+def cameras(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Every model both ways in single and double precision; then images from one camera to another."""
-    peers = Peers(FOCAL, CENTER, DISTORTION, PLUMB_BOB, DOUBLE_SPHERE)
+    generator = torch.Generator().manual_seed(0)
+    size = torch.tensor([SIZE[1] - 1, SIZE[0] - 1])
+    pixels = torch.rand(config.num_points, 2, generator=generator) * size
     for dtype in (torch.float32, torch.float64):
-        for name, camera in cameras().items():
-            yield from _both_ways(name, camera.to(device, dtype), config.num_points, peers)
+        runs: dict[str, Runs] = {"project": {}, "unproject": {}}
+        for name, camera in models().items():
+            camera, places = camera.to(device, dtype), pixels.to(device, dtype)
+            points = camera.unproject(places).directions
+            for verb, values in (("project", points), ("unproject", places)):
+                runs[verb][name] = partial(getattr(camera, verb), values)
+                runs[verb] |= {f"{name}, {other}": run for other, run in _others(name, verb, values).items()}
+        for verb, own in runs.items():
+            yield Comparison(f"{verb} {config.num_points} points, {str(dtype).removeprefix('torch.')}", own)
     yield from _images(device)
 
 
-def cameras() -> dict[str, Camera]:
+def models() -> dict[str, Camera]:
     """One camera of every kind."""
     pinhole = (FOCAL, CENTER)
     found: dict[str, Camera] = {
@@ -59,7 +76,7 @@ def cameras() -> dict[str, Camera]:
         "unified": UnifiedCamera(*pinhole, 0.9, None, SIZE),
         "extended unified": ExtendedUnifiedCamera(*pinhole, 0.6, 1.1, SIZE),
         "double sphere": DoubleSphereCamera(*pinhole, DOUBLE_SPHERE[0], DOUBLE_SPHERE[1], SIZE, WIDE),
-        "radial polynomial": RadialPolynomialCamera(RADIAL, CENTER, 1.0, SIZE, WIDE),
+        "radial polynomial": RadialPolynomialCamera([240.0, -2.0, 12.0, -4.0], CENTER, 1.0, SIZE, WIDE),
         "OCam, inverse polynomial": OCamCamera(OCAM, OCAM_INVERSE, CENTER, AFFINE, SIZE, WIDE),
         "OCam, exact inverse": OCamCamera(OCAM, None, CENTER, AFFINE, SIZE, WIDE),
         "equirectangular": EquirectangularCamera(SIZE),
@@ -70,49 +87,58 @@ def cameras() -> dict[str, Camera]:
     return found
 
 
-def _both_ways(name: str, camera: Camera, number: int, peers: Peers) -> Iterator[Comparison]:
-    generator = torch.Generator().manual_seed(0)
-    size = torch.tensor([SIZE[1] - 1, SIZE[0] - 1])
-    pixels = (torch.rand(number, 2, generator=generator) * size).to(camera.max_angle)
-    points = camera.unproject(pixels).directions
-    label = f"{name}, {number} points, {str(camera.dtype).removeprefix('torch.')}"
-    for verb, values in (("project", points), ("unproject", pixels)):
-        others, note = peers.runs(name, verb, values)
-        runs = {"sphericalvision": partial(getattr(camera, verb), values), **others}
-        reference = next((run for run in ("kornia", "OpenCV") if run in runs), "sphericalvision")
-        yield Comparison(f"{verb}: {label}", runs, reference, note=note)
+def _others(name: str, verb: str, values: Tensor) -> Runs:
+    """The same lens in other libraries: kornia and OpenCV answer on the plane z = 1, so not beyond 90°."""
+    array, zero = values.cpu().numpy()[:, None], np.zeros(3)
+    kannala_brandt, brown_conrady = np.array(DISTORTION), np.array(PLUMB_BOB)
+    runs: Runs = {}
+    if name == "Kannala-Brandt":
+        parameters = torch.tensor([*FOCAL, *CENTER, *DISTORTION]).to(values)
+        if verb == "project":
+            plane, lens = values[..., :2] / values[..., 2:], (zero, zero, MATRIX, kannala_brandt)
+            runs["kornia"] = partial(kornia_kannala_brandt.distort_points_kannala_brandt, plane, parameters)
+            runs["OpenCV"] = partial(cv2.fisheye.projectPoints, array, *lens)
+        else:
+            runs["kornia"] = partial(
+                kornia_kannala_brandt.undistort_points_kannala_brandt, values, parameters
+            )
+            runs["OpenCV"] = partial(cv2.fisheye.undistortPoints, array, MATRIX, kannala_brandt)
+    elif name.startswith("Brown-Conrady"):
+        if verb == "project":
+            runs["OpenCV"] = partial(cv2.projectPoints, array, zero, zero, MATRIX, brown_conrady)
+        else:  # five rounds of fixed-point iteration, whatever is left
+            runs["OpenCV"] = partial(cv2.undistortPoints, array, MATRIX, brown_conrady)
+    peers = {
+        "Kannala-Brandt": ("KannalaBrandtModel", DISTORTION),
+        "double sphere": ("DoubleSphereModel", DOUBLE_SPHERE),
+    }
+    if name in peers and values.dtype == torch.float64 and find_spec("ds_msp"):
+        kind, coefficients = peers[name]
+        peer = getattr(import_module("ds_msp.models"), kind)(*FOCAL, *CENTER, *coefficients)
+        runs["ds-msp"] = partial(getattr(peer, verb), values.cpu().numpy())
+    return runs
 
 
 def _images(device: torch.device) -> Iterator[Comparison]:
-    """A fisheye image to a panorama through a kept table, against the interpolation alone."""
-    camera = FisheyeCamera("equidistant", torch.tensor(FOCAL), CENTER, SIZE, math.radians(95)).to(device)
-    target = EquirectangularCamera((512, 1024)).to(device)
-    image = torch.rand(1, 3, *SIZE, device=device)
-    grid = 2 * torch.rand(1, *target.image_size, 2, device=device) - 1
-    pixels = camera.project(target.unproject(target.pixel_grid()).directions).pixels
-    grid = (2 * pixels / (SIZE[0] - 1) - 1)[None].to(grid)
-    remap, area = Remap(camera, target).to(device), Remap(camera, target, mode="area").to(device)
-    yield Comparison(
-        "image of 800 x 800 to 512 x 1024, kept table",
-        {
-            "bare grid_sample": lambda: F.grid_sample(image, grid, align_corners=True),
-            "Remap": lambda: remap(image),
-            "Remap, antialiased": lambda: area(image),
-        },
-        "bare grid_sample",
-    )
-    view = PinholeCamera([256.0, 256.0], [255.5, 255.5], (512, 512))  # 90°
-    panorama = torch.rand(3, 512, 1024, device=device)
-    look = Remap(target, view.to(device)).to(device)
-    grid = 2 * torch.rand(1, 512, 512, 2, device=device) - 1
-    others, note = perspective_peers(panorama, 90, view.image_size)
-    yield Comparison(
-        "panorama of 512 x 1024 to 512 x 512, kept table",
-        {
-            "bare grid_sample": lambda: F.grid_sample(panorama[None], grid, align_corners=True),
-            "Remap": lambda: look(panorama[None]),
-            **others,
-        },
-        "bare grid_sample",
-        note=note,
-    )
+    """A fisheye image to a panorama and that to a view of 90°, by kept tables, against the interpolation alone."""
+    fisheye = FisheyeCamera("equidistant", torch.tensor(FOCAL), CENTER, SIZE, WIDE).to(device)
+    panorama = EquirectangularCamera((512, 1024)).to(device)
+    view = PinholeCamera([256.0, 256.0], [255.5, 255.5], (512, 512)).to(device)
+    for source, target in ((fisheye, panorama), (panorama, view)):
+        height, width = source.image_size
+        image = torch.rand(1, 3, height, width, device=device)
+        pixels = source.project(target.unproject(target.pixel_grid()).directions).pixels
+        grid = (2 * pixels / torch.tensor([width - 1, height - 1], device=device) - 1)[None]
+        remap, area = Remap(source, target).to(device), Remap(source, target, mode="area").to(device)
+        runs: Runs = {
+            "bare grid_sample": partial(F.grid_sample, image, grid, align_corners=True),
+            "Remap": partial(remap, image),
+            "Remap, antialiased": partial(area, image),
+        }
+        if target is view and find_spec("py360convert"):  # which makes its table anew in every call
+            array = image[0].movedim(0, -1).contiguous().cpu().numpy()
+            runs["py360convert"] = partial(
+                import_module("py360convert").e2p, array, (90, 90), 0, 0, (512, 512)
+            )
+        sizes = " to ".join("{} x {}".format(*camera.image_size) for camera in (source, target))
+        yield Comparison(f"image of {sizes}, kept table", runs)

@@ -3,112 +3,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from importlib.util import find_spec
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 
 import torch
 from omegaconf import DictConfig
 from torch import Tensor, nn
 
-from sphericalvision.crown import (
-    Crown,
-    CrownConv2d,
-    CrownConv3d,
-    HexConv2d,
-    HexConv3d,
-    to_crown,
-)
+from sphericalvision.core import kernels
+from sphericalvision.crown import Crown, CrownConv2d, CrownConv3d, HexConv2d, HexConv3d, to_crown
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.benchmark.measuring import Comparison
-from sphericalvision.recipes.benchmark.ways import by
 from sphericalvision.sphere import CubePad2d, EquirectangularPad2d, SphereConv2d
 
-__all__ = ["comparisons"]
+__all__ = ["convolutions"]
 
 
-def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
-    """2D at every level and number of channels asked for; 3D with 16 hypotheses two levels coarser."""
+def convolutions(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """2D at every ``[level, channels]`` of ``convolution_settings``; 3D with 16 hypotheses two levels coarser."""
     for level, channels in config.convolution_settings:
-        layers = "layers" in config.options
-        yield _planar(level, channels, device, layers)
+        vertices, rows = num_icosphere_vertices(level), 2 ** (level + 1)
+        image = torch.randn(1, channels, rows, 5 * rows // 2, device=device)  # the vertices but the poles
+        faces = torch.randn(6, channels, *[round((vertices / 6) ** 0.5)] * 2, device=device)
+        planar, hexagons = (
+            partial(nn.Conv2d, channels, channels, 3, bias=False),
+            partial(HexConv2d, channels, channels),
+        )
+        padded, cube = (nn.Sequential(pad, planar()) for pad in (EquirectangularPad2d(1), CubePad2d(1)))
+        layers = {
+            "planar": (planar(padding=1), image),
+            "planar, panorama padded": (padded, image),
+            "planar, cube padded": (cube, faces),
+            "tangent planes": (SphereConv2d(channels, channels, bias=False), image),
+        }
+        sphere = {
+            "hex along charts": hexagons(),
+            "hex aligned with north": hexagons(orientation="north", level=level),
+            "crown, both directions": CrownConv2d(channels, channels),
+        }
+        values = torch.randn(1, channels, vertices, device=device)
+        yield _comparison(f"{vertices} samples, {channels} channels", layers, sphere, values, config)
         if level >= 2:
-            yield _spatial(level - 2, channels, 16, device, layers)
+            yield _volumes(level - 2, channels, 16, config, device)
 
 
-def _planar(level: int, channels: int, device: torch.device, layers: bool) -> Comparison:
-    n, vertices = 2**level, num_icosphere_vertices(level)
-    image = torch.randn(1, channels, 2 * n, 5 * n, device=device)  # the vertices but the poles
-    values = torch.randn(1, channels, vertices, device=device)
-    side = round((vertices / 6) ** 0.5)
-    faces = torch.randn(6, channels, side, side, device=device)
-
-    def run(layer: nn.Module, given: Tensor | Crown) -> Callable[[], object]:
-        return _forward_and_backward(layer.to(device), given)
-
-    def planar(padding: int) -> nn.Module:
-        return nn.Conv2d(channels, channels, 3, padding=padding, bias=False)
-
-    runs = {
-        "planar": run(planar(1), image),
-        "planar, channels last": run(planar(1), image.contiguous(memory_format=torch.channels_last)),
-        "hex along charts": run(HexConv2d(channels, channels), values),
-        "hex along charts, channels last": run(HexConv2d(channels, channels), _channels_last(values)),
-        "hex aligned with north": run(
-            HexConv2d(channels, channels, orientation="north", level=level), values
-        ),
-        "crown, both directions": run(CrownConv2d(channels, channels), to_crown(values)),
-        "crown, the plain way": by("reference", run(CrownConv2d(channels, channels), to_crown(values))),
-        "tangent planes": run(SphereConv2d(channels, channels, bias=False), image),
-        "planar, panorama padded": run(nn.Sequential(EquirectangularPad2d(1), planar(0)), image),
-        "planar, cube padded": run(nn.Sequential(CubePad2d(1), planar(0)), faces),
-    }
-    if layers:
-        runs |= {
-            f"{name}, layers": by("plain", runs[name])
-            for name in ("hex along charts", "crown, both directions")
-        }
-    if find_spec("hexagdly"):
-        import hexagdly
-
-        runs["hexagdly, planar"] = run(hexagdly.Conv2d(channels, channels, 1, 1, bias=False), image)
-    return Comparison(
-        f"convolution, forward and backward: {vertices} samples, {channels} to {channels} channels",
-        runs,
-        "planar",
-        3 * 2 * 9 * channels**2 * 10 * n * n / 1e9,
-        "GFLOP/s count nine taps for all; hexagons need seven, tangent planes sample before they multiply.",
-    )
-
-
-def _spatial(level: int, channels: int, hypotheses: int, device: torch.device, layers: bool) -> Comparison:
-    n, vertices = 2**level, num_icosphere_vertices(level)
+def _volumes(
+    level: int, channels: int, hypotheses: int, config: DictConfig, device: torch.device
+) -> Comparison:
+    vertices, rows = num_icosphere_vertices(level), 2 ** (level + 1)
     # Two volumes: for a single small one torch takes a convolution on the CPU that is several times slower.
-    volume = torch.randn(2, channels, hypotheses, 2 * n, 5 * n, device=device)
-    values = torch.randn(2, channels, hypotheses, vertices, device=device)
-
-    def run(layer: nn.Module, given: Tensor | Crown) -> Callable[[], object]:
-        return _forward_and_backward(layer.to(device), given)
-
-    runs = {
-        "planar": run(nn.Conv3d(channels, channels, 3, padding=1, bias=False), volume),
-        "hex along charts": run(HexConv3d(channels, channels), values),
-        "hex aligned with north": run(
-            HexConv3d(channels, channels, orientation="north", level=level), values
-        ),
-        "crown, both directions": run(CrownConv3d(channels, channels), to_crown(values)),
+    volume = torch.randn(2, channels, hypotheses, rows, 5 * rows // 2, device=device)
+    sphere = {
+        "hex along charts": HexConv3d(channels, channels),
+        "hex aligned with north": HexConv3d(channels, channels, orientation="north", level=level),
+        "crown, both directions": CrownConv3d(channels, channels),
     }
-    if layers:
-        runs |= {
-            f"{name}, layers": by("plain", runs[name])
-            for name in ("hex along charts", "crown, both directions")
-        }
-    return Comparison(
-        f"convolution, forward and backward: 2 x {vertices} samples, {hypotheses} hypotheses, "
-        f"{channels} to {channels} channels",
-        runs,
-        "planar",
-        3 * 2 * 27 * channels**2 * 2 * 10 * n * n * hypotheses / 1e9,
-    )
+    values = torch.randn(2, channels, hypotheses, vertices, device=device)
+    planar = {"planar": (nn.Conv3d(channels, channels, 3, padding=1, bias=False), volume)}
+    title = f"2 x {vertices} samples, {hypotheses} hypotheses, {channels} channels"
+    return _comparison(title, planar, sphere, values, config)
+
+
+def _comparison(
+    title: str,
+    planar: Mapping[str, tuple[nn.Module, Tensor]],
+    sphere: Mapping[str, nn.Module],
+    values: Tensor,
+    config: DictConfig,
+) -> Comparison:
+    """Planar layers on images, and layers of the sphere on values at vertices."""
+    runs = {name: _forward_and_backward(layer, image) for name, (layer, image) in planar.items()}
+    for name, layer in sphere.items():
+        given = to_crown(values) if name.startswith("crown") else values
+        runs[name] = _forward_and_backward(layer, given)
+        if "layers" in config.options:
+            runs[f"{name}, layers"] = kernels("plain")(runs[name])
+    return Comparison(f"convolution, forward and backward: {title}", runs)
 
 
 def _forward_and_backward(layer: nn.Module, given: Tensor | Crown) -> Callable[[], object]:
@@ -117,6 +87,7 @@ def _forward_and_backward(layer: nn.Module, given: Tensor | Crown) -> Callable[[
         tensor.detach().requires_grad_() for tensor in (given if isinstance(given, Crown) else (given,))
     ]
     argument = Crown(*inputs) if isinstance(given, Crown) else inputs[0]
+    layer = layer.to(inputs[0].device)
     wanted = [*inputs, *layer.parameters()]
 
     def outputs() -> list[Tensor]:
@@ -125,7 +96,3 @@ def _forward_and_backward(layer: nn.Module, given: Tensor | Crown) -> Callable[[
 
     weights = [torch.randn_like(output) for output in outputs()]
     return lambda: torch.autograd.grad(outputs(), wanted, weights)
-
-
-def _channels_last(values: Tensor) -> Tensor:
-    return values.movedim(1, -1).contiguous().movedim(-1, 1)

@@ -3,20 +3,38 @@
 
 from __future__ import annotations
 
+import ctypes
 import statistics
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.utils.flop_counter import FlopCounterMode
 
-__all__ = ["BF16", "Comparison", "Measurement", "measure", "peaks_of", "share_of_peak"]
+from sphericalvision.core import MissingCompilerError, check_choice, kernels, reference_kernels
+from sphericalvision.crown import HexConv2d
+from sphericalvision.recipes.app.cli import console
+
+__all__ = [
+    "OURS",
+    "Comparison",
+    "Measurement",
+    "Run",
+    "added_memory",
+    "count_gflop",
+    "measure",
+    "prepare_operators",
+    "ways",
+]
+
+OURS = "sphericalvision"
 
 Run = Callable[[], Any]
-
-BF16 = ", bf16"
-"""Ends the name of a function that computes in bfloat16: its share is that of the bfloat16 peak."""
 
 
 @dataclass(frozen=True)
@@ -25,25 +43,15 @@ class Comparison:
 
     Attributes:
         title: what the work is.
-        runs: name -> function without arguments. It is timed, unless ``unit`` says that it returns a measurement.
-        reference: the name that ratios refer to.
-        gflop: floating-point operations that the work needs when done directly, in 1e9; None where it moves data.
-        gbyte: bytes that the work must read and write at least once, in 1e9.
+        runs: name -> function without arguments; ratios refer to the first.
         note: a line below the table.
-        unit: "s"; or "reported s", "MB", "%" for functions that return what was measured, which run ``rounds`` times.
-        rounds: how often functions run that return what was measured.
-        peak: "FLOP" or "byte" for functions that find out what the machine can do.
+        unit: "s": functions are timed; "MB": they return what was measured, and run three times.
     """
 
     title: str
     runs: Mapping[str, Run]
-    reference: str
-    gflop: float | None = None
     note: str = ""
-    gbyte: float | None = None
     unit: str = "s"
-    rounds: int = 1
-    peak: str | None = None
 
 
 @dataclass(frozen=True)
@@ -51,133 +59,135 @@ class Measurement:
     """What came out for one function.
 
     Attributes:
-        comparison: the work that it does.
+        title: the work that it does.
         name: of the function.
         median: over all rounds, in the comparison's unit.
         spread: half the distance between the quartiles, as a share of the median.
-        ratio: how often this fits into the reference: above 1 is faster, or smaller.
-        first: seconds of the first call, which compiles and fills caches; None for reported measurements.
-        share: of the speed that the machine's peaks allow for this work; None where they were not measured.
-        rounds: number of measurements.
+        ratio: how often this fits into the first function's: above 1 is faster, or smaller.
+        cpu: seconds of all threads together, which other processes hardly change; None of what is not timed.
+        first: seconds of the first call, which compiles and fills caches; None of what is not timed.
+        unit: of the median.
+        note: of the comparison.
     """
 
-    comparison: Comparison
+    title: str
     name: str
     median: float
-    spread: float = 0.0
-    ratio: float = 1.0
-    first: float | None = None
-    share: float | None = None
-    rounds: int = 1
-
-    @property
-    def unit(self) -> str:
-        """ "s", "MB" or "%"."""
-        return self.comparison.unit.removeprefix("reported ")
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """All of it as plain values."""
-        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "comparison"}
-        work = {key: getattr(self.comparison, key) for key in ("title", "gflop", "gbyte", "peak", "note")}
-        return {**work, **own, "unit": self.unit}
-
-
-def peaks_of(rows: Iterable[Measurement]) -> dict[str, float]:
-    """What rows of the group ``machine`` reached at best: operations (in bfloat16, too) and bytes a second."""
-    best: dict[str, float] = {}
-    for row in rows:
-        work = row.comparison
-        amount = work.gflop if work.peak == "FLOP" else work.gbyte
-        if work.peak is not None and amount is not None:
-            key = work.peak + (BF16 if row.name.endswith(BF16) else "")
-            best[key] = max(best.get(key, 0.0), amount * 1e9 / row.median)
-    return best
-
-
-def share_of_peak(peaks: Mapping[str, float], work: Comparison, name: str, seconds: float) -> float | None:
-    """The least time that operations and traffic allow, as a share of the seconds that were taken.
-
-    Examples:
-        >>> work = Comparison("stage", {}, "", gflop=50.0, gbyte=8.0)
-        >>> share_of_peak({"FLOP": 100e9, "byte": 10e9}, work, "ours", seconds=2.0)  # traffic takes 0.8 s
-        0.4
-    """
-    operations = "FLOP" + (BF16 if name.endswith(BF16) else "")
-    floors = [
-        amount * 1e9 / peaks[peak]
-        for amount, peak in ((work.gflop, operations), (work.gbyte, "byte"))
-        if amount is not None and peak in peaks
-    ]
-    return max(floors) / seconds if floors and work.peak is None else None
+    spread: float
+    ratio: float
+    cpu: float | None
+    first: float | None
+    unit: str
+    note: str
 
 
 def measure(
-    comparison: Comparison,
-    seconds: float = 2.0,
-    device: torch.device | str = "cpu",
-    most_rounds: int = 50,
-    peaks: Mapping[str, float] | None = None,
+    comparison: Comparison, seconds: float = 2.0, device: torch.device | str = "cpu", most_rounds: int = 50
 ) -> list[Measurement]:
     """Run all functions in turns until each has had ``seconds`` (three rounds at least), after one to warm up.
 
-    Ratios are medians over rounds, so that both sides of a ratio have met the same state of the machine. Functions
-    that report their own measurement run ``comparison.rounds`` times.
+    Ratios are medians over rounds, so that both sides of a ratio have met the same state of the machine.
     """
+    timed = comparison.unit == "s"
     runs = comparison.runs
-    first: dict[str, float] = {}
-    columns: dict[str, list[float]] = {name: [] for name in runs}
-    if comparison.unit == "s":
-        first = {name: _timed(run, device) for name, run in runs.items()}
-        while not _enough(columns, seconds, most_rounds):
-            for name, run in runs.items():
-                columns[name].append(_timed(run, device))
-    else:
-        for _ in range(comparison.rounds):
-            for name, run in runs.items():
-                columns[name].append(float(run()))
+    first = {name: _time(run, device)[0] for name, run in runs.items()} if timed else {}
+    walls: dict[str, list[float]] = {name: [] for name in runs}
+    cpus: dict[str, list[float]] = {name: [] for name in runs}
+    for done in range(most_rounds):
+        if done >= 3 and (not timed or max(map(sum, walls.values())) >= seconds):
+            break
+        for name, run in runs.items():
+            wall, cpu = _time(run, device) if timed else (float(run()), 0.0)
+            walls[name].append(wall)
+            cpus[name].append(cpu)
+    reference = next(iter(walls.values()))
     rows = []
-    for name, column in columns.items():
-        median = statistics.median(column)
-        share = share_of_peak(peaks or {}, comparison, name, median) if comparison.unit == "s" else None
-        ratio = _ratio(columns[comparison.reference], column)
-        rows.append(
-            Measurement(comparison, name, median, _spread(column), ratio, first.get(name), share, len(column))
-        )
+    for name, column in walls.items():
+        busy = statistics.median(cpus[name]) if timed else None
+        facts = statistics.median(column), _spread(column), _ratio(reference, column), busy, first.get(name)
+        rows.append(Measurement(comparison.title, name, *facts, comparison.unit, comparison.note))
     return rows
 
 
-def _enough(columns: Mapping[str, list[float]], seconds: float, most_rounds: int) -> bool:
-    rounds = min(len(column) for column in columns.values())
-    slowest = max(sum(column) for column in columns.values())
-    return rounds >= 3 and (slowest >= seconds or rounds >= most_rounds)
+def _spread(column: Sequence[float]) -> float:
+    low, median, high = statistics.quantiles(column, n=4)
+    return (high - low) / 2 / median if median else 0.0
 
 
-def _spread(column: list[float]) -> float:
-    median = statistics.median(column)
-    if len(column) < 2 or median == 0:
-        return 0.0
-    low, _, high = statistics.quantiles(column, n=4)
-    return (high - low) / 2 / abs(median)
-
-
-def _ratio(reference: list[float], own: list[float]) -> float:
+def _ratio(reference: Sequence[float], own: Sequence[float]) -> float:
     """Nothing at all is as good as nothing at all."""
     return statistics.median(
         a / b if b else 1.0 if a == b else float("inf") for a, b in zip(reference, own, strict=True)
     )
 
 
-def _timed(run: Run, device: torch.device | str) -> float:
-    """Seconds of one call, the work that it left on the device included; by the device's clock where it has one."""
-    if torch.device(device).type != "cuda":
-        start = time.perf_counter()
-        run()
-        return time.perf_counter() - start
-    begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-    torch.cuda.synchronize(device)
-    begin.record()
+def _time(run: Run, device: torch.device | str) -> tuple[float, float]:
+    """Seconds of one call on the clock and of the CPU; of a GPU, what it was left to do is waited for."""
+    wait = partial(torch.cuda.synchronize, device) if torch.device(device).type == "cuda" else lambda: None
+    wait()
+    wall, cpu = time.perf_counter(), time.process_time()
     run()
-    end.record()
-    torch.cuda.synchronize(device)
-    return begin.elapsed_time(end) / 1e3
+    wait()
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def ways(run: Run, options: Sequence[str], device: torch.device, inference: bool = True) -> dict[str, Run]:
+    """A run by the readable formulas ("plain"), as it is usually done, and in further ways.
+
+    ``"layers"``: by layers in torch alone, as without a C++ compiler; ``"bf16"``: in bfloat16 where that pays.
+
+    Raises:
+        ArgumentError: an unknown option.
+    """
+    usual = torch.inference_mode()(run) if inference else run
+    further = {
+        "layers": kernels("plain")(usual),
+        "bf16": torch.autocast(device.type, torch.bfloat16)(usual),
+    }
+    for option in options:
+        check_choice("options", option, tuple(further))
+    chosen = {f"{OURS}, {option}": further[option] for option in options}
+    return {"plain": kernels("reference")(usual), OURS: usual, **chosen}
+
+
+def prepare_operators(device: torch.device) -> None:
+    """Wait for the operators in C++, so that they are used from the first call on; say so where they cannot be had."""
+    if device.type != "cpu":
+        return
+    try:
+        with kernels("require"), torch.no_grad():
+            HexConv2d(1, 1)(torch.zeros(1, 1, 12))
+    except MissingCompilerError as error:
+        console.print(f"measured without operators in C++: {error}")
+
+
+def count_gflop(run: Run) -> float:
+    """Operations of convolutions and matrix products in 1e9, done directly; counted on shapes alone."""
+    counter = FlopCounterMode(display=False)
+    with torch.no_grad(), reference_kernels(), FakeTensorMode(allow_non_fake_inputs=True), counter:
+        run()
+    return float(counter.get_total_flops()) / 1e9
+
+
+def added_memory(run: Run, device: torch.device) -> float:
+    """MB by which a run raises what is in use above what is held before.
+
+    Raises:
+        AttributeError, OSError: the system does not tell; Linux does.
+    """
+    if device.type == "cuda":
+        torch.cuda.reset_peak_memory_stats(device)
+        held = torch.cuda.memory_allocated(device)
+        run()
+        return (torch.cuda.max_memory_allocated(device) - held) / 1e6
+    ctypes.CDLL(None).malloc_trim(0)  # what was freed is given back, and counts when it is taken again
+    Path("/proc/self/clear_refs").write_text("5")  # a new high-water mark
+    before = _resident("VmRSS")
+    run()
+    return max(0.0, _resident("VmHWM") - before)
+
+
+def _resident(field: str) -> float:
+    """MB of memory in use (``VmRSS``) or at most so far (``VmHWM``)."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith(field)) * 1024 / 1e6

@@ -1,223 +1,186 @@
 # SPDX-License-Identifier: Apache-2.0
-"""IcoSweepNet stage by stage, against the readable formulas of the same numbers (``reference_kernels``)."""
+"""Networks against the readable formulas of the same numbers: stage by stage, in training, and beside each other."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
+from importlib.resources import files
+from inspect import signature
 from typing import Any
 
 import torch
 import torch.nn.functional as F
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import check_choice, kernels
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
-from sphericalvision.models import IcoSweepNet
-from sphericalvision.recipes.benchmark.alone import WAYS, alone
-from sphericalvision.recipes.benchmark.measuring import BF16, Comparison
-from sphericalvision.recipes.benchmark.ways import OURS, both_ways, by, count_gbyte, count_gflop
-from sphericalvision.sweep import SphereSweep, SweepTables, soft_argmax
+from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep
+from sphericalvision.recipes.benchmark.measuring import OURS, Comparison, Run, added_memory, count_gflop, ways
+from sphericalvision.sweep import SphereSweep
+from sphericalvision.sweep.correlation import correlation_evidence
 
-__all__ = ["OPTIONS", "comparisons"]
+__all__ = ["gflop", "network", "sweep", "training", "variant", "variants"]
 
-OPTIONS = ("bf16", "compiled", "layers")
-"""Other ways to run the network; what they compile shows in the time of the first call."""
-
-Run = Callable[[], Any]
+FRAME = 6, 16
+"""Level of the images and N of what is measured at one setting alone."""
 
 
-def comparisons(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
-    """All stages at every setting ``[level, N]`` of ``config.settings``."""
-    for option in config.options:
-        check_choice("options", option, OPTIONS)
+def network(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """All stages of the paper's network, and memory, at every setting ``[level, N]`` of ``config.settings``."""
     for level, number in config.settings:
-        yield from _stages(level, number, config, device)
+        torch.manual_seed(0)
+        rig = ring_rig(4, image_size=tuple(config.image_size)).to(device)
+        net = IcoSweepNet(level, number, feature_channels=config.feature_channels).to(device).eval()
+        yield from _stages(net, rig, config, device)
+        yield _projection(level, rig, device)
 
 
-def _stages(level: int, number: int, config: DictConfig, device: torch.device) -> Iterator[Comparison]:
-    torch.manual_seed(0)
-    label = f"level {level} to {level - 2}, N = {number}"
-    rig = ring_rig(4, image_size=tuple(config.image_size)).to(device)
-    net = IcoSweepNet(level, number, feature_channels=config.feature_channels).to(device).eval()
-    images = 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=device) - 1
-    tables = net.sweep.tables(rig)
-    weights = sum(p.numel() * 4 for p in net.parameters())
-
-    yield from _setup(label, level, number, rig, device)
-    yield _projection(label, level, rig, device)
+def _stages(
+    net: IcoSweepNet, rig: CameraRig, config: DictConfig, device: torch.device
+) -> Iterator[Comparison]:
+    label = f"level {net.level} to {net.level - 2}, N = {net.num_hypotheses}"
+    images, tables = _images(net.level, device), net.sweep.tables(rig)
     with torch.inference_mode():
         features = net.extract_features(images)
         volume = net.sweep(features, tables).values.flatten(1, 2)
-        logits = net.regularizer(volume)
-    flop_features = count_gflop(lambda: net.extract_features(images))
-    flop_regularizer = count_gflop(lambda: net.regularizer(volume))
-    yield Comparison(
-        f"{label}: features of four cameras",
-        both_ways(lambda: net.extract_features(images)),
-        "plain",
-        flop_features,
-        gbyte=count_gbyte(images, features) + sum(p.numel() * 4 for p in net.features.parameters()) / 1e9,
-    )
-    yield Comparison(
-        f"{label}: cost volume",
-        both_ways(lambda: net.sweep(features, tables)),
-        "plain",
-        2 * 3 * volume.numel() / 1e9,
-        gbyte=count_gbyte(features, volume, *tables),
-    )
-    yield Comparison(
-        f"{label}: regulariser",
-        both_ways(lambda: net.regularizer(volume)) | _layers(lambda: net.regularizer(volume), config.options),
-        "plain",
-        flop_regularizer,
-        "Operations are those of the plain way. Winograd's ways need three tenths at most: shares may pass 100 %.",
-        gbyte=count_gbyte(volume, logits) + sum(p.numel() * 4 for p in net.regularizer.parameters()) / 1e9,
-    )
-    steps = torch.arange(number, device=device, dtype=logits.dtype).view(1, -1, 1)
-    yield Comparison(
-        f"{label}: regression",
-        {
-            "plain": torch.inference_mode()(lambda: (logits.softmax(1) * steps).sum(1)),
-            OURS: torch.inference_mode()(lambda: soft_argmax(logits)),
-        },
-        "plain",
-        gbyte=count_gbyte(logits, logits[:, 0]),
-    )
-    flop, gbyte = flop_features + flop_regularizer, count_gbyte(images, logits[:, 0], *tables) + weights / 1e9
-    yield Comparison(
-        f"{label}: whole inference",
-        both_ways(lambda: net(images, tables)) | _optional(net, images, tables, config.options),
-        "plain",
-        flop,
-        gbyte=gbyte,
-    )
+    for stage, run in {
+        "sweep tables of a new rig": lambda: net.sweep.tables(rig),
+        "features of four cameras": lambda: net.extract_features(images),
+        "cost volume": lambda: net.sweep(features, tables),
+        "regulariser": lambda: net.regularizer(volume),
+        "whole inference": lambda: net(images, tables),
+    }.items():
+        yield Comparison(f"{label}: {stage}", ways(run, config.options, device))
+    inference = ways(lambda: net(images, tables), config.options, device)
+    steps = _steps(net, images, tables, config.options, device)
     if config.training:
-        ways: dict[str, Run] = {
-            "plain": lambda: _step(net, images, tables, "reference"),
-            OURS: lambda: _step(net, images, tables),
-            WAYS[2]: lambda: _step(net, images, tables, recompute=True),
-        }
-        if "bf16" in config.options:
-            ways[OURS + BF16] = lambda: _step(net, images, tables, bf16=True)
-        if "layers" in config.options:
-            ways[WAYS[3]] = lambda: _step(net, images, tables, "plain")
-        yield Comparison(
-            f"{label}: one training step, without the optimiser",
-            ways,
-            "plain",
-            3 * flop,
-            "Three times the operations of inference, whatever is computed twice.",
-            gbyte=3 * gbyte,
-        )
-    yield from _memory(label, level, number, config, device)
-
-
-def _setup(label: str, level: int, number: int, rig: CameraRig, device: torch.device) -> Iterator[Comparison]:
-    yield Comparison(
-        f"{label}: set-up from cold",
-        {way: partial(alone, "setup", way, level, number, str(device)) for way in WAYS[:2]},
-        "plain",
-        unit="reported s",
-        rounds=3,
-        note="Tables for a new rig in a fresh process, after imports.",
-    )
-    sweep = SphereSweep(level - 2, number, 0.55).to(device)
-    yield Comparison(
-        f"{label}: sweep tables of a new rig",
-        both_ways(lambda: sweep.tables(rig)),
-        "plain",
-        gbyte=count_gbyte(*sweep.tables(rig)),
-    )
-
-
-def _projection(label: str, level: int, rig: CameraRig, device: torch.device) -> Comparison:
-    """Four fisheye images onto the icosphere, against the interpolation alone at the same places."""
-    directions = icosphere_vertices(level).to(device)
-    sizes = [camera.image_size for camera in rig.cameras.values()]
-    pictures = [torch.rand(3, *size, device=device) for size in sizes]
-    scale = torch.tensor(sizes[0][::-1], device=device)
-    places = [
-        camera.project(directions @ pose[:3, :3]).pixels
-        for camera, pose in zip(rig.cameras.values(), rig.world_from_camera, strict=True)
-    ]
-    grids = torch.stack([((2 * pixels + 1) / scale - 1)[None] for pixels in places])
-    stack = torch.stack(pictures)
-    to_sphere, named = ToSphere(level), dict(zip(rig.names, pictures, strict=True))
-    return Comparison(
-        f"{label}: projection of four fisheye images",
-        {
-            "bare grid_sample": lambda: F.grid_sample(stack, grids, align_corners=False),
-            "ToSphere, the rig seen before": lambda: to_sphere.images(named, rig),
-            "rig.sample_sphere, any rig": lambda: rig.sample_sphere(pictures, directions),
-        },
-        "bare grid_sample",
-        gbyte=count_gbyte(stack, grids) + 4 * 3 * 4 * len(directions) / 1e9,
-    )
-
-
-def _memory(
-    label: str, level: int, number: int, config: DictConfig, device: torch.device
-) -> Iterator[Comparison]:
-    if not config.memory:
-        return
-    layers = WAYS[3:] if "layers" in config.options else ()
-    for stage, ways in (("inference", WAYS[:2] + layers), ("training", WAYS[:3] + layers)):
-        if stage == "inference" or config.training:
-            options = {"device": str(device), "feature_channels": config.feature_channels}
+        yield Comparison(f"{label}: one training step, without the optimiser", steps)
+    for stage, runs in {"inference": inference, **({"training": steps} if config.training else {})}.items():
+        if config.memory:
             yield Comparison(
                 f"{label}: memory that {stage} adds",
-                {way: partial(alone, stage, way, level, number, **options) for way in ways},
-                "plain",
-                unit="MB",
-                note="The highest mark above what network, images and tables hold, in a fresh process.",
+                {name: partial(added_memory, run, device) for name, run in runs.items()},
+                "The highest mark above what network, images and tables hold.",
+                "MB",
             )
 
 
-def _optional(net: IcoSweepNet, images: Tensor, tables: SweepTables, options: list[str]) -> dict[str, Run]:
-    """The whole network in ways that are not the default."""
+def _steps(
+    net: DepthNetwork, images: Tensor, tables: Any, options: list[str], device: torch.device
+) -> dict[str, Run]:
+    """Forward and backward pass in training mode, by the ways of inference and with ``recompute``."""
 
-    def bf16(run: Run) -> Run:
-        def cast() -> Any:
-            with torch.autocast(images.device.type, torch.bfloat16):
-                return run()
+    def step(recompute: bool = False) -> None:
+        net.train().configure(recompute=recompute)
+        net(images, tables).sum().backward()
+        net.eval().configure(recompute=False)
+        net.zero_grad()
 
-        return torch.inference_mode()(cast)
-
-    runs = _layers(lambda: net(images, tables), options)
-    if "bf16" in options:
-        runs[OURS + BF16] = bf16(lambda: net(images, tables))
-    if "compiled" in options:
-        compiled = torch.compile(net)
-        runs[f"{OURS}, compiled"] = torch.no_grad()(lambda: compiled(images, tables))
-        if "bf16" in options:
-            runs[f"{OURS}, compiled{BF16}"] = torch.no_grad()(bf16(lambda: compiled(images, tables)))
-    return runs
+    return ways(step, options, device, inference=False) | {
+        f"{OURS}, recompute": partial(step, recompute=True)
+    }
 
 
-def _layers(run: Run, options: list[str]) -> dict[str, Run]:
-    """What a network does by layers in torch alone, if that is among the options."""
-    return {WAYS[3]: torch.inference_mode()(by("plain", run))} if "layers" in options else {}
+def _projection(level: int, rig: CameraRig, device: torch.device) -> Comparison:
+    """Four fisheye images onto the icosphere, against the interpolation alone at the same places."""
+    directions = icosphere_vertices(level).to(device)
+    height, width = next(iter(rig.cameras.values())).image_size
+    images = {name: torch.rand(3, height, width, device=device) for name in rig.names}
+    pixels = torch.stack(
+        [
+            camera.project(directions @ pose[:3, :3]).pixels
+            for camera, pose in zip(rig.cameras.values(), rig.world_from_camera, strict=True)
+        ]
+    )
+    grids = ((2 * pixels + 1) / torch.tensor([width, height], device=device) - 1)[:, None]
+    stack, to_sphere = torch.stack([*images.values()]), ToSphere(level)
+    runs = {
+        "bare grid_sample": lambda: F.grid_sample(stack, grids, align_corners=False),
+        "ToSphere, the rig seen before": lambda: to_sphere.images(images, rig),
+    }
+    return Comparison(f"level {level}: projection of four fisheye images", runs)
 
 
-def _step(
-    net: IcoSweepNet,
-    images: Tensor,
-    tables: Any,
-    way: str = "auto",
-    recompute: bool = False,
-    bf16: bool = False,
-) -> None:
-    """Forward and backward pass in training mode."""
-    net.train()
-    net.configure(recompute=recompute)
-    with kernels(way):
-        with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
-            index = net(images, tables)
-        index.sum().backward()
-    net.zero_grad()
-    net.configure(recompute=False)
-    net.eval()
+def training(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """A training step of the small network."""
+    torch.manual_seed(0)
+    net = variant("icosweepnet_small", *FRAME).to(device)
+    steps = _steps(
+        net, _images(net.level, device), net.tables(ring_rig(4).to(device)), config.options, device
+    )
+    yield Comparison(f"level {FRAME[0]}, N = {FRAME[1]}: a training step of icosweepnet_small", steps)
+
+
+def sweep(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """Depth without training, and the correlations that networks may start from."""
+    level, number = FRAME
+    rig, images = ring_rig(4).to(device), _images(level, device)
+    net = SemiGlobalSweep(level, number).to(device)
+    tables, evidence = net.tables(rig), SphereSweep(level - 2, number, 0.55, level).to(device).tables(rig)
+    for title, run in {
+        "semi-global sweep": lambda: net(images, tables),
+        "correlation evidence": lambda: correlation_evidence(images, evidence),
+    }.items():
+        yield Comparison(
+            f"level {level} to {level - 2}, N = {number}: {title}", ways(run, config.options, device)
+        )
+
+
+def variants(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """Whole inference of the networks ``config.variants`` of conf/model at every setting of ``config.settings``."""
+    for level, number in config.settings:
+        rig, images = ring_rig(4).to(device), _images(level, device)
+        runs: dict[str, Run] = {}
+        notes = []
+        for name in config.variants:
+            net = variant(name, level, number).to(device)
+            usual = ways(partial(net, images, net.tables(rig)), config.options, device)
+            runs |= {way.replace(OURS, name): run for way, run in usual.items() if way != "plain"}
+            number_of = sum(parameter.numel() for parameter in net.parameters())
+            notes.append(f"{name}: {number_of:,} parameters, {gflop(net):.4g} GFLOP")
+        yield Comparison(
+            f"level {level} to {level - 2}, N = {number}: networks", runs, "; ".join(notes) + "."
+        )
+
+
+def variant(name: str, level: int, num_hypotheses: int) -> IcoSweepNet:
+    """The network of ``conf/model/<name>.yaml``, for inference, at a level and a number of hypotheses.
+
+    Raises:
+        ArgumentError: there is no such file, or it describes another kind of network.
+
+    Examples:
+        >>> sum(parameter.numel() for parameter in variant("icosweepnet_rt", 4, 8).parameters())
+        82413
+    """
+    folder = files("sphericalvision.conf") / "model"
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        known = sorted(
+            entry.name.removesuffix(".yaml") for entry in folder.iterdir() if "icosweep" in entry.name
+        )
+        raise ArgumentError(
+            f"variants: expected names of conf/model, such as {', '.join(known)}, got {name!r}"
+        )
+    options: dict[str, Any] = OmegaConf.to_container(OmegaConf.create(path.read_text()))  # type: ignore[assignment]
+    if "aggregation" not in options:
+        raise ArgumentError(f"variants: conf/model/{name}.yaml is no IcoSweepNet")
+    options |= {"level": level, "num_hypotheses": num_hypotheses}
+    return IcoSweepNet(
+        **{key: options[key] for key in signature(IcoSweepNet).parameters if key in options}
+    ).eval()
+
+
+def gflop(net: IcoSweepNet) -> float:
+    """1e9 floating-point operations of a frame, done directly; nothing is computed."""
+    tables, images = net.sweep.tables(ring_rig(4)), _images(net.level, torch.device("cpu"))
+    fresh = IcoSweepNet(**net.hyperparameters).eval()
+    return count_gflop(lambda: fresh(images, tables))
+
+
+def _images(level: int, device: torch.device) -> Tensor:
+    return 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=device) - 1

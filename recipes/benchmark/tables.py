@@ -7,19 +7,20 @@ import os
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 
 import torch
 
 from sphericalvision.io.files import write_bytes
-from sphericalvision.recipes.benchmark.measuring import Comparison, Measurement
+from sphericalvision.recipes.benchmark.measuring import Measurement
 from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table
 
 __all__ = ["comparison_table", "machine", "save_measurements"]
 
-COLUMNS = ["", "median", "±", "ratio", "first call", "GFLOP/s", "share of peak"]
+COLUMNS = ["", "median", "±", "ratio", "CPU", "a second", "first call"]
 
 
 def machine(device: torch.device | str = "cpu") -> dict[str, str]:
@@ -60,43 +61,30 @@ def _commit() -> str:
 
 
 def comparison_table(rows: Sequence[Measurement]) -> Table:
-    """The measurements of one comparison."""
-    work = rows[0].comparison
-    return Table(f"{work.title}{_needs(work)}", COLUMNS, [[_cells(row) for row in rows]])
+    """The measurements of one comparison; "a second" is how often the work is done in one."""
+    return Table(rows[0].title, COLUMNS, [[_cells(row) for row in rows]])
 
 
 def save_measurements(folder: Path, rows: Sequence[Measurement], facts: Mapping[str, str]) -> list[Path]:
     """Write all comparisons as ``benchmark.md`` and ``benchmark.json``."""
     parts = [", ".join(f"{key} {value}" for key, value in facts.items() if value) + "\n"]
-    for _, group in groupby(rows, lambda row: row.comparison.title):
+    for title, group in groupby(rows, lambda row: row.title):
         own = list(group)
-        table = comparison_table(own)
-        parts += [f"### {table.title}\n", table._replace(title=own[0].comparison.note).markdown()]
+        parts += [f"### {title}\n", comparison_table(own)._replace(title=own[0].note).markdown()]
     write_bytes(folder / "benchmark.md", "\n".join(parts).encode())
-    write_json(folder / "benchmark.json", {"machine": dict(facts), "rows": [row.facts for row in rows]})
+    write_json(folder / "benchmark.json", {"machine": dict(facts), "rows": [asdict(row) for row in rows]})
     return [folder / "benchmark.md", folder / "benchmark.json"]
 
 
-def _needs(work: Comparison) -> str:
-    """What the work takes at least."""
-    amounts = [
-        f"{amount:.3g} {unit}"
-        for amount, unit in ((work.gflop, "GFLOP"), (work.gbyte, "GB"))
-        if amount is not None
-    ]
-    return f" ({', '.join(amounts)})" if amounts else ""
-
-
 def _cells(row: Measurement) -> list[str]:
-    gflop = row.comparison.gflop if row.unit == "s" else None
     return [
         row.name,
         _amount(row.median, row.unit),
-        f"{row.spread:.0%}" if row.rounds > 1 else "",
+        f"{row.spread:.0%}",
         f"{row.ratio:.2f}",
+        "" if row.cpu is None else _amount(row.cpu, "s"),
+        "" if row.unit != "s" else f"{1 / row.median:.3g}",
         "" if row.first is None else _amount(row.first, "s"),
-        "" if gflop is None else f"{gflop / row.median:.0f}",
-        "" if row.share is None else f"{row.share:.0%}",
     ]
 
 
@@ -104,11 +92,9 @@ def _amount(value: float, unit: str) -> str:
     """Three digits and a unit.
 
     Examples:
-        >>> _amount(0.0123, "s"), _amount(2.5, "s"), _amount(1234.5, "MB"), _amount(3.25, "%")
-        ('12.3 ms', '2.50 s', '1234 MB', '3.2 %')
+        >>> _amount(0.0123, "s"), _amount(2.5, "s"), _amount(1234.5, "MB")
+        ('12.3 ms', '2.50 s', '1234 MB')
     """
-    if unit == "%":
-        return f"{value:.1f} %"
     if unit != "s":
         return f"{value:.0f} {unit}"
     return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s" if value >= 10 else f"{value:.2f} s"

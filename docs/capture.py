@@ -4,16 +4,21 @@
 ``python docs/capture.py`` writes docs/images/capture.jpg; it takes half a minute. Four fisheyes stand at the corners of
 a vehicle, which is in view and masked. Each loses light towards its edge, is a little out of focus, and has its own
 exposure, white balance and noise. The scene is none of those that the network was trained on.
+
+``python docs/capture.py film`` writes docs/images/drive.webp: the vehicle drives through another scene, and each frame
+is estimated by itself. It takes two minutes.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
+from PIL import Image
 from torch import Tensor
 
 from sphericalvision import Predictor
@@ -38,16 +43,25 @@ CEILING = -0.8
 """Metres along y, which points down: what is higher is left out of that view."""
 JUMP = 0.08
 """Share by which inverse depth may differ between neighbours."""
+FILM, FILM_KIND, FILM_SEED = OUTPUT.with_name("drive.webp"), "outdoors", 10_100_012
+FRAMES, METRES, MILLISECONDS = 16, 0.9, 200
+"""Of the film: how many, how far the vehicle drives in them, and how long each is shown."""
 DISTURBANCE = CameraDisturbance(vignetting=0.6, blur=1.0, exposure=0.25, white_balance=0.1, noise=0.03)
 
 
-def capture() -> tuple[CameraRig, dict[str, Tensor]]:
-    """The rig with its masks, and its photographs ``(3, 800, 800)``."""
-    rig = make_corner_rig(0.44, 0.6, (2 * SIDE, 2 * SIDE), 220, 15)
-    scene, body = with_carrier(make_scene(KIND, SEED), "vehicle", rig)
-    photographs = render_rig(scene, rig, samples_per_pixel=4)
+def capture(
+    kind: str = KIND, seed: int = SEED, side: int = 2 * SIDE, forward: float = 0.0
+) -> tuple[CameraRig, dict[str, Tensor]]:
+    """The rig with its masks, as it is calibrated, and photographs ``(3, side, side)`` some metres further on."""
+    rig = make_corner_rig(0.44, 0.6, (side, side), 220, 15)
+    driven = (
+        transform_from_axis_angle(torch.zeros(3), torch.tensor([0.0, 0.0, forward])) @ rig.world_from_camera
+    )
+    there = CameraRig(rig.cameras, driven)
+    scene, body = with_carrier(make_scene(kind, seed), "vehicle", there)
+    photographs = render_rig(scene, there, samples_per_pixel=4)
     taken = DISTURBANCE({"images": photographs, "rig": rig}, torch.Generator().manual_seed(1))["images"]
-    return CameraRig(rig.cameras, rig.world_from_camera, carrier_masks(body, rig)), taken
+    return CameraRig(rig.cameras, rig.world_from_camera, carrier_masks(body, there)), taken
 
 
 def cloud(points: Tensor, colors: Tensor) -> np.ndarray:
@@ -78,6 +92,38 @@ def steady(depth: Tensor) -> Tensor:
     return ((most - least) < JUMP * inverse)[0]
 
 
+def side_by_side(photographs: dict[str, Tensor], side: int) -> np.ndarray:
+    """Photographs in a row, ``(side, 4 * side, 3)`` of uint8."""
+    taken = (255 * torch.cat(list(photographs.values()), -1).movedim(0, -1)).round().byte().numpy()
+    return cv2.resize(taken, (4 * side, side), interpolation=cv2.INTER_AREA)
+
+
+def film() -> None:
+    """Write what the vehicle sees on its way, and below it the depth of each frame, all in the colours of the first."""
+    pictures, predictor, nearest = [], None, 0.0
+    for frame in range(FRAMES):
+        rig, photographs = capture(FILM_KIND, FILM_SEED, SIDE, METRES * frame / FRAMES)
+        predictor = predictor or Predictor(rig)
+        depth = predictor(photographs)
+        around = depth.panorama(SIDE)
+        nearest = nearest or near_end(around.depth, depth.min_depth)
+        colors = fade(
+            depth_to_color(around.depth, nearest), confidence_strength(around.confidence, around.seen)
+        )
+        pictures.append(Image.fromarray(np.concatenate((side_by_side(photographs, SIDE // 2), colors), 0)))
+        print(f"frame {frame + 1} of {FRAMES}", flush=True)
+    there_and_back = pictures + pictures[-2:0:-1]
+    there_and_back[0].save(
+        FILM,
+        save_all=True,
+        append_images=there_and_back[1:],
+        duration=MILLISECONDS,
+        loop=0,
+        quality=55,
+        method=6,
+    )
+
+
 def main() -> None:
     """Write the picture."""
     rig, photographs = capture()
@@ -85,8 +131,7 @@ def main() -> None:
     around = depth.panorama(SIDE)
     colors = depth_to_color(around.depth, near_end(around.depth, depth.min_depth))
     colors = fade(colors, confidence_strength(around.confidence, around.seen))
-    taken = torch.cat(list(photographs.values()), -1).movedim(0, -1)
-    taken = cv2.resize((255 * taken).round().byte().numpy(), (4 * SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    taken = side_by_side(photographs, SIDE)
     dense = depth.panorama(4 * SIDE)
     image, _ = rgb_panorama(rig, photographs, 4 * SIDE, dense.depth)
     points = Equirectangular(4 * SIDE, 8 * SIDE).directions * dense.depth[..., None]
@@ -98,4 +143,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    film() if sys.argv[1:] == ["film"] else main()

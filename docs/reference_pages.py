@@ -2,7 +2,9 @@
 """Reference pages that write themselves: tables of public names by theme, and of every key of every configuration file.
 
 ``on_page_markdown`` is called by MkDocs and puts a table of names above each ``::: sphericalvision.…`` of the API's
-pages. ``configuration_tables`` is called by the page of keys.
+pages; ``::: sphericalvision.… from base, models`` is the part of a package whose names come from these files and
+folders.
+``configuration_tables`` is called by the page of keys.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ from sphericalvision.recipes.app.help import Key, heading, read_keys
 from sphericalvision.recipes.app.keys import type_of as type_of_key
 
 ROOT = Path(__file__).resolve().parents[1]
+BLOCK = r"^::: (sphericalvision\.\w+)(?: from ([\w., ]+))?$"
+"""A package in a page of the API, or a part of it."""
 
 
 def first_sentence(doc: str | None) -> str:
@@ -34,11 +38,24 @@ def first_sentence(doc: str | None) -> str:
     ).replace("|", "\\|")
 
 
-def names_tables(module_name: str) -> str:
-    """What a package exports, by the file it comes from, with the first sentence of each."""
+def exported(module_name: str, homes: str | None = None) -> list[str]:
+    """Names that a package exports; of some of its files and folders alone, if ``homes`` lists them."""
+    package = importlib.import_module(module_name)
+    if homes is None:
+        return list(package.__all__)
+    places = tuple(f"{module_name}.{home.strip()}." for home in homes.split(","))
+    return [
+        name
+        for name in package.__all__
+        if f"{getattr(inspect.getmodule(getattr(package, name)), '__name__', '')}.".startswith(places)
+    ]
+
+
+def names_tables(module_name: str, names: list[str]) -> str:
+    """Some names that a package exports, by the file they come from, with the first sentence of each."""
     package = importlib.import_module(module_name)
     themes: dict[str, list[str]] = {}
-    for name in package.__all__:
+    for name in names:
         value = getattr(package, name)
         home = inspect.getmodule(value)
         theme = (
@@ -68,25 +85,27 @@ def is_hidden(module_name: str, name: str) -> bool:
     return parent == module_name or getattr(sys.modules[parent], name, None) is value
 
 
-def hidden_names(module_name: str) -> str:
+def hidden_names(module_name: str, names: list[str]) -> str:
     """Blocks for the functions that ``is_hidden`` tells."""
     package = importlib.import_module(module_name)
-    names = [name for name in package.__all__ if is_hidden(module_name, name)]
-    return "".join(f"\n\n::: {getattr(package, name).__module__}.{name}" for name in names)
+    hidden = [name for name in names if is_hidden(module_name, name)]
+    return "".join(f"\n\n::: {getattr(package, name).__module__}.{name}" for name in hidden)
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
     """Put the tables of names above what MkDocs makes of the docstrings."""
     if not page.file.src_uri.startswith("api/"):
         return markdown
-    packages = re.findall(r"^::: (sphericalvision\.\w+)$", markdown, re.M)
-    markdown = re.sub(
-        r"^::: (sphericalvision\.\w+)$",
-        lambda found: f"{names_tables(found[1])}\n\n{found[0]}",
-        markdown,
-        flags=re.M,
-    )
-    return markdown + "".join(map(hidden_names, packages))
+    hidden = []
+
+    def block(found: re.Match[str]) -> str:
+        names = exported(found[1], found[2])
+        hidden.append(hidden_names(found[1], names))
+        options = "show_root_heading: false, show_root_toc_entry: false, show_submodules: false"
+        members = f", members: [{', '.join(names)}]" if found[2] else ""
+        return f"{names_tables(found[1], names)}\n\n::: {found[1]}\n    options: {{{options}{members}}}"
+
+    return re.sub(BLOCK, block, markdown, flags=re.M) + "".join(hidden)
 
 
 def type_of(key: Key, path: Path) -> str:
@@ -121,6 +140,9 @@ def configuration_tables() -> str:
         parents = re.findall(r"^ {2}- (\w+)\s*$", text.partition("defaults:")[2], re.M)
         if parents := [parent for parent in parents if parent != "_self_"]:
             parts.append(f"As {', '.join(f'`{parent}`' for parent in parents)}, and:\n")
+        groups = re.findall(r"^ {2}- (\w+): ", text.partition("defaults:")[2], re.M) if command else []
+        if groups:
+            parts.append(f"Keys of groups: {', '.join(f'[`{name}`](#{name})' for name in groups)}.\n")
         rows = [
             f"| `{key.name}` | {cell(key.value)} | {type_of(key, path)} | {key.comment.replace('|', chr(92) + '|')} |"
             for key in read_keys(text)

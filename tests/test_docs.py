@@ -54,3 +54,14 @@ def test_relative_links_lead_to_files() -> None:
             if not (page.parent / target).exists():
                 broken.append(f"{page.relative_to(ROOT)}: {target}")
     assert not broken, broken
+
+
+def test_every_public_camera_name_is_on_one_page_of_the_api(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package is described in parts, and no part may be forgotten."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import reference_pages
+
+    pages = (page.read_text() for page in (ROOT / "docs" / "api").glob("*.md"))
+    parts = [part for page in pages for part in re.findall(reference_pages.BLOCK, page, re.M)]
+    names = [name for package, homes in parts if homes for name in reference_pages.exported(package, homes)]
+    assert sorted(names) == sorted(reference_pages.exported("sphericalvision.cameras"))

@@ -7,6 +7,7 @@ import base64
 import html
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -160,14 +161,16 @@ class Timeline:
         )
         if self._frames and len(self._frames[0]["pictures"]) > 3:
             facts += f"; error: black 0, yellow {MOST_ERROR:.0f} % of N and more"
-        page = (HERE / "viewer.html").read_text(encoding="utf-8")
-        for mark, text in (
-            ("__TITLE__", html.escape(self.title)),
-            ("__FACTS__", facts),
-            ("__DATA__", json.dumps({"frames": self._frames, "radius": self._radius})),
-            ("__SCRIPT__", (HERE / "viewer.min.js").read_text(encoding="utf-8")),
-        ):
-            page = page.replace(mark, text)
+        parts = {
+            "TITLE": html.escape(self.title),
+            "FACTS": facts,
+            # The end of a script is no end of this one, whatever a frame is called.
+            "DATA": json.dumps({"frames": self._frames, "radius": self._radius}).replace("<", r"\u003c"),
+            "SCRIPT": (HERE / "viewer.min.js").read_text(encoding="utf-8"),
+        }
+        template = (HERE / "viewer.html").read_text(encoding="utf-8")
+        # In one pass, so that nothing that comes from elsewhere is taken for a place of the template.
+        page = re.sub("__([A-Z]+)__", lambda place: parts[place[1]], template)
         write_bytes(path, page.encode())
         return Path(path)
 

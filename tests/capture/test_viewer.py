@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import html
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -16,7 +18,7 @@ import pytest
 
 from sphericalvision import Predictor
 from sphericalvision.cameras import ring_rig
-from sphericalvision.capture import viewer
+from sphericalvision.capture import Depth, viewer
 from sphericalvision.capture.viewer import Timeline, save_viewer
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 
@@ -43,12 +45,31 @@ def test_the_page_is_whole_in_itself(page: Path) -> None:
     assert text.count("data:image/jpeg;base64,") == 8
 
 
+@pytest.mark.parametrize(
+    "name", ["</script><script>alert(1)</script>", "__SCRIPT__ __DATA__", "<!--<script>", "a\nb"]
+)
+def test_names_of_frames_are_data(name: str, tmp_path: Path) -> None:
+    timeline = Timeline(16, title=name)
+    timeline.add(name, small_depth())
+    text = timeline.save(tmp_path / "page.html").read_text()
+    before, _, rest = text.partition('<script type="application/json" id="data">')
+    assert html.escape(name) in before
+    assert "<script" not in before
+    data, _, rest = rest.partition("</script>")
+    assert json.loads(data)["frames"][0]["name"] == name
+    assert "<" not in data
+    assert rest.count("<script>") == 1
+
+
+def small_depth() -> Depth:
+    rig = ring_rig(2, image_size=(16, 16))
+    images = {name: np.full((16, 16), 9, np.uint8) for name in rig.names}
+    return Predictor(rig, method="semi_global", level=3, min_depth=0.5)(images)
+
+
 def test_a_time_line_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(viewer, "MOST_FRAMES", 4)
-    rig = ring_rig(2, image_size=(16, 16))
-    depth = Predictor(rig, method="semi_global", level=3, min_depth=0.5)(
-        {name: np.full((16, 16), 9, np.uint8) for name in rig.names}
-    )
+    depth = small_depth()
     timeline = Timeline(16)
     for number in range(11):
         timeline.add(str(number), depth)

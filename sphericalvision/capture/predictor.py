@@ -59,7 +59,8 @@ class Predictor:
 
     All tables of the rig are computed once. Calls may come from several threads. On a CPU they run in parallel if
     torch leaves them cores: ``torch.set_num_threads(1)`` in each thread gives the most frames per second. If each call
-    uses more than half of the cores, and on a GPU, calls wait for each other.
+    uses more than half of the cores, and on a GPU, calls wait for each other. Copies and pickles are predictors of
+    their own, with the tables as far as these are made.
 
     Args:
         rig: calibrated cameras, for instance ``cameras.read_rig("capture/config.yaml")``; its masks are used.
@@ -207,9 +208,7 @@ class Predictor:
         if self._min_depth is not None:
             with self._lock:
                 self._network()
-        other = copy.copy(self)
-        other._rig, other._ready = rig.to(self._device), None
-        return other
+        return self._with(_rig=rig.to(self._device), _ready=None)
 
     def with_min_depth(self, metres: float) -> Predictor:
         """The same with another nearest hypothesis; the network's weights are shared.
@@ -220,9 +219,7 @@ class Predictor:
         Raises:
             ArgumentError: no positive number.
         """
-        other = copy.copy(self)
-        other._min_depth, other._ready, other._scaled = checked_min_depth(metres), None, None
-        return other
+        return self._with(_min_depth=checked_min_depth(metres), _ready=None, _scaled=None)
 
     def find_min_depth(self, frames: Iterable[Mapping[str, Any]]) -> float:
         """Find the nearest depth in metres worth trying in a few frames, and use it from now on.
@@ -300,6 +297,18 @@ class Predictor:
             "nearest depth still to be found" if self._min_depth is None else f"from {self._min_depth:.3g} m"
         )
         return f"Predictor({type(self._net).__name__}, {near}, {self._rig})"
+
+    def _with(self, **changes: Any) -> Predictor:
+        """A copy with changes, which takes turns with this one: they compute with the same network."""
+        other = copy.copy(self)
+        vars(other).update(changes, _lock=self._lock)
+        return other
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _lock=threading.Lock())
 
     def _turn(self) -> AbstractContextManager[Any]:
         """Wait for one's turn, where two calls at once would take more cores than there are."""

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -22,7 +24,14 @@ from sphericalvision.capture.export import RigProgram
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import ToSphere
-from sphericalvision.models import IcoSweepNet, OmniMVS, SemiGlobalSweep, WinnerTakesAll, save_weights
+from sphericalvision.models import (
+    DepthNetwork,
+    IcoSweepNet,
+    OmniMVS,
+    SemiGlobalSweep,
+    WinnerTakesAll,
+    save_weights,
+)
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.scenes.disturbances import vignetted
 from sphericalvision.sweep import DepthEstimate
@@ -131,6 +140,39 @@ def test_tables_are_made_once_and_threads_get_what_one_gets(rig: CameraRig, imag
     assert len(made) == 1
     for depth, frame in zip(found, frames, strict=True):
         assert torch.equal(depth.index, shared(frame).index)
+
+
+@pytest.mark.parametrize("weights", [None, WinnerTakesAll(3, 8)], ids=["shipped", "sweep"])
+def test_a_predictor_is_copied_and_pickled(
+    rig: CameraRig, images: Images, weights: DepthNetwork | None
+) -> None:
+    one = Predictor(rig, weights, level=5 if weights is None else None, min_depth=0.55)
+    before = [pickle.loads(pickle.dumps(one)), copy.copy(one), copy.deepcopy(one)]
+    expected = one(images).index
+    for other in (*before, pickle.loads(pickle.dumps(one)), copy.deepcopy(one)):
+        assert torch.equal(other(images).index, expected)
+
+
+class _Frames(torch.utils.data.Dataset[Tensor]):
+    def __init__(self, predictor: Predictor, images: Images) -> None:
+        self.predictor, self.images = predictor, images
+
+    def __len__(self) -> int:
+        return 2
+
+    def __getitem__(self, number: int) -> Tensor:
+        return self.predictor({name: image.roll(number, -1) for name, image in self.images.items()}).index
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", ["spawn", "fork"])
+def test_workers_predict(predictor: Predictor, images: Images, start: str) -> None:
+    frames = _Frames(predictor, images)
+    loader = torch.utils.data.DataLoader(
+        frames, batch_size=None, num_workers=1, multiprocessing_context=start
+    )
+    for found, expected in zip(loader, frames, strict=False):
+        torch.testing.assert_close(found, expected)
 
 
 @pytest.mark.parametrize("cores", [1, 2])

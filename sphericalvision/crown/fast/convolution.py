@@ -4,8 +4,7 @@
 ``hex_convolution.cpp`` takes Winograd's algorithms along every dimension: F(3, 3) along rows and columns, of whose 25
 products for nine results two are zero because two corners of the kernel are, and F(4, 3) along the hypotheses. A
 result then takes 2.6 products in place of 9 of a planar convolution, or 3.8 in place of 27. Borders are repeated while
-reading, not copied around, and nothing but results leaves the cache. In volumes of few channels transforms in the plane
-cost more than they save: there ``hex_direct.cpp`` sums over the seven taps, 10.5 products a result.
+reading, not copied around, and nothing but results leaves the cache.
 
 The points of F(4, 3) are 0, +-1 / sqrt(2), +-sqrt(2) and infinity, as with the usual +-1 and +-2 in several dimensions
 the largest errors would be several times as large; those of F(3, 3) are 0, 1, -1, 2 and infinity.
@@ -31,9 +30,6 @@ from sphericalvision.crown.fast.registering import register_operator
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, convolve, planar_kernel
 
 __all__ = ["hex_convolution"]
-
-DIRECT = 16
-"""In volumes of no more channels than this the seven taps are summed directly."""
 
 _A, _B = math.sqrt(0.5), math.sqrt(2.0)
 
@@ -71,13 +67,13 @@ def _convolution(
     Returns:
         ``(B, O, [N,] h, w)``, channels next to each other in memory.
     """
-    taps = _taps(across)
-    given, factors, result = _volumes(images), _factors(weight, taps), _new_result(images, weight, border)
-    arguments = bias if bias is None else bias.contiguous(), relu, int(border), _volumes(result)
-    if _is_direct(factors):
-        _operators().hex_direct(given, factors, _places(taps), *arguments)
-    else:
-        _operators().hex_convolve(given, factors, *arguments)
+    result = _new_result(images, weight, border)
+    given, factors, shift = (
+        _volumes(images),
+        _factors(weight, across),
+        bias if bias is None else bias.contiguous(),
+    )
+    _operators().hex_convolve(given, factors, shift, relu, int(border), _volumes(result))
     return result
 
 
@@ -85,28 +81,22 @@ def _backward(
     gradient: Tensor, images: Tensor, weight: Tensor, across: bool, border: bool, wanted: list[bool]
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Gradients of images, weight and bias, those not ``wanted`` empty: the adjoints of all steps, in reverse."""
-    taps, given, upstream = _taps(across), _volumes(images), _volumes(gradient)
+    given, upstream = _volumes(images), _volumes(gradient)
     grad_images, grad_weight, grad_bias = _new_gradients(images, weight, wanted)
     if wanted[0]:
-        factors, grad_given = _factors(weight, taps, adjoint=True), _volumes(grad_images.zero_())
-        if _is_direct(factors):  # with the taps on the other side of the centre
-            places = 8 - _places(taps)
-            _operators().hex_direct_backward_given(upstream, factors, places, int(border), grad_given)
-        else:
-            _operators().hex_convolve_backward_given(upstream, factors, int(border), grad_given)
+        factors, grad_given = _factors(weight, across, adjoint=True), _volumes(grad_images.zero_())
+        _operators().hex_convolve_backward_given(upstream, factors, int(border), grad_given)
     if wanted[1]:
-        transform, (out, channels, _) = _to_factors(weight, taps), weight.shape
+        line, plane = _transforms(across, weight.shape[-1] // 7, weight.dtype)
+        out, channels, _ = weight.shape
         # A part for every thread, added up in the end in the same order.
         parts = weight.new_zeros(
-            torch.get_num_threads(), *transform.shape[:2], channels, out + -out % _lanes()
+            torch.get_num_threads(), len(line), len(plane), channels, out + -out % _lanes()
         )
-        if _is_direct(parts):
-            _operators().hex_direct_backward_weight(given, upstream, _places(taps), int(border), parts)
-        else:
-            _operators().hex_convolve_backward_weight(given, upstream, int(border), parts)
-        by_factor = parts.sum(0)[..., :out].flatten(0, 1)  # the adjoint of `_factors`
-        by_tap = (transform.flatten(0, 1).T @ by_factor.flatten(1)).view(-1, channels, out)
-        grad_weight.copy_(by_tap.permute(2, 1, 0))
+        _operators().hex_convolve_backward_weight(given, upstream, int(border), parts)
+        by_factor = (parts[0] if len(parts) == 1 else parts.sum(0)).flatten(2)  # the adjoint of `_factors`
+        by_tap = line.T @ torch.bmm(plane.T.expand(len(line), -1, -1), by_factor).flatten(1)
+        grad_weight.copy_(by_tap.view(-1, channels, parts.shape[-1])[..., :out].permute(2, 1, 0))
     if wanted[2]:
         torch.sum(upstream, (0, 1, 2, 3), out=grad_bias)
     return grad_images, grad_weight, grad_bias
@@ -181,48 +171,34 @@ def _taps(across: bool) -> Taps:
     return ROW_TAPS if across else COL_TAPS
 
 
-def _factors(weight: Tensor, taps: Taps, adjoint: bool = False) -> Tensor:
-    """A weight as factors of products, ``(1 or 6, 23 or 7, in, out)``, for the convolution or its ``adjoint``."""
-    transform = _to_factors(weight, taps)
+def _factors(weight: Tensor, across: bool, adjoint: bool = False) -> Tensor:
+    """A weight as factors of products, ``(1 or 6, 23, in, out)``, for the convolution or its ``adjoint``.
+
+    First along the hypotheses, then in the plane: a sixth of the arithmetic of one product with both.
+    """
+    line, plane = _transforms(across, weight.shape[-1] // 7, weight.dtype)
     by_tap = weight.permute((2, 0, 1) if adjoint else (2, 1, 0))
-    factors = (transform.flatten(0, 1) @ by_tap.flatten(1)).view(*transform.shape[:2], *by_tap.shape[1:])
-    return F.pad(factors, (0, -factors.shape[-1] % _lanes())).contiguous()
-
-
-def _to_factors(weight: Tensor, taps: Taps) -> Tensor:
-    """From taps to factors by the way that is faster for a weight, ``(planes, slots, taps)``, in its precision."""
-    depth = weight.shape[-1] // 7
-    direct = depth > 1 and max(weight.shape[:2]) <= DIRECT
-    return _transform(taps, depth, direct).to(weight.dtype)
-
-
-def _is_direct(factors: Tensor) -> bool:
-    return factors.shape[-3] == 7
-
-
-@lru_cache(maxsize=2)
-@torch.inference_mode(False)  # kept for training, too
-def _places(taps: Taps) -> Tensor:
-    """Which of nine places each tap is, ``(7,)``."""
-    flat = sum(taps, ())
-    return torch.tensor([flat.index(tap) for tap in range(7)], device="cpu")
+    by_tap = F.pad(by_tap, (0, -by_tap.shape[-1] % _lanes())).contiguous()
+    by_plane = line @ by_tap.view(line.shape[1], -1)
+    factors = torch.bmm(plane.expand(len(line), -1, -1), by_plane.view(len(line), 7, -1))
+    return factors.view(len(line), len(plane), *by_tap.shape[1:])
 
 
 @lru_cache(maxsize=8)
 @torch.inference_mode(False)  # kept for training, too
-def _transform(taps: Taps, depth: int, direct: bool) -> Tensor:
-    """From taps to factors, ``(planes, slots, taps)``, float64 on the CPU; without two slots that are always zero."""
+def _transforms(across: bool, depth: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """From taps to factors along the hypotheses, ``(1 or 6, depth)``, and in the plane, ``(23, 7)``, on the CPU."""
 
     def table(rows: tuple[tuple[float, ...], ...]) -> Tensor:
         return torch.tensor(rows, dtype=torch.float64, device="cpu")
 
     line, plane = table(_LINE_TAPS if depth > 1 else ((1.0,),)), table(_PLANE_TAPS)
     # Every tap by itself as a planar kernel (7, 3, 3), of which the first and the last place are none.
-    single = planar_kernel(torch.eye(7, dtype=torch.float64, device="cpu"), taps)
-    slots = torch.einsum("ri,sj,tij->rst", plane, plane, single).flatten(0, 1)[1:-1]
-    if direct:
-        slots = torch.eye(7, dtype=torch.float64, device="cpu")
-    return torch.einsum("kd,st->ksdt", line, slots).flatten(2)
+    single = planar_kernel(torch.eye(7, dtype=torch.float64, device="cpu"), _taps(across))
+    slots = torch.einsum("ri,sj,tij->rst", plane, plane, single).flatten(0, 1)[
+        1:-1
+    ]  # the others are always zero
+    return line.to(dtype), slots.to(dtype)
 
 
 def _volumes(images: Tensor) -> Tensor:

@@ -1,14 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-// The same as hex_convolution.cpp for many channels: Winograd's F(3, 3) along rows and columns of a plane, too.
+// Hexagonal convolutions by Winograd's minimal filtering: F(3, 3) along rows and columns of a plane, F(4, 3) along hypotheses.
 //
 // A tile of 3 x 3 results takes 5 x 5 products, less two that are zero because two corners of a hexagon's 3 x 3 kernel
 // are: 23 in place of 63. With F(4, 3) along the hypotheses volumes need 138 products for 36 results, in place of 756. Tiles
 // of three fit planes of 2^k + 1 places, which are 3 m or 3 m - 1 on a side: those of 17 x 9 have 162 places of results in
 // tiles of 3 x 3 and 240 in tiles of 4 x 4.
 //
-// A few rows of tiles at a time go from given values to results for one of the six factors of the hypotheses after the
-// other, so that all between stays in the second-level cache. Gradients are the adjoints, step by step in reverse, so that
-// they need as many products.
+// A strip is some rows of tiles of four hypotheses of a rectangle. A few strips at a time go all the way:
+//
+//   given --F(4, 3)--> planes [6][row][column] --F(3, 3)--> tiles [23][tile] --times the weight-->
+//   products [23][tile] --F(3, 3)--> planes [6][row][column] --F(4, 3)--> results
+//
+// so that every given value is read, and every result written, once, in the order of memory, and nothing between leaves the
+// caches. The factors of the hypotheses take turns at the middle, so that a sixth of the weight is in use at a time. Borders
+// are repeated while reading, not copied around. Gradients are the adjoints, step by step in reverse, and need as many
+// products. Images are volumes of one hypothesis, which F(4, 3) leaves out.
 
 #include <ATen/Parallel.h>
 #include <ATen/core/Tensor.h>
@@ -30,7 +36,7 @@ using volumes::inside, volumes::Volumes;
 
 constexpr int64_t SIDE = 3, GIVEN = 5;       // results and given values along a side of a tile
 constexpr int64_t SLOTS = GIVEN * GIVEN - 2;  // products of a tile, without the first and the last, which are zero
-constexpr int64_t CACHE_BYTES = 640 << 10;    // what tiles and products take at a time
+constexpr int64_t TILES = 36;                 // at a time: enough to pay for reading a weight, few enough to stay in cache
 
 // What is summed up at once has as many registers as there are: so many vectors of results for so many tiles, and in the
 // gradient of a weight so many vectors of results for so many given channels.
@@ -50,236 +56,274 @@ template <typename T>
 constexpr int CHANNELS = 4;
 #endif
 
-// Along the hypotheses: which factor comes from which given planes, and gives which results. Images have one of each.
+// Planes of factors, hypotheses that these make, and hypotheses before those.
 template <int F>
-struct Along;
+constexpr int64_t MADE = F == 6 ? 4 : 1;
+template <int F>
+constexpr int64_t BEFORE = F == 6 ? 1 : 0;
 
-template <>
-struct Along<6> {
-  static constexpr int given = 6, made = 4, before = 1;
-  static constexpr int order[6] = {5, 0, 1, 2, 3, 4};  // the last one is part of every result
-  template <typename T>
-  static T from_given(const int k, const int d) { return winograd::GIVEN_TO_FACTORS<T>[k][d]; }
-  template <typename T>
-  static T to_result(const int k, const int j) { return winograd::PRODUCTS_TO_RESULTS<T>[j][k]; }
+// Rows of tiles of a group of hypotheses of a rectangle; which strip in hand it is, and the first of its tiles there.
+struct Strip {
+  int64_t b, group, first, rows, index, tile;
 };
 
-template <>
-struct Along<1> {
-  static constexpr int given = 1, made = 1, before = 0;
-  static constexpr int order[1] = {0};
-  template <typename T>
-  static T from_given(int, int) { return 1; }
-  template <typename T>
-  static T to_result(int, int) { return 1; }
-};
-
-// Rows of tiles of all groups of four hypotheses of all rectangles.
+// How results are cut into strips, all of about TILES tiles or of a whole plane.
 struct Grid {
-  int64_t batch, groups, rows, columns;
+  int64_t batch, groups, rows, columns, parts;
 
   template <typename T>
   Grid(const Volumes<T>& results, const int64_t made)
       : batch(results.batch),
         groups((results.depth + made - 1) / made),
         rows((results.height + SIDE - 1) / SIDE),
-        columns((results.width + SIDE - 1) / SIDE) {}
-
-  int64_t width() const { return SIDE * columns; }
-  int64_t size() const { return batch * groups * rows; }
-
-  // How many rows of tiles are taken together, of `number` for all threads.
-  int64_t together(const int64_t number, const int64_t bytes_of_tile) const {
-    const int64_t in_cache = CACHE_BYTES / (bytes_of_tile * columns), shared = number / at::get_num_threads();
-    return std::clamp<int64_t>(std::min(in_cache, shared), 1, std::max<int64_t>(1, number));
+        columns((results.width + SIDE - 1) / SIDE),
+        parts((rows * columns + TILES - 1) / TILES) {
+    parts = std::min(parts, rows);
   }
+
+  int64_t size() const { return batch * groups * parts; }
+  int64_t most_rows() const { return (rows + parts - 1) / parts; }
+  Strip strip(const int64_t b, const int64_t group, const int64_t part) const {
+    const int64_t first = part * rows / parts;
+    return {b, group, first, (part + 1) * rows / parts - first, 0, 0};
+  }
+  Strip strip(const int64_t i) const { return strip(i / parts / groups, i / parts % groups, i % parts); }
 };
 
-struct TileRow {
-  int64_t b, group, row;
+// Planes of vectors, [plane][row][column][block]: a strip of given values with one more place all around, or of results.
+template <typename T>
+struct Planes {
+  T* data;
+  int64_t rows, columns, blocks;
+
+  T* at(const int64_t plane, const int64_t row, const int64_t column) const {
+    return data + ((plane * rows + row) * columns + column) * blocks * LANES;
+  }
+  int64_t step() const { return rows * columns * blocks * LANES; }
+  int64_t tile_rows() const { return rows / SIDE; }
+  int64_t tile_columns() const { return columns / SIDE; }
 };
 
-// Vectors of tiles, [slot][block][tile].
+// Vectors of tiles, [slot][block][tile]. The step is odd: a power of two would put all slots into one set of the cache.
 template <typename T>
 struct Tiles {
   T* data;
-  int64_t blocks, number;
+  int64_t blocks, number, step;
 
   T* at(const int64_t slot, const int64_t block, const int64_t tile) const {
-    return data + ((slot * blocks + block) * number + tile) * LANES;
+    return data + ((slot * blocks + block) * step + tile) * LANES;
   }
-  int64_t slot_step() const { return blocks * number * LANES; }
-  int64_t block_step() const { return number * LANES; }
+  int64_t slot_step() const { return blocks * step * LANES; }
+  int64_t block_step() const { return step * LANES; }
 };
 
-// Memory of a thread, kept between calls: fresh pages cost as much as the sums.
+// Memory of a thread, kept between calls: fresh pages cost as much as the sums. Vectors, so that none lies in two lines of
+// the cache.
 template <typename T>
-T* buffer(const int which, const int64_t size) {
-  thread_local std::vector<T> buffers[3];
-  if (static_cast<int64_t>(buffers[which].size()) < size) buffers[which].resize(size);
-  return buffers[which].data();
+T* buffer(const int which, const int64_t vectors) {
+  thread_local std::vector<Vec<T>> buffers[4];
+  if (static_cast<int64_t>(buffers[which].size()) < vectors) buffers[which].resize(vectors);
+  return reinterpret_cast<T*>(buffers[which].data());
 }
 
-// One factor of GIVEN rows of given values, [GIVEN][width + 2], to tiles from `first` on.
+// Strips in hand, with planes and tiles of given values and of results.
 template <typename T, int F>
-void tiles_of_given(const Volumes<T>& given, const Grid& grid, const TileRow& at, const int k, const int64_t border,
-                    Tiles<T>& tiles, const int64_t first) {
-  using A = Along<F>;
-  const int64_t width = grid.width() + 2;
-  Vec<T>* line = reinterpret_cast<Vec<T>*>(buffer<Vec<T>>(0, GIVEN * width));
-  T factor[A::given];
-  int64_t plane[A::given], terms = 0;
-  for (int d = 0; d < A::given; ++d) {
-    if (A::template from_given<T>(k, d) == 0) continue;
-    factor[terms] = A::template from_given<T>(k, d);
-    plane[terms++] = inside(at.group * A::made + d - A::before, given.depth) * given.deep;
-  }
-  for (int64_t block = 0; block < given.blocks; ++block) {
-    const int64_t count = given.in_block(block);
-    for (int64_t i = 0; i < GIVEN; ++i) {
-      const int64_t y = inside(at.row * SIDE + i - 1 + border, given.height);
-      for (int64_t j = 0; j < width; ++j) {
-        const T* from = given.at(at.b, 0, y, inside(j - 1 + border, given.width), block);
-        Vec<T> sum = load(from + plane[0], count) * factor[0];
-        for (int64_t d = 1; d < terms; ++d) sum += load(from + plane[d], count) * factor[d];
-        line[i * width + j] = sum;
-      }
-    }
-    for (int64_t tile = 0; tile < grid.columns; ++tile) {
-      Vec<T> x[GIVEN][GIVEN], in[GIVEN], out[GIVEN];
-      for (int64_t i = 0; i < GIVEN; ++i) {
-        for (int64_t j = 0; j < GIVEN; ++j) in[j] = line[i * width + SIDE * tile + j];
-        winograd::to_factors(in, x[i]);
-      }
-      for (int64_t j = 0; j < GIVEN; ++j) {
-        for (int64_t i = 0; i < GIVEN; ++i) in[i] = x[i][j];
-        winograd::to_factors(in, out);
-        for (int64_t i = 0; i < GIVEN; ++i) {
-          const int64_t slot = i * GIVEN + j - 1;
-          if (slot >= 0 && slot < SLOTS) store(tiles.at(slot, block, first + tile), out[i]);
-        }
-      }
-    }
-  }
-}
+struct Hand {
+  const Grid& grid;
+  std::vector<Strip> strips;
+  int64_t given_blocks, result_blocks, number = 0;
 
-// The adjoint of `tiles_of_given`: added to gradients of given values.
-template <typename T, int F>
-void add_tiles_to_given(Tiles<T>& tiles, const int64_t first, const Grid& grid, const TileRow& at, const int k,
-                        const int64_t border, const Volumes<T>& grad_given) {
-  using A = Along<F>;
-  const int64_t width = grid.width() + 2;
-  Vec<T>* line = reinterpret_cast<Vec<T>*>(buffer<Vec<T>>(0, GIVEN * width));
-  for (int64_t block = 0; block < grad_given.blocks; ++block) {
-    const int64_t count = grad_given.in_block(block);
-    std::fill(line, line + GIVEN * width, Vec<T>{});
-    for (int64_t tile = 0; tile < grid.columns; ++tile) {
-      Vec<T> x[GIVEN][GIVEN], in[GIVEN], out[GIVEN];
-      for (int64_t j = 0; j < GIVEN; ++j) {
-        for (int64_t i = 0; i < GIVEN; ++i) {
-          const int64_t slot = i * GIVEN + j - 1;
-          in[i] = slot >= 0 && slot < SLOTS ? load(tiles.at(slot, block, first + tile)) : Vec<T>{};
-        }
-        winograd::to_factors_adjoint(in, out);
-        for (int64_t i = 0; i < GIVEN; ++i) x[i][j] = out[i];
-      }
-      for (int64_t i = 0; i < GIVEN; ++i) {
-        winograd::to_factors_adjoint(x[i], out);
-        for (int64_t j = 0; j < GIVEN; ++j) line[i * width + SIDE * tile + j] += out[j];
-      }
+  Hand(const Grid& grid, std::vector<Strip> some, const int64_t given_blocks, const int64_t result_blocks)
+      : grid(grid), strips(std::move(some)), given_blocks(given_blocks), result_blocks(result_blocks) {
+    for (Strip& strip : strips) {
+      strip.index = &strip - strips.data();
+      strip.tile = number;
+      number += strip.rows * grid.columns;
     }
-    for (int d = 0; d < A::given; ++d) {
-      const T factor = A::template from_given<T>(k, d);
-      if (factor == 0) continue;
-      const int64_t plane = inside(at.group * A::made + d - A::before, grad_given.depth);
-      for (int64_t i = 0; i < GIVEN; ++i) {
-        const int64_t y = inside(at.row * SIDE + i - 1 + border, grad_given.height);
-        for (int64_t j = 0; j < width; ++j) {
-          T* to = grad_given.at(at.b, plane, y, inside(j - 1 + border, grad_given.width), block);
-          store(to, Vec<T>(load(to, count) + line[i * width + j] * factor), count);
-        }
+  }
+
+  Planes<T> planes(const int which, const Strip& strip, const int64_t more, const int64_t blocks) const {
+    const int64_t columns = SIDE * grid.columns + more, most = F * (SIDE * grid.most_rows() + more) * columns * blocks;
+    T* all = buffer<T>(which, most * strips.size());
+    return {all + strip.index * most * LANES, SIDE * strip.rows + more, columns, blocks};
+  }
+  Planes<T> given(const Strip& strip) const { return planes(0, strip, GIVEN - SIDE, given_blocks); }
+  Planes<T> results(const Strip& strip) const { return planes(1, strip, 0, result_blocks); }
+
+  Tiles<T> tiles(const int which, const int64_t blocks) const {
+    return {buffer<T>(which, SLOTS * blocks * (number | 1)), blocks, number, number | 1};
+  }
+  Tiles<T> given_tiles() const { return tiles(2, given_blocks); }
+  Tiles<T> result_tiles() const { return tiles(3, result_blocks); }
+};
+
+// Along the hypotheses: given values of a strip and around it to planes of factors.
+template <typename T, int F>
+void read_given(const Volumes<T>& given, const Strip& strip, const int64_t border, const Planes<T>& planes) {
+  int64_t depth[F];
+  for (int k = 0; k < F; ++k) depth[k] = inside(strip.group * MADE<F> + k - BEFORE<F>, given.depth) * given.deep;
+  for (int64_t row = 0; row < planes.rows; ++row) {
+    const int64_t y = inside(strip.first * SIDE + row - 1 + border, given.height);
+    for (int64_t column = 0; column < planes.columns; ++column) {
+      const T* from = given.at(strip.b, 0, y, inside(column - 1 + border, given.width), 0);
+      T* to = planes.at(0, row, column);
+      for (int64_t block = 0; block < planes.blocks; ++block, from += LANES, to += LANES) {
+        const int64_t count = given.in_block(block);
+        Vec<T> d[F], x[F];
+        for (int k = 0; k < F; ++k) d[k] = load(from + depth[k], count);
+        winograd::to_factors<T>(d, x);
+        for (int k = 0; k < F; ++k) store(to + k * planes.step(), x[k]);
       }
     }
   }
 }
 
-// What one factor's products are of results; the first time with the bias, the last time rectified.
+// The adjoint of `read_given`: added to gradients of given values.
 template <typename T, int F>
-void add_tiles_to_results(Tiles<T>& products, const int64_t first, const Grid& grid, const TileRow& at, const int k,
-                          const T* bias, const bool rectify, const Volumes<T>& results) {
-  using A = Along<F>;
-  const bool begin = k == A::order[0], end = k == A::order[F - 1];
-  const int64_t high = std::min(SIDE, results.height - at.row * SIDE);
-  const int64_t deep = std::min<int64_t>(A::made, results.depth - at.group * A::made);
-  for (int64_t block = 0; block < results.blocks; ++block) {
-    const int64_t count = results.in_block(block);
-    const Vec<T> shift = bias ? load(bias + block * LANES, count) : Vec<T>{};
-    for (int64_t tile = 0; tile < grid.columns; ++tile) {
-      Vec<T> x[SIDE][GIVEN], y[SIDE][SIDE], in[GIVEN], out[SIDE];
-      for (int64_t j = 0; j < GIVEN; ++j) {
-        for (int64_t i = 0; i < GIVEN; ++i) {
-          const int64_t slot = i * GIVEN + j - 1;
-          in[i] = slot >= 0 && slot < SLOTS ? load(products.at(slot, block, first + tile)) : Vec<T>{};
-        }
-        winograd::to_results(in, out);
-        for (int64_t i = 0; i < SIDE; ++i) x[i][j] = out[i];
+void add_to_given(const Planes<T>& planes, const Strip& strip, const int64_t border, const Volumes<T>& grad_given) {
+  int64_t depth[F];
+  for (int k = 0; k < F; ++k) depth[k] = inside(strip.group * MADE<F> + k - BEFORE<F>, grad_given.depth) * grad_given.deep;
+  for (int64_t row = 0; row < planes.rows; ++row) {
+    const int64_t y = inside(strip.first * SIDE + row - 1 + border, grad_given.height);
+    for (int64_t column = 0; column < planes.columns; ++column) {
+      T* to = grad_given.at(strip.b, 0, y, inside(column - 1 + border, grad_given.width), 0);
+      const T* from = planes.at(0, row, column);
+      for (int64_t block = 0; block < planes.blocks; ++block, from += LANES, to += LANES) {
+        const int64_t count = grad_given.in_block(block);
+        Vec<T> x[F], d[F];
+        for (int k = 0; k < F; ++k) x[k] = load(from + k * planes.step());
+        winograd::to_factors_adjoint<T>(x, d);
+        // One after the other: at the ends two of them are the same hypothesis.
+        for (int k = 0; k < F; ++k) store(to + depth[k], Vec<T>(load(to + depth[k], count) + d[k]), count);
       }
-      for (int64_t i = 0; i < SIDE; ++i) winograd::to_results(x[i], y[i]);
-      const int64_t wide = std::min(SIDE, results.width - tile * SIDE);
-      for (int64_t d = 0; d < deep; ++d) {
-        const T factor = A::template to_result<T>(k, d);
-        if (factor == 0 && !begin) continue;
-        for (int64_t i = 0; i < high; ++i) {
-          T* to = results.at(at.b, at.group * A::made + d, at.row * SIDE + i, tile * SIDE, block);
-          for (int64_t j = 0; j < wide; ++j, to += results.right) {
-            Vec<T> value = (begin ? shift : load(to, count)) + y[i][j] * factor;
-            if (end && rectify) value = value < Vec<T>{} ? Vec<T>{} : value;  // NaN stays
-            store(to, value, count);
-          }
+    }
+  }
+}
+
+// Along the hypotheses: planes of products to results, with the bias, and rectified if asked for.
+template <typename T, int F>
+void write_results(const Planes<T>& planes, const Strip& strip, const T* bias, const bool rectify, const Volumes<T>& results) {
+  const int64_t depth = strip.group * MADE<F>, deep = std::min<int64_t>(MADE<F>, results.depth - depth);
+  const int64_t rows = std::min(planes.rows, results.height - strip.first * SIDE);
+  for (int64_t row = 0; row < rows; ++row) {
+    for (int64_t column = 0; column < results.width; ++column) {
+      const T* from = planes.at(0, row, column);
+      T* to = results.at(strip.b, depth, strip.first * SIDE + row, column, 0);
+      for (int64_t block = 0; block < planes.blocks; ++block, from += LANES, to += LANES) {
+        const int64_t count = results.in_block(block);
+        const Vec<T> shift = bias ? load(bias + block * LANES, count) : Vec<T>{};
+        Vec<T> m[F], y[MADE<F>];
+        for (int k = 0; k < F; ++k) m[k] = load(from + k * planes.step());
+        winograd::to_results<T>(m, y);
+        for (int64_t k = 0; k < deep; ++k) {
+          const Vec<T> value = y[k] + shift;
+          store(to + k * results.deep, rectify ? Vec<T>(value < Vec<T>{} ? Vec<T>{} : value) : value, count);  // NaN stays
         }
       }
     }
   }
 }
 
-// The adjoint of `add_tiles_to_results`.
+// The adjoint of `write_results`: gradients of results to planes, zero where there are no results.
 template <typename T, int F>
-void tiles_of_results(const Volumes<T>& grad, const Grid& grid, const TileRow& at, const int k, Tiles<T>& tiles,
-                      const int64_t first) {
-  using A = Along<F>;
-  T factor[A::made];
-  int64_t plane[A::made], terms = 0;
-  for (int d = 0; d < A::made; ++d) {
-    const int64_t depth = at.group * A::made + d;
-    if (A::template to_result<T>(k, d) == 0 || depth >= grad.depth) continue;
-    factor[terms] = A::template to_result<T>(k, d);
-    plane[terms++] = depth * grad.deep;
-  }
-  for (int64_t block = 0; block < grad.blocks; ++block) {
-    const int64_t count = grad.in_block(block);
-    for (int64_t tile = 0; tile < grid.columns; ++tile) {
-      Vec<T> x[SIDE][GIVEN], y[SIDE], in[SIDE], out[GIVEN];
-      for (int64_t i = 0; i < SIDE; ++i) {
-        for (int64_t j = 0; j < SIDE; ++j) {
-          const int64_t row = at.row * SIDE + i, column = tile * SIDE + j;
-          y[j] = Vec<T>{};
-          if (row >= grad.height || column >= grad.width) continue;
-          const T* from = grad.at(at.b, 0, row, column, block);
-          for (int64_t d = 0; d < terms; ++d) y[j] += load(from + plane[d], count) * factor[d];
-        }
-        winograd::to_results_adjoint(y, x[i]);
-      }
-      for (int64_t j = 0; j < GIVEN; ++j) {
-        for (int64_t i = 0; i < SIDE; ++i) in[i] = x[i][j];
-        winograd::to_results_adjoint(in, out);
-        for (int64_t i = 0; i < GIVEN; ++i) {
-          const int64_t slot = i * GIVEN + j - 1;
-          if (slot >= 0 && slot < SLOTS) store(tiles.at(slot, block, first + tile), out[i]);
-        }
+void read_gradients(const Volumes<T>& grad, const Strip& strip, const Planes<T>& planes) {
+  const int64_t depth = strip.group * MADE<F>, deep = std::min<int64_t>(MADE<F>, grad.depth - depth);
+  for (int64_t row = 0; row < planes.rows; ++row) {
+    for (int64_t column = 0; column < planes.columns; ++column) {
+      const int64_t i = strip.first * SIDE + row;
+      const bool there = i < grad.height && column < grad.width;
+      const T* from = grad.at(strip.b, depth, there ? i : 0, there ? column : 0, 0);
+      T* to = planes.at(0, row, column);
+      for (int64_t block = 0; block < planes.blocks; ++block, from += LANES, to += LANES) {
+        Vec<T> y[MADE<F>], m[F];
+        for (int64_t k = 0; k < MADE<F>; ++k)
+          y[k] = there && k < deep ? load(from + k * grad.deep, grad.in_block(block)) : Vec<T>{};
+        winograd::to_results_adjoint<T>(y, m);
+        for (int k = 0; k < F; ++k) store(to + k * planes.step(), m[k]);
       }
     }
   }
 }
+
+// A transform of lines along both sides of a square.
+template <int FROM, int TO, typename V, typename Line>
+inline void along_both(const V (&in)[FROM][FROM], V (&out)[TO][TO], const Line& line) {
+  V half[FROM][TO], column[FROM], turned[TO];
+#pragma GCC unroll 5
+  for (int i = 0; i < FROM; ++i) line(in[i], half[i]);
+#pragma GCC unroll 5
+  for (int j = 0; j < TO; ++j) {
+#pragma GCC unroll 5
+    for (int i = 0; i < FROM; ++i) column[i] = half[i][j];
+    line(column, turned);
+#pragma GCC unroll 5
+    for (int i = 0; i < TO; ++i) out[i][j] = turned[i];
+  }
+}
+
+// All slots of a tile but the two that are always zero.
+template <typename T>
+inline void load_tile(const Tiles<T>& tiles, const int64_t block, const int64_t tile, Vec<T> (&x)[GIVEN][GIVEN]) {
+  const T* from = tiles.at(0, block, tile);
+  x[0][0] = x[GIVEN - 1][GIVEN - 1] = Vec<T>{};
+#pragma GCC unroll 32
+  for (int slot = 0; slot < SLOTS; ++slot) x[(slot + 1) / GIVEN][(slot + 1) % GIVEN] = load(from + slot * tiles.slot_step());
+}
+
+template <typename T>
+inline void store_tile(const Vec<T> (&x)[GIVEN][GIVEN], const Tiles<T>& tiles, const int64_t block, const int64_t tile) {
+  T* to = tiles.at(0, block, tile);
+#pragma GCC unroll 32
+  for (int slot = 0; slot < SLOTS; ++slot) store(to + slot * tiles.slot_step(), x[(slot + 1) / GIVEN][(slot + 1) % GIVEN]);
+}
+
+// Call `one(block, tile, corner)` for all tiles of a strip; the corner is that of the tile in a plane.
+template <typename T, typename Function>
+inline void for_tiles(const Planes<T>& planes, const int k, int64_t tile, const Function& one) {
+  for (int64_t row = 0; row < planes.tile_rows(); ++row)
+    for (int64_t column = 0; column < planes.tile_columns(); ++column, ++tile)
+      for (int64_t block = 0; block < planes.blocks; ++block)
+        one(block, tile, planes.at(k, SIDE * row, SIDE * column) + block * LANES);
+}
+
+// In a plane: places, SIZE x SIZE of them for a tile, to slots by a transform of lines.
+template <int SIZE, typename T, typename Line>
+void to_tiles(const Planes<T>& planes, const int k, const Tiles<T>& tiles, const int64_t first, const Line& line) {
+  const int64_t right = planes.blocks * LANES, down = planes.columns * right;
+  for_tiles(planes, k, first, [&](const int64_t block, const int64_t tile, const T* from) {
+    Vec<T> d[SIZE][SIZE], x[GIVEN][GIVEN];
+#pragma GCC unroll 5
+    for (int i = 0; i < SIZE; ++i)
+#pragma GCC unroll 5
+      for (int j = 0; j < SIZE; ++j) d[i][j] = load(from + i * down + j * right);
+    along_both(d, x, line);
+    store_tile<T>(x, tiles, block, tile);
+  });
+}
+
+// In a plane: slots to places, which are added up where tiles overlap.
+template <int SIZE, typename T, typename Line>
+void from_tiles(const Tiles<T>& tiles, const int64_t first, const Planes<T>& planes, const int k, const Line& line) {
+  const int64_t right = planes.blocks * LANES, down = planes.columns * right;
+  if (SIZE > SIDE) std::fill_n(planes.at(k, 0, 0), planes.step(), T(0));
+  for_tiles(planes, k, first, [&](const int64_t block, const int64_t tile, T* to) {
+    Vec<T> x[GIVEN][GIVEN], d[SIZE][SIZE];
+    load_tile<T>(tiles, block, tile, x);
+    along_both(x, d, line);
+#pragma GCC unroll 5
+    for (int i = 0; i < SIZE; ++i)
+#pragma GCC unroll 5
+      for (int j = 0; j < SIZE; ++j) {
+        T* place = to + i * down + j * right;
+        store(place, SIZE > SIDE ? Vec<T>(load(place) + d[i][j]) : d[i][j]);
+      }
+  });
+}
+
+constexpr auto TO_FACTORS = [](const auto& in, auto& out) { winograd::to_factors(in, out); };
+constexpr auto TO_FACTORS_ADJOINT = [](const auto& in, auto& out) { winograd::to_factors_adjoint(in, out); };
+constexpr auto TO_RESULTS = [](const auto& in, auto& out) { winograd::to_results(in, out); };
+constexpr auto TO_RESULTS_ADJOINT = [](const auto& in, auto& out) { winograd::to_results_adjoint(in, out); };
 
 // Multiply P tiles with the weights (C, O') of V vectors of results.
 template <typename T, int P, int V>
@@ -325,7 +369,7 @@ inline void multiply_some(const int64_t tiles, const T* given, const int64_t cha
 
 // All products of tiles with weights (SLOTS, C, O'), O' a multiple of sixteen.
 template <typename T>
-void multiply(Tiles<T>& given, const int64_t channels, const T* weight, Tiles<T>& made) {
+void multiply(const Tiles<T>& given, const int64_t channels, const T* weight, const Tiles<T>& made) {
   const int64_t weight_step = made.blocks * LANES, parts = (given.number + TOGETHER<T> - 1) / TOGETHER<T>;
   for (int64_t slot = 0; slot < SLOTS; ++slot, weight += channels * weight_step) {
     for (int64_t block = 0; block < made.blocks; block += VECTORS<T>) {
@@ -372,7 +416,7 @@ inline void add_sum_over_tiles(const T* given, const T* grad, const int64_t grad
 
 // The gradient of weights (SLOTS, C, O') of one factor.
 template <typename T>
-void add_weight_gradient(Tiles<T>& given, Tiles<T>& grad, const int64_t channels, T* total) {
+void add_weight_gradient(const Tiles<T>& given, const Tiles<T>& grad, const int64_t channels, T* total) {
   const int64_t step = grad.blocks * LANES;
   for (int64_t slot = 0; slot < SLOTS; ++slot, total += channels * step) {
     for (int64_t channel = 0; channel < channels; channel += CHANNELS<T>) {
@@ -390,97 +434,88 @@ void add_weight_gradient(Tiles<T>& given, Tiles<T>& grad, const int64_t channels
   }
 }
 
-// Tiles of given values and of results in the memory of this thread.
-template <typename T>
-std::pair<Tiles<T>, Tiles<T>> make_tiles(const int64_t given_blocks, const int64_t result_blocks, const int64_t number) {
-  return {Tiles<T>{buffer<T>(1, SLOTS * given_blocks * number * LANES), given_blocks, number},
-          Tiles<T>{buffer<T>(2, SLOTS * result_blocks * number * LANES), result_blocks, number}};
-}
-
-template <typename T>
-int64_t bytes_of_tile(const Volumes<T>& given, const Volumes<T>& results) {
-  return SLOTS * (given.blocks + results.blocks) * LANES * sizeof(T);
-}
-
-// Call `one(first, last)` in parallel for parts of `number` rows of tiles that are no more than `together`.
-template <typename Function>
-void for_parts(const int64_t number, const int64_t together, const Function& one) {
-  const int64_t parts = (number + together - 1) / together;
-  at::parallel_for(0, parts, 1, [&](const int64_t begin, const int64_t end) {
-    for (int64_t part = begin; part < end; ++part) one(part * number / parts, (part + 1) * number / parts);
+// Call `one(strips)` in parallel for a few of `number` strips at a time, about TILES tiles, but no thread has more than its share.
+template <typename At, typename Function>
+void for_strips(const Grid& grid, const int64_t number, const At& at, const Function& one) {
+  const int64_t in_cache = TILES / (grid.most_rows() * grid.columns), shared = number / at::get_num_threads();
+  const int64_t together = std::max<int64_t>(1, std::min(in_cache, shared)), hands = (number + together - 1) / together;
+  at::parallel_for(0, hands, 1, [&](const int64_t begin, const int64_t end) {
+    for (int64_t hand = begin; hand < end; ++hand) {
+      std::vector<Strip> strips;
+      for (int64_t i = hand * number / hands; i < (hand + 1) * number / hands; ++i) strips.push_back(at(i));
+      one(std::move(strips));
+    }
   });
 }
 
 template <typename T, int F>
 void forward(const Volumes<T>& given, const T* weight, const T* bias, const bool rectify, const int64_t border,
              const Volumes<T>& results) {
-  using A = Along<F>;
-  const Grid grid(results, A::made);
+  const Grid grid(results, MADE<F>);
   const int64_t size = SLOTS * given.channels * results.blocks * LANES;
-  const auto tile_row = [&](const int64_t i) {
-    return TileRow{i / grid.rows / grid.groups, i / grid.rows % grid.groups, i % grid.rows};
-  };
-  for_parts(grid.size(), grid.together(grid.size(), bytes_of_tile(given, results)), [&](const int64_t first, const int64_t last) {
-    auto [tiles, products] = make_tiles<T>(given.blocks, results.blocks, (last - first) * grid.columns);
-    for (const int k : A::order) {
-      for (int64_t i = first; i < last; ++i)
-        tiles_of_given<T, F>(given, grid, tile_row(i), k, border, tiles, (i - first) * grid.columns);
+  for_strips(grid, grid.size(), [&](const int64_t i) { return grid.strip(i); }, [&](std::vector<Strip> strips) {
+    const Hand<T, F> hand(grid, std::move(strips), given.blocks, results.blocks);
+    const Tiles<T> tiles = hand.given_tiles(), products = hand.result_tiles();
+    for (const Strip& strip : hand.strips) read_given<T, F>(given, strip, border, hand.given(strip));
+    for (int k = 0; k < F; ++k) {
+      for (const Strip& strip : hand.strips) to_tiles<GIVEN>(hand.given(strip), k, tiles, strip.tile, TO_FACTORS);
       multiply(tiles, given.channels, weight + k * size, products);
-      for (int64_t i = first; i < last; ++i)
-        add_tiles_to_results<T, F>(products, (i - first) * grid.columns, grid, tile_row(i), k, bias, rectify, results);
+      for (const Strip& strip : hand.strips) from_tiles<SIDE>(products, strip.tile, hand.results(strip), k, TO_RESULTS);
     }
+    for (const Strip& strip : hand.strips) write_results<T, F>(hand.results(strip), strip, bias, rectify, results);
   });
 }
 
 // The adjoint with respect to what is given, added to `grad_given`. The weight is (F, SLOTS, O, C').
 template <typename T, int F>
 void backward_given(const Volumes<T>& grad, const T* weight, const int64_t border, const Volumes<T>& grad_given) {
-  using A = Along<F>;
-  const Grid grid(grad, A::made);
+  const Grid grid(grad, MADE<F>);
   const int64_t size = SLOTS * grad.channels * grad_given.blocks * LANES;
-  // Neighbouring rows of tiles and neighbouring groups of hypotheses add to the same places, those after next do not:
-  // even ones and odd ones take turns.
+  // Neighbouring strips and neighbouring groups of hypotheses add to the same places, those after next do not: even ones
+  // and odd ones take turns.
   for (int64_t turn = 0; turn < 4; ++turn) {
-    const int64_t odd_row = turn % 2, odd_group = turn / 2;
-    const int64_t rows = (grid.rows + 1 - odd_row) / 2, groups = (grid.groups + 1 - odd_group) / 2;
-    const int64_t number = grid.batch * groups * rows;
-    const auto tile_row = [&](const int64_t i) {
-      return TileRow{i / rows / groups, 2 * (i / rows % groups) + odd_group, 2 * (i % rows) + odd_row};
+    const int64_t odd_part = turn % 2, odd_group = turn / 2;
+    const int64_t parts = (grid.parts + 1 - odd_part) / 2, groups = (grid.groups + 1 - odd_group) / 2;
+    const auto at = [&](const int64_t i) {
+      return grid.strip(i / parts / groups, 2 * (i / parts % groups) + odd_group, 2 * (i % parts) + odd_part);
     };
-    for_parts(number, grid.together(number, bytes_of_tile(grad_given, grad)), [&](const int64_t first, const int64_t last) {
-      auto [made, tiles] = make_tiles<T>(grad_given.blocks, grad.blocks, (last - first) * grid.columns);
-      for (const int k : A::order) {
-        for (int64_t i = first; i < last; ++i)
-          tiles_of_results<T, F>(grad, grid, tile_row(i), k, tiles, (i - first) * grid.columns);
-        multiply(tiles, grad.channels, weight + k * size, made);
-        for (int64_t i = first; i < last; ++i)
-          add_tiles_to_given<T, F>(made, (i - first) * grid.columns, grid, tile_row(i), k, border, grad_given);
+    for_strips(grid, grid.batch * groups * parts, at, [&](std::vector<Strip> strips) {
+      const Hand<T, F> hand(grid, std::move(strips), grad_given.blocks, grad.blocks);
+      const Tiles<T> tiles = hand.given_tiles(), products = hand.result_tiles();
+      for (const Strip& strip : hand.strips) read_gradients<T, F>(grad, strip, hand.results(strip));
+      for (int k = 0; k < F; ++k) {
+        for (const Strip& strip : hand.strips) to_tiles<SIDE>(hand.results(strip), k, products, strip.tile, TO_RESULTS_ADJOINT);
+        multiply(products, grad.channels, weight + k * size, tiles);
+        for (const Strip& strip : hand.strips) from_tiles<GIVEN>(tiles, strip.tile, hand.given(strip), k, TO_FACTORS_ADJOINT);
       }
+      for (const Strip& strip : hand.strips) add_to_given<T, F>(hand.given(strip), strip, border, grad_given);
     });
   }
 }
 
-// The adjoint with respect to the weight, (parts, F, SLOTS, C, O'): parts are summed up by who calls, always in the same
-// order. A factor's part stays in cache while many tiles pass.
+// The adjoint with respect to the weight, (parts, F, SLOTS, C, O'): a part for each thread, summed up by who calls, always in
+// the same order.
 template <typename T, int F>
 void backward_weight(const Volumes<T>& given, const Volumes<T>& grad, const int64_t border, T* totals, const int64_t parts) {
-  using A = Along<F>;
-  const Grid grid(grad, A::made);
-  const int64_t size = SLOTS * given.channels * grad.blocks * LANES, number = grid.size();
-  const int64_t together = grid.together(number, bytes_of_tile(given, grad));
-  const auto tile_row = [&](const int64_t i) {
-    return TileRow{i / grid.rows / grid.groups, i / grid.rows % grid.groups, i % grid.rows};
-  };
+  const Grid grid(grad, MADE<F>);
+  const int64_t size = SLOTS * given.channels * grad.blocks * LANES;
+  const int64_t together = std::max<int64_t>(1, 3 * TILES / (grid.most_rows() * grid.columns));
   at::parallel_for(0, parts, 1, [&](const int64_t begin, const int64_t end) {
     for (int64_t part = begin; part < end; ++part) {
-      const int64_t from = part * number / parts, to = (part + 1) * number / parts;
-      for (const int k : A::order) {
-        for (int64_t first = from; first < to; first += together) {
-          const int64_t last = std::min(first + together, to);
-          auto [tiles, upstream] = make_tiles<T>(given.blocks, grad.blocks, (last - first) * grid.columns);
-          for (int64_t i = first; i < last; ++i) {
-            tiles_of_given<T, F>(given, grid, tile_row(i), k, border, tiles, (i - first) * grid.columns);
-            tiles_of_results<T, F>(grad, grid, tile_row(i), k, upstream, (i - first) * grid.columns);
+      const int64_t last = (part + 1) * grid.size() / parts;
+      for (int64_t first = part * grid.size() / parts; first < last; first += together) {
+        std::vector<Strip> strips;
+        for (int64_t i = first; i < std::min(first + together, last); ++i) strips.push_back(grid.strip(i));
+        const Hand<T, F> hand(grid, std::move(strips), given.blocks, grad.blocks);
+        const Tiles<T> tiles = hand.given_tiles(), upstream = hand.result_tiles();
+        for (const Strip& strip : hand.strips) {
+          read_given<T, F>(given, strip, border, hand.given(strip));
+          read_gradients<T, F>(grad, strip, hand.results(strip));
+        }
+        for (int k = 0; k < F; ++k) {
+          for (const Strip& strip : hand.strips) {
+            to_tiles<GIVEN>(hand.given(strip), k, tiles, strip.tile, TO_FACTORS);
+            to_tiles<SIDE>(hand.results(strip), k, upstream, strip.tile, TO_RESULTS_ADJOINT);
           }
           add_weight_gradient(tiles, upstream, given.channels, totals + (part * F + k) * size);
         }

@@ -10,6 +10,10 @@
 #include <cstdint>
 #include <cstring>
 
+#if defined(__AVX512F__)
+#include <immintrin.h>
+#endif
+
 namespace lanes {
 
 #if defined(__AVX512F__)
@@ -32,9 +36,12 @@ inline Vec<T> load(const T* from, const int64_t count = LANES) {
   Vec<T> value{};
   if (count >= LANES) {
     std::memcpy(&value, from, sizeof(value));
-  } else {
-    std::memcpy(&value, from, count * sizeof(T));
+    return value;
   }
+#if defined(__AVX512F__)  // a mask is one instruction, where the library's function is a call
+  if constexpr (sizeof(T) == 4) return (Vec<T>)_mm512_maskz_loadu_ps((1u << count) - 1, from);
+#endif
+  std::memcpy(&value, from, count * sizeof(T));
   return value;
 }
 
@@ -42,9 +49,12 @@ template <typename T>
 inline void store(T* to, const Vec<T>& value, const int64_t count = LANES) {
   if (count >= LANES) {
     std::memcpy(to, &value, sizeof(value));
-  } else {
-    std::memcpy(to, &value, count * sizeof(T));
+    return;
   }
+#if defined(__AVX512F__)
+  if constexpr (sizeof(T) == 4) return _mm512_mask_storeu_ps(to, (1u << count) - 1, (__m512)value);
+#endif
+  std::memcpy(to, &value, count * sizeof(T));
 }
 
 }  // namespace lanes

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Winograd's F(4, 3) for one line of values: six given ones d become six factors, six products m four results y; and F(3, 3):
 // five given ones become five factors, five products three results. Those that end in _adjoint are for gradients.
-// The matrices for taps, and why these points, are in hex_native.py.
+// The matrices for taps, and why these points, are in convolution.py.
 
 #pragma once
 
@@ -63,19 +63,15 @@ inline void to_results_adjoint(const V (&y)[4], V (&m)[6]) {
   m[5] = y[3];
 }
 
-// The same as matrices, (factor, given) and (result, product).
-template <typename T>
-constexpr T GIVEN_TO_FACTORS[6][6] = {{1, 0, -FIVE_HALVES<T>, 0, 1, 0},
-                                      {0, -2 * A<T>, -2, A<T>, 1, 0},
-                                      {0, 2 * A<T>, -2, -A<T>, 1, 0},
-                                      {0, -HALF<T> * B<T>, -HALF<T>, B<T>, 1, 0},
-                                      {0, HALF<T> * B<T>, -HALF<T>, -B<T>, 1, 0},
-                                      {0, 1, 0, -FIVE_HALVES<T>, 0, 1}};
-template <typename T>
-constexpr T PRODUCTS_TO_RESULTS[4][6] = {{1, 1, 1, 1, 1, 0},
-                                         {0, A<T>, -A<T>, B<T>, -B<T>, 0},
-                                         {0, HALF<T>, HALF<T>, 2, 2, 0},
-                                         {0, HALF<T> * A<T>, -HALF<T> * A<T>, 2 * B<T>, -2 * B<T>, 1}};
+// Images have one plane, which is its own factor.
+template <typename T, typename V>
+inline void to_factors(const V (&d)[1], V (&x)[1]) { x[0] = d[0]; }
+template <typename T, typename V>
+inline void to_factors_adjoint(const V (&x)[1], V (&d)[1]) { d[0] = x[0]; }
+template <typename T, typename V>
+inline void to_results(const V (&m)[1], V (&y)[1]) { y[0] = m[0]; }
+template <typename T, typename V>
+inline void to_results_adjoint(const V (&y)[1], V (&m)[1]) { m[0] = y[0]; }
 
 // F(3, 3) with the points 0, 1, -1, 2 and infinity.
 template <typename V>

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import glob
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,14 +20,15 @@ from sphericalvision.capture.preparation.preparation import AUTO
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import NAME, Moving
 from sphericalvision.capture.sources.opening import (
+    IMAGE_SUFFIXES,
     open_source,
     rig_for_images,
     rig_with_masks,
     spread_evenly,
 )
 from sphericalvision.core import ArgumentError
-from sphericalvision.io.images import read_mask, write_mask
-from sphericalvision.recipes.app.rigs import keys_named, radians, rig_from_file
+from sphericalvision.io.images import read_image_size, read_mask, write_mask
+from sphericalvision.recipes.app.rigs import keys_named, radians, rig_from_file, whole
 
 __all__ = ["masked_by_itself", "open_capture", "open_moving", "with_own_body_masked"]
 
@@ -32,35 +36,30 @@ PANORAMA = "equirectangular"
 """In place of a calibration file: images are whole panoramas of any size."""
 
 
-def open_capture(
-    images: str,
-    calibration: str,
-    cameras: Sequence[str | int] | None = None,
-    masks: str | None = None,
-    translation_unit: str | None = None,
-    max_angle_deg: float | None = None,
-    frames: Iterable[int | str] | None = None,
-) -> Source:
+def open_capture(keys: Mapping[str, Any]) -> Source:
     """The frames of a capture, with its rig, in the size of its images and with its masks on.
 
     Args:
-        images: as of ``open_source``.
-        calibration: file, or folder; of a pattern with fields the folder above them.
-        cameras: names to use, in order; all when not given.
-        masks: pattern of masks, white where usable; ``"auto"`` is none yet.
-        translation_unit: of ``poses.txt``.
-        max_angle_deg: half the field of view in degrees, where the file does not say it.
-        frames: names or numbers of the frames to take, of image files.
+        keys: of a command: ``images``, ``frames``, ``calibration`` (of a pattern with fields the folder above them) and
+            those of ``rig_from_file``, ``cameras``, ``masks`` (``"auto"`` is none yet).
     """
+    calibration = keys["calibration"]
     if "{" in calibration:
         calibration = str(Path(calibration.partition("{")[0] + "_").parent)
-    rig = rig_from_file(calibration, translation_unit, max_angle_deg)  # type: ignore[arg-type]
-    if cameras is not None:
-        rig = rig.subset(list(cameras))
+    said = keys["translation_unit"], keys["max_angle_deg"]
+    try:
+        rig = rig_from_file(calibration, *said, keys["image_size"])
+    except ArgumentError as error:
+        size = size_of_images(keys["images"]) if str(error).startswith("image_size: ") else None
+        if size is None:
+            raise
+        rig = rig_from_file(calibration, *said, size)
+    if keys["cameras"] is not None:
+        rig = rig.subset(list(keys["cameras"]))
     files: list[Path] = []
-    if masks not in (None, AUTO):
-        rig, files = rig_with_masks(rig, masks)
-    source = open_source(images, rig, frames, files)
+    if keys["masks"] not in (None, AUTO):
+        rig, files = rig_with_masks(rig, keys["masks"])
+    source = open_source(keys["images"], rig, keys["frames"], files)
     sizes = source.sizes()
     source.rig = rig_for_images(rig, sizes)
     for name in rig.names:
@@ -75,43 +74,34 @@ def open_capture(
     return source
 
 
-def open_moving(
-    images: str,
-    calibration: str,
-    poses: str,
-    window: int = 3,
-    spacing: float | None = None,
-    up: str = "-y",
-    mask: str | None = None,
-    max_angle_deg: float | None = None,
-    frames: list[int | str] | None = None,
-) -> Moving:
+def size_of_images(pattern: str) -> tuple[int, int] | None:
+    """Height and width of the images of a pattern; None where these are not all the same."""
+    files = glob.glob(re.sub(r"\{.*?\}", "*", pattern))
+    sizes = {read_image_size(file) for file in files if Path(file).suffix.lower() in IMAGE_SUFFIXES}
+    return sizes.pop() if len(sizes) == 1 else None
+
+
+def open_moving(keys: Mapping[str, Any]) -> Moving:
     """The images of one camera and their poses.
 
     Args:
-        images: as of ``open_source``, of one camera.
-        calibration: file of the camera, or ``PANORAMA``.
-        poses: file of them.
-        window: images in a window.
-        spacing: metres between them; all images when not given.
-        up: of the poses' world.
-        mask: image, white where usable.
-        max_angle_deg: half the field of view in degrees.
-        frames: names or numbers of the images to take.
+        keys: of ``sphericalvision-predict`` with ``poses``; ``calibration`` may be ``PANORAMA``.
     """
-    trajectory = read_trajectory(poses).turned(up)
-    if calibration == PANORAMA:
+    trajectory = read_trajectory(keys["poses"]).turned(keys["up"])
+    if keys["calibration"] == PANORAMA:
         camera: Camera = EquirectangularCamera((512, 1024))
     else:
+        angle, given = radians(keys["max_angle_deg"]), whole(keys["image_size"])
         with keys_named(path="calibration", name="calibration", max_angle="max_angle_deg"):
-            camera = read_camera(calibration, max_angle=radians(max_angle_deg))
+            camera = read_camera(keys["calibration"], max_angle=angle, image_size=given)
     single = CameraRig({NAME: camera}, torch.eye(4)[None])
-    source = open_source(images, single, frames, () if mask is None else [Path(mask)])
+    mask = keys["masks"]
+    source = open_source(keys["images"], single, keys["frames"], () if mask is None else [Path(mask)])
     source.rig = rig_for_images(single, source.sizes())
     size = source.rig.cameras[NAME].image_size
     usable = None if mask is None else read_mask(mask, size, "the mask")
     with keys_named(images="poses"):
-        return Moving(source, trajectory, window, spacing or 0.0, usable)
+        return Moving(source, trajectory, keys["window"], keys["spacing"] or 0.0, usable)
 
 
 def masked_by_itself(source: Source, folder: Path) -> CameraRig:

@@ -134,7 +134,7 @@ KEYS: dict[str, Any] = {
     "threads": Count | None,
     "settings": list[Size],
     "feature_channels": Count,
-    "image_size": Size,
+    "image_size": Size | None,
     "memory": bool,
     "options": list[str],
     "variants": list[str],
@@ -182,10 +182,9 @@ OWN: dict[str, dict[str, Any]] = {
         "inputs": Literal["fisheye", "equirect"],
         "num_hypotheses": Annotated[int, Ge(2)],
         "frames": Count | None,
-        "image_size": Size | None,
         "training": list[str],
     },
-    "benchmark": {"training": bool},
+    "benchmark": {"training": bool, "image_size": Size},
 }
 """Command -> its keys of another type."""
 

@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
-from sphericalvision import cameras
 from sphericalvision.cameras import (
     Camera,
     CameraRig,
@@ -32,6 +31,7 @@ __all__ = [
     "radians",
     "read_calibration",
     "rig_from_file",
+    "whole",
 ]
 
 
@@ -107,7 +107,10 @@ def make_corner_rig(
 
 
 def rig_from_file(
-    path: Text, translation_unit: Unit | None = None, max_angle_deg: HalfAngle | None = None
+    path: Text,
+    translation_unit: Unit | None = None,
+    max_angle_deg: HalfAngle | None = None,
+    image_size: Size | None = None,
 ) -> CameraRig:
     """A rig from a calibration file of any format that ``sphericalvision.cameras.read_rig`` knows.
 
@@ -115,30 +118,40 @@ def rig_from_file(
         path: file, or folder with ``ocam*.txt`` and ``poses.txt``.
         translation_unit: of ``poses.txt``: "m", "cm" or "mm".
         max_angle_deg: half the field of view in degrees, where the file does not say it.
+        image_size: height, width in pixels, where the file does not say it.
     """
+    angle, size = radians(max_angle_deg), whole(image_size)
     with keys_named(path="calibration", max_angle="max_angle_deg"):
-        return cameras.read_rig(path, translation_unit=translation_unit, max_angle=radians(max_angle_deg))
+        return read_rig(path, translation_unit=translation_unit, max_angle=angle, image_size=size)
 
 
 def read_calibration(
-    path: str,
-    translation_unit: str | None = None,
-    max_angle: float | None = None,
-    dtype: torch.dtype | None = None,
+    keys: Mapping[str, Any], dtype: torch.dtype | None = None
 ) -> CameraRig | dict[str, Camera]:
-    """The rig of a calibration or, if it has no poses, its cameras by name; arguments as ``read_rig``'s.
+    """The rig of a command's ``calibration`` or, if it has no poses, its cameras by name.
+
+    Args:
+        keys: of the command: ``calibration``, and those of ``rig_from_file``.
+        dtype: of intrinsics and poses, by default torch's default.
 
     Raises:
         FileFormatError: the file holds neither.
     """
+    path, unit = keys["calibration"], keys["translation_unit"]
+    angle, size = radians(keys["max_angle_deg"]), whole(keys["image_size"])
     with keys_named(path="calibration", max_angle="max_angle_deg"):
         try:
-            return read_rig(path, translation_unit=translation_unit, max_angle=max_angle, dtype=dtype)
+            return read_rig(path, translation_unit=unit, max_angle=angle, image_size=size, dtype=dtype)
         except FileFormatError as no_rig:
             try:
-                return read_cameras(path, max_angle=max_angle, dtype=dtype)
+                return read_cameras(path, max_angle=angle, image_size=size, dtype=dtype)
             except FileFormatError:
                 raise no_rig from None
+
+
+def whole(size: Sequence[int] | None) -> tuple[int, int] | None:
+    """Height and width of a config as a tuple; ``None`` stays."""
+    return None if size is None else (int(size[0]), int(size[1]))
 
 
 @contextmanager
@@ -158,6 +171,8 @@ def keys_named(**keys: str) -> Iterator[None]:
         argument, colon, rest = str(error).partition(": ")
         if colon and argument in keys:
             raise ArgumentError(f"{keys[argument]}: {rest}") from error
+        if argument == "image_size":
+            raise ArgumentError(str(error).replace("(height, width)", "[height,width]")) from error
         raise
 
 

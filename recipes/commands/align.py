@@ -38,8 +38,7 @@ def align(config: DictConfig) -> AlignedRig | None:
     """
     if config.format is not None:
         check_choice("format", config.format, RIG_FORMATS)
-    keys = (config.cameras, config.masks, config.translation_unit, config.max_angle_deg, config.frames)
-    source = open_capture(config.images, config.calibration, *keys)
+    source = open_capture(config)
     rig = source.rig
     if len(rig) < 2:
         raise ArgumentError("cameras: expected two or more that see the same things, got one")

@@ -33,9 +33,7 @@ def convert(config: DictConfig) -> dict[str, Conversion]:
     Raises:
         ArgumentError: an unknown model, format, camera or option; the message names the key.
     """
-    found = read_calibration(
-        config.calibration, config.translation_unit, radians(config.max_angle_deg), torch.float64
-    )
+    found = read_calibration(config, torch.float64)
     cameras = _chosen(found, config)
     together = isinstance(found, CameraRig) and config.camera is None
     if config.to not in (None, "ocam"):

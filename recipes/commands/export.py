@@ -47,7 +47,7 @@ def export(config: DictConfig, folder: Path) -> list[Path]:
         check_choice("formats", name, FORMATS)
     if isinstance(config.min_depth, str) and config.min_depth != "auto":
         raise ArgumentError(f"min_depth: expected a number of metres or auto, got {config.min_depth!r}")
-    rig = rig_from_file(config.calibration, config.translation_unit, config.max_angle_deg)
+    rig = rig_from_file(config.calibration, config.translation_unit, config.max_angle_deg, config.image_size)
     if config.cameras is not None:
         rig = rig.subset(list(config.cameras))
     min_depth = None if config.min_depth == "auto" else config.min_depth

@@ -20,7 +20,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.cli import console, print_table
-from sphericalvision.recipes.app.rigs import radians, read_calibration
+from sphericalvision.recipes.app.rigs import read_calibration
 from sphericalvision.viz import angle_map, coverage_panorama, rig_picture
 
 __all__ = ["inspect", "load_rig", "print_cameras", "print_poses", "save_pictures"]
@@ -28,7 +28,7 @@ __all__ = ["inspect", "load_rig", "print_cameras", "print_poses", "save_pictures
 
 def load_rig(config: DictConfig) -> tuple[CameraRig, bool]:
     """The rig of ``config.calibration`` with its masks, and whether poses are known; a camera becomes a rig of one."""
-    found = read_calibration(config.calibration, config.translation_unit, radians(config.max_angle_deg))
+    found = read_calibration(config)
     known = isinstance(found, CameraRig)
     rig = found if isinstance(found, CameraRig) else CameraRig(found, torch.eye(4).repeat(len(found), 1, 1))
     if config.cameras is not None:

@@ -63,8 +63,7 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
 def open_frames(config: DictConfig) -> Source:
     """The frames that a configuration names, with the rig of each in the size of its images."""
     if config.poses is None:
-        keys = (config.cameras, config.masks, config.translation_unit, config.max_angle_deg, config.frames)
-        return open_capture(config.images, config.calibration, *keys)
+        return open_capture(config)
     refused = [key for key in ("cameras", "translation_unit") if config[key] is not None]
     if refused:
         raise ArgumentError(
@@ -72,17 +71,7 @@ def open_frames(config: DictConfig) -> Source:
         )
     if config.masks == AUTO:
         raise ArgumentError("masks: auto is for rigs; with poses give an image, white where usable")
-    moving = open_moving(
-        config.images,
-        config.calibration,
-        config.poses,
-        window=config.window,
-        spacing=config.spacing,
-        up=config.up,
-        mask=config.masks,
-        max_angle_deg=config.max_angle_deg,
-        frames=config.frames,
-    )
+    moving = open_moving(config)
     if moving.unposed:
         print(f"Warning: {moving.unposed} image(s) have no pose within 20 ms, or of their name; left out.")
     return moving

@@ -28,7 +28,17 @@ from sphericalvision.data import ToSphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.captures import open_capture, with_own_body_masked
 from sphericalvision.recipes.app.cli import console
-from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Number, Positive, Share, Text, Unit
+from sphericalvision.recipes.app.kinds import (
+    Count,
+    HalfAngle,
+    Names,
+    Number,
+    Positive,
+    Share,
+    Size,
+    Text,
+    Unit,
+)
 from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
 from sphericalvision.recipes.datamodules.entries import check_on_icospheres
 from sphericalvision.scenes.disturbances import RandomFaults
@@ -97,6 +107,7 @@ class CaptureDataModule(PreparedSamples):
         masks: pattern of masks, white where usable; ``"auto"`` finds the body that carries the rig in the frames.
         translation_unit: of ``poses.txt``.
         max_angle_deg: half the field of view, where the calibration does not say it.
+        image_size: height and width, where neither the calibration nor image files say it.
         min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``.
         trained_radius: rig radius that the network was trained with, metres.
         rendered: share of training samples that are rendered scenes.
@@ -116,6 +127,7 @@ class CaptureDataModule(PreparedSamples):
     masks: Text | None = None
     translation_unit: Unit | None = None
     max_angle_deg: HalfAngle | None = None
+    image_size: Size | None = None
     min_depth: Positive | Literal["auto", "scene"] = "auto"
     trained_radius: Positive = 0.2
     rendered: Share = 0.5
@@ -132,8 +144,7 @@ class CaptureDataModule(PreparedSamples):
                 f"scenes follow this one; set {HELD_OUT_SEED - NUM_RENDERED} or less, got {self.rendered_seed}"
             )
         self.preparation = Preparation.from_keys(vars(self))
-        keys = (self.cameras, self.masks, self.translation_unit, self.max_angle_deg, self.frames)
-        self.source = open_capture(self.images, self.calibration or self.images, *keys)
+        self.source = open_capture({**vars(self), "calibration": self.calibration or self.images})
         if len(self.source.rig) < 2:
             raise ArgumentError("data.cameras: expected two or more that see the same things, got one")
         self.names = self._chosen(self.source)

@@ -3,12 +3,20 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 
 from sphericalvision.capture.sources.captures import find_capture, find_masks
 from sphericalvision.core import ArgumentError, MissingFileError
+from sphericalvision.io.images import write_image
+from sphericalvision.recipes.app.captures import open_capture
+from sphericalvision.recipes.app.rigs import make_ring
+from tests.recipes.tiny import Run
 
 NAMES = ["cam1", "cam2", "cam3"]
 
@@ -86,3 +94,30 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
         find_capture(root + "/cam1/{frame}.png", NAMES)
     with pytest.raises(ArgumentError, match="frames"):
         find_capture(root + "/cam{camera}/{frame:05d}.png", NAMES, ["first"])
+
+
+def test_sizes_that_a_calibration_lacks_are_the_images_or_given(
+    run: Run, failing: Callable[..., str], tmp_path: Path
+) -> None:
+    frames = [
+        {"file_path": f"cam{number}", "transform_matrix": pose.tolist()}
+        for number, pose in enumerate(make_ring(2).world_from_camera)
+    ]
+    content = {"camera_angle_x": 1.5, "frames": frames}
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c/transforms.json").write_text(json.dumps(content))
+    keys: dict[str, Any] = {
+        "calibration": f"{tmp_path}/c/transforms.json",
+        "images": f"{tmp_path}/c/{{camera}}.png",
+    }
+    keys |= dict.fromkeys(("image_size", "frames", "cameras", "masks", "translation_unit", "max_angle_deg"))
+    for number in range(2):
+        write_image(tmp_path / f"c/cam{number}.png", torch.zeros(3, 24, 32))
+    assert {camera.image_size for camera in open_capture(keys).rig.cameras.values()} == {(24, 32)}
+    write_image(tmp_path / "c/cam1.png", torch.zeros(3, 24, 40))
+    with pytest.raises(ArgumentError, match=r"image_size: .* pass image_size=\[height,width\]"):
+        open_capture(keys)
+    for command in ("inspect", "convert"):
+        message = failing(command, "calibration=c/transforms.json", "output=out")
+        assert "pass image_size=[height,width]" in message
+        run(command, "calibration=c/transforms.json", "image_size=[24,32]", "output=out")

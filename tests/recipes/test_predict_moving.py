@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import torch
+from hydra import compose, initialize_config_module
 
 from sphericalvision.cameras import EquirectangularCamera, read_trajectory
 from sphericalvision.capture import Predictor
@@ -32,6 +34,17 @@ def capture(tmp_path: Path) -> Path:
         write_image(tmp_path / f"walk/{number:03d}.png", torch.rand(3, *SIZE, generator=generator))
     (tmp_path / "poses.txt").write_text("\n".join(lines))
     return tmp_path
+
+
+def keys(capture: Path, **given: Any) -> dict[str, Any]:
+    """Those of ``predict`` that say where the images and their poses are."""
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        words = [
+            f"images={capture / 'walk'}",
+            f"poses={capture / 'poses.txt'}",
+            "calibration=equirectangular",
+        ]
+        return {**compose("predict", words), **given}
 
 
 def words(capture: Path) -> list[str]:
@@ -80,9 +93,7 @@ def test_windows_of_a_video_and_of_few_images(capture: Path) -> None:
     for number in range(NUMBER):
         writer.write(np.full((*SIZE, 3), 30 * number, np.uint8))
     writer.release()
-    moving = open_moving(
-        str(capture / "walk.avi"), "equirectangular", str(capture / "poses.txt"), spacing=0.1, up="z"
-    )
+    moving = open_moving(keys(capture, images=f"{capture}/walk.avi", spacing=0.1, up="z"))
     assert moving.rig.cameras["000002"].image_size == SIZE
     frames = list(moving.frames(Selection(1, None, 2), lambda _: True))
     assert [frame.name for frame in frames] == ["000002", "000005"]
@@ -91,7 +102,7 @@ def test_windows_of_a_video_and_of_few_images(capture: Path) -> None:
     np.testing.assert_allclose(greys, [120, 150, 180], atol=3)
     assert frames[1].rig is not None
     assert frames[1].rig.names == ["000004", "000005", "000006"]
-    still = open_moving(str(capture / "walk"), "equirectangular", str(capture / "poses.txt"), window=2)
+    still = open_moving(keys(capture, window=2))
     (frame,) = still.frames(Selection(2, 3), lambda _: True)
     assert frame.images is None
     assert "in one place" in str(frame.error)
@@ -101,7 +112,7 @@ def test_too_few_images_and_unknown_poses_are_told(
     run: Run, capture: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(ArgumentError, match=r"spacing: expected 3 poses 0\.4 m apart"):
-        open_moving(str(capture / "walk"), "equirectangular", str(capture / "poses.txt"), spacing=0.4)
+        open_moving(keys(capture, spacing=0.4))
     with pytest.raises(SystemExit):
         run("predict", *words(capture), "cameras=[cam1]")
     assert "with poses there is one camera" in capsys.readouterr().err

@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from sphericalvision.core import ArgumentError
+import torch
+
+from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 
-__all__ = ["initialize", "load_network", "refuse_others"]
+__all__ = ["initialize", "load_network", "read_checkpoint", "refuse_others"]
+
+Found = TypeVar("Found")
 
 
 def load_network(
@@ -70,3 +74,27 @@ def refuse_others(
             + " ".join(f"model.{key}={theirs.get(key)}" for key in differ)
             + " or take other weights"
         )
+
+
+def read_checkpoint(key: str, path: Path, what: str, take: Callable[[dict[str, Any]], Found]) -> Found:
+    """What ``take`` finds in a checkpoint of Lightning's.
+
+    Args:
+        key: that names the file.
+        path: of the file.
+        what: it should be, for the error.
+        take: of the content; whatever it raises means that the file is another.
+
+    Raises:
+        FileFormatError: the file is another, or damaged.
+    """
+    try:
+        return take(torch.load(path, map_location="cpu", weights_only=True))
+    except FileFormatError:
+        raise
+    except Exception as error:  # whatever a damaged file makes of itself
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise FileFormatError(
+            f"{key}: {path} is not {what}, or is damaged ({reason:.200}); give a .ckpt file from the checkpoints "
+            "folder of a training run"
+        ) from error

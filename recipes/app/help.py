@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 from hydra import compose
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.object_type import ObjectType
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
-__all__ = ["Key", "heading", "keys_of", "print_help", "read_keys"]
+__all__ = ["Key", "heading", "keys_of", "print_help", "read_keys", "walk"]
 
 FLAGS = """
 Flags:
@@ -73,44 +73,30 @@ def heading(text: str) -> list[str]:
     return [line.removeprefix("# ") for line in lines if "@package" not in line and "SPDX" not in line]
 
 
-def keys_of(config: Any) -> list[str]:
+def keys_of(config: DictConfig) -> list[str]:
     """All keys of a config, nested ones with dots; values are not resolved."""
-    return [key for key, _ in _walk(config)]
+    return [key for key, _ in walk(OmegaConf.to_container(config))]
 
 
-def _walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys and nodes, each before those within it."""
-    for key in map(str, config):
-        node = config._get_node(key)
-        yield f"{prefix}{key}", node
-        if _is_table(node):
-            yield from _walk(node, f"{prefix}{key}.")
-
-
-def _is_table(node: Any) -> bool:
-    return isinstance(node, DictConfig) and not (
-        node._is_none() or node._is_missing() or node._is_interpolation()
-    )
+def walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys and values of tables within each other, each before those within it."""
+    for key, value in config.items():
+        yield f"{prefix}{key}", value
+        if isinstance(value, dict):
+            yield from walk(value, f"{prefix}{key}.")
 
 
 def _leaves(config: DictConfig) -> Iterator[tuple[str, str]]:
     """Keys and values as they would be written on a command line; nothing is resolved."""
-    for key, node in _walk(config):
-        if not re.search(r"^hydra\b|(^|\.)_", key) and not (_is_table(node) and len(node)):
-            yield key, _written(node)
+    for key, value in walk(OmegaConf.to_container(config)):
+        if not re.search(r"^hydra\b|(^|\.)_", key) and not (isinstance(value, dict) and value):
+            yield key, _written(value)
 
 
-def _written(node: Any) -> str:
-    if node._is_none():
-        return "null"
-    if node._is_missing():
-        return "???"
-    if node._is_interpolation():
-        return str(node._value())
-    if isinstance(node, (ListConfig, DictConfig)):
-        return str(OmegaConf.to_container(node)).replace(" ", "").replace("'", "")
-    value = node._value()
-    return str(value).lower() if isinstance(value, bool) else str(value)
+def _written(value: Any) -> str:
+    if isinstance(value, (list, dict)):
+        return str(value).replace(" ", "").replace("'", "")
+    return "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 class _Sources:

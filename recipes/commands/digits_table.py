@@ -15,10 +15,10 @@ from typing import NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.io.files import atomic_write
 from sphericalvision.models.classifier import SphereClassifier
 from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS
-from sphericalvision.recipes.app.cli import print_table
+from sphericalvision.recipes.evaluation.records import write_json
+from sphericalvision.recipes.evaluation.tables import Cell, Row, Table
 
 __all__ = ["DigitsRun", "digits_table", "gather", "table"]
 
@@ -88,34 +88,20 @@ def table(runs: list[DigitsRun]) -> dict[str, dict[str, float]]:
 
 
 def digits_table(config: DictConfig, folder: Path) -> dict[str, dict[str, float]]:
-    """Gather the runs in ``config.runs``, print their table and save it in ``folder``."""
+    """Gather the runs in ``config.runs``, print their table and save it in ``folder``, ``digits.md`` and ``.json``."""
     rows = table(gather(Path(config.runs)))
-    print_table("test accuracy in percent", ["convolution", "parameters", *COLUMNS], cells_of(rows))
-    save_table(folder, rows)
+    cells: list[Row] = [
+        [NAMES[network], f"{row['parameters']:,.0f}", *(percent(row.get(column)) for column in COLUMNS)]
+        for network, row in rows.items()
+    ]
+    printed = Table("test accuracy in percent", ("convolution", "parameters", *COLUMNS), [cells])
+    printed.print()
+    printed.save(folder / "digits", ".md")
+    write_json(folder / "digits.json", rows)
     print(f"Results are in {folder}")
     return rows
 
 
-def save_table(folder: Path, rows: dict[str, dict[str, float]]) -> None:
-    """Write ``digits.md`` and ``digits.json``."""
-    lines = [
-        f"| convolution | parameters | {' | '.join(COLUMNS)} |",
-        "|---|---:" + "|---:" * len(COLUMNS) + "|",
-    ]
-    lines += [f"| {' | '.join(cells)} |" for cells in cells_of(rows)]
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, text in (("digits.md", "\n".join(lines)), ("digits.json", json.dumps(rows, indent=2))):
-        with atomic_write(folder / name) as temporary:
-            Path(temporary).write_text(text + "\n")
-
-
-def cells_of(rows: dict[str, dict[str, float]]) -> list[list[str]]:
-    """Rows of text; what was not run is a dash."""
-    return [
-        [
-            NAMES[network],
-            f"{row['parameters']:,.0f}",
-            *(f"{row[c]:.1f}" if c in row else "–" for c in COLUMNS),
-        ]
-        for network, row in rows.items()
-    ]
+def percent(value: float | None) -> Cell | None:
+    """A cell with one digit; None for what was not run."""
+    return None if value is None else Cell(value, digits=1)

@@ -4,15 +4,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-import torch
 from torchmetrics import Metric
 from torchmetrics.classification import MulticlassAccuracy
 
-from sphericalvision.core import FileFormatError, check_file
+from sphericalvision.core import check_file
 from sphericalvision.models.classifier import SphereClassifier
 from sphericalvision.models.weights.filling import made
-from sphericalvision.recipes.app.checkpoints import refuse_others
+from sphericalvision.recipes.app.checkpoints import read_checkpoint, refuse_others
 from sphericalvision.recipes.digits.dataset import ORIENTATIONS
 from sphericalvision.recipes.training.orientations import OrientationModule
 
@@ -47,17 +47,11 @@ class ClassificationModule(OrientationModule):
             MissingFileError: no such file.
             FileFormatError: the file is no checkpoint of a classifier.
         """
-        path = check_file(checkpoint, "a checkpoint (.ckpt) of a classifier")
-        try:
-            content = torch.load(path, map_location="cpu", weights_only=True)
+
+        def found(content: dict[str, Any]) -> SphereClassifier:
             stored = content["state_dict"].items()
             state = {key[4:]: value for key, value in stored if key.startswith("net.")}
-            return made(SphereClassifier, content["network_hyperparameters"], state, path)
-        except FileFormatError:
-            raise
-        except Exception as error:  # whatever a damaged file makes of itself
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            raise FileFormatError(
-                f"{path}: is not a checkpoint of a classifier, or is damaged ({reason:.200}); "
-                "give a .ckpt file from the checkpoints folder of experiment=spherical_digits"
-            ) from error
+            return made(SphereClassifier, content["network_hyperparameters"], state, checkpoint)
+
+        check_file(checkpoint, "a checkpoint (.ckpt) of a classifier")
+        return read_checkpoint("init_weights", checkpoint, "a checkpoint of a classifier", found)

@@ -98,9 +98,6 @@ class SaveOnInterrupt(Callback):
 class TrainingBar(RichProgressBar):
     """Lightning's bar without its count of epochs: training is counted in iterations."""
 
-    def __init__(self, refresh_rate: Number = 1, every_seconds: float | None = None) -> None:
-        super().__init__(refresh_rate)
-
     def _get_train_description(self, current_epoch: int) -> str:
         return "training"
 

@@ -6,10 +6,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import torch
 from omegaconf import DictConfig, OmegaConf
 
-from sphericalvision.core import ArgumentError, FileFormatError, check_file
+from sphericalvision.core import ArgumentError, check_file
+from sphericalvision.recipes.app.checkpoints import read_checkpoint
+from sphericalvision.recipes.app.help import walk
 from sphericalvision.recipes.training.module import TrainingModule, name_of
 from sphericalvision.recipes.training.run_folder import is_first_process
 
@@ -72,20 +73,15 @@ def stored_network(path: Path) -> dict[str, Any]:
     Raises:
         FileFormatError: the file is no checkpoint of this command.
     """
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        lacking = [key for key in STATE if key not in content]
-        if lacking:
+
+    def found(content: dict[str, Any]) -> dict[str, Any]:
+        if lacking := [key for key in STATE if key not in content]:
             raise KeyError(f"it lacks {', '.join(lacking)}")
         if not all(value.isfinite().all() for value in content["state_dict"].values()):
             raise ValueError("its weights are infinite or not numbers")
         return {"architecture": content["architecture"], **content["network_hyperparameters"]}
-    except Exception as error:  # whatever a damaged file makes of itself
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise FileFormatError(
-            f"resume: {path} is not a checkpoint of sphericalvision-train, or is damaged ({reason:.200}); give a .ckpt "
-            "file from the checkpoints folder of a training run"
-        ) from error
+
+    return read_checkpoint("resume", path, "a checkpoint of sphericalvision-train", found)
 
 
 def changed_settings(checkpoint: Path, config: DictConfig) -> list[str]:
@@ -101,14 +97,6 @@ def changed_settings(checkpoint: Path, config: DictConfig) -> list[str]:
 
 def _flat(config: Any) -> dict[str, Any]:
     """All keys with dots; paths in the run's own folder are told from there, since the folder may have moved."""
-    home, flat = str(config["paths"]["run"]), {}
-
-    def walk(node: Any, prefix: str) -> None:
-        for key, value in node.items():
-            if isinstance(value, dict) and value:
-                walk(value, f"{prefix}{key}.")
-            else:
-                flat[f"{prefix}{key}"] = value.replace(home, "") if isinstance(value, str) else value
-
-    walk(config, "")
-    return flat
+    home = str(config["paths"]["run"])
+    leaves = ((key, value) for key, value in walk(config) if not (isinstance(value, dict) and value))
+    return {key: value.replace(home, "") if isinstance(value, str) else value for key, value in leaves}

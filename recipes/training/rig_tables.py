@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from typing import Any
 
 import torch
@@ -36,21 +35,21 @@ class RigTables:
 
     def __init__(self, net: DepthNetwork, capacity: int = 16) -> None:
         self.net, self.capacity = net, capacity
-        self._tables: OrderedDict[tuple[str, str], Any] = OrderedDict()
+        self._tables: dict[tuple[str, str], Any] = {}  # the one used last at the end
 
     def of(self, rig: CameraRig) -> Any:
         """Return what ``net.tables(rig)`` returns, made only once for equal cameras and poses."""
         key = (str(self.net.device), rig_fingerprint(rig, digits=7))
-        if key not in self._tables:
+        tables = self._tables.pop(key, None)
+        if tables is None:
             with torch.no_grad():
-                self._tables[key] = self.net.tables(rig)
-        self._tables.move_to_end(key)
-        while len(self._tables) > self.capacity or (len(self._tables) > 1 and self._weight() > BYTES):
-            self._tables.popitem(last=False)
-        return self._tables[key]
-
-    def _weight(self) -> int:
-        return sum(map(_bytes, self._tables.values()))
+                tables = self.net.tables(rig)
+        self._tables[key] = tables
+        while len(self._tables) > 1 and (
+            len(self._tables) > self.capacity or _bytes(tuple(self._tables.values())) > BYTES
+        ):
+            del self._tables[next(iter(self._tables))]
+        return tables
 
 
 def _bytes(tables: Any) -> int:

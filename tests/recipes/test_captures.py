@@ -118,6 +118,6 @@ def test_sizes_that_a_calibration_lacks_are_the_images_or_given(
     with pytest.raises(ArgumentError, match=r"image_size: .* pass image_size=\[height,width\]"):
         open_capture(keys)
     for command in ("inspect", "convert"):
-        message = failing(command, "calibration=c/transforms.json", "output=out")
+        message = failing(command, "calibration=c/transforms.json", f"output={command}.out")
         assert "pass image_size=[height,width]" in message
-        run(command, "calibration=c/transforms.json", "image_size=[24,32]", "output=out")
+        run(command, "calibration=c/transforms.json", "image_size=[24,32]", f"output={command}.out")

@@ -80,6 +80,24 @@ def check_optimization(module: TrainingModule) -> None:
         raise ArgumentError(f"optimizer, scheduler: torch refuses these values: {error}") from error
 
 
+def begin_logging(config: DictConfig, trainer: pl.Trainer) -> None:
+    """Let every logger begin, so that a key or a server that it lacks is told before anything is rendered.
+
+    Raises:
+        ArgumentError: one cannot begin; the message names it.
+    """
+    names = [name for name, node in (config.logger or {}).items() if node is not None]
+    for name, logger in zip(names, trainer.loggers, strict=True):
+        try:
+            _ = getattr(logger, "experiment", None)
+        except Exception as error:  # whatever the packages behind loggers raise
+            reason = " ".join(str(error).split()) or type(error).__name__
+            offline = f", set logger.{name}.offline=true" if "offline" in config.logger[name] else ""
+            raise ArgumentError(
+                f"logger.{name}: cannot begin ({reason:.200}); give it what it lacks{offline}, or take logger=default"
+            ) from error
+
+
 def train_objective(config: DictConfig, folder: Path) -> float:
     """Train, and return the value that a sweep compares."""
     return train(config, folder)[config.task.monitor.rpartition("/")[2].replace("over_", ">")]
@@ -111,6 +129,7 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
     if trainer.is_global_zero:
         changes = [] if checkpoint is None else changed_settings(checkpoint, config)
         check_resume(checkpoint, module)
+        begin_logging(config, trainer)
         print_config(config, folder)
         if changes:
             print(f"Goes on from {checkpoint} with other settings: {'; '.join(changes)}")

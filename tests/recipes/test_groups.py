@@ -11,10 +11,12 @@ import sqlite3
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
+from pytorch_lightning.loggers import CSVLogger
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
@@ -191,6 +193,24 @@ def test_packages_that_are_missing_are_named(failing: Callable[..., str]) -> Non
         build(node, "logger.mine")
     assert "pip install 'sphericalvision[launchers]'" in failing("train", "hydra/launcher=moon")
     assert "pip install 'sphericalvision[optuna]'" in failing("train", "hydra/sweeper=moon")
+
+
+class Locked(CSVLogger):
+    """A logger that lacks a key."""
+
+    @property
+    def experiment(self) -> Any:
+        raise RuntimeError("no key\nwas given")
+
+
+def test_loggers_that_cannot_begin_are_told_before_anything_is_rendered(
+    failing: Callable[..., str], tmp_path: Path, tiny_training: Words
+) -> None:
+    words = ("logger=csv", f"logger.csv._target_={__name__}.Locked", "data.cache_dir=scenes", "output=run")
+    message = failing("train", *tiny_training, *words).partition("Error: ")[2].strip()
+    assert message.startswith("logger.csv: cannot begin (no key was given)")
+    assert "\n" not in message
+    assert not (tmp_path / "scenes").exists()
 
 
 @pytest.mark.parametrize("logger", ["csv", "tensorboard", "none"])

@@ -132,7 +132,11 @@ class RefinedSweepNet(DepthNetwork):
         refining_blocks: int = 2,
     ) -> None:
         if check_level(level) < len(widths):
-            raise ArgumentError(f"level: expected {len(widths)} or more for as many widths, got {level!r}")
+            raise ArgumentError(
+                f"level: expected {len(widths)} or more, got {level!r}: this network looks at its images on "
+                f"{len(widths)} icospheres, each a level coarser; take level={len(widths)}, another network such as "
+                "icosweepnet-small, or method=semi_global"
+            )
         super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
         self.level, self.grid, self.inner_hypotheses = level, Icosphere(level), inner_hypotheses
         scale = {"level": level, "num_hypotheses": inner_hypotheses, "min_depth": min_depth}

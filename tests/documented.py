@@ -20,7 +20,7 @@ from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, ring_rig, sa
 from sphericalvision.data import write_omnistereo
 from sphericalvision.io.images import write_image, write_mask
 from sphericalvision.models import IcoSweepNet, save_weights
-from sphericalvision.recipes.app.keys import wrong_key
+from sphericalvision.recipes.app.keys import unused_key, wrong_key
 from sphericalvision.recipes.app.running import config_space
 from sphericalvision.recipes.app.words import first_values, read_words
 from sphericalvision.scenes.rendered_frames import RenderedFrames
@@ -184,6 +184,7 @@ def composed(recipe: str, words: list[str]) -> DictConfig:
     with config_space(line.config_dir):
         config = compose(recipe, overrides)
         assert wrong_key(recipe, config) is None
+        assert unused_key(recipe, config, [word.partition("=")[0] for word in overrides]) is None
         return config
 
 

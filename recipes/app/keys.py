@@ -6,6 +6,7 @@ A key has one type whatever the command; ``OWN`` are the exceptions.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, MinLen
@@ -27,7 +28,7 @@ from sphericalvision.recipes.app.kinds import (
     Unit,
 )
 
-__all__ = ["type_of", "wrong_key"]
+__all__ = ["type_of", "unused_key", "wrong_key"]
 
 KEYS: dict[str, Any] = {
     # what is read
@@ -196,6 +197,19 @@ GROUPS: dict[str, dict[str, Any]] = {
 """Group -> the types of keys that all its options have; what else they have is compared where it is made."""
 
 
+ONLY_WITH: dict[str, dict[str, tuple[str, ...]]] = {
+    "predict": {"poses": ("window", "spacing", "up"), "min_depth=auto": ("trained_radius",)},
+    "inspect": {"images": ("frame",)},
+    "convert": {"to": ("num_coefficients", "projection", "fit_angle_deg"), "output": ("format",)},
+    "render": {"mesh": ("mesh_up", "mesh_scale")},
+    "calibrate": {"to=fisheye": ("projection",)},
+    "train": {"data.rig": ("rig",)},
+    "evaluate": {"data.rig": ("rig",)},
+    "study": {"data.rig": ("rig",), "inputs=equirect": ("equirect_rig", "equirect_size")},
+}
+"""Command -> a key that has a value, or one that has this one -> the keys that count only then."""
+
+
 def type_of(command: str, key: str) -> Any:
     """The type hint of a command's own key; None where it has none."""
     return OWN.get(command, {}).get(key, KEYS.get(key))
@@ -213,4 +227,16 @@ def wrong_key(command: str, config: DictConfig) -> str | None:
         value = node[key]
         if wrong := fault(name, OmegaConf.to_container(value) if OmegaConf.is_config(value) else value, hint):
             return wrong
+    return None
+
+
+def unused_key(command: str, config: DictConfig, given: Iterable[str]) -> str | None:
+    """What is wrong with the first key that is ``given``, but that this command does not look at; None if all count."""
+    for needed, keys in ONLY_WITH.get(command, {}).items():
+        key, equal, wanted = needed.partition("=")
+        value = OmegaConf.select(config, key)
+        counts = value == wanted if equal else value is not None
+        if not counts and (lost := [name for name in given if name.partition(".")[0] in keys]):
+            word = "data=scenes" if key == "data.rig" else needed if equal else f"{needed}=..."
+            return f"{lost[0]}: counts only with {word}; give that, too, or leave {lost[0]} out"
     return None

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from hydra import compose
@@ -41,8 +42,8 @@ def own_configs() -> list[str]:
     return [word for s in sources if s.provider == "command-line" for word in ("--config-dir", s.path)]
 
 
-def evaluate_command(best: Path, config: DictConfig) -> str:
-    """Command line that evaluates the best checkpoint on the test split of the same data."""
+def evaluate_command(best: Path, config: DictConfig, of_training: Sequence[str]) -> str:
+    """Command line that evaluates the best checkpoint on the test split of the same data, without keys of training."""
     choices = HydraConfig.get().runtime.choices
     groups = [f"data={choices['data']}"] + ([f"rig={choices['rig']}"] if "rig" in config.data else [])
     usual = compose("evaluate", groups)
@@ -50,7 +51,7 @@ def evaluate_command(best: Path, config: DictConfig) -> str:
         f"{group}.{key}={value}".replace(" ", "").replace("None", "null")
         for group in ("rig", "data")
         for key, value in config[group].items()
-        if key in usual[group] and key not in ("level", "min_depth", "rig", "seed")
+        if key in usual[group] and key != "rig" and (group == "rig" or key not in of_training)
         if group == "data" or "rig" in config.data
         if OmegaConf.is_missing(usual[group], key) or usual[group][key] != value
     ]

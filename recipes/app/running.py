@@ -76,9 +76,14 @@ def checked_config(space: Hydra, config_name: str, overrides: list[str], multiru
         config = space.compose_config(config_name, words, RunMode.RUN, with_log_configuration=True)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         refuse(override_message(error, config_name))
-    from sphericalvision.recipes.app.keys import wrong_key  # pydantic, which a misspelt key does not wait for
+    from sphericalvision.recipes.app.keys import (  # pydantic: a misspelt key does not wait for it
+        unused_key,
+        wrong_key,
+    )
 
-    if wrong := wrong_key(config_name, config) or (several_processes(config) if multirun else None):
+    given = [word.partition("=")[0] for word in words]
+    wrong = wrong_key(config_name, config) or unused_key(config_name, config, given)
+    if wrong or (wrong := several_processes(config) if multirun else None):
         refuse(wrong)
     for key in map(str, config):
         if OmegaConf.is_missing(config, key):

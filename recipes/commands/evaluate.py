@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import torch
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
@@ -67,6 +68,10 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     OmegaConf.update(config, "model.level", net.level if net.images == "sphere" else level or 5)
     OmegaConf.update(config, "model.min_depth", net.min_depth)
     data: SampleDataModule = build(config.data, "data")
+    given = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    for key in (word.partition("=")[0] for word in given):
+        if key in [f"data.{name}" for name in data.of_training]:
+            raise ArgumentError(f"{key}: counts only in training; leave it out")
     preparation = Preparation.from_keys(config)
     as_used = bool(found or preparation != AS_IT_IS)
     more = ["sphere" if config.baselines else "depth", *(["fisheye"] if as_used else [])]

@@ -161,7 +161,7 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
         print(f"\nResults are in {folder}")
         print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")
         if data.has_truth and best.with_suffix(".safetensors").is_file():
-            print(f"Evaluate: {evaluate_command(best, config)}")
+            print(f"Evaluate: {evaluate_command(best, config, data.of_training)}")
     return values
 
 

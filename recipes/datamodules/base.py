@@ -116,6 +116,8 @@ class SampleDataModule(pl.LightningDataModule):
     num_workers: Number = 0
     seed: int = 0
 
+    of_training: ClassVar[tuple[str, ...]] = ("seed",)
+    """Fields that the samples which ``sphericalvision-evaluate`` takes do not depend on."""
     has_truth: ClassVar[bool] = True
     """Whether validation and test samples hold the true depth, so that ``sphericalvision-evaluate`` can use them."""
 

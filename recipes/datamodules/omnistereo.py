@@ -43,6 +43,8 @@ class OmniStereoDataModule(DepthDataModule):
             validation and test go without, and what was left out is said at the end.
     """
 
+    of_training = ("seed", "photometric", "shift")
+
     def __init__(
         self,
         root: Text,

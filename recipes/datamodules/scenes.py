@@ -66,6 +66,7 @@ class RenderedDataModule(DepthDataModule):
     augment: bool = True
     cache_dir: Text | None = None
 
+    of_training = ("seed", "augment")
     augmentation: ClassVar[tuple[Callable[[Sample], Sample], ...]]
     """What is done at random to training samples."""
     made_before: ClassVar[tuple[str, ...]] = ("train", "val")
@@ -140,8 +141,8 @@ class SceneDataModule(RenderedDataModule):
         mesh_up: axis that points up in it, "y" (glTF) or "z".
         mesh_scale: metres in one unit of it.
         carrier: what carries the rig and is in view: "pole", "robot" or "vehicle"; nothing when not given.
-        tilts_deg: least and largest degrees by which the cameras look further down in training and validation, drawn
-            for each scene; see ``SceneDataset``. The rig as it is when not given, as in the test.
+        tilts_deg: least and largest degrees by which the cameras look further down, drawn for each scene; see
+            ``SceneDataset``. The rig as it is when not given.
     """
 
     rig: CameraRig
@@ -171,8 +172,11 @@ class SceneDataModule(RenderedDataModule):
                 f"data.panorama_size: turning by multiples of 72 degrees wants a width that is a multiple of 5, got "
                 f"{width}; or set data.augment=false"
             )
-        tilted = self.tilts_deg is not None and split != "test"
-        low, high = map(math.radians, self.tilts_deg or (0.0, 0.0))
+        tilts = (
+            None
+            if self.tilts_deg is None
+            else (math.radians(self.tilts_deg[0]), math.radians(self.tilts_deg[1]))
+        )
         return SceneDataset(
             number,
             self.rig,
@@ -188,5 +192,5 @@ class SceneDataModule(RenderedDataModule):
             meshes=None if self.mesh is None else mesh_files(self.mesh, self.mesh_up, self.mesh_scale),
             carrier=self.carrier,
             depth_level=wanted.depth_level,
-            tilts=(low, high) if tilted else None,
+            tilts=tilts,
         )

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A key is looked at by its command, or refused by it: no key is taken and forgotten."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+from omegaconf import DictConfig, OmegaConf
+
+from sphericalvision.cameras import save_camera, save_rig
+from sphericalvision.io.images import write_image
+from sphericalvision.recipes.app import command
+from sphericalvision.recipes.app.keys import ONLY_WITH, unused_key
+from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.recipes.app.words import quote_paths
+from tests.recipes.board_pictures import COLUMNS, ROWS, SQUARE, write_boards
+from tests.recipes.tiny import TINY_SCENES, Run
+
+RIG = "calibration=c/rig.yaml"
+IMAGES = "images=c/{camera}/{frame:05d}.png"
+PREDICT = (
+    "predict",
+    "checkpoint=weights.safetensors",
+    "height=16",
+    "output=out",
+    "device=cpu",
+    "align=false",
+)
+RUNS = (
+    (*PREDICT, RIG, IMAGES),
+    (
+        *PREDICT,
+        "calibration=c/lens.yaml",
+        "images=c/cam1",
+        "poses=c/poses.txt",
+        "method=semi_global",
+        "level=3",
+    ),
+    ("inspect", RIG, "level=3", "output=out"),
+    ("inspect", RIG, IMAGES, "level=3", "output=out"),
+    ("convert", RIG),
+    ("convert", RIG, "to=kannala_brandt", "output=new.yaml"),
+    ("render", "rig=ring", "rig.image_size=[16,16]", "num_frames=1", "height=16", "samples_per_pixel=1"),
+    (
+        "evaluate",
+        "checkpoint=weights.safetensors",
+        *TINY_SCENES,
+        "data.cache_dir=null",
+        "output=out",
+        "device=cpu",
+    ),
+    ("align", RIG, IMAGES),
+    ("calibrate", "images=board/*.png", f"board={COLUMNS}x{ROWS}", f"square={SQUARE}"),
+    (
+        "export",
+        RIG,
+        "checkpoint=weights.safetensors",
+        "min_depth=0.5",
+        "height=16",
+        "formats=[]",
+        "output=out",
+    ),
+)
+"""Runs as small as they get; some find nothing to write, and end."""
+
+NAMED = ("hydra", "output", "rig")
+"""Keys that others stand for: the folder of the run, the rig of the data."""
+
+
+@pytest.fixture(autouse=True)
+def capture(tmp_path: Path, weights: Path) -> None:
+    """A rig, two frames of its cameras, and poses for those of one."""
+    rig = make_ring(4, radius=0.2, image_size=(24, 32))
+    save_rig(rig, tmp_path / "c/rig.yaml")
+    save_camera(rig.cameras["cam1"], tmp_path / "c/lens.yaml")
+    generator = torch.Generator().manual_seed(1)
+    for name in rig.names:
+        for frame in range(4):
+            image = torch.rand(3, 24, 32, generator=generator)
+            write_image(tmp_path / f"c/{name}/{frame:05d}.png", image)
+    poses = (f"{frame} 0 {0.1 * frame} 0 0 0 0 1" for frame in range(4))
+    (tmp_path / "c/poses.txt").write_text("\n".join(poses))
+
+
+@pytest.fixture
+def looked_at(monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """Keys of the configuration that a command looks at while it works."""
+    found: set[str] = set()
+    work = command._work
+
+    @contextlib.contextmanager
+    def watched(config: DictConfig) -> Iterator[None]:
+        with pytest.MonkeyPatch.context() as patch:
+            for name in ("__getattr__", "__getitem__", "get"):
+                read = getattr(DictConfig, name)
+
+                def seen(self: DictConfig, key: Any, *more: Any, read: Callable[..., Any] = read) -> Any:
+                    if self is config:
+                        found.add(str(key))
+                    return read(self, key, *more)
+
+                patch.setattr(DictConfig, name, seen)
+            yield
+
+    def working(task: str, folder: bool, config: DictConfig) -> Any:
+        with watched(config):
+            return work(task, folder, config)
+
+    monkeypatch.setattr(command, "_work", working)
+    return found
+
+
+@pytest.mark.parametrize("words", RUNS, ids=lambda words: " ".join(words[:3]))
+def test_every_key_is_looked_at_or_refused(
+    words: tuple[str, ...], run: Run, tmp_path: Path, looked_at: set[str]
+) -> None:
+    name, *overrides = words
+    if name == "calibrate":
+        write_boards(tmp_path / "board")
+    with contextlib.suppress(SystemExit):
+        run(name, *overrides)
+    assert looked_at
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose(name, quote_paths(overrides))
+    keys = [str(key) for key in config if key not in NAMED]
+    forgotten = [key for key in keys if key not in looked_at and not unused_key(name, config, [key])]
+    assert forgotten == []
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "needed"),
+    [(name, key, needed) for name, table in ONLY_WITH.items() for needed in table for key in table[needed]],
+)
+def test_keys_that_do_not_count_are_refused(name: str, key: str, needed: str) -> None:
+    words = {"predict": ["min_depth=1"], "calibrate": ["to=pinhole"]}.get(name, ["data=omnihouse"])
+    words = words if name in ("predict", "calibrate", "train", "evaluate", "study") else []
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose(name, words)
+    message = unused_key(name, config, [key])
+    assert message is not None
+    assert message.startswith(f"{key}: counts only with {needed.replace('data.rig', 'data=scenes')}")
+    other, _, value = needed.partition("=")
+    OmegaConf.update(config, other, value or "given", force_add=True)
+    assert unused_key(name, config, [key]) is None
+
+
+def test_keys_of_training_are_refused_where_nothing_is_trained(
+    failing: Callable[..., str], tmp_path: Path
+) -> None:
+    words = ("checkpoint=weights.safetensors", *TINY_SCENES, "output=out", "device=cpu")
+    assert "data.augment: counts only in training" in failing("evaluate", *words, "data.augment=true")
+    assert "rig.image_size: counts only with data=scenes" in failing(
+        "evaluate", "data=omnihouse", "data.root=x", "rig.image_size=[8,8]"
+    )
+    assert "window: counts only with poses=..." in failing("predict", RIG, IMAGES, "window=5")
+
+
+def test_tilts_count_in_an_evaluation(run: Run, tmp_path: Path) -> None:
+    words = ("checkpoint=weights.safetensors", *TINY_SCENES, "data.cache_dir=null", "device=cpu")
+    for name, more in (("level", ()), ("tilted", ("data.tilts_deg=[30,30]",))):
+        run("evaluate", *words, *more, f"output={name}")
+    assert (tmp_path / "level/metrics.csv").read_text() != (tmp_path / "tilted/metrics.csv").read_text()

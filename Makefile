@@ -20,7 +20,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --maxpro
 # Packages that `make test-lowest` takes as they come, and what it runs.
 LOWEST_BUT ?=
 LOWEST_TESTS ?= tests/geometry tests/icosphere tests/cameras/test_camera_laws.py tests/crown/test_layers.py tests/crown/test_layout.py \
-                tests/sweep tests/losses tests/metrics tests/models/test_network_laws.py tests/models/test_weights.py tests/io \
+                tests/sweep tests/losses tests/metrics tests/scenes tests/data tests/models/test_network_laws.py tests/models/test_weights.py tests/io \
                 tests/test_misuse.py tests/recipes/test_cli.py
 
 .PHONY: help demo test test-all test-lowest mutants audit lint format docs notebooks bench house dist clean

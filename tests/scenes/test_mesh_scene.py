@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +31,7 @@ from sphericalvision.scenes import (  # noqa: E402
     render_directions,
     render_rig,
 )
+from sphericalvision.scenes.rendering import mesh_scene  # noqa: E402
 
 ORIGIN = torch.zeros(3)
 UP, RIGHT, FORWARD = (
@@ -137,7 +142,7 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
         with pytest.raises(FileFormatError, match="cannot be read as a mesh"):
             read_mesh_scene(tmp_path / f"damaged{suffix}")
     trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
-    with pytest.raises(FileFormatError, match="with triangles, found none"):
+    with pytest.raises(FileFormatError, match=r"triangles.*found none"):
         read_mesh_scene(tmp_path / "points.ply")
     with pytest.raises(ArgumentError, match="'y', 'z'"):
         MeshScene(quad(), up="x")
@@ -147,5 +152,97 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
 
 def test_triangles_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
-    with pytest.raises(FileFormatError, match=r"flat\.obj: (its triangles make no sense|cannot be read)"):
+    with pytest.raises(
+        FileFormatError, match=r"flat\.obj: (its triangles or textures make no sense|cannot be read)"
+    ):
         read_mesh_scene(tmp_path / "flat.obj")
+
+
+def quad_with_texture(folder: Path, named: str) -> Path:
+    """A square 1 m in front of the origin whose material names a texture."""
+    folder.mkdir(exist_ok=True)
+    (folder / "quad.mtl").write_text(f"newmtl paper\nmap_Kd {named}\n")
+    corners = "v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+    text = f"mtllib quad.mtl\n{corners}usemtl paper\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
+    (folder / "quad.obj").write_text(text)
+    return folder / "quad.obj"
+
+
+def in_front(scene: MeshScene) -> list[float]:
+    return render_directions(scene, ORIGIN, FORWARD[None])[:, 0].tolist()
+
+
+RED = Image.new("RGB", (2, 2), (255, 0, 0))
+
+
+@pytest.mark.parametrize(
+    "named", ["red%20paint.png", "C:\\scans\\red paint.png", "pictures/../red paint.png"]
+)
+def test_textures_below_the_folder_are_found_however_they_are_named(named: str, tmp_path: Path) -> None:
+    RED.save(tmp_path / "red paint.png")
+    assert in_front(read_mesh_scene(quad_with_texture(tmp_path, named))) == pytest.approx([1.0, 0.0, 0.0])
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("way", ["missing", "above", "absolute", "link", "pipe", "damaged", "huge"])
+def test_textures_that_cannot_be_had_are_told_and_never_read(way: str, tmp_path: Path) -> None:
+    """None outside of the mesh's folder, nothing that is waited for in vain, nothing that fills the memory."""
+    RED.save(tmp_path / "secret.png")
+    folder = tmp_path / "mesh"
+    named = {"above": "../secret.png", "absolute": str(tmp_path / "secret.png")}.get(way, f"{way}.png")
+    path = quad_with_texture(folder, named)
+    if way == "link":
+        (folder / named).symlink_to(tmp_path / "secret.png")
+    elif way == "pipe":
+        os.mkfifo(folder / named)
+    elif way == "damaged":
+        (folder / named).write_bytes(b"no picture")
+    elif way == "huge":  # a header is enough
+        header = b"IHDR" + struct.pack(">IIBBBBB", 30_000, 30_000, 8, 2, 0, 0, 0)
+        (folder / named).write_bytes(
+            b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+        )
+    with pytest.warns(UserWarning, match=r"quad\.obj: what it names could not be read.*folder of the mesh"):
+        scene = read_mesh_scene(path)
+    red, green, blue = in_front(scene)
+    assert red == green == blue
+
+
+@pytest.mark.parametrize("uri", ["../secret.bin", "/etc/passwd"])
+def test_buffers_come_from_the_folder_of_the_mesh_alone(uri: str, tmp_path: Path) -> None:
+    tree = instances(tmp_path / "mesh", 1)
+    (tmp_path / "mesh" / tree["buffers"][0]["uri"]).rename(tmp_path / "secret.bin")
+    tree["buffers"][0]["uri"] = uri
+    (tmp_path / "mesh/scene.gltf").write_text(json.dumps(tree))
+    with pytest.raises(FileFormatError, match=r"cannot be read as a mesh.*no such file below"):
+        read_mesh_scene(tmp_path / "mesh/scene.gltf")
+
+
+def instances(folder: Path, count: int) -> dict[str, Any]:
+    """``scene.gltf``: the same textured square in many places; returns what it holds."""
+    folder.mkdir(exist_ok=True)
+    textured = quad(trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]], image=RED))
+    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(textured))
+    tree: dict[str, Any] = json.loads(files.pop("model.gltf"))
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    tree["nodes"] = [{"mesh": 0, "name": str(k), "translation": [0.0, 0.0, -k]} for k in range(count)]
+    tree["scenes"] = [{"nodes": list(range(count))}]
+    (folder / "scene.gltf").write_text(json.dumps(tree))
+    return tree
+
+
+def test_a_piece_in_many_places_is_kept_once_and_counted_often(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    instances(tmp_path, 30)
+    scene = read_mesh_scene(tmp_path / "scene.gltf")
+    assert (len(scene.textures), len(scene.faces)) == (1, 60)
+    assert in_front(scene) == pytest.approx([1.0, 0.0, 0.0])
+    forward = np.sort(scene.vertices.reshape(30, 4, 3)[:, :, 2], 0)
+    np.testing.assert_allclose(forward, 1.0 + np.arange(30)[:, None].repeat(4, 1))
+    for name, most, word in (("MOST_TRIANGLES", 59, "59.*found 60"), ("MOST_PIXELS", 3, "3 pixels.*found 4")):
+        with monkeypatch.context() as patch:
+            patch.setattr(mesh_scene, name, most)
+            with pytest.raises(FileFormatError, match=rf"scene\.gltf.*{word}"):
+                read_mesh_scene(tmp_path / "scene.gltf")

@@ -30,23 +30,27 @@ AXES = {
     "z": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
 }
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
+#: What fits into a few gigabytes: triangles of all pieces, and pixels of all textures.
+MOST_TRIANGLES, MOST_PIXELS = 2**24, 2**28
 
 
 @dataclass(frozen=True)
 class _Texture:
-    """Linear colours ``(h, w, 3)`` over the unit square of texture coordinates, whose v points up."""
+    """A picture, bytes ``(h, w, 3)``, over the unit square of texture coordinates, whose v points up."""
 
     pixels: Tensor
 
     def sample(self, uv: Tensor) -> Tensor:
-        """Bilinear look-up at ``(n, 2)``, repeated beyond the square: ``(n, 3)``."""
+        """Linear colours ``(n, 3)`` at ``(n, 2)``, bilinear, repeated beyond the square."""
         height, width = self.pixels.shape[:2]
         x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
         left, top = x.floor(), y.floor()
         x, y = (x - left)[:, None], (y - top)[:, None]
         columns = [(left + k).long() % width for k in (0, 1)]
         rows = [(top + k).long() % height for k in (0, 1)]
-        upper, lower = (self.pixels[r, columns[0]].lerp(self.pixels[r, columns[1]], x) for r in rows)
+        upper, lower = (
+            _linear(self.pixels[r, columns[0]]).lerp(_linear(self.pixels[r, columns[1]]), x) for r in rows
+        )
         return upper.lerp(lower, y)
 
 
@@ -64,7 +68,8 @@ class MeshScene:
         center: ``(3,)`` point of the mesh, in its own axes and units, where the world's origin shall be.
 
     Raises:
-        ArgumentError: an unknown axis, a scale that is not positive, or no triangles.
+        ArgumentError: an unknown axis, a scale that is not positive, no triangles, more than 2**24 of them in all
+            pieces, or textures of more than 2**28 pixels.
         ImportError: embreex, which intersects rays with triangles, is missing; it comes with
             ``pip install 'sphericalvision[meshes]'``.
 
@@ -86,19 +91,19 @@ class MeshScene:
         check_choice("up", up, tuple(AXES))
         if not scale > 0:
             raise ArgumentError(f"scale: expected metres in a unit of the mesh, above 0, got {scale}")
-        parts = [part for part in _parts(mesh) if len(part.faces)]
-        if not parts:
-            raise ArgumentError("mesh: expected triangles, got none")
+        parts, places = _placed(mesh)
+        _check_size(parts, places)
         turn = np.array(AXES[up])
-        self.vertices = (
-            scale * (np.concatenate([part.vertices for part in parts]) - np.array(center)) @ turn.T
-        )
-        starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-        self.faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)])
-        self.part_of_face = torch.from_numpy(np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts]))
+        vertices = [parts[number].vertices @ pose[:3, :3].T + pose[:3, 3] for number, pose in places]
+        self.vertices = scale * (np.concatenate(vertices) - np.array(center)) @ turn.T
+        starts = np.cumsum([0, *map(len, vertices)])
+        faces = [parts[number].faces + start for (number, _), start in zip(places, starts, strict=False)]
+        self.faces = np.concatenate(faces)
+        numbers = [number for number, _ in places]
+        self.part_of_face = torch.from_numpy(np.repeat(numbers, [len(each) for each in faces]))
         looks = [_look(part) for part in parts]
         self.textures = [texture for texture, _ in looks]
-        self.corner_values = torch.cat([values for _, values in looks])
+        self.corner_values = torch.cat([looks[number][1] for number in numbers])
         self.exposure = torch.tensor(1.0)
         self.background = torch.zeros(2, 3)
         _ = self._caster  # says at once if it cannot be made
@@ -183,14 +188,15 @@ def read_mesh_scene(
     """Read a textured mesh as a scene: ``.glb``, ``.gltf``, ``.obj``, ``.ply``, ``.stl`` or ``.off``.
 
     Args:
-        path: the file; textures that it names lie beside it.
+        path: the file; textures that it names lie in its folder, or below; a warning says which ones do not.
         up: axis that points up in the file, ``"y"`` or ``"z"``.
         scale: metres in one unit of the file.
         center: point of the file's own coordinates where the rig's world has its origin.
 
     Raises:
         MissingFileError: there is no such file.
-        FileFormatError: another suffix, or the file cannot be read or has no triangles.
+        FileFormatError: another suffix, or the file cannot be read, has no triangles, or more of them or of pixels than
+            a ``MeshScene`` takes.
         ImportError: embreex is missing (``pip install 'sphericalvision[meshes]'``).
 
     Examples:
@@ -201,39 +207,55 @@ def read_mesh_scene(
         >>> ray_depth(scene, torch.zeros(3), torch.eye(3))
         tensor([3.0000, 1.2500, 2.5000])
     """
-    import trimesh
+    from sphericalvision.scenes.rendering.mesh_reading import (
+        load_mesh,  # trimesh takes half a second to import
+    )
 
     path = check_file(path, "a mesh")
     if path.suffix.lower() not in SUFFIXES:
         raise FileFormatError(
             f"{path}: expected a mesh ({', '.join(SUFFIXES)}), got the suffix {path.suffix!r}"
         )
+    loaded = load_mesh(path)
     try:
-        loaded = trimesh.load_scene(path)
-        has_triangles = any(len(part.faces) for part in _parts(loaded))
-    except Exception as error:  # readers of damaged files raise nearly anything
-        raise FileFormatError(
-            f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})"
-        ) from error
-    if not has_triangles:
-        raise FileFormatError(f"{path}: expected a mesh with triangles, found none")
+        _check_size(*_placed(loaded))
+    except ArgumentError as error:
+        raise FileFormatError(f"{path}: {error}") from None
     try:
         return MeshScene(loaded, up, scale, center)
     except (ArgumentError, ImportError):
         raise
     except Exception as error:  # vertices of two coordinates, corners that do not exist
         raise FileFormatError(
-            f"{path}: its triangles make no sense ({type(error).__name__}: {error})"
+            f"{path}: its triangles or textures make no sense ({type(error).__name__}: {error})"
         ) from error
 
 
-def _parts(mesh: trimesh.Trimesh | trimesh.Scene) -> list[trimesh.Trimesh]:
-    """All triangles of a scene in its own frame, a mesh for each placed piece."""
+def _placed(mesh: trimesh.Trimesh | trimesh.Scene) -> tuple[list[trimesh.Trimesh], list[tuple[int, Array]]]:
+    """The meshes of a scene, and the number and pose of each piece of it: one mesh may be in many places."""
     import trimesh
 
     if isinstance(mesh, trimesh.Trimesh):
-        return [mesh]
-    return [part for part in mesh.dump() if isinstance(part, trimesh.Trimesh)]
+        return [mesh], [(0, np.eye(4))]
+    parts = {name: part for name, part in mesh.geometry.items() if isinstance(part, trimesh.Trimesh)}
+    numbers = {name: number for number, name in enumerate(parts)}
+    poses = [mesh.graph[node] for node in mesh.graph.nodes_geometry]
+    return list(parts.values()), [(numbers[name], pose) for pose, name in poses if name in numbers]
+
+
+def _check_size(parts: list[trimesh.Trimesh], places: list[tuple[int, Array]]) -> None:
+    """Raise ``ArgumentError`` unless there are triangles, and neither too many of them nor of pixels."""
+    triangles = sum(len(parts[number].faces) for number, _ in places)
+    if not 0 < triangles <= MOST_TRIANGLES:
+        raise ArgumentError(
+            f"mesh: expected triangles, at most {MOST_TRIANGLES} in all pieces, found {triangles or 'none'}"
+        )
+    images = {id(image): image for image in (_image(part.visual) for part in parts) if image is not None}
+    pixels = sum(image.width * image.height for image in images.values())
+    if pixels > MOST_PIXELS:
+        raise ArgumentError(
+            f"mesh: expected textures of at most {MOST_PIXELS} pixels together, found {pixels}"
+        )
 
 
 def _look(part: trimesh.Trimesh) -> tuple[_Texture | None, Tensor]:
@@ -247,13 +269,15 @@ def _look(part: trimesh.Trimesh) -> tuple[_Texture | None, Tensor]:
         uv = np.asarray(visual.uv, dtype=np.float32)[part.faces]
         corner = torch.zeros(len(part.faces), 3, 3)
         corner[..., :2] = torch.from_numpy(uv)
-        return _Texture(_linear(np.asarray(image.convert("RGB")))), corner
+        return _Texture(torch.from_numpy(np.array(image.convert("RGB")))), corner
     if visual.kind == "vertex":
-        return None, _linear(visual.vertex_colors[:, :3])[torch.from_numpy(np.asarray(part.faces))]
+        return None, _linear(torch.from_numpy(visual.vertex_colors[:, :3][part.faces]))
     if visual.kind == "face":
-        return None, _linear(visual.face_colors[:, :3])[:, None].expand(-1, 3, -1).clone()
+        return None, _linear(torch.from_numpy(visual.face_colors[:, :3].copy()))[:, None].expand(
+            -1, 3, -1
+        ).clone()
     color = getattr(getattr(visual, "material", None), "main_color", (180, 180, 180, 255))
-    plain = _linear(np.asarray(color, dtype=np.uint8)[:3])
+    plain = _linear(torch.tensor(np.array(color, dtype=np.uint8)[:3]))
     return None, plain.expand(len(part.faces), 3, 3).clone()
 
 
@@ -264,6 +288,6 @@ def _image(visual: Any) -> Any:
     return getattr(material, "image", None) if image is None else image
 
 
-def _linear(levels: Array) -> Tensor:
+def _linear(levels: Tensor) -> Tensor:
     """Bytes of a picture as linear light, by the display curve of the renderer."""
-    return (torch.from_numpy(np.array(levels, dtype=np.float32)) / 255) ** 2.2
+    return (levels.float() / 255) ** 2.2

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files of meshes that others made: what they name is read from their own folder only, and only so much of it."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import unquote
+
+import trimesh
+from trimesh.util import log
+
+from sphericalvision.core import FileFormatError, MissingFileError
+
+__all__ = ["load_mesh"]
+
+
+def load_mesh(path: Path) -> trimesh.Scene:
+    """Read a mesh and the textures that it names; a warning says which of these could not be had.
+
+    Raises:
+        FileFormatError: it cannot be read.
+    """
+    beside = Beside(path.parent)
+    try:
+        with _complaints(beside.missing), path.open("rb") as file:
+            loaded = trimesh.load_scene(file, path.suffix[1:].lower(), resolver=beside)
+    except Exception as error:  # readers of damaged files raise nearly anything
+        raise FileFormatError(
+            f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})"
+        ) from error
+    if missing := list(dict.fromkeys(beside.missing)):
+        more = f", and {len(missing) - 3} more" if len(missing) > 3 else ""
+        warnings.warn(
+            f"{path}: what it names could not be read, and surfaces go without: {'; '.join(missing[:3])}{more}. "
+            "Textures and materials lie in the folder of the mesh, or below it",
+            stacklevel=3,
+        )
+    return loaded
+
+
+class Beside(Mapping[str, bytes]):
+    """What a mesh names (materials, textures, buffers), by name: regular files in its folder, and in folders there."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.resolve()
+        self.missing: list[str] = []
+
+    def __getitem__(self, name: str) -> bytes:
+        """The content of a file, by the name that the mesh has for it.
+
+        Raises:
+            MissingFileError: there is no such file below the folder of the mesh, or it is no regular one.
+        """
+        name = name.strip()
+        for spelled in (name, unquote(name), name.replace("\\", "/").rpartition("/")[2]):
+            place = (self.folder / spelled).resolve()  # where links lead to
+            if (
+                place.is_relative_to(self.folder) and place.is_file()
+            ):  # no pipe, which could be waited for in vain
+                return place.read_bytes()
+        self.missing.append(f"{name}: no such file below {self.folder}")
+        raise MissingFileError(self.missing[-1])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(())  # nothing is offered that was not asked for
+
+    def __len__(self) -> int:
+        return 0
+
+
+@contextmanager
+def _complaints(found: list[str]) -> Iterator[None]:
+    """Add to ``found`` what trimesh cannot load meanwhile: it goes on without, and tells only its log."""
+    before, shown = log.level, log.getEffectiveLevel()
+
+    def keep(record: logging.LogRecord) -> bool:
+        if record.exc_info and record.exc_info[1] is not None:
+            found.append(str(record.exc_info[1]))
+        return record.levelno >= shown
+
+    log.addFilter(keep)
+    log.setLevel(logging.DEBUG)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+        log.removeFilter(keep)

@@ -13,7 +13,8 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes.disturbances import DISPLAY
-from sphericalvision.scenes.random_rig_scenes import RandomRigScenes
+from sphericalvision.scenes.draws import by_purpose
+from sphericalvision.scenes.random_rig_scenes import RandomRigScenes, WorldSamples
 from sphericalvision.scenes.recipes import make_scene, ray_depth, render_directions, render_rig
 from sphericalvision.scenes.world import HELD_OUT_SEED, World, world_values
 
@@ -140,3 +141,69 @@ def test_a_carrier_is_in_view_and_in_the_truth_where_it_counts():
     hidden = World(rig, carrier="pole", masked=1.0).frame(3).rig.masks
     assert set(hidden) == set(rig.names)
     assert not any(mask.all() for mask in hidden.values())
+
+
+KNOWN = {
+    0: ("rough", 3, 0.1412, True, True, 1.0, 0.0, 0.0, 12, 1.3011),
+    1: ("glazed", 3, 0.1573, True, False, 1.5323, 0.01918, 0.004915, 60, 2.8907),
+    3: ("hall", 2, 0.0876, False, False, 2.1022, 0.0, 0.0, 70, 0.5371),
+    5: ("patchwork", 4, 0.2, False, False, 2.1401, 0.0, 0.0, 17, 0.2575),
+}
+"""Of seeds: kind, cameras, radius, carrier in view, carrier masked, gain, noise, pose error, primitives, exposure."""
+
+
+def test_a_seed_means_what_it_meant_when_the_weights_that_ship_were_trained():
+    world = RandomRigScenes(1, **SMALL).world
+    for seed, known in KNOWN.items():
+        frame = world.frame(seed)
+        rig, faults, scene = frame.true_rig, frame.faults, frame.scene
+        carried = bool(frame.free), bool(frame.rig.masks)
+        drawn = len(rig), float(rig.radius), *carried, frame.gain, faults.noise, faults.pose_error
+        found = frame.kind, *drawn, len(scene.primitives), scene.exposure.item()
+        assert found[0] == known[0]
+        assert found[1:] == pytest.approx(known[1:], abs=1e-4, rel=1e-3)
+
+
+def test_what_is_drawn_for_one_purpose_changes_nothing_of_another():
+    purposes = ("kind", "sky", "rig", "carrier", "faults", "brightness", "poses")
+    streams = [
+        getattr(by_purpose(seed), purpose).initial_seed() for seed in range(200) for purpose in purposes
+    ]
+    assert len(set(streams)) == len(streams)
+    values = world_values("random_rigs")
+    plain = RandomRigScenes(1, **SMALL).world
+    for changed in ({"shares": {"room": 1.0}}, {"level_rigs": 1.0}, {"values": {**values, "carrier": 0.0}}):
+        world = RandomRigScenes(1, **SMALL, **changed).world
+        for seed in range(8):
+            one, other = plain.frame(seed), world.frame(seed)
+            assert (one.faults, one.gain) == (other.faults, other.gain)
+            assert (one.kind == other.kind) or "shares" in changed
+            poses = one.true_rig.world_from_camera, other.true_rig.world_from_camera
+            assert torch.equal(*poses) or "level_rigs" in changed
+
+
+def test_points_nearer_than_the_nearest_hypothesis_are_not_valid():
+    """Of a pole that counts as depth: all of it, or what is nearest of it."""
+    rig = ring_rig(3, image_size=(24, 24))
+    for nearest in (0.55, 0.05):
+        sample = WorldSamples(World(rig, min_depth=nearest, carrier="pole", carrier_counts=True), 1, 3, 3)[0]
+        depth = 1 / sample["inverse_depth"]
+        assert (depth < nearest).any()
+        assert torch.equal(sample["valid"], depth >= nearest)
+
+
+def test_masks_hide_carriers_from_what_was_seen_and_from_nothing_else():
+    values = {**world_values("random_rigs"), "carrier": 1.0}
+    hidden, shown, none = (
+        RandomRigScenes(6, 50, **SMALL, values={**values, **changed})
+        for changed in ({"masked": 1.0}, {"masked": 0.0}, {"carrier": 0.0})
+    )
+    for index in range(6):
+        with_masks, without, free = hidden[index], shown[index], none[index]
+        assert torch.equal(without["seen"], free["seen"])
+        behind = free["seen"] & ~with_masks["seen"]
+        assert 0.005 < behind.sum() / free["seen"].sum() < 0.5
+        assert not (with_masks["seen"] & ~free["seen"]).any()
+        assert (with_masks["images"].movedim(1, -1)[behind] == 0).all()
+        assert not (without["images"].movedim(1, -1)[behind] == 0).all()
+        assert not with_masks["rig"].masks

@@ -52,6 +52,7 @@ def test_a_kind_is_registered_by_one_decorator(monkeypatch: pytest.MonkeyPatch) 
         return scene_recipe("outdoors")(generator, clear_radius)
 
     assert "twin" in scene_kinds()
+    assert "twin" not in {kind_of(mixture, seed) for mixture in ("mixed", "all") for seed in range(50)}
     directions = around()
     for kind, seed in (("skies", 4), ("twin", 4)):
         assert kind_of(kind, seed) == kind

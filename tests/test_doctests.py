@@ -22,6 +22,7 @@ REGISTRIES = (
     ("sphericalvision.cameras.calibration.formats", "FORMATS"),
     ("sphericalvision.models.weights.registry", "NETWORKS"),
     ("sphericalvision.scenes.registry", "KINDS"),
+    ("sphericalvision.scenes.disturbances", "DISTURBANCES"),
     ("sphericalvision.sweep.aggregation", "AGGREGATIONS"),
 )
 """Examples add to copies of these: other tests look at all that is registered."""

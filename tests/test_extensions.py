@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An extension is one file: a camera, a format, a kind of scene, an aggregation and a network in an empty folder.
+"""An extension is one file: a camera, a format, a kind of scene, an aggregation, a network and a disturbance.
 
-They are found by their entry points, and used by command line without an edit in the tree.
+They lie in an empty folder, are found by their entry points, and used by command line without an edit in the tree.
 """
 
 from __future__ import annotations
@@ -56,6 +56,11 @@ class Mean(Aggregation):
         return volume.values.mean(1)
 """
 
+DISTURBANCE = """
+def haze(image, camera, amount, generator):
+    return image + amount * (0.8 - image)
+"""
+
 ENTRY_POINTS = """
 [sphericalvision.cameras]
 equisolid_lens = odd_camera:EquisolidLens
@@ -67,6 +72,8 @@ crowd = odd_scene:crowd
 odd-mean = odd_aggregation:Mean
 [sphericalvision.networks]
 colour-variance = odd_network:ColourVariance
+[sphericalvision.disturbances]
+haze = odd_disturbance:haze
 """
 
 RIG = """
@@ -78,9 +85,6 @@ save_rig(CameraRig([lens] * 4, ring_rig(4, 0.2).world_from_camera), "rig.json", 
 
 TRAINING = (
     "experiment=quickstart",
-    "rig=file",
-    "rig.path=rig.json",
-    "data.kind=crowd",
     "data.num_train=2",
     "data.num_val=2",
     "data.samples_per_pixel=1",
@@ -95,6 +99,15 @@ TRAINING = (
 )
 
 
+OWN_SCENES = ("rig=file", "rig.path=rig.json", "data.kind=crowd")
+OWN_FAULTS = (
+    "data=random_rigs",
+    "data.shares={crowd: 1}",
+    "data.image_size=[32,32]",
+    "+data.world.faults.haze=[1.0,0.5]",
+)
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """An empty folder but for the files of the extensions, and a configuration that names the network."""
@@ -102,7 +115,12 @@ def folder(tmp_path: Path) -> Path:
     (site / "odd-1.0.dist-info").mkdir(parents=True)
     (site / "odd-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: odd\nVersion: 1.0\n")
     (site / "odd-1.0.dist-info/entry_points.txt").write_text(ENTRY_POINTS)
-    for name, text in (("format", FORMAT), ("scene", SCENE), ("aggregation", AGGREGATION)):
+    for name, text in (
+        ("format", FORMAT),
+        ("scene", SCENE),
+        ("aggregation", AGGREGATION),
+        ("disturbance", DISTURBANCE),
+    ):
         (site / f"odd_{name}.py").write_text(text)
     for name in ("camera", "network"):
         shutil.copy(GLASS / f"{name}.py", site / f"odd_{name}.py")
@@ -144,8 +162,8 @@ def test_extensions_of_one_file_each_work_from_every_command(folder: Path) -> No
         "model.feature_channels=2",
         "model.aggregation=odd-mean",
     )
-    command(folder, "train", *TRAINING, "output=mean", "model=icosweepnet", *small)
-    command(folder, "train", "--config-dir", "conf", *TRAINING, "output=run", "model=odd")
+    command(folder, "train", *TRAINING, *OWN_FAULTS, "output=mean", "model=icosweepnet", *small)
+    command(folder, "train", "--config-dir", "conf", *TRAINING, *OWN_SCENES, "output=run", "model=odd")
     for number in range(1, 5):
         write_image(folder / f"cam{number}.png", torch.rand(3, 32, 32))
     for run in ("mean", "run"):
@@ -159,3 +177,13 @@ def test_extensions_of_one_file_each_work_from_every_command(folder: Path) -> No
         )
         command(folder, "predict", *words)
         assert (folder / run / "depth/depth.npz").is_file()
+
+    sizes = ("level=3", "panorama_rows=8", "image_rows=24", "frames=1", "workers=0", "cache_dir=null")
+    words = (
+        "preset=benchmark",
+        "preparation@benchmark=none",
+        "benchmark.methods=[constant]",
+        "benchmark.tracks=[haze]",
+    )
+    command(folder, "study", "output=compared", *words, *(f"benchmark.{size}" for size in sizes))
+    assert list((folder / "compared").rglob("haze*"))

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import torch
@@ -13,10 +13,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.extensions import Registry
 from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle
 
-__all__ = ["CameraDisturbance", "RandomFaults", "turned_poses", "vignetted"]
+__all__ = [
+    "DISTURBANCES",
+    "CameraDisturbance",
+    "RandomFaults",
+    "register_disturbance",
+    "turned_poses",
+    "vignetted",
+]
 
 Sample = dict[str, Any]
 
@@ -25,6 +33,51 @@ DISPLAY = 2.2
 
 GREY = (0.299, 0.587, 0.114)
 
+AMOUNTS = ("vignetting", "blur", "exposure", "white_balance", "noise", "pose_error_deg")
+"""Faults of ``CameraDisturbance`` that have an amount, in the order in which they are drawn."""
+
+Disturb = Callable[[Tensor, Camera, float, torch.Generator | None], Tensor]
+"""From an image ``(3, h, w)`` in [0, 1], its camera, an amount above 0, and a source of randomness to the image that is
+disturbed by that much."""
+
+DISTURBANCES: Registry[Disturb] = Registry(
+    "disturbance",
+    "a function that disturbs an image, and no name of a fault that there is,",
+    lambda name, thing: bool(name) and name not in ("disturbed", "grey", *AMOUNTS) and callable(thing),
+    "sphericalvision.disturbances",
+)
+"""Disturbances of one's own, by name."""
+
+
+def register_disturbance(name: str) -> Callable[[Disturb], Disturb]:
+    """Make a function of an image, its camera, an amount and a generator known as a fault of cameras.
+
+    It comes after all others, so that these are for each seed what they are without it. A package that others install
+    names its own as entry points of the group ``sphericalvision.disturbances``.
+
+    Args:
+        name: with which ``CameraDisturbance``, ``RandomFaults``, ``data.world.faults`` in a training and
+            ``benchmark.tracks`` know it.
+
+    Raises:
+        ArgumentError: another disturbance has the name already.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> @register_disturbance("haze")
+        ... def hazy(image, camera, amount, generator=None):
+        ...     return image + amount * (0.8 - image)
+        >>> lens = ring_rig(2, image_size=(8, 8)).cameras["cam1"]
+        >>> CameraDisturbance(others={"haze": 1.0}).image(torch.zeros(3, 8, 8), lens).mean() >= 0.4
+        tensor(True)
+    """
+
+    def register(disturb: Disturb) -> Disturb:
+        DISTURBANCES.add(name, disturb)
+        return disturb
+
+    return register
+
 
 @dataclass(frozen=True)
 class CameraDisturbance:
@@ -32,7 +85,7 @@ class CameraDisturbance:
 
     Belongs before ``ToSphere``, where images are still those of the cameras. Amounts are drawn for each camera from
     half of what is given to all of it, but for the pose error, which has exactly the angle given, about an axis drawn
-    at random. The order is that of light: lens, exposure, sensor.
+    at random. The order is that of light: lens, exposure, sensor; those of one's own come last.
 
     Args:
         grey: whether all cameras take pictures without colour.
@@ -42,9 +95,10 @@ class CameraDisturbance:
         white_balance: the same for each colour channel on its own.
         noise: standard deviation of Gaussian noise, of the range [0, 1].
         pose_error: radians by which the rig's calibration has each camera turned.
+        others: amounts of disturbances of one's own, by the names of ``register_disturbance``.
 
     Raises:
-        ArgumentError: a negative amount, or a vignetting above 1.
+        ArgumentError: a negative amount, a vignetting above 1, or an unknown name.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -62,11 +116,15 @@ class CameraDisturbance:
     white_balance: float = 0.0
     noise: float = 0.0
     pose_error: float = 0.0
+    others: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if not getattr(self, field.name) >= 0:
-                raise ArgumentError(f"{field.name}: expected 0 or more, got {getattr(self, field.name)!r}")
+        amounts = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "others"}
+        for name, amount in {**amounts, **self.others}.items():
+            if not amount >= 0:
+                raise ArgumentError(f"{name}: expected 0 or more, got {amount!r}")
+        for name in self.others:
+            _of_ones_own(name)
         if self.vignetting > 1:
             raise ArgumentError(
                 f"vignetting: expected at most 1, all light at the edge, got {self.vignetting}"
@@ -122,6 +180,8 @@ class CameraDisturbance:
         if self.noise:
             drawn = torch.randn(image.shape, generator=generator)
             image = image + amount(self.noise) * drawn.to(image)
+        for name, most in self.others.items():
+            image = _of_ones_own(name)(image, camera, amount(most), generator)
         return image.clamp(0, 1)
 
 
@@ -132,52 +192,54 @@ class RandomFaults:
     Args:
         disturbed: share of seeds that have any; None: all may.
         grey: share of these in which all cameras take pictures without colour.
-        vignetting: share, and largest amount, as of ``CameraDisturbance``; so are the others.
-        blur: pixels.
-        exposure: stops.
-        white_balance: stops.
-        noise: of the range [0, 1].
-        pose_error_deg: degrees.
+        amounts: share, and largest amount, of ``vignetting``, ``blur``, ``exposure``, ``white_balance`` and ``noise``,
+            as of ``CameraDisturbance``, of ``pose_error_deg`` in degrees, and of any of ``register_disturbance``.
 
     Raises:
-        ArgumentError: a share that is not from 0 to 1, or a negative amount.
+        ArgumentError: a name that is unknown or missing, a share that is not from 0 to 1, or a negative amount.
 
     Examples:
-        >>> never = (0.0, 0.0)
-        >>> faults = RandomFaults(None, 1.0, (0.5, 0.6), never, never, never, never, never)
+        >>> never = dict.fromkeys(AMOUNTS, (0.0, 0.0))
+        >>> faults = RandomFaults(None, 1.0, {**never, "vignetting": (0.5, 0.6)})
         >>> faults.draw(torch.Generator().manual_seed(0)).grey
         True
     """
 
     disturbed: float | None
     grey: float
-    vignetting: tuple[float, float]
-    blur: tuple[float, float]
-    exposure: tuple[float, float]
-    white_balance: tuple[float, float]
-    noise: tuple[float, float]
-    pose_error_deg: tuple[float, float]
+    amounts: Mapping[str, tuple[float, float]]
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            share, most = (value, 0.0) if value is None or isinstance(value, int | float) else value
-            if (share is not None and not 0 <= share <= 1) or not most >= 0:
+        if not set(AMOUNTS) <= set(self.amounts):
+            raise ArgumentError(f"faults: expected {', '.join(AMOUNTS)}, got {', '.join(self.amounts)}")
+        for name in self._others:
+            _of_ones_own(name)
+        shares = {
+            "disturbed": (1.0 if self.disturbed is None else self.disturbed, 0.0),
+            "grey": (self.grey, 0.0),
+        }
+        for name, (share, most) in {**shares, **self.amounts}.items():
+            if not 0 <= share <= 1 or not most >= 0:
                 raise ArgumentError(
-                    f"faults.{each.name}: expected a share from 0 to 1, and an amount of 0 or more, got {value!r}"
+                    f"faults.{name}: expected a share from 0 to 1, and an amount of 0 or more, got {share} and {most}"
                 )
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> RandomFaults:
-        """Make them of plain values, as a file holds them.
+        """Make them of plain values, as a file holds them: the amounts beside ``disturbed`` and ``grey``.
 
         Raises:
-            ArgumentError: names that are no arguments or are missing, or values that do not fit.
+            ArgumentError: names that are unknown or missing, or values that do not fit.
         """
-        names = [each.name for each in fields(cls)]
-        if set(values) != set(names):
-            raise ArgumentError(f"faults: expected {', '.join(names)}, got {', '.join(values)}")
-        return cls(**values)
+        amounts = dict(values)
+        try:
+            return cls(amounts.pop("disturbed"), amounts.pop("grey"), amounts)
+        except KeyError as error:
+            raise ArgumentError(f"faults: expected disturbed, grey and amounts, {error} is missing") from None
+
+    @property
+    def _others(self) -> list[str]:
+        return [name for name in self.amounts if name not in AMOUNTS]
 
     def draw(self, generator: torch.Generator | None = None) -> CameraDisturbance:
         """Draw the faults of one seed; from torch's global generator when none is given."""
@@ -185,20 +247,24 @@ class RandomFaults:
         def uniform() -> float:
             return torch.rand((), generator=generator).item()
 
-        def sometimes(share: float, most: float) -> float:
+        def sometimes(name: str) -> float:
+            share, most = self.amounts[name]
             return most * uniform() if uniform() < share else 0.0
 
         if self.disturbed is not None and uniform() >= self.disturbed:
             return CameraDisturbance()
-        return CameraDisturbance(
-            grey=uniform() < self.grey,
-            vignetting=sometimes(*self.vignetting),
-            blur=sometimes(*self.blur),
-            exposure=sometimes(*self.exposure),
-            white_balance=sometimes(*self.white_balance),
-            noise=sometimes(*self.noise),
-            pose_error=math.radians(sometimes(*self.pose_error_deg)),
-        )
+        grey = uniform() < self.grey
+        amounts = {name: sometimes(name) for name in AMOUNTS}
+        amounts["pose_error"] = math.radians(amounts.pop("pose_error_deg"))
+        return CameraDisturbance(grey, **amounts, others={name: sometimes(name) for name in self._others})
+
+
+def _of_ones_own(name: str) -> Disturb:
+    found = DISTURBANCES.find(name)
+    if found is None:
+        check_choice("disturbance", name, (*AMOUNTS, *DISTURBANCES.names()))
+    assert found is not None
+    return found
 
 
 def vignetted(image: Float[Tensor, "3 h w"], camera: Camera, loss: float) -> Float[Tensor, "3 h w"]:

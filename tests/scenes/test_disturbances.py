@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -14,7 +15,15 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.app.rigs import make_corner_rig
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.scenes.carriers import CARRIERS, carrier_masks, with_carrier
-from sphericalvision.scenes.disturbances import CameraDisturbance, turned_poses, vignetted
+from sphericalvision.scenes.disturbances import (
+    AMOUNTS,
+    DISTURBANCES,
+    CameraDisturbance,
+    RandomFaults,
+    register_disturbance,
+    turned_poses,
+    vignetted,
+)
 from sphericalvision.scenes.random_rigs import random_rig
 
 RIG = ring_rig(3, image_size=(24, 24))
@@ -89,6 +98,47 @@ def test_images_on_the_icosphere_are_refused() -> None:
         CameraDisturbance(vignetting=1.5)
     with pytest.raises(ArgumentError, match="noise"):
         CameraDisturbance(noise=-1.0)
+
+
+@pytest.fixture
+def inverted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disturbance of one's own that takes an image for its negative."""
+    monkeypatch.setattr(DISTURBANCES, "things", dict(DISTURBANCES.things))
+
+    @register_disturbance("inverted")
+    def _(image: torch.Tensor, camera: object, amount: float, generator: object) -> torch.Tensor:
+        return 2 * amount * (1 - image)
+
+
+@pytest.mark.usefixtures("inverted")
+def test_ones_own_comes_last_and_leaves_the_draws_of_others_alone() -> None:
+    faults = {name: (1.0, most) for name, most in zip(AMOUNTS, (0.5, 0.8, 0.5, 0.1, 0.02, 1.0), strict=True)}
+    plain = RandomFaults(None, 1.0, faults).draw(seeded(6))
+    own = RandomFaults.of({"inverted": [1.0, 1.0], "disturbed": None, "grey": 1.0, **faults}).draw(seeded(6))
+    amount = own.others["inverted"]
+    assert 0 < amount < 1
+    assert replace(own, others={}) == plain
+    camera = RIG.cameras["cam1"]
+    without, shown = (each.image(IMAGES["cam1"], camera, seeded(7)) for each in (plain, own))
+    factor = (shown / (1 - without))[shown < 1]
+    torch.testing.assert_close(factor, factor.mean().expand_as(factor))  # drawn from half of the amount on
+    assert amount <= factor.mean() <= 2 * amount
+
+
+@pytest.mark.usefixtures("inverted")
+def test_disturbances_that_are_unknown_or_have_a_name_that_is_taken_are_refused() -> None:
+    never = dict.fromkeys(AMOUNTS, (0.0, 0.0))
+    for make in (
+        lambda: CameraDisturbance(others={"mud": 1.0}),
+        lambda: RandomFaults(None, 0.0, {**never, "mud": (1, 1)}),
+    ):
+        with pytest.raises(ArgumentError, match=r"'noise'.*'inverted'.*'mud'"):
+            make()
+    with pytest.raises(ArgumentError, match="inverted"):
+        CameraDisturbance(others={"inverted": -1.0})
+    for name in ("blur", "grey", "inverted"):
+        with pytest.raises(ArgumentError, match=f"'{name}'"):
+            register_disturbance(name)(lambda image, camera, amount, generator: image)
 
 
 def test_random_rigs_stay_in_their_bounds() -> None:

@@ -12,7 +12,7 @@ import torch
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.rigs import make_corner_rig, make_panorama_ring, make_ring
-from sphericalvision.scenes.disturbances import CameraDisturbance
+from sphericalvision.scenes.disturbances import DISTURBANCES, CameraDisturbance
 from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.random_rigs import random_rig
 from sphericalvision.scenes.registry import kind_of, scene_kinds
@@ -162,6 +162,8 @@ GROUPS = tuple(dict.fromkeys(track.group for track in TRACKS.values()))
 def chosen_tracks(words: Sequence[str], meshes: Sequence[str] = ()) -> list[Track]:
     """The tracks that names, or names of groups, stand for, in the order of the table; ``"all"`` is every one.
 
+    A disturbance of one's own, of ``register_disturbance``, is a track by its name, at amounts of 0.5 to 1.
+
     Raises:
         ArgumentError: an unknown name.
 
@@ -173,6 +175,8 @@ def chosen_tracks(words: Sequence[str], meshes: Sequence[str] = ()) -> list[Trac
     if meshes:
         known["meshes"] = Track("meshes", "meshes", "mesh", meshes=tuple(meshes))
     for word in words:
-        check_choice("benchmark.tracks", word, ("all", *GROUPS, *known))
+        check_choice("benchmark.tracks", word, ("all", *GROUPS, *known, *DISTURBANCES.names()))
+        if word not in ("all", *GROUPS, *known):
+            known[word] = Track(word, "disturbances", disturbance=CameraDisturbance(others={word: 1.0}))
     wanted = set(words)
     return [t for t in known.values() if "all" in wanted or wanted & {t.name, t.group} or t.meshes]

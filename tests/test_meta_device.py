@@ -116,19 +116,9 @@ def of_model(name: str, case: str) -> dict[str, Callable[[], Any]]:
 
 
 MODELS_OF = {
-    "AnglePolynomial": "angle polynomial",
-    "Atan": "atan",
-    "BrownConrady": "brown conrady",
-    "Division": "division",
-    "DoubleSphere": "double sphere",
-    "ExtendedUnified": "extended unified",
-    "Fisheye": "equidistant",
-    "KannalaBrandt": "kannala brandt",
-    "OCam": "ocam",
-    "Pinhole": "pinhole",
-    "RadialPolynomial": "radial polynomial",
-    "ThinPrismFisheye": "thin prism fisheye",
-    "Unified": "mei",
+    type(make(1.0)).__name__.removesuffix("Camera"): name
+    for name, make in reversed(MODELS.items())  # of several the first
+    if name != "equirectangular"
 }
 
 

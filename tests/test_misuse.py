@@ -122,7 +122,11 @@ camera().unproject(np.zeros((2, 2))) -> pixels: numpy
 camera().contains(np.zeros((2, 2))) -> pixels: numpy
 camera().sample(ARRAY, DIRECTIONS) -> image: channels before height
 camera().sample(BYTES, DIRECTIONS) -> image: uint8
-camera().sample(torch.zeros(32, 40, 3), DIRECTIONS) -> image: 32 x 40
+camera().sample(torch.zeros(32, 40, 3), DIRECTIONS) -> image: movedim
+camera().with_intrinsics(focal_length=200.0) -> focal_length: float
+PinholeCamera.from_field_of_view((8, 8), (1.0, 1.0)) -> field_of_view: radians
+perspective_views(torch.zeros(3, 32, 40), [(0, 0, 0)]) -> image: source=
+ico().nearest(torch.tensor([NAN, 0.0, 1.0])) -> directions: NaN
 camera().resized('big') -> image_size: 'big'
 camera().cropped(0.5, 0, 4, 4) -> cropped: whole pixels
 camera().cropped(0, 0, 400, 4) -> cropped: inside

@@ -12,7 +12,13 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from sphericalvision.cameras.checks import check_precision, checked_angle, checked_numbers, checked_size
+from sphericalvision.cameras.checks import (
+    check_image,
+    check_precision,
+    checked_angle,
+    checked_numbers,
+    checked_size,
+)
 from sphericalvision.cameras.declaration import (
     ANY,
     Choice,
@@ -295,13 +301,7 @@ class Camera:
             ShapeError: the image is not of the camera's size.
             ArgumentError: the image is no tensor.
         """
-        check_tensor("image", image, "(*b, c, h, w)")
-        if image.ndim < 3 or tuple(image.shape[-2:]) != self.image_size:
-            height, width = self.image_size
-            raise ShapeError(
-                f"image: this camera's images are {height} x {width} (height x width), got shape {tuple(image.shape)}; "
-                "resize the image or use the calibration of this image size"
-            )
+        check_image("image", image, self.image_size)
         pixels, valid = self.project(points)
         pixels = torch.where(valid.unsqueeze(-1), pixels, 0.0)
         values = self.interpolate(image, pixels)
@@ -333,14 +333,30 @@ class Camera:
         check_precision(moved.dtype)
         return moved
 
-    def with_intrinsics(self: AnyCamera, values: Mapping[str, Tensor]) -> AnyCamera:
+    def with_intrinsics(
+        self: AnyCamera, values: Mapping[str, Tensor] | None = None, /, **named: Tensor
+    ) -> AnyCamera:
         """The same camera with other tensors for some of its intrinsics or ``max_angle``, taken as they are.
 
-        Their shapes must be those that they replace, but for batch dimensions that all have. Gradients reach them.
+        Their shapes must be those that they replace, but for batch dimensions that all have. Gradients reach them, and
+        transforms of ``torch.func`` see them.
+
+        Args:
+            values: by name, or as ``named``.
+            **named: such as ``focal_length=...``.
 
         Raises:
-            ArgumentError: the camera has no such intrinsic.
+            ArgumentError: the camera has no such intrinsic, or what is given is no tensor.
+
+        Examples:
+            >>> from sphericalvision.cameras import PinholeCamera
+            >>> camera = PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640))
+            >>> pixel = lambda f: camera.with_intrinsics(focal_length=f).project(torch.tensor([0.1, 0.0, 1.0])).pixels
+            >>> torch.func.jacrev(pixel)(camera.focal_length)  # of u and v, with respect to both focal lengths
+            tensor([[0.1000, 0.0000],
+                    [0.0000, 0.0000]])
         """
+        values = {**(values or {}), **named}
         unknown = set(values) - set(self._tensor_names())
         if unknown:
             raise ArgumentError(
@@ -348,6 +364,7 @@ class Camera:
             )
         changed = copy.copy(self)
         for name, value in values.items():
+            check_tensor(name, value, str(tuple(getattr(self, name).shape)))
             setattr(changed, name, value)
         return changed
 

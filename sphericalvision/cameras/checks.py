@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.precision import HALF
@@ -16,6 +16,7 @@ from sphericalvision.core import ArgumentError, ShapeError, check_floating, chec
 from sphericalvision.geometry.directions import has_numbers, holds
 
 __all__ = [
+    "check_image",
     "check_poses",
     "check_precision",
     "check_rotation",
@@ -27,6 +28,30 @@ __all__ = [
 
 MAX_PIXELS = 2**27
 """Of the largest image of a camera, as of the largest file that is read: directions of its pixels take 1.5 GB."""
+
+
+def check_image(
+    name: str,
+    image: Shaped[Tensor, " ..."],
+    image_size: tuple[int, int],
+    shape: str = "(*b, c, h, w)",
+    remedy: str = "resize the image or use the calibration of this image size",
+) -> None:
+    """Raise ``ShapeError`` unless ``image`` is as high and wide as a camera's images, with channels if ``shape`` has.
+
+    Examples:
+        >>> check_image("image", torch.zeros(3, 4, 8), (4, 8))
+    """
+    check_tensor(name, image, shape)
+    if image.ndim > shape.count("c, ") + 1 and tuple(image.shape[-2:]) == image_size:
+        return
+    height, width = image_size
+    if "c, " in shape and tuple(image.shape[-3:-1]) == image_size:
+        remedy = f"channels come first: {name}.movedim(-1, -3)"
+    raise ShapeError(
+        f"{name}: this camera's images are {height} x {width} (height x width), got shape {tuple(image.shape)}; "
+        f"{remedy}"
+    )
 
 
 def check_precision(dtype: torch.dtype) -> None:

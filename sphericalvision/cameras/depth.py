@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.core import ShapeError, check_floating, check_tensor, check_type
+from sphericalvision.cameras.checks import check_image
+from sphericalvision.core import check_floating, check_type
 
 __all__ = ["depth_from_z", "points_from_depth", "z_from_depth"]
 
@@ -109,13 +110,9 @@ def _cosine(values: Tensor, camera: Camera, name: str) -> tuple[Tensor, Tensor]:
 def _directions(values: Tensor, camera: Camera, name: str) -> tuple[Tensor, Tensor]:
     """Every pixel's direction (*b, h, w, 3), and where the camera looks."""
     check_type("camera", camera, Camera)
-    check_tensor(name, values, "(*b, h, w)")
+    check_image(name, values, camera.image_size, "(*b, h, w)")
     check_floating(name, values)
     height, width = camera.image_size
-    if values.ndim < 2 or tuple(values.shape[-2:]) != camera.image_size:
-        raise ShapeError(
-            f"{name}: this camera's images are {height} x {width} (height x width), got shape {tuple(values.shape)}"
-        )
     pixels = camera.pixel_grid(values.dtype).to(values.device)
     directions, valid = camera.unproject(pixels.expand(*camera.batch_shape, height, width, 2))
     return directions, valid

@@ -13,10 +13,11 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.checks import check_image
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import image_edges
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.lookup import ImageLookup
 
 __all__ = ["SphereLookup", "sample_sphere", "sphere_lookups"]
@@ -90,12 +91,7 @@ def sample_sphere(
     """
     values, lookups = [], sphere_lookups(rig, directions, antialias)
     for (name, image), lookup in zip(_in_order(rig, images).items(), lookups, strict=True):
-        size = lookup.image_size
-        if image.ndim < 3 or tuple(image.shape[-2:]) != size:
-            raise ShapeError(
-                f"images[{name!r}]: expected shape (*b, c, {size[0]}, {size[1]}) as calibrated, got "
-                f"{tuple(image.shape)}"
-            )
+        check_image(f"images[{name!r}]", image, lookup.image_size)
         values.append(lookup(image, fill))
     return torch.stack(values, -3), torch.stack([lookup.seen for lookup in lookups], -2)
 

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.checks import check_image
 from sphericalvision.core import ArgumentError, ShapeError, check_type
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
@@ -145,12 +146,7 @@ class PanoramaSweep(nn.Module):
             ShapeError: if they are not.
         """
         tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
-        if tuple(images.shape[-2:]) != tables.image_size:
-            height, width = tables.image_size
-            raise ShapeError(
-                f"images: the rig is calibrated for {height} x {width} (height x width), "
-                f"got shape {tuple(images.shape)}; resize them, or take rig.resized"
-            )
+        check_image("images", images, tables.image_size, remedy="resize them, or take rig.resized")
         return tables
 
     def _normalized(self, pixels: Tensor, seen: Tensor, image_size: tuple[int, int]) -> Tensor:

@@ -170,7 +170,7 @@ def test_wrong_images_are_refused_by_name() -> None:
         rig.sample_sphere([image] * 3, FORWARD[None])
     with pytest.raises(ValueError, match=r"cam1, cam2, cam3, cam4, got a, b"):
         rig.sample_sphere({"a": image, "b": image}, FORWARD[None])
-    with pytest.raises(ValueError, match=r"images\['cam1'\].*64, 64.*got \(3, 32, 64\)"):
+    with pytest.raises(ValueError, match=r"images\['cam1'\].*64 x 64.*got shape \(3, 32, 64\)"):
         rig.sample_sphere([torch.zeros(3, 32, 64)] * 4, FORWARD[None])
 
 

@@ -223,7 +223,12 @@ class FisheyeCamera(Camera):
         """
         check_choice("projection", projection, FISHEYE_PROJECTIONS)
         widest = _WIDEST[projection]
-        check_type("field_of_view", field_of_view, (int, float), "radians, as math.radians(220)")
+        check_type(
+            "field_of_view",
+            field_of_view,
+            (int, float),
+            "radians across the shorter side, as math.radians(220)",
+        )
         if not 0 < field_of_view <= 2 * widest + 1e-9:
             raise ArgumentError(
                 f"field_of_view: expected up to {math.degrees(2 * widest):.0f}° ({2 * widest:.4f} rad) for an "

@@ -22,7 +22,7 @@ from sphericalvision.cameras.models.image_plane import (
 )
 from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.geometry.directions import components, is_greater
 
 __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
@@ -99,6 +99,7 @@ class PinholeCamera(PlaneCamera):
             >>> PinholeCamera.from_field_of_view((480, 640), math.pi / 2).focal_length.tolist()
             [240.0, 240.0]
         """
+        check_type("field_of_view", field_of_view, (int, float), "radians across the shorter side")
         if not 0 < field_of_view < math.pi:
             raise ArgumentError(
                 f"field_of_view: expected radians in (0, π) for a pinhole, got {field_of_view}"

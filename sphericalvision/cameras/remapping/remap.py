@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.remapping.tables import REMAP_MODES, check_image, remap_tables
+from sphericalvision.cameras.checks import check_image
+from sphericalvision.cameras.remapping.tables import REMAP_MODES, remap_tables
 from sphericalvision.core import check_type
 
 __all__ = ["REMAP_MODES", "Remap", "remap", "remap_mask"]
@@ -63,7 +64,7 @@ def remap(
         (torch.Size([3, 60, 80]), tensor(True))
     """
     check_type("source", source, Camera)
-    check_image(image, source.image_size)
+    check_image("image", image, source.image_size)
     result: Tensor = remap_tables(source, target, rotation, mode, fill, mask, image.device)(image)
     return result
 
@@ -140,7 +141,6 @@ class Remap(nn.Module):
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
-        self.image_size = source.image_size
         made_on = "meta" if source.device.type == "meta" else "cpu"
         rotation = None if rotation is None else rotation.to(made_on)
         tables = remap_tables(source, target, rotation, mode, fill, mask, made_on)
@@ -161,7 +161,7 @@ class Remap(nn.Module):
             ShapeError: image or mask are not of the source's size.
             ArgumentError: integers in another mode than ``"nearest"``.
         """
-        check_image(image, self.image_size)
+        check_image("image", image, self.tables.source_shape)
         result: Tensor = self.tables(image, mask)
         return result
 

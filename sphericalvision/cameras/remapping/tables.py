@@ -17,11 +17,11 @@ from sphericalvision.cameras.remapping.lookup import (
     nearest_pixel,
     source_pixels,
 )
-from sphericalvision.core import ShapeError, check_choice, check_tensor, check_type
+from sphericalvision.core import check_choice, check_tensor, check_type
 from sphericalvision.geometry.lookup import ImageLookup, Lookup
 from sphericalvision.geometry.masked_lookup import MaskedLookup
 
-__all__ = ["REMAP_MODES", "check_image", "remap_tables"]
+__all__ = ["REMAP_MODES", "remap_tables"]
 
 REMAP_MODES = ("bilinear", "area", "bicubic", "nearest", "depth")
 
@@ -76,21 +76,6 @@ def remap_tables(
     # Where samples are averaged, what counts is whether enough of them see something.
     centers_valid = valid.flatten(-2) if whole else None
     return tables(lookup, size, target.image_size, mode, fill, centers_valid, usable, whole)
-
-
-def check_image(image: Shaped[Tensor, "*batch C h w"], image_size: tuple[int, int]) -> None:
-    """Raise ``ShapeError`` unless ``image`` is ``(*b, c, *image_size)``.
-
-    Examples:
-        >>> check_image(torch.zeros(3, 4, 8), (4, 8))
-    """
-    height, width = image_size
-    check_tensor("image", image, "(*b, c, h, w)")
-    if image.ndim < 3 or tuple(image.shape[-2:]) != image_size:
-        raise ShapeError(
-            f"image: the source camera's images are {height} x {width} (height x width), got shape "
-            f"{tuple(image.shape)}; resize the image or use the calibration of this image size"
-        )
 
 
 class _InverseLookup(MaskedLookup):

@@ -14,7 +14,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
-from sphericalvision.core import ShapeError, full_precision
+from sphericalvision.core import ShapeError, check_tensor, full_precision
 
 __all__ = ["perspective_views", "rotation_from_yaw_pitch_roll"]
 
@@ -55,15 +55,15 @@ def perspective_views(
     """What pinhole cameras see (*b, n, c, h', w') that look into a panorama (*b, c, h, w) in n directions.
 
     Args:
-        image: (*b, c, h, w), a whole panorama, or whatever ``source`` takes.
+        image: (*b, c, h, w), a whole panorama, twice as wide as high, or whatever ``source`` takes.
         views: (n, 3), yaw to the right, pitch upwards and roll clockwise, in radians.
         field_of_view: of a view's shorter side, in radians, below π.
         image_size: (height, width) of the views.
-        source: camera that took the image; by default a whole panorama of its size.
+        source: camera that took the image: any lens, or a panorama of another size, ``EquirectangularCamera(...)``.
         mode: as in ``remap``; ``"area"`` where the views are coarser than the image.
 
     Raises:
-        ShapeError: the views are not (n, 3), or the image is not of the source's size.
+        ShapeError: the views are not (n, 3), or the image is not of the source's size, or without a source no panorama.
         ArgumentError: a field of view that no pinhole has, or an unknown mode.
 
     Examples:
@@ -75,7 +75,14 @@ def perspective_views(
     angles = torch.as_tensor(views, dtype=torch.float64)
     if angles.ndim != 2 or angles.shape[-1] != 3:
         raise ShapeError(f"views: expected (n, 3) as yaw, pitch and roll, got shape {tuple(angles.shape)}")
-    source = source or EquirectangularCamera(tuple(image.shape[-2:]))
+    if source is None:
+        check_tensor("image", image, "(*b, c, h, w)")
+        if image.ndim < 3 or image.shape[-1] != 2 * image.shape[-2]:
+            raise ShapeError(
+                f"image: expected a whole panorama (*b, c, h, 2 h), got {tuple(image.shape)}; source=... says which "
+                "camera took it, EquirectangularCamera((h, w)) for a panorama of another size"
+            )
+        source = EquirectangularCamera(tuple(image.shape[-2:]))
     target = PinholeCamera.from_field_of_view(image_size, field_of_view)
     view_from_source = rotation_from_yaw_pitch_roll(angles).mT.to(image.device)
     return remap(image.unsqueeze(-4), source, target, view_from_source.float(), mode)

@@ -28,6 +28,14 @@ def test_ring_faces_front_right_back_left_from_its_circle() -> None:
     torch.testing.assert_close(rig.max_angles, torch.full((4,), math.radians(110)))
 
 
+def test_radius_is_the_mean_distance_from_the_mean_position() -> None:
+    poses = torch.eye(4).repeat(4, 1, 1)
+    poses[:, :3, 3] = torch.tensor([[4.0, 0, 0], [0.0, 0, 0], [0.0, 0, 0], [0.0, 0, 0]])
+    rig = CameraRig(small_ring().cameras, poses)
+    assert rig.center.tolist() == [1, 0, 0]
+    assert rig.radius.item() == pytest.approx((3 + 1 + 1 + 1) / 4)
+
+
 def test_tilt_looks_down_by_the_angle_and_moves_nothing() -> None:
     rig = small_ring()
     tilt = math.radians(30)
@@ -97,6 +105,10 @@ def test_stack_keeps_different_masks_apart() -> None:
     images = [torch.ones(2, 1, 64, 64)] * 4
     _, valid = batch.sample_sphere(images, FORWARD[None])
     assert valid[:, 0, 0].tolist() == [True, False]
+    for index, usable in enumerate((True, False)):
+        assert torch.equal(batch.select(index).masks["cam1"], torch.full((64, 64), usable))
+    shared = CameraRig(rig.cameras, batch.world_from_camera, {"cam1": mask})  # one mask for both rigs
+    assert torch.equal(shared.select(1).masks["cam1"], mask)
 
 
 def panorama(directions: torch.Tensor) -> torch.Tensor:

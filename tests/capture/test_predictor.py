@@ -284,6 +284,23 @@ def test_panorama_and_cameras_show_the_surface(rig: CameraRig, images: Images) -
         depth.camera("cam9")
 
 
+def test_a_camera_sees_depth_around_a_rig_that_stands_anywhere() -> None:
+    """A ball of 1.1 m around a rig 5 m to the right: from its centre, by default, and from 0.3 m behind it."""
+    rig = ring_rig(3, image_size=(16, 16))
+    poses = rig.world_from_camera.clone()
+    poses[:, 0, 3] += 5
+    net, ones = WinnerTakesAll(3, 8, depth_coarsening=0), torch.ones(642)
+    ahead = net.grid.vertices[:, 2] > 0.5
+    depth = Depth(torch.full((642,), 3.5), ones * ahead, ahead, net, CameraRig(rig.cameras, poses), {})
+    view, behind = PinholeCamera([2.0, 2.0], [1.0, 1.0], (3, 3)), torch.eye(4)
+    behind[0, 3], behind[2, 3] = 5, -0.3
+    for pose, expected in ((None, 1.1), (behind, 1.4)):
+        found = depth.camera(view, pose)
+        assert found.depth[1, 1].item() == pytest.approx(expected, abs=0.02)
+        assert found.seen[1, 1]
+        assert found.confidence[1, 1] == 1
+
+
 @pytest.mark.parametrize("level", [3, 6])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16])
 def test_depth_is_finite_and_positive_wherever_it_is_asked_for(level: int, dtype: torch.dtype) -> None:

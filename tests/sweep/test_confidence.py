@@ -11,6 +11,7 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import SceneDataset
 from sphericalvision.sweep import index_from_inverse_depth, semi_global_sweep
+from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.confidence import sweep_confidence
 
 
@@ -48,6 +49,21 @@ def test_is_small_within_two_rings_of_a_depth_edge() -> None:
     distance = ico.vertices[:, 0].abs()
     near, far = confidence[distance < 0.05], confidence[distance > 0.2]
     assert near.max() < 0.6 < far.min()
+
+
+def test_a_vertex_with_five_neighbours_looks_at_these_alone() -> None:
+    """In tables of six, what stands in the place of the sixth is not vertex 0."""
+    index, full, images = torch.full((1, 642), 7.0), torch.full((1, 642), 0.05), torch.rand(1, 3, 642)
+    others = index.clone(), full.clone(), images.clone()
+    for values in others:
+        values[..., 0] = 0.1
+    (five,) = (Icosphere(3).neighbors[1:, 5] < 0).nonzero(as_tuple=True)  # far from vertex 0
+    for one, other in (
+        (sweep_confidence(one_valley(index, 1.0), full, i, 1) for i in (index, others[0])),
+        (sweep_confidence(one_valley(index, 1.0), f, index, 1) for f in (full, others[1])),
+        (local_appearance(i) for i in (images, others[2])),
+    ):
+        assert torch.equal(one[..., five + 1], other[..., five + 1])
 
 
 def test_has_nothing_to_say_without_correlation() -> None:

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import pytest
+import torch
+from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.sweep.hypotheses import index_from_depth
 from sphericalvision.sweep.nearest_depth import nearest_depth
 
 
@@ -22,6 +25,24 @@ def test_found_depth_is_before_nearly_everything_and_not_far_before(kind, radius
     depth = ray_depth(scene, rig.center, Icosphere(5).vertices)
     assert found < depth.quantile(0.02)
     assert found > 0.4 * depth.quantile(0.005)
+
+
+@pytest.mark.parametrize(("false", "first"), [(0.01, 4.0), (0.03, 1.0)])
+def test_of_what_is_only_seen_four_times_as_much_may_be_nearer(
+    false: float, first: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between one and four times the quantile of false matches do not count, more do: the floor, though never sure."""
+    depths = torch.full((1, 1000), 4.0)
+    depths[:, : int(1000 * false)] = 1.0
+    sure = depths > 100
+    sure[:, -1] = True
+
+    def sweep(images: object, rig: object, number: int, nearest: float, **_: object) -> tuple[Tensor, ...]:
+        return index_from_depth(depths, number, nearest), sure.float(), torch.ones_like(sure)
+
+    monkeypatch.setattr("sphericalvision.sweep.nearest_depth.semi_global_sweep", sweep)
+    found = nearest_depth(torch.zeros(1, 4, 3, 642), ring_rig(4, 0.05, (16, 16)), quantile=0.005, margin=0.5)
+    assert found == pytest.approx(0.5 * first, rel=1e-3)
 
 
 def test_refuses_a_rig_without_size_and_wrong_shares():

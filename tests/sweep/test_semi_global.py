@@ -170,6 +170,20 @@ def test_bare_scenes_have_little_confidence(noise: float, generator: torch.Gener
     assert clear.median() > 0.9
 
 
+def test_what_two_cameras_do_not_see_makes_no_edge(generator: torch.Generator) -> None:
+    """Images of nearly one colour have no edges, and neither have they where one hypothesis alone is in view."""
+    tables = semi_global_tables(ring_rig(4, 0.2), 8, 0.5, image_level=3, substeps=1).sweep
+    hidden = (torch.arange(8)[:, None] != 5) & (Icosphere(2).vertices[:, 0] > 0)
+    seen = tables.seen & ~hidden[..., None]
+    tables = tables._replace(seen=seen, weights=tables.weights * seen.unsqueeze(-1))
+    images = 0.5 + 1e-4 * torch.rand(1, 4, 3, 642, generator=generator)
+    found, level = (
+        semi_global_costs(images, tables, None, 0.01, 0.1, contrast, noise=1e-9).cost
+        for contrast in (0.4, 1e9)
+    )
+    torch.testing.assert_close(found, level, rtol=0, atol=1e-3)
+
+
 def test_the_order_of_cameras_does_not_matter() -> None:
     rig = ring_rig(4)
     images = torch.rand(1, 4, 3, 642, generator=torch.Generator().manual_seed(0))

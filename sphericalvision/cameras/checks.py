@@ -33,7 +33,7 @@ MAX_PIXELS = 2**27
 def check_image(
     name: str,
     image: Shaped[Tensor, " ..."],
-    image_size: tuple[int, int],
+    image_size: tuple[int, ...],
     shape: str = "(*b, c, h, w)",
     remedy: str = "resize the image or use the calibration of this image size",
 ) -> None:

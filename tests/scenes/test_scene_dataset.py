@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes.recipes import make_scene, ray_depth, render_directions, render_rig
@@ -213,5 +213,5 @@ def test_random_rotation_follows_its_generator(rig: CameraRig) -> None:
     sample = SceneDataset(1, rig, level=3)[0]
     first, again = (RotateFivefold(torch.Generator().manual_seed(4))(sample) for _ in range(2))
     assert same(first, again)
-    with pytest.raises(ArgumentError, match="values"):
+    with pytest.raises(ShapeError, match="vertices"):
         rotate_fivefold(torch.zeros(3, 100), 1)

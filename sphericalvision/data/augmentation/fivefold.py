@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -12,9 +12,11 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.augmentation.sphere_rotation import fivefold_ids, yaw_angle, yaw_rotation
+from sphericalvision.data.augmentation.sphere_rotation import yaw_angle, yaw_on_sphere, yaw_rotation
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.icosphere.topology import level_from_num_vertices
 
-__all__ = ["RotateFivefold", "rotate_fivefold"]
+__all__ = ["RotateFivefold", "moved_on_icosphere", "rotate_fivefold"]
 
 ON_ICOSPHERE = ("images", "seen", "inverse_depth", "valid")
 BY_NAME = ("fixed",)
@@ -22,29 +24,25 @@ ON_PANORAMA = ("panorama_inverse_depth", "panorama_valid")
 
 
 def rotate_fivefold(values: Shaped[Tensor, "*values V"], steps: int) -> Shaped[Tensor, "*values V"]:
-    """Turn what stands on an icosphere's vertices by ``steps`` x 72 degrees about the vertical.
-
-    The icosahedron maps onto itself, chart to chart, so nothing is interpolated. Forward (+z) turns towards
-    right (+x).
-
-    Args:
-        values: ``(*, V)`` in the structured vertex order (pole, five charts, pole).
-        steps: any whole number.
+    """Turn what stands on an icosphere's vertices ``(*, V)`` by ``steps`` x 72 degrees: see ``yaw_on_sphere``.
 
     Raises:
-        ArgumentError: the last dimension is not the vertex count of any level.
+        ShapeError: the last dimension is not the vertex count of any level.
 
     Examples:
         >>> rotate_fivefold(torch.arange(12), 1)
         tensor([ 0,  9, 10,  1,  2,  3,  4,  5,  6,  7,  8, 11])
     """
-    count = values.shape[-1]
-    if count < 12 or (count - 2) % 10 or math.log(max(1, (count - 2) // 10), 4) % 1:
-        raise ArgumentError(
-            f"values: expected (*, 2 + 10 * 4**level) for some level, got {tuple(values.shape)}"
-        )
-    ids = fivefold_ids(count, torch.tensor([steps], device=values.device))
-    return values.index_select(-1, ids)
+    return yaw_on_sphere(values, Icosphere(level_from_num_vertices(values.shape[-1])), steps, "labels")
+
+
+def moved_on_icosphere(sample: dict[str, Any], move: Callable[[Tensor], Tensor]) -> dict[str, Any]:
+    """Return the entries of a sample that lie on an icosphere, of any level, after ``move``."""
+    moved: dict[str, Any] = {key: move(sample[key]) for key in ON_ICOSPHERE if key in sample}
+    for key in BY_NAME:
+        if key in sample:
+            moved[key] = {name: move(values) for name, values in sample[key].items()}
+    return moved
 
 
 class RotateFivefold:
@@ -77,12 +75,7 @@ class RotateFivefold:
         steps = self.steps
         if steps is None:
             steps = int(torch.randint(5, (), generator=self.generator))
-        turned: dict[str, Any] = {
-            key: rotate_fivefold(sample[key], steps) for key in ON_ICOSPHERE if key in sample
-        }
-        for key in BY_NAME:
-            if key in sample:
-                turned[key] = {name: rotate_fivefold(v, steps) for name, v in sample[key].items()}
+        turned = moved_on_icosphere(sample, lambda values: rotate_fivefold(values, steps))
         turned |= {key: _rolled(key, sample[key], steps) for key in ON_PANORAMA if key in sample}
         return {**sample, **turned, "rig": _turned(sample["rig"], steps)}
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.augmentation.fivefold import BY_NAME, ON_ICOSPHERE
+from sphericalvision.data.augmentation.fivefold import moved_on_icosphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import level_from_num_vertices
 
@@ -54,10 +54,7 @@ class Mirror:
             )
         if torch.rand((), generator=self.generator) >= self.share:
             return sample
-        moved: dict[str, Any] = {key: _moved(sample[key]) for key in ON_ICOSPHERE if key in sample}
-        for key in BY_NAME:
-            if key in sample:
-                moved[key] = {name: _moved(values) for name, values in sample[key].items()}
+        moved = moved_on_icosphere(sample, _moved)
         return {**sample, **moved, "rig": _mirrored(rig)}
 
     def __repr__(self) -> str:

@@ -50,7 +50,7 @@ Parameters = dict[str, Tensor]
 
 
 class _SphereAugmentation(nn.Module):
-    """A random rotation of a tensor or of a sample; subclasses say which, and how to move values by it."""
+    """A random rotation of a tensor or of a sample; subclasses draw it: ``steps`` of the grid, or a ``rotation``."""
 
     def __init__(
         self,
@@ -73,17 +73,13 @@ class _SphereAugmentation(nn.Module):
     def generate_parameters(self, batch_shape: tuple[int, ...]) -> Parameters:
         """Draw the rotations of a batch of ``batch_shape[0]`` samples."""
 
-    @abstractmethod
     def rotation(self, params: Parameters) -> Float[Tensor, "B 3 3"]:
         """Return the rotations ``(B, 3, 3)`` of parameters; the identity for samples that are not to be turned."""
-
-    @abstractmethod
-    def _moved(self, values: Tensor, grid: SphereGrid, kind: str, params: Parameters) -> Tensor:
-        """Move values by parameters without a batch dimension where all samples have the same."""
-
-    @abstractmethod
-    def _inverted(self, params: Parameters) -> Parameters:
-        """Return the parameters of the opposite rotation."""
+        if "steps" in params:
+            turn = yaw_rotation(yaw_angle(params["steps"], num_yaw_steps(self.grid)))
+        else:
+            turn = params["rotation"]
+        return torch.where(params["batch_prob"][:, None, None], turn, torch.eye(3).to(turn))
 
     def forward_parameters(self, batch_shape: tuple[int, ...]) -> Parameters:
         """Draw the parameters of a batch: those of ``generate_parameters``, and in ``batch_prob`` who is turned.
@@ -107,7 +103,8 @@ class _SphereAugmentation(nn.Module):
         params = self._params if params is None else params
         if not params:
             raise ArgumentError("params: nothing was turned yet; call the module first or pass parameters")
-        return self._applied(data, self._inverted(params))
+        turn = {"steps": -params["steps"]} if "steps" in params else {"rotation": params["rotation"].mT}
+        return self._applied(data, {**params, **turn})
 
     def extra_repr(self) -> str:
         return f"p={self.p}, same_on_batch={self.same_on_batch}"
@@ -137,7 +134,10 @@ class _SphereAugmentation(nn.Module):
         if one_for_all:
             params = {name: tensor[0] for name, tensor in params.items()}
         try:
-            moved = self._moved(value, self.grid, kind, params)
+            if "steps" in params:
+                moved = yaw_on_sphere(value, self.grid, params["steps"], kind)
+            else:
+                moved = rotate_on_sphere(value, self.grid, params["rotation"], kind)
         except ShapeError as error:
             single = "" if one_for_all else "; for samples without a batch dimension use same_on_batch=True"
             raise ShapeError(f"{key}: {error}{single}") from None
@@ -206,17 +206,6 @@ class RandomSphereRotation(_SphereAugmentation):
         """Draw ``rotation`` ``(B, 3, 3)``."""
         return {"rotation": random_rotations(batch_shape[0], self.max_angle, self.generator)}
 
-    def rotation(self, params: Parameters) -> Float[Tensor, "B 3 3"]:
-        """Return the rotations ``(B, 3, 3)``; the identity for samples that are not to be turned."""
-        turn = params["rotation"]
-        return torch.where(params["batch_prob"][:, None, None], turn, torch.eye(3).to(turn))
-
-    def _moved(self, values: Tensor, grid: SphereGrid, kind: str, params: Parameters) -> Tensor:
-        return rotate_on_sphere(values, grid, params["rotation"], kind)
-
-    def _inverted(self, params: Parameters) -> Parameters:
-        return {**params, "rotation": params["rotation"].mT}
-
     def extra_repr(self) -> str:
         return f"max_angle={self.max_angle:.4g}, {super().extra_repr()}"
 
@@ -258,26 +247,16 @@ class RandomYaw(_SphereAugmentation):
         super().__init__(grid, kinds, p, same_on_batch, generator)
         check_choice("angles", angles, ("grid", "any"))
         self.angles = angles
-        self.num_steps = num_yaw_steps(grid) if angles == "grid" else None
+        if angles == "grid":
+            num_yaw_steps(grid)
 
     def generate_parameters(self, batch_shape: tuple[int, ...]) -> Parameters:
-        """Draw ``steps`` ``(B,)`` of the grid, or else ``angle`` ``(B,)`` in radians."""
-        if self.num_steps is not None:
-            return {"steps": torch.randint(self.num_steps, batch_shape[:1], generator=self.generator)}
-        return {"angle": 2 * math.pi * torch.rand(batch_shape[:1], generator=self.generator)}
-
-    def rotation(self, params: Parameters) -> Float[Tensor, "B 3 3"]:
-        """Return the rotations ``(B, 3, 3)``; the identity for samples that are not to be turned."""
-        angle = params["angle"] if self.num_steps is None else yaw_angle(params["steps"], self.num_steps)
-        return yaw_rotation(angle * params["batch_prob"])
-
-    def _moved(self, values: Tensor, grid: SphereGrid, kind: str, params: Parameters) -> Tensor:
-        if self.num_steps is not None:
-            return yaw_on_sphere(values, grid, params["steps"], kind)
-        return rotate_on_sphere(values, grid, yaw_rotation(params["angle"]), kind)
-
-    def _inverted(self, params: Parameters) -> Parameters:
-        return {name: tensor if name == "batch_prob" else -tensor for name, tensor in params.items()}
+        """Draw ``steps`` ``(B,)`` of the grid, or else ``rotation`` ``(B, 3, 3)``."""
+        if self.angles == "grid":
+            steps = torch.randint(num_yaw_steps(self.grid), batch_shape[:1], generator=self.generator)
+            return {"steps": steps}
+        angle = 2 * math.pi * torch.rand(batch_shape[:1], generator=self.generator)
+        return {"rotation": yaw_rotation(angle)}
 
     def extra_repr(self) -> str:
         return f"angles={self.angles!r}, {super().extra_repr()}"

@@ -121,8 +121,10 @@ def test_rational_distortion_is_read_and_written(tmp_path: Path, radius: float) 
 
 def test_other_camera_types_are_named(tmp_path: Path) -> None:
     content = basalt("ds")
-    content["value0"]["intrinsics"][0]["camera_type"] = "fov"
-    with pytest.raises(ValueError, match=r"camera 0, camera_type: expected one of ds, eucm, .* got 'fov'"):
+    content["value0"]["intrinsics"][0]["camera_type"] = "spherical"
+    with pytest.raises(
+        ValueError, match=r"camera 0, camera_type: expected one of ds, eucm, .* got 'spherical'"
+    ):
         read_rig(dump(tmp_path / "calibration.json", content))
 
 

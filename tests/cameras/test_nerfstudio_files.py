@@ -61,7 +61,7 @@ def test_angle_of_view_stands_for_a_focal_length(tmp_path: Path) -> None:
 
 
 def test_frames_may_have_lenses_of_their_own(tmp_path: Path) -> None:
-    content = transforms(camera_model="OPENCV", k3=0.0, k4=0.0, p1=1e-3)
+    content = transforms(camera_model="OPENCV", k3=0.0, k4=0.0, p1=1e-3, p2=0.0)
     content["frames"][1] |= {"fl_x": 300.0, "w": 640}
     cameras = read_cameras(dump(tmp_path / "transforms.json", content))
     first, second = cameras.values()
@@ -90,7 +90,7 @@ def test_panoramas_see_everything(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"camera_model": "FISHEYE624"}, "camera_model: expected one of PINHOLE"),
-        ({"camera_model": "OPENCV"}, "k4: expected 0 in a lens that is no fisheye, got 0.0002"),
+        ({"camera_model": "OPENCV"}, "k4: expected 0 of the camera_model OPENCV, got 0.0002"),
         ({"frames": []}, "frames: expected a list of at least one frame"),
         ({"fl_x": -3}, "expected positive focal lengths"),
         ({"w": 0.5}, "w and h: expected the width and height"),

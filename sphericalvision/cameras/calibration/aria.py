@@ -91,5 +91,11 @@ def _pose(values: Any, where: str) -> Tensor:
 
 
 register_format(
-    FileFormat("aria", "Project Aria json", recognizes_keys=recognizes, contents_of_keys=contents)
+    FileFormat(
+        "aria",
+        "Project Aria json",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        ignored=r"DeviceClassInfo|\w+Calibrations|\w*Origin\w*|.*/(Calibrated|SerialNumber|Description|Confidence|Time\w*)",
+    )
 )

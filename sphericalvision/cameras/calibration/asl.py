@@ -24,6 +24,7 @@ from sphericalvision.cameras.calibration.lenses import Lens, lens_called, lens_o
 from sphericalvision.cameras.calibration.opencv_keys import matrix
 from sphericalvision.cameras.calibration.parsing import (
     chosen,
+    chosen_model,
     entry,
     numbers,
     size_from_width_height,
@@ -31,6 +32,7 @@ from sphericalvision.cameras.calibration.parsing import (
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.io.files import write_yaml
 
 __all__ = ["contents", "files_of_rig", "recognizes", "write_asl_camera", "write_asl_rig"]
@@ -71,10 +73,14 @@ def _camera(content: dict[str, Any], where: str) -> Camera:
     found = numbers(entry(content, "intrinsics", where), f"{where}, intrinsics (fu fv cu cv)", 4)
     size = size_from_width_height(entry(content, "resolution", where), f"{where}, resolution")
     kinds = [lens.name for lens in _LENSES]
-    distortion = chosen(content.get("distortion_model", "none"), kinds, f"{where}, distortion_model")
+    distortion = chosen_model(content.get("distortion_model", "none"), kinds, f"{where}, distortion_model")
+    key = "distortion_coefficients"
     if distortion != "none":
-        key = "distortion_coefficients"
         found += numbers(entry(content, key, where), f"{where}, {key}", 4)
+    elif (more := content.get(key)) and any(numbers(more, f"{where}, {key}")):
+        raise FileFormatError(
+            f"{where}, {key}: expected none with the distortion_model none, got {short_repr(more)}"
+        )
     return lens_called(_LENSES, distortion).camera(found, size, where)
 
 
@@ -122,6 +128,7 @@ register_format(
         f"EuRoC {_NAME}",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored="",
         files_of_rig=files_of_rig,
         usual_names=(_NAME,),
         models=models_of(_LENSES),

@@ -32,6 +32,7 @@ from sphericalvision.cameras.calibration.parsing import (
     chosen,
     entry,
     focal_lengths,
+    mapping,
     number,
     size_from_width_height,
 )
@@ -49,6 +50,7 @@ _LENSES = (
     Lens("ucm", "unified", "fx fy cx cy alpha=xi"),
     Lens("kb4", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
     Lens("pinhole", "pinhole", "fx fy cx cy"),
+    Lens("fov", "atan", "fx fy cx cy w=omega"),
     Lens("pinhole-radtan8", "brown_conrady", "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 rpmax"),
 )
 _POSITION, _QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
@@ -62,7 +64,10 @@ def recognizes(content: dict[str, Any]) -> bool:
 def contents(content: Any, path: Path, options: Options) -> Contents:
     """Cameras, poses and masks of a parsed file."""
     value0 = entry(content, "value0", str(path))
-    parts = {key: entry(value0, key, f"{path}, value0") for key in ("T_imu_cam", "intrinsics", "resolution")}
+    needed = ["intrinsics", "resolution"]
+    if options.rig or "T_imu_cam" in mapping(value0, f"{path}, value0"):
+        needed.append("T_imu_cam")
+    parts = {key: entry(value0, key, f"{path}, value0") for key in needed}
     for key, values in parts.items():
         if not isinstance(values, list) or not values:
             raise FileFormatError(f"{path}, value0, {key}: expected a list of at least one entry")
@@ -81,10 +86,12 @@ def contents(content: Any, path: Path, options: Options) -> Contents:
         if mask_path.is_file():
             masks[name] = read_mask(mask_path, size)
         cameras[name] = bounded(camera, options.max_angle, where, masks.get(name))
+        if "T_imu_cam" not in parts:
+            continue
         where = f"{where}, T_imu_cam"
         pose = [number(parts["T_imu_cam"][index], key, where) for key in (*_QUATERNION, *_POSITION)]
         poses.append(transform_from_numbers(pose[:4], pose[4:], where))
-    return Contents(cameras, torch.stack(poses), masks)
+    return Contents(cameras, torch.stack(poses) if poses else None, masks)
 
 
 def _camera(values: Any, image_size: tuple[int, int], where: str) -> Camera:
@@ -153,6 +160,7 @@ register_format(
         "Basalt json",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored=r"value0/(\w*(accel|gyro|imu_update|mocap|vignette)\w*|cam_time_offset_ns|view_offset)|value\d/cereal\w*",
         usual_names=("calibration.json",),
         models=models_of(_LENSES),
         write_camera=write_basalt,

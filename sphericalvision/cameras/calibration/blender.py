@@ -66,9 +66,9 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed file."""
     cameras: dict[str, Camera] = {}
     poses = []
-    for name, values in content["cameras"].items():
+    for name in content["cameras"]:
         where = f"{path}, cameras, {name}"
-        lens = mapping(values, where)
+        lens = mapping(content["cameras"][name], where)
         camera = _camera(lens, where, options)
         cameras[str(name)] = bounded(camera, options.max_angle, where)
         if "matrix_world" in lens:
@@ -182,5 +182,12 @@ def _panorama(values: Any, size: tuple[int, int], where: str) -> Camera:
 
 
 register_format(
-    FileFormat("blender", "Blender cameras as json", recognizes_keys=recognizes, contents_of_keys=contents)
+    FileFormat(
+        "blender",
+        "Blender cameras as json",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        ignored=r"cameras/.*/(lens|lens_unit|angle(_[xy])?|ortho_scale|clip_\w+|display_\w+|dof|sensor_(width|height|fit)"
+        r"|panorama_type|shift_[xy]|fisheye_(fov|lens|polynomial_k\d)|(longitude|latitude)_(min|max))",
+    )
 )

@@ -20,11 +20,12 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import data_lines, load
+from sphericalvision.cameras.calibration.files import data_lines, load_keys
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import check_understood
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.cameras.calibration.parsing import (
-    chosen,
+    chosen_model,
     entry,
     number,
     size_from_width_height,
@@ -34,7 +35,7 @@ from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.io.files import part_of_name
 
-__all__ = ["KITTI360_POSES", "contents", "kitti360_contents", "recognizes"]
+__all__ = ["KITTI360_POSES", "camera_in", "contents", "kitti360_contents", "recognizes"]
 
 KITTI360_POSES = "calib_cam_to_pose.txt"
 _LENSES = (
@@ -44,6 +45,10 @@ _LENSES = (
 )
 _KINDS = tuple(lens.name for lens in _LENSES)
 _SECTIONS = ("mirror_parameters", "projection_parameters", "distortion_parameters")
+
+
+IGNORED = "(?!image|camera|model|mirror|distortion|projection|lens|roi|binning|fisheye)[^/]*"
+"""Settings of the programs that have cameras in their own file; not keys of a lens."""
 
 
 def recognizes(content: dict[str, Any]) -> bool:
@@ -59,7 +64,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     if "model_type" in content or any(key in content for key in _SECTIONS):
         camera = bounded(_camera(content, str(path)), options.max_angle, str(path))
         return Contents({str(content.get("camera_name") or path.stem): camera})
-    named = {str(name): value for name, value in content.items() if isinstance(value, dict)}
+    named = {str(name): content[name] for name, value in content.items() if isinstance(value, dict)}
     return Contents(
         {
             name: bounded(_camera(value, f"{path}, {name}"), options.max_angle, f"{path}, {name}")
@@ -69,8 +74,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 
 def _camera(values: dict[str, Any], where: str) -> Camera:
-    kind, known = entry(values, "model_type", where), {name.lower(): name for name in _KINDS}
-    kind = chosen(known.get(str(kind).lower(), kind), _KINDS, f"{where}, model_type")
+    kind = chosen_model(entry(values, "model_type", where), _KINDS, f"{where}, model_type")
     size = size_from_width_height(
         [entry(values, key, where) for key in ("image_width", "image_height")],
         f"{where}, image_width and image_height",
@@ -84,6 +88,16 @@ def _camera(values: dict[str, Any], where: str) -> Camera:
         section += "_parameters"
         found.append(number(entry(values, section, where), key, f"{where}, {section}"))
     return lens.camera(found, size, where)
+
+
+def camera_in(file: Path, options: Options) -> Camera:
+    """The camera of a file that another one names."""
+    content = load_keys(file, "model_type, mirror_parameters and so on")
+    if not recognizes(content):
+        raise FileFormatError(f"{file}: expected model_type, mirror_parameters and so on, found none of them")
+    found = contents(content, file, options)
+    check_understood(content, str(file), IGNORED)
+    return next(iter(found.cameras.values()))
 
 
 def kitti360_contents(path: Path, options: Options) -> Contents:
@@ -101,12 +115,7 @@ def kitti360_contents(path: Path, options: Options) -> Contents:
         file = path.parent / f"{part_of_name(name)}.yaml"
         if not file.is_file():
             continue  # the perspective pair has other files
-        content = load(file)
-        if not isinstance(content, dict) or not recognizes(content):
-            raise FileFormatError(
-                f"{file}: expected model_type, mirror_parameters and so on, found none of them"
-            )
-        cameras[name] = next(iter(contents(content, file, options).cameras.values()))
+        cameras[name] = camera_in(file, options)
         poses.append(pose)
     if not cameras:
         raise MissingFileError(
@@ -121,6 +130,7 @@ register_format(
         "KITTI-360 and other camodocal yaml",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored=IGNORED,
         recognizes_file=lambda path: path.name == KITTI360_POSES,
         contents_of_file=kitti360_contents,
         usual_names=(KITTI360_POSES,),

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -46,7 +46,7 @@ from sphericalvision.cameras.calibration.lenses import (
     models_of,
     numbers_of,
 )
-from sphericalvision.cameras.calibration.parsing import size_from_width_height
+from sphericalvision.cameras.calibration.parsing import size_from_width_height, view_name
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
@@ -173,7 +173,7 @@ def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path) -> C
 def _of_images(images: list[ImageRecord], cameras: dict[str, Camera], path: Path) -> Contents:
     named, poses = {}, []
     for image in images:
-        name = str(PurePosixPath(image.name).with_suffix("")) if image.name.strip("/.") else ""
+        name = view_name(image.name)
         if not name or name in named:
             raise FileFormatError(
                 f"{image.where}: expected an image with a name of its own, got {image.name!r}"
@@ -291,7 +291,7 @@ register_format(
         "COLMAP cameras, rigs and images (.txt, .bin)",
         recognizes_file=recognizes,
         contents_of_file=contents,
-        usual_names=("cameras.txt", "cameras.bin"),
+        usual_names=("cameras.bin", "cameras.txt"),
         models=(*models_of(_LENSES), "equirectangular"),
         write_camera=write_colmap,
         write_rig=write_colmap_rig,

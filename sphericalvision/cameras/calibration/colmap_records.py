@@ -130,6 +130,12 @@ def images_in(path: Path) -> list[ImageRecord]:
     ]
     while lines and not lines[0][1].strip():
         lines.pop(0)
+    for number, line in lines[1::2]:
+        if line.count(" ") and (len(line.split()) % 3 or re.search(r"[^-+.\deE\s]", line)):
+            raise FileFormatError(
+                f"{path}, line {number}: expected the points of the image above, X Y POINT3D_ID each, or an empty "
+                f"line, got {line.strip()!r:.80}"
+            )
     found = []
     for number, line in lines[::2]:
         words = line.split(maxsplit=9)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -48,6 +49,46 @@ class Contents:
     world_from_camera: Tensor | None = None
     """(n, 4, 4), float64, metres."""
     masks: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def with_checked_centers(self, path: Path) -> Contents:
+        """The same, with a warning of a principal point that would be in the middle of an image of another size."""
+        for name, camera in self.cameras.items():
+            center = getattr(camera, "principal_point", None)
+            if center is None:
+                continue
+            height, width = camera.image_size
+            u, v = center.tolist()
+            off, turned = (
+                max(abs(u / w - 0.5), abs(v / h - 0.5)) for w, h in ((width, height), (height, width))
+            )
+            if off > 0.24 or off > 0.08 > 4 * turned:
+                exchanged = ", or are width and height exchanged" if turned < off else ""
+                warnings.warn(
+                    f"{path}: the principal point of {name:.80}, ({u:.1f}, {v:.1f}), is far from the middle of its "
+                    f"image, {width} x {height} (width x height); is the calibration for another size{exchanged}?",
+                    stacklevel=5,
+                )
+                break
+        return self
+
+    def is_like(self, other: Contents) -> bool:
+        """Whether the cameras and poses are the same but for rounding."""
+
+        def near(first: Tensor | None, second: Tensor | None) -> bool:
+            if first is None or second is None:
+                return first is second
+            return first.shape == second.shape and torch.allclose(first, second, rtol=1e-5, atol=1e-6)
+
+        return (
+            list(self.cameras) == list(other.cameras)
+            and near(self.world_from_camera, other.world_from_camera)
+            and all(
+                type(camera) is type(twin)
+                and camera.image_size == twin.image_size
+                and all(near(getattr(camera, key), getattr(twin, key)) for key in camera.intrinsic_names)
+                for camera, twin in zip(self.cameras.values(), other.cameras.values(), strict=True)
+            )
+        )
 
     def cast(self, dtype: torch.dtype | None) -> dict[str, Camera]:
         """The cameras with intrinsics of ``dtype``, by default torch's default."""

@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options, joined
-from sphericalvision.cameras.calibration.files import load, looks_structured
+from sphericalvision.cameras.calibration.files import load, looks_structured, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, file_formats, known_formats
+from sphericalvision.cameras.calibration.keys import Keys, check_understood
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_type
 
@@ -35,7 +37,8 @@ def read_rig(
         max_angle: half the field of view in radians, for all cameras. By default that of the file or, if it states
             none, the angle at the farthest pixel of the image.
         image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF).
-        dtype: of intrinsics and poses, by default torch's default.
+        dtype: of intrinsics and poses, by default torch's default, float32; files are read in float64, which
+            ``dtype=torch.float64`` keeps.
 
     Raises:
         MissingFileError: there is nothing at ``path``.
@@ -91,7 +94,7 @@ def read_camera(
         max_angle: half the field of view in radians. By default that of the file or, if it states none, the angle at
             the farthest pixel of the image.
         image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF).
-        dtype: of the intrinsics, by default torch's default.
+        dtype: of the intrinsics, by default torch's default, float32; ``torch.float64`` keeps all digits of the file.
 
     Raises:
         MissingFileError: there is nothing at ``path``.
@@ -117,10 +120,14 @@ def read_camera(
 
 def _contents(path: Path, options: Options) -> tuple[Path, Contents]:
     """The file that was read, and what it holds."""
-    path, parts = _calibration_file(path)
-    if parts:
-        return path, joined([(part, _read(part, options)) for part in parts])
-    return path, _read(path, options)
+    path, *others = _calibration_files(path)
+    if others and path.is_dir():
+        return path, joined([(part, _read(part, options)) for part in others])
+    found = _read(path, options)
+    for twin in others:
+        if not found.is_like(_read(twin, options)):
+            raise ArgumentError(f"path: {path} and {twin.name} hold different cameras or poses; name one")
+    return path, found
 
 
 def _read(path: Path, options: Options) -> Contents:
@@ -128,14 +135,43 @@ def _read(path: Path, options: Options) -> Contents:
     for format in file_formats():
         if format.recognizes_file and format.contents_of_file and format.recognizes_file(path):
             _check_unit(path, format, options)
-            return format.contents_of_file(path, options)
+            return format.contents_of_file(path, options).with_checked_centers(path)
     content = load(path) if looks_structured(path) else None
-    if isinstance(content, dict):
-        for format in file_formats():
-            if format.recognizes_keys and format.contents_of_keys and format.recognizes_keys(content):
-                _check_unit(path, format, options)
-                return format.contents_of_keys(content, path, options)
-    raise FileFormatError(f"{path}: not a calibration; {known_formats()}")
+    if isinstance(content, list) and len(content) == 1:
+        content = content[0]
+    for format in file_formats():
+        if not isinstance(content, Keys):
+            break
+        if format.recognizes_keys and format.contents_of_keys and format.recognizes_keys(content):
+            _check_unit(path, format, options)
+            content.forget()
+            found = format.contents_of_keys(content, path, options)
+            check_understood(content, str(path), format.ignored)
+            return found if format.name == "native" else found.with_checked_centers(path)
+    keys = f"; its keys are {', '.join(map(str, content))[:200]}" if isinstance(content, dict) else ""
+    raise FileFormatError(f"{path}: {_likely_program(path)}; {known_formats()}{keys}")
+
+
+_OTHERS = (
+    ("Facebook Surround 360's rig", r"\bforward\b[\s\S]*\borigin\b|\borigin\b[\s\S]*\bforward\b"),
+    ("OpenMVG's sfm_data", r"\bsfm_data_version\b"),
+    ("AliceVision's or Meshroom's sfm", r"\bfeaturesFolders\b|\bposeId\b"),
+    ("a Kalibr camchain whose cameras have neither camera_model nor intrinsics", r"(?m)^cam\d+:"),
+    (
+        "DSO's camera file",
+        r"^\s*([A-Z]\w+\s)?\s*([-+.\de]+[ \t]+){4,}[-+.\de]+\s+\d+\s+\d+\s+(crop|full|none|[\d.])",
+    ),
+)
+"""Programs whose files are not read, and what the text of such a file has."""
+
+
+def _likely_program(path: Path) -> str:
+    """What a file is that no format recognises."""
+    text = read_text(path)[:100_000]
+    for program, pattern in _OTHERS:
+        if re.search(pattern, text):
+            return f"not a calibration that is read, but what looks like {program}"
+    return "not a calibration"
 
 
 def _check_unit(path: Path, format: FileFormat, options: Options) -> None:
@@ -146,26 +182,29 @@ def _check_unit(path: Path, format: FileFormat, options: Options) -> None:
         )
 
 
-def _calibration_file(path: Path) -> tuple[Path, list[Path]]:
-    """The file itself, or the one calibration in a folder; with it the files of a rig that has one for each camera."""
+def _calibration_files(path: Path) -> list[Path]:
+    """The file itself; or the one calibration in a folder, and behind it what must hold the same.
+
+    A folder with one file for each camera comes first itself, with all of them behind it.
+    """
     if path.is_file():
-        return path, []
+        return [path]
     if not path.is_dir():
         raise MissingFileError(
             f"{path}: no such file or folder (a calibration was expected; {known_formats()})"
         )
     usual = [name for format in file_formats() for name in format.usual_names]
     there = [[path / name for name in f.usual_names if (path / name).is_file()] for f in file_formats()]
-    found = [files[0] for files in there if files]
+    found = [files for files in there if files]
     if not found:
         for format in file_formats():
             if format.files_of_rig and (parts := format.files_of_rig(path)):
-                return path, parts
+                return [path, *parts]
         hint = "; ocam*.txt are there, but no poses.txt" if any(path.glob("ocam*.txt")) else ""
         raise MissingFileError(f"{path}: none of {', '.join(usual)} in this folder{hint}; {known_formats()}")
     if len(found) > 1:
         raise ArgumentError(
-            f"path: {path} holds {' and '.join(file.name for file in found)}, which may differ in scale; name the one "
-            "to read"
+            f"path: {path} holds {' and '.join(files[0].name for files in found)}, which may differ in scale; name the "
+            "one to read"
         )
-    return found[0], []
+    return found[0]

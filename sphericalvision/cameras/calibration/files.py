@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML, JSON and OpenCV's XML, parsed without running anything.
+"""YAML, JSON and XML, parsed without running anything.
 
 OpenCV's FileStorage writes a YAML of its own: its first line is ``%YAML:1.0``, and matrices carry the tag
 ``!!opencv-matrix``. Both are understood here, so that all mappings reach their readers as plain dictionaries.
@@ -9,17 +9,29 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import yaml
 
+from sphericalvision.cameras.calibration.keys import Keys, noted
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import atomic_write
 
-__all__ = ["STRUCTURED", "data_lines", "load", "looks_structured", "parse_xml", "read_text", "write_json"]
+__all__ = [
+    "STRUCTURED",
+    "data_lines",
+    "from_xml",
+    "load",
+    "load_keys",
+    "looks_structured",
+    "once",
+    "parse_xml",
+    "read_text",
+    "write_json",
+]
 
 STRUCTURED = (".yaml", ".yml", ".json", ".xml")
 """Suffixes of files that hold keys with values."""
@@ -28,11 +40,27 @@ MOST_KEYS = 10_000
 
 
 def read_text(path: Path) -> str:
-    """The text of a file; ``FileFormatError`` if it is binary."""
+    """The text of a file, in UTF-8, or in UTF-16 if it begins with a byte order mark, as Windows' shells write it.
+
+    Raises:
+        FileFormatError: it is binary, or text in another encoding; the message says which it is.
+    """
+    data = path.read_bytes()
+    is_marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{path}: expected a text file, got binary data") from None
+        text = data.decode("utf-16" if is_marked else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        text, bad = "", error.start
+    if re.search("[\0-\x08\x0e-\x1f]", text or ("" if is_marked else data.decode("latin-1"))):
+        is_wide = 2.5 * data.count(b"\0") > len(data)
+        kind = "UTF-16 without a byte order mark; save it as UTF-8" if is_wide else "binary data"
+        raise FileFormatError(f"{path}: expected a text file, got {kind}")
+    if data and not text:
+        raise FileFormatError(
+            f"{path}, line {data[:bad].count(bytes([10])) + 1}: expected text in UTF-8, got the byte "
+            f"0x{data[bad]:02x}, as in cp1252 or Latin-1 of Windows; save the file as UTF-8"
+        )
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def looks_structured(path: Path) -> bool:
@@ -47,7 +75,9 @@ def data_lines(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def load(path: Path) -> Any:
-    """The contents of a YAML, JSON or OpenCV XML file as dictionaries, lists, numbers and strings.
+    """The contents of a YAML, JSON or XML file as ``Keys``, lists, numbers and strings.
+
+    Of an XML that is not OpenCV's the name of the root is the only key; attributes and children are keys alike.
 
     Raises:
         FileFormatError: it cannot be parsed; the message names the line.
@@ -55,16 +85,18 @@ def load(path: Path) -> Any:
     text = read_text(path)
     start = text.lstrip()
     try:
-        if start.startswith(("<?xml", "<opencv_storage")):
-            return _opencv_xml(text, path)
+        if start.startswith(("<?xml", "<opencv_storage")) or path.suffix.lower() == ".xml":
+            root = parse_xml(text, path)
+            is_opencv = root.tag == "opencv_storage"
+            return noted(_from_element(root, path) if is_opencv else {root.tag: from_xml(root, path)})
         if path.suffix.lower() == ".json":
-            return json.loads(text)
+            return noted(json.loads(text, object_pairs_hook=lambda pairs: once(pairs, path)))
         if start.startswith("%YAML"):  # "%YAML:1.0" is no directive that YAML knows
             text = text.replace("%YAML", "# ", 1)
             text = re.sub(
                 r"^([ \t]*[\w.]+):(?=[^\s:])", r"\1: ", text, flags=re.MULTILINE
             )  # its "key:1" is no pair to YAML
-        return yaml.load(text, Loader=_Loader)
+        return noted(_one_document(text, path))
     except json.JSONDecodeError as error:
         raise FileFormatError(f"{path}: not valid json ({error}); is it truncated?") from None
     except yaml.YAMLError as error:
@@ -73,6 +105,38 @@ def load(path: Path) -> Any:
         raise
     except (ValueError, RecursionError) as error:  # a date that does not exist; nesting without end
         raise FileFormatError(f"{path}: cannot be parsed ({error})") from None
+
+
+def load_keys(path: Path, what: str) -> Keys:
+    """``load`` of a file that must hold keys with values; ``what`` they are, in the error if it does not."""
+    content = load(path)
+    if not isinstance(content, Keys):
+        raise FileFormatError(f"{path}: expected {what} with values")
+    return content
+
+
+def _one_document(text: str, path: Path) -> Any:
+    """The YAML document of a file, or the first of several that differ in no more than their headers.
+
+    Messages of a topic, as ROS prints them, end in ``---``, behind which there may be another one, or nothing.
+    """
+    parts = re.split(r"(?m)^(?:---|\.\.\.)(?=\s|$)", text)
+    told = (
+        r"(?m)^[ \t]*(#.*)?\n|^header:.*\n([ \t]+.*\n)*"  # neither comments nor blank lines nor headers count
+    )
+    if (count := len({re.sub(told, "", f"{part}\n").strip() for part in parts} - {""})) > 1:
+        raise FileFormatError(f"{path}: holds {count} YAML documents that differ; keep the one to be read")
+    return next((found for found in yaml.load_all(text, Loader=_Loader) if found is not None), None)
+
+
+def once(pairs: Iterable[tuple[str, Any]], path: Path) -> dict[str, Any]:
+    """The mapping of pairs, each key of which may stand there once."""
+    content: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in content:
+            raise FileFormatError(f"{path}: the key {key!r:.80} stands twice")
+        content[key] = value
+    return content
 
 
 class _Loader(yaml.SafeLoader):
@@ -128,19 +192,32 @@ def write_json(path: Path, content: Any) -> None:
         unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _opencv_xml(text: str, path: Path) -> Any:
-    root = parse_xml(text, path)
-    if root.tag != "opencv_storage":
-        raise FileFormatError(f"{path}: expected OpenCV's <opencv_storage>, got <{root.tag}>")
-    return _from_element(root)
+def from_xml(element: ElementTree.Element, path: Path) -> Any:
+    """The text of an element, or its attributes and children as keys; of several children of a name a list.
+
+    Beside attributes, text has the key ``text``. Names are without their namespaces.
+    """
+    pairs: list[tuple[str, Any]] = [(_bare(name), value) for name, value in element.attrib.items()]
+    children: dict[str, list[Any]] = {}
+    for child in element:
+        children.setdefault(_bare(child.tag), []).append(from_xml(child, path))
+    pairs += [(name, found if len(found) > 1 else found[0]) for name, found in children.items()]
+    text = (element.text or "").strip()
+    if not pairs:
+        return text
+    return once([*pairs, ("text", text)] if text else pairs, path)
 
 
-def _from_element(element: ElementTree.Element) -> Any:
+def _bare(name: Any) -> str:
+    return str(name).rsplit("}", 1)[-1]
+
+
+def _from_element(element: ElementTree.Element, path: Path) -> Any:
     children = list(element)
     if children and all(child.tag == "_" for child in children):
-        return [_from_element(child) for child in children]
+        return [_from_element(child, path) for child in children]
     if children or element.tag == "opencv_storage":
-        return {child.tag: _from_element(child) for child in children}
+        return once([(child.tag, _from_element(child, path)) for child in children], path)
     words = (element.text or "").split()
     if element.tag == "data":
         return words

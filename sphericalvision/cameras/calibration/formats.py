@@ -36,6 +36,8 @@ class FileFormat:
     recognizes_keys: Callable[[dict[str, Any]], bool] | None = None
     """Whether parsed keys with values are of this format; at most one format says so of a whole file."""
     contents_of_keys: Callable[[dict[str, Any], Path, Options], Contents] | None = None
+    ignored: str = ".*"
+    """Keys that do not matter, as ``check_understood`` has them; any other key that is not read is refused."""
     recognizes_file: Callable[[Path], bool] | None = None
     """The same of a file that is no such thing, by its name or content."""
     contents_of_file: Callable[[Path, Options], Contents] | None = None

@@ -24,7 +24,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.lenses import Lens, as_rig, lens_called, lens_of, models_of
 from sphericalvision.cameras.calibration.parsing import (
-    chosen,
+    chosen_model,
     entry,
     numbers,
     size_from_width_height,
@@ -32,6 +32,7 @@ from sphericalvision.cameras.calibration.parsing import (
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import write_yaml
 
@@ -41,12 +42,15 @@ _LENSES = (
     Lens("pinhole none", "pinhole", "fu=fx fv=fy pu=cx pv=cy"),
     Lens("pinhole radtan", "brown_conrady", "fu=fx fv=fy pu=cx pv=cy k1 k2 p1 p2"),
     Lens("pinhole equidistant", "kannala_brandt", "fu=fx fv=fy pu=cx pv=cy k1 k2 k3 k4"),
+    Lens("pinhole fov", "atan", "fu=fx fv=fy pu=cx pv=cy w=omega"),
     Lens("omni radtan", "unified", "xi fu=fx fv=fy pu=cx pv=cy k1 k2 p1 p2", zeros="k3"),
     Lens("omni none", "unified", "xi fu=fx fv=fy pu=cx pv=cy"),
     Lens("eucm none", "extended_unified", "alpha beta fu=fx fv=fy pu=cx pv=cy"),
     Lens("ds none", "double_sphere", "xi alpha fu=fx fv=fy pu=cx pv=cy"),
 )
-"""The camera's and the distortion's model, and both lists of numbers: distortion is four or none."""
+"""The camera's and the distortion's model, and both lists of numbers."""
+_COUNTS = {"none": 0, "fov": 1}
+"""Of the distortion; 4 otherwise."""
 
 
 def _names(content: dict[str, Any]) -> list[str]:
@@ -55,8 +59,9 @@ def _names(content: dict[str, Any]) -> list[str]:
 
 
 def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has ``cam0``, ``cam1``, ... as Kalibr writes them."""
-    return bool(_names(content))
+    """Whether a parsed file has ``cam0``, ``cam1``, ... with keys as Kalibr writes them."""
+    keys = {"camera_model", "intrinsics", "distortion_coeffs", "T_cn_cnm1", "cam_overlaps"}
+    return any(not isinstance(content[name], dict) or keys & set(content[name]) for name in _names(content))
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
@@ -71,21 +76,25 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 def _camera(values: Any, where: str) -> Camera:
     kinds = dict.fromkeys(lens.name.split()[0] for lens in _LENSES)
-    kind = chosen(entry(values, "camera_model", where), kinds, f"{where}, camera_model")
+    kind = chosen_model(entry(values, "camera_model", where), kinds, f"{where}, camera_model")
     fitting = [name for lens in _LENSES for first, name in [lens.name.split()] if first == kind]
-    distortion = chosen(
+    distortion = chosen_model(
         values.get("distortion_model", "none"), fitting, f"{where}, distortion_model of a {kind}"
     )
     lens = lens_called(_LENSES, f"{kind} {distortion}")
-    last = 0 if distortion == "none" else 4
+    last = _COUNTS.get(distortion, 4)
     order = lens.keys[: len(lens.keys) - last]
     found = numbers(
         entry(values, "intrinsics", where), f"{where}, intrinsics ({' '.join(order)})", len(order)
     )
     size = size_from_width_height(entry(values, "resolution", where), f"{where}, resolution")
+    key = "distortion_coeffs"
     if last:
-        key = "distortion_coeffs"
         found += numbers(entry(values, key, where), f"{where}, {key}", last)
+    elif (more := values.get(key)) and any(numbers(more, f"{where}, {key}")):
+        raise FileFormatError(
+            f"{where}, {key}: expected none with the distortion_model none, got {short_repr(more)}"
+        )
     return lens.camera(found, size, where)
 
 
@@ -95,26 +104,64 @@ def _poses(content: dict[str, Any], names: list[str], path: Path) -> Tensor | No
     None for one camera without a transform: nothing says where it is.
     """
     to_imu = [_imu_from_camera(content[name], f"{path}, {name}") for name in names]
+    steps = [
+        transform_from_rows(content[name]["T_cn_cnm1"], f"{path}, {name}, T_cn_cnm1")
+        if "T_cn_cnm1" in content[name]
+        else None
+        for name in names
+    ]
+    if steps[0] is not None:
+        raise FileFormatError(
+            f"{path}, {names[0]}, T_cn_cnm1: expected none of the first camera; is cam0 missing?"
+        )
     known = [pose for pose in to_imu if pose is not None]
+    for name, step, before, pose in zip(names[1:], steps[1:], to_imu, to_imu[1:], strict=False):
+        if step is not None and before is not None and pose is not None:
+            _compare(step, before, pose, f"{path}, {name}")
     if len(known) == len(names):
         return torch.stack(known)
     if len(names) == 1:
         return None
     poses = [torch.eye(4, dtype=torch.float64)]
-    for name in names[1:]:
-        step = entry(content[name], "T_cn_cnm1", f"{path}, {name}")
-        from_previous = transform_from_rows(step, f"{path}, {name}, T_cn_cnm1")
-        poses.append(poses[-1] @ invert_transform(from_previous))
+    for name, step in zip(names[1:], steps[1:], strict=True):
+        if step is None:
+            raise FileFormatError(
+                f"{path}, {name}: the key 'T_cn_cnm1' is missing, and not all have T_cam_imu"
+            )
+        poses.append(poses[-1] @ invert_transform(step))
     return torch.stack(poses)
+
+
+def _compare(step: Tensor, before: Tensor, pose: Tensor, where: str) -> None:
+    """Raise where the transform from the camera before and those of the IMU contradict each other."""
+    if _near(step, invert_transform(pose) @ before):
+        return
+    fits = _near(step, pose @ invert_transform(before))
+    raise FileFormatError(
+        f"{where}: T_cn_cnm1 and the transforms from the IMU contradict each other; "
+        + (
+            "they agree when T_cam_imu is taken for its inverse, T_imu_cam: rename it if so"
+            if fits
+            else "keep the right ones"
+        )
+    )
+
+
+def _near(first: Tensor, second: Tensor) -> bool:
+    """To one degree and two centimetres."""
+    return bool((first - second).abs().max() < 0.02)
 
 
 def _imu_from_camera(values: Any, where: str) -> Tensor | None:
     """Of ``T_cam_imu`` as Kalibr writes it, or ``T_imu_cam`` as OpenVINS does; None without either."""
+    found = []
     if "T_cam_imu" in values:
-        return invert_transform(transform_from_rows(values["T_cam_imu"], f"{where}, T_cam_imu"))
+        found.append(invert_transform(transform_from_rows(values["T_cam_imu"], f"{where}, T_cam_imu")))
     if "T_imu_cam" in values:
-        return transform_from_rows(values["T_imu_cam"], f"{where}, T_imu_cam")
-    return None
+        found.append(transform_from_rows(values["T_imu_cam"], f"{where}, T_imu_cam"))
+    if len(found) == 2 and not _near(*found):
+        raise FileFormatError(f"{where}: T_cam_imu and T_imu_cam contradict each other; keep the right one")
+    return found[0] if found else None
 
 
 def write_kalibr(cameras: Camera | CameraRig, path: str | Path) -> None:
@@ -141,7 +188,7 @@ def write_kalibr(cameras: Camera | CameraRig, path: str | Path) -> None:
 def _values(camera: Camera) -> dict[str, Any]:
     lens, found = lens_of(camera, _LENSES, "kalibr")
     kind, distortion = lens.name.split()
-    first = len(found) if distortion == "none" else len(found) - 4
+    first = len(found) - _COUNTS.get(distortion, 4)
     return {
         "camera_model": kind,
         "intrinsics": found[:first],
@@ -157,6 +204,7 @@ register_format(
         "Kalibr camchain",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored=r"imu\d*|.*/(rostopic|cam_overlaps|timeshift_cam_imu)",
         usual_names=("camchain.yaml",),
         models=models_of(_LENSES),
         write_camera=write_kalibr,

@@ -21,6 +21,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys, check_understood
 from sphericalvision.cameras.calibration.parsing import (
     errors_of_file,
     focal_lengths,
@@ -49,7 +50,7 @@ def recognizes(path: Path) -> bool:
 
 def contents(path: Path, options: Options) -> Contents:
     """The cameras of unrectified images and their poses."""
-    table: dict[str, tuple[int, list[str]]] = {}
+    table = Keys()
     for line, (label, *words) in data_lines(path):
         if not label.endswith(":") or label[:-1] in table:
             raise FileFormatError(f"{path}, line {line}: expected a key of its own first, got {label!r}")
@@ -82,6 +83,7 @@ def contents(path: Path, options: Options) -> Contents:
         rows = [[*rotation[3 * row : 3 * row + 3], position[row]] for row in range(3)]
         where = f"{path}, line {table[f'R_{index}'][0]}, R_{index}"
         poses.append(invert_transform(transform_from_rows(rows, where)))
+    check_understood(table, str(path), r"corner_dist|(S_rect|R_rect|P_rect|P)_\d\d")
     return Contents(cameras, torch.stack(poses))
 
 

@@ -19,18 +19,19 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.formats import file_format, file_formats
-from sphericalvision.cameras.calibration.parsing import errors_of_file, focal_lengths
+from sphericalvision.cameras.calibration.parsing import chosen_model, errors_of_file, focal_lengths
 from sphericalvision.cameras.declaration import Intrinsic
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.registry import camera_model
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, FileFormatError
 
 __all__ = [
     "Lens",
     "as_rig",
     "check_holds",
     "check_whole_panorama",
+    "distorted",
     "lens_called",
     "lens_of",
     "models_of",
@@ -91,6 +92,8 @@ class Lens:
         Raises:
             FileFormatError: the numbers make no sense.
         """
+        if self.model == "atan" and numbers[self.names.index("omega")] == 0:  # which stands for no distortion
+            return Lens(self.name, "pinhole", "fx fy cx cy").camera(numbers[:4], image_size, where, max_angle)
         given = dict.fromkeys(self.zeros.split(), 0.0) | dict(zip(self.names, numbers, strict=False))
         if skew is not None:
             given["skew"] = skew
@@ -138,6 +141,47 @@ def _tensor(name: str, declared: Intrinsic, given: Mapping[str, float]) -> Tenso
         return torch.tensor(given[name], dtype=torch.float64)
     size = min(size for size in declared.sizes if size > max(there, default=0))
     return torch.tensor([given.get(number, 0.0) for number in names[:size]], dtype=torch.float64)
+
+
+_DISTORTED = (
+    Lens("none", "pinhole", "fx fy cx cy"),
+    Lens("radtan", "brown_conrady", "fx fy cx cy k1 k2 p1 p2"),
+    Lens("radtan", "brown_conrady", "fx fy cx cy k1 k2 p1 p2 k3"),
+    Lens("rational_polynomial", "brown_conrady", "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6"),
+    Lens("thin_prism", "brown_conrady", "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4"),
+    Lens("tilted", "brown_conrady", "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 τx τy"),
+    Lens("equidistant", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
+    Lens("fov", "atan", "fx fy cx cy omega"),
+    Lens("omni", "unified", "fx fy cx cy xi"),
+    Lens("omni", "unified", "fx fy cx cy xi k1 k2 p1 p2", zeros="k3"),
+    Lens("omni", "unified", "fx fy cx cy xi k1 k2 p1 p2 k3"),
+)
+"""What the field calls a camera matrix with these coefficients; ``model_meant`` knows other names for them."""
+
+
+def distorted(
+    kind: Any,
+    numbers: Sequence[float],
+    image_size: tuple[int, int],
+    where: str,
+    skew: float | None = None,
+) -> Camera:
+    """The camera of fx fy cx cy and coefficients, by the name of their model in any of its spellings.
+
+    Raises:
+        FileFormatError: the name is not known, or the model has another number of coefficients.
+    """
+    kind = chosen_model(kind, dict.fromkeys(lens.name for lens in _DISTORTED), f"{where}, model of the lens")
+    if kind == "none" and not any(numbers[4:]):
+        numbers = numbers[:4]
+    fitting = [lens for lens in _DISTORTED if lens.name == kind]
+    for lens in fitting:
+        if len(lens.keys) == len(numbers):
+            return lens.camera(numbers, image_size, where, skew=skew)
+    counts = " or ".join(str(len(lens.keys) - 4) for lens in fitting)
+    raise FileFormatError(
+        f"{where}: expected {counts} coefficients of the model {kind}, got {len(numbers) - 4}"
+    )
 
 
 def lens_called(lenses: Iterable[Lens], name: str) -> Lens:

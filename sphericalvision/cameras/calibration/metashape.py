@@ -4,10 +4,12 @@
 Convention:
     ``cx`` and ``cy`` are offsets from the middle of the image, in whose pixels the first centre is (0.5, 0.5): half a
     pixel is taken off. ``p1`` and ``p2`` are OpenCV's p2 and p1. ``b1`` is fx − fy. ``type`` is ``frame``, ``fisheye``
-    (the terms of a frame camera act on the equidistant image) or ``spherical``.
+    or ``equidistant_fisheye`` (the terms of a frame camera act on the equidistant image), ``equisolid_fisheye`` or
+    ``spherical``.
 
-    A camera's ``transform`` takes its coordinates (x right, y down, z forward) to the chunk's, in its unit times
-    ``scale``, if there is one.
+    A camera's ``transform`` takes its coordinates (x right, y down, z forward) to those of its component, or of the
+    chunk, in the unit of which ``scale`` is the metres. A camera with a ``master_id`` has the pose of that camera times
+    the one of its own sensor, which is ``rotation`` and ``location`` in the master's coordinates.
 
 References:
     Agisoft Metashape User Manual, Professional Edition, appendix "Camera models".
@@ -15,18 +17,21 @@ References:
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterator
 from pathlib import Path
-from xml.etree import ElementTree
+from typing import Any
 
 import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import parse_xml, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens
 from sphericalvision.cameras.calibration.parsing import (
+    chosen,
+    entry,
+    mapping,
     numbers,
     size_from_width_height,
 )
@@ -37,8 +42,8 @@ from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "recognizes"]
 
-_TYPES = ("frame", "fisheye", "spherical")
-_KEYS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
+_TYPES = ("frame", "fisheye", "equidistant_fisheye", "equisolid_fisheye", "spherical")
+_KEYS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4", "b1", "b2")
 _PLAIN = Lens("frame", "pinhole", "f+b1=fx f=fy cx cy")
 _FRAME = Lens("frame", "brown_conrady", "f+b1=fx f=fy cx cy k1 k2 k3 p1=p2 p2=p1")
 _FISHEYE = Lens(
@@ -47,99 +52,172 @@ _FISHEYE = Lens(
     "f+b1=fx f=fy cx cy k1 k2 k3 p1=p2 p2=p1 k4",
     options={"composition": "additive"},
 )
+_EQUISOLID = Lens("equisolid", "fisheye", "f+b1=fx f=fy cx cy", options={"projection": "equisolid"})
+_IGNORED = (
+    r"document/(version|chunk/[^/]+)|.*/next_(group_)?id|.*/active_id|.*/(enabled|class|label|locked)|.*/transform/(rotation"
+    r"|translation)|.*/sensor/(property|bands|data_type|pixel_\w+|focal_length|layer_index|black_level|sensitivity|fixed\w*"
+    r"|normalize_\w+|vignetting|rolling_shutter(_mode)?|reference|meta|master_id)|.*/component/(region|partition)"
+    r"|.*/group/\w+|.*/camera/(reference|vignetting|meta|layer_index|used|selected|component_id)"
+)
+"""Of sensors, cameras and components what is no camera and no pose; all else of the chunk."""
 
 
-def recognizes(path: Path) -> bool:
-    """Whether an XML begins with <calibration>, or with a <document> that has a <chunk>."""
-    if path.suffix.lower() != ".xml":
-        return False
-    text = read_text(path)
-    first = re.search(r"<(\w+)", text)  # neither <?xml ...?> nor <!-- ... --> begins with a letter
-    return first is not None and (first[1] == "calibration" or (first[1] == "document" and "<chunk" in text))
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether the root is <calibration>, or a <document> that has a <chunk>."""
+    document = content.get("document")
+    return isinstance(content.get("calibration"), dict) or (
+        isinstance(document, dict) and "chunk" in document
+    )
 
 
-def contents(path: Path, options: Options) -> Contents:
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """The calibration of a file, or the sensors of a chunk; the chunk's cameras by label if poses are wanted."""
-    text = read_text(path)
-    root = parse_xml(text, path)
-    if root.tag == "calibration":
-        return Contents({path.stem: _camera(root, str(path), options)})
-    chunk = root.find("chunk")
-    if chunk is None:
-        raise FileFormatError(f"{path}: expected <calibration>, or a <chunk> in <document>, got <{root.tag}>")
+    if "calibration" in content:
+        return Contents({path.stem: _camera(content["calibration"], {}, str(path), options)})
+    chunk = mapping(content["document"]["chunk"], f"{path}, chunk")
     sensors: dict[str, Camera] = {}
-    for sensor in chunk.iterfind("sensors/sensor"):
-        where = f"{path}, sensor {sensor.get('id')}"
-        found = sensor.findall("calibration")
-        if found:  # the adjusted one stands last
-            sensors[str(sensor.get("id"))] = _camera(found[-1], where, options, sensor)
+    offsets: dict[str, torch.Tensor] = {}
+    for sensor in _each(chunk.get("sensors"), "sensor"):
+        name = str(sensor.get("id"))
+        where = f"{path}, sensor {name:.80}"
+        if "calibration" in sensor:  # the adjusted one stands last
+            sensor["calibration"] = list(_each(sensor, "calibration"))[-1:]
+            sensors[name] = _camera(sensor["calibration"][0], sensor, where, options)
+        if "rotation" in sensor or "location" in sensor:
+            turn, place = (
+                _floats(entry(sensor, key, where), f"{where}, {key}") for key in ("rotation", "location")
+            )
+            rows = [[*turn[3 * row : 3 * row + 3], *place[row : row + 1]] for row in range(3)]
+            offsets[name] = transform_from_rows(rows, f"{where}, rotation and location")
     if not sensors:
         raise FileFormatError(f"{path}: no sensor with a calibration in it")
     if not options.rig:
         return Contents({f"cam{name}": camera for name, camera in sensors.items()})
-    return _of_cameras(chunk, sensors, path)
+    return _of_cameras(chunk, sensors, offsets, path)
 
 
-def _of_cameras(chunk: ElementTree.Element, sensors: dict[str, Camera], path: Path) -> Contents:
-    scale = chunk.find("transform/scale")
-    factor = 1.0 if scale is None else numbers((scale.text or "").split(), f"{path}, scale", 1)[0]
+def _each(values: Any, key: str) -> Iterator[Keys]:
+    """The elements of a name, of which there may be one or several."""
+    found = values.get(key, []) if isinstance(values, Keys) else []
+    yield from (value for value in (found if isinstance(found, list) else [found]) if isinstance(value, Keys))
+
+
+def _floats(value: Any, where: str, count: int | None = None) -> list[float]:
+    """The numbers of an element, which may have attributes."""
+    text = value.get("text", "") if isinstance(value, Keys) else value
+    return numbers(str(text).split(), where, count)
+
+
+def _of_cameras(
+    chunk: Any, sensors: dict[str, Camera], offsets: dict[str, torch.Tensor], path: Path
+) -> Contents:
+    elements = {str(camera.get("id")): camera for camera in _cameras_in(chunk.get("cameras"))}
+    components = {str(part.get("id")): part for part in _each(chunk.get("components"), "component")}
     cameras: dict[str, Camera] = {}
-    poses = []
-    for camera in chunk.iterfind(".//camera"):
-        transform, sensor = camera.find("transform"), str(camera.get("sensor_id"))
-        name = str(camera.get("label") or camera.get("id"))
+    poses, used = [], set()
+    for camera in elements.values():
+        sensor, name = str(camera.get("sensor_id")), str(camera.get("label") or camera.get("id"))
         where = f"{path}, camera {name!r:.80}"
+        master = elements.get(str(camera.get("master_id", camera.get("id"))))
+        if master is None:
+            raise FileFormatError(f"{where}, master_id: there is no camera {camera['master_id']!r:.80}")
+        transform = camera.get("transform", master.get("transform"))
         if transform is None:
             continue  # was not aligned
         if name in cameras or sensor not in sensors:
             raise FileFormatError(
                 f"{where}: expected a label of its own and a sensor of {', '.join(sensors)}"
             )
-        pose = transform_from_rows((transform.text or "").split(), f"{where}, transform")
-        pose[:3, 3] *= factor
+        if _floats(camera.get("orientation", "1"), f"{where}, orientation", 1) != [1.0]:
+            raise FileFormatError(f"{where}, orientation: expected 1, got a turned image; align it upright")
+        pose = transform_from_rows(_floats(transform, f"{where}, transform"), f"{where}, transform")
+        if "transform" not in camera:
+            if sensor not in offsets:
+                raise FileFormatError(
+                    f"{where}: has a master, and sensor {sensor} neither rotation nor location"
+                )
+            pose = pose @ offsets[sensor]
+        used.add(str(master.get("component_id")))
         cameras[name] = sensors[sensor]
         poses.append(pose)
     if not cameras:
         raise FileFormatError(f"{path}: no camera in it has a transform")
-    return Contents(cameras, torch.stack(poses))
+    if len(used) > 1:
+        raise FileFormatError(
+            f"{path}: the cameras are of {len(used)} components, which have no common frame; export one"
+        )
+    found = torch.stack(poses)
+    found[:, :3, 3] *= _metres(chunk, components.get(used.pop()), path)
+    return Contents(cameras, found)
 
 
-def _camera(
-    element: ElementTree.Element, where: str, options: Options, sensor: ElementTree.Element | None = None
-) -> Camera:
+def _cameras_in(values: Any) -> Iterator[Keys]:
+    """The cameras of a chunk and of its groups."""
+    yield from _each(values, "camera")
+    for group in _each(values, "group"):
+        yield from _cameras_in(group)
+
+
+def _metres(chunk: Any, component: Any, path: Path) -> float:
+    """The scale that the component or the chunk says, or 1."""
+    found = [
+        _floats(transform["scale"], f"{path}, scale", 1)[0]
+        for place in (chunk, component)
+        for transform in _each(place, "transform")
+        if "scale" in transform
+    ]
+    if any(abs(scale / found[0] - 1) > 1e-6 if found[0] else True for scale in found[1:]):
+        raise FileFormatError(f"{path}, scale: that of the chunk and that of its component differ, {found}")
+    return found[-1] if found else 1.0
+
+
+def _camera(values: Any, sensor: Any, where: str, options: Options) -> Camera:
     def get(key: str) -> float:
-        found = element.find(key)
-        return 0.0 if found is None else numbers((found.text or "").split(), f"{where}, {key}", 1)[0]
+        return _floats(values[key], f"{where}, {key}", 1)[0] if key in values else 0.0
 
-    projection = element.find("projection")
-    named = element.get("type") or (projection.text if projection is not None else None)
-    kind = (named or (sensor.get("type") if sensor is not None else None) or "frame").strip()
-    if kind not in _TYPES:
-        raise FileFormatError(f"{where}, type: expected {' or '.join(_TYPES)}, got {kind!r:.80}")
-    resolution = element.find("resolution")
-    if resolution is None and sensor is not None:
-        resolution = sensor.find("resolution")
-    sides = [get("width"), get("height")]
-    if resolution is not None:
-        sides = [resolution.get("width"), resolution.get("height")]  # type: ignore[list-item]
-    size = size_from_width_height(sides, f"{where}, width and height")
+    told = ((values, "type"), (values, "projection"), (sensor, "type"))
+    kinds = {str(place[key]).strip() for place, key in told if key in place}
+    kind = chosen(kinds.pop() if kinds else "frame", _TYPES, f"{where}, type")
+    if kinds:
+        raise FileFormatError(f"{where}, type: {kind} and {' and '.join(kinds)} are told; keep the right one")
+    sizes = [place["resolution"] for place in (values, sensor) if "resolution" in place]
+    sides = [[entry(size, key, f"{where}, resolution") for key in ("width", "height")] for size in sizes]
+    if "width" in values or "height" in values or not sides:
+        sides.append([get("width"), get("height")])
+    size, *others = {size_from_width_height(side, f"{where}, width and height") for side in sides}
+    if others:
+        raise FileFormatError(f"{where}, resolution: {size} and {others[0]} are told; keep the right one")
     if kind == "spherical":
         return EquirectangularCamera(size)
-    f, cx, cy, k1, k2, k3, k4, p1, p2, b1, b2 = (get(key) for key in _KEYS)
-    if (kind == "fisheye" and b2) or (kind == "frame" and k4):
+    f, cx, cy, k1, k2, k3, k4, p1, p2, p3, p4, b1, b2 = (get(key) for key in _KEYS)
+    if (kind != "frame" and b2) or (kind == "frame" and k4) or p3 or p4:
         raise FileFormatError(
-            f"{where}: b2 (skew) of a fisheye, and k4 of a frame camera, have no place in a camera here, got "
-            f"b2 = {b2:g} and k4 = {k4:g}; calibrate without them"
+            f"{where}: b2 (skew) of a fisheye, k4 of a frame camera, p3 and p4 have no place in a camera here, got "
+            f"b2 = {b2:g}, k4 = {k4:g}, p3 = {p3:g} and p4 = {p4:g}; calibrate without them"
         )
-    found = [f + b1, f, size[1] / 2 + cx - 0.5, size[0] / 2 + cy - 0.5, k1, k2, k3, p1, p2]
-    if kind == "fisheye":
-        camera = _FISHEYE.camera([*found, k4], size, where)
+    plane = [f + b1, f, size[1] / 2 + cx - 0.5, size[0] / 2 + cy - 0.5]
+    found = [k1, k2, k3, p1, p2, k4]
+    if kind == "equisolid_fisheye":
+        if any(found):
+            raise FileFormatError(
+                f"{where}: an {kind} with k1 k2 k3 p1 p2 k4 = {found} has no camera here; calibrate without them, or "
+                "as equidistant_fisheye"
+            )
+        camera = _EQUISOLID.camera(plane, size, where)
+    elif kind != "frame":
+        camera = _FISHEYE.camera([*plane, *found], size, where)
     else:
-        lens = _FRAME if any(found[4:]) else _PLAIN
-        camera = lens.camera(found, size, where, skew=b2 or None)
+        lens = _FRAME if any(found) else _PLAIN
+        camera = lens.camera([*plane, *found[:5]], size, where, skew=b2 or None)
     return bounded(camera, options.max_angle, where)
 
 
 register_format(
-    FileFormat("metashape", "Metashape xml", recognizes_file=recognizes, contents_of_file=contents)
+    FileFormat(
+        "metashape",
+        "Metashape xml",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        ignored=_IGNORED,
+    )
 )

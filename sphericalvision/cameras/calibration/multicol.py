@@ -26,8 +26,9 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import load
+from sphericalvision.cameras.calibration.files import load_keys
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import check_understood
 from sphericalvision.cameras.calibration.parsing import errors_of_file, number, size_from_width_height
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.ocam import OCamCamera
@@ -37,6 +38,7 @@ from sphericalvision.geometry import transform_from_quaternion
 __all__ = ["MULTICOL_POSES", "contents", "recognizes"]
 
 MULTICOL_POSES = "MultiCamSys_Calibration.yaml"
+_IGNORED = r"(?!Camera).*|Camera\.(fps|RGB|mirrorMask)"
 _CAMERA_FILE = "InteriorOrientationFisheye{index}.yaml"
 
 
@@ -65,10 +67,9 @@ def _rig(content: dict[str, Any], path: Path, options: Options) -> Contents:
         keys = [f"CameraSystem.{name}_{place}" for place in range(1, 7)]
         rows.append([number(content, key, str(path)) for key in keys])
         file = check_file(path.with_name(_CAMERA_FILE.format(index=index)), f"the camera of {keys[0][:-2]}")
-        values = load(file)
-        if not isinstance(values, dict):
-            raise FileFormatError(f"{file}: expected keys like Camera.a0 with values")
+        values = load_keys(file, "keys like Camera.a0")
         cameras[name] = bounded(_camera(values, str(file)), options.max_angle, str(file))
+        check_understood(values, str(file), _IGNORED)
     table = torch.tensor(rows, dtype=torch.float64)
     quaternion = torch.cat((torch.ones_like(table[:, :1]), table[:, :3]), dim=-1)  # (1, c) up to its length
     return Contents(cameras, transform_from_quaternion(quaternion, table[:, 3:]))
@@ -118,6 +119,7 @@ register_format(
         "Lafida/MultiCol yaml",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored=_IGNORED,
         usual_names=(MULTICOL_POSES,),
     )
 )

@@ -146,13 +146,13 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         FileFormatError: a key is missing or its value makes no sense; the message names file and key.
         MissingFileError: a mask is named that does not exist.
     """
-    if content["format"] == CAMERA_FORMAT:
-        return Contents({path.stem: _limited(camera_from_dict(content, str(path), options.dtype), options)})
     version = entry(content, "version", str(path))
     if version != VERSION:
         raise FileFormatError(
             f"{path}, version: this release reads version {VERSION}, got {short_repr(version)}"
         )
+    if content["format"] == CAMERA_FORMAT:
+        return Contents({path.stem: _limited(camera_from_dict(content, str(path), options.dtype), options)})
     cameras: dict[str, Camera] = {}
     poses, masks = [], {}
     entries = entry(content, "cameras", str(path))
@@ -191,6 +191,7 @@ register_format(
         "the package's own YAML (save_camera, save_rig)",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored="",
         usual_names=("rig.yaml",),
         write_camera=write_camera,
         write_rig=write_rig,

@@ -17,8 +17,9 @@ References:
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -42,12 +43,14 @@ from sphericalvision.cameras.calibration.parsing import (
     mapping,
     number,
     size_from_width_height,
+    view_name,
 )
 from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV, transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
+from sphericalvision.io.images import read_mask
 
 __all__ = ["contents", "recognizes", "write_nerfstudio"]
 
@@ -58,8 +61,24 @@ _LENSES = (
     Lens("OPENCV_FISHEYE", "kannala_brandt", "fl_x=fx fl_y=fy cx cy k1 k2 k3 k4"),
 )
 _KINDS = (*(lens.name for lens in _LENSES), "EQUIRECTANGULAR")
-_OWN = ("fl_x", "fl_y", "camera_angle_x", "cx", "k1", "w")
+_OWN = {
+    "fl_x",
+    "fl_y",
+    "camera_angle_x",
+    "camera_angle_y",
+    "cx",
+    "cy",
+    "w",
+    "h",
+    "camera_model",
+    "is_fisheye",
+}
+_OWN |= {"k1", "k2", "k3", "k4", "p1", "p2"}
 """Keys by which a frame has a lens of its own."""
+_IGNORED = (
+    r"aabb_scale|applied_transform|ply_file_path|\w*filenames|sharpness\w*|render_aabb|n_extra_learnable_dims"
+    r"|orientation_override|frames/(sharpness|colmap_im_id|depth_file_path|rotation|time|bbox)|(frames/)?(camera_angle_[xy]|fl_[xy]|c[xy]|k[1-4]|p[12])"
+)
 
 
 def recognizes(content: dict[str, Any]) -> bool:
@@ -78,25 +97,33 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         raise FileFormatError(
             f"{path}, frames: expected a list of at least one frame, got {short_repr(frames)}"
         )
-    own = [
-        any(key in mapping(frame, f"{path}, frames[{i}]") for key in _OWN) for i, frame in enumerate(frames)
-    ]
+    own = [bool(_OWN & set(mapping(frame, f"{path}, frames[{i}]"))) for i, frame in enumerate(frames)]
+    for key in ("scale", "applied_scale"):
+        if key in content and number(content, key, str(path)) != 1:
+            raise FileFormatError(
+                f"{path}, {key}: expected 1, got {content[key]}; divide the positions by it"
+            )
     shared = None
     if not all(own):
         shared = _camera(content, str(path), options)
     cameras: dict[str, Camera] = {}
-    poses = []
+    poses, masks = [], {}
     for index, frame in enumerate(frames):
         where = f"{path}, frames[{index}]"
-        name = str(PurePosixPath(str(entry(frame, "file_path", where))).with_suffix(""))
+        name = view_name(entry(frame, "file_path", where))
         if name in cameras:
             raise FileFormatError(f"{where}, file_path: a second frame named {short_repr(name)}")
-        cameras[name] = shared if shared and not own[index] else _camera({**content, **frame}, where, options)
+        cameras[name] = (
+            shared if shared and not own[index] else _camera(ChainMap(frame, content), where, options)
+        )
+        mask = frame.get("mask_path")
+        if mask and (path.parent / str(mask)).is_file():
+            masks[name] = read_mask(path.parent / str(mask), cameras[name].image_size)
         pose = transform_from_rows(entry(frame, "transform_matrix", where), f"{where}, transform_matrix")
         poses.append(pose @ OPENGL_FROM_OPENCV)
     if not options.rig and shared and not any(own):
         return Contents({"cam1": shared})
-    return Contents(cameras, torch.stack(poses))
+    return Contents(cameras, torch.stack(poses), masks)
 
 
 def _camera(values: Mapping[str, Any], where: str, options: Options) -> Camera:
@@ -110,8 +137,13 @@ def _camera(values: Mapping[str, Any], where: str, options: Options) -> Camera:
 def _unbounded_camera(values: Mapping[str, Any], where: str, options: Options) -> Camera:
     size = _image_size(values, where, options)
     height, width = size
-    kind = values.get("camera_model") or ("OPENCV_FISHEYE" if values.get("is_fisheye") else "OPENCV")
+    is_fisheye = values.get("is_fisheye", False)
+    kind = values.get("camera_model") or ("OPENCV_FISHEYE" if is_fisheye else "OPENCV")
     kind = chosen(kind, _KINDS, f"{where}, camera_model")
+    if is_fisheye and kind != "OPENCV_FISHEYE":
+        raise FileFormatError(
+            f"{where}, is_fisheye and camera_model: tell different models; keep the right one"
+        )
     if kind == "EQUIRECTANGULAR":
         return EquirectangularCamera(size)
     middle = {"cx": width / 2, "cy": height / 2}
@@ -121,10 +153,24 @@ def _unbounded_camera(values: Mapping[str, Any], where: str, options: Options) -
     def get(*keys: str) -> list[float]:
         return [number(values, key, where) if values.get(key) is not None else 0.0 for key in keys]
 
+    given = [key for key in ("k1", "k2", "k3", "k4") if values.get(key) is not None]
+    gaps = [key for key in ("k1", "k2", "k3", "k4")[: len(given)] if key not in given]
+    gaps += [
+        key for key, other in (("p1", "p2"), ("p2", "p1")) if values.get(other) and values.get(key) is None
+    ]
+    if gaps:
+        raise FileFormatError(
+            f"{where}: the key {gaps[0]!r} is missing, and others of the distortion are there"
+        )
+    if kind == "OPENCV_FISHEYE" and any(get("p1", "p2")):
+        raise FileFormatError(f"{where}, p1 and p2: expected 0 of a fisheye, got {get('p1', 'p2')}")
     if kind != "OPENCV_FISHEYE":
         if k4 := get("k4")[0]:
-            raise FileFormatError(f"{where}, k4: expected 0 in a lens that is no fisheye, got {k4:g}")
-        if not any(get("k1", "k2", "k3", "p1", "p2")):
+            raise FileFormatError(f"{where}, k4: expected 0 of the camera_model {kind}, got {k4:g}")
+        more = any(get("k1", "k2", "k3", "p1", "p2"))
+        if more and kind != "OPENCV":
+            raise FileFormatError(f"{where}, camera_model: {kind} with k1, k2, k3, p1 or p2; is it OPENCV?")
+        if not more:
             kind = "PINHOLE"
     lens = lens_called(_LENSES, kind)
     return lens.camera([*plane, *get(*lens.keys[4:])], size, where)
@@ -193,6 +239,7 @@ register_format(
         "nerfstudio and instant-ngp transforms.json",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored=_IGNORED,
         usual_names=("transforms.json",),
         models=(*models_of(_LENSES), "equirectangular"),
         write_camera=write_nerfstudio,

@@ -52,13 +52,13 @@ _LINES = (
 
 
 def recognizes(path: Path) -> bool:
-    """Whether a file is called ``poses.txt``, or has no words in its first line of data."""
+    """Whether a file is called ``poses.txt``, or its first line of data begins with a count."""
     if path.name == _POSES:
         return True
     if looks_structured(path):
         return False
     lines = data_lines(path)
-    return not lines or not any(re.match(r"[A-Z_a-z]{2}", word) for word in lines[0][1])
+    return not lines or bool(re.match(r"\d{1,3}(\.0*)?( [-+.\dni]|$)", " ".join(lines[0][1])))
 
 
 def contents(path: Path, options: Options) -> Contents:
@@ -122,6 +122,10 @@ def _ocam(path: Path, max_angle: float | None) -> OCamCamera:
         raise FileFormatError(
             f"{path}: truncated after line {last}: the {_LINES[len(lines)]} is missing "
             f"(an OCamCalib file has {len(_LINES)} lines of data, this one {len(lines)})"
+        )
+    if len(lines) > len(_LINES):
+        raise FileFormatError(
+            f"{path}, line {lines[5][0]}: expected {len(_LINES)} lines of data, this is one more"
         )
     counts = (None, None, 2, 3, 2)
     direct, inverse, center, affine, size = (

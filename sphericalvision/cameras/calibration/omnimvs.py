@@ -32,8 +32,13 @@ __all__ = ["contents", "recognizes", "write_omnimvs"]
 
 
 def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has a list of cameras."""
-    return "cameras" in content
+    """Whether a parsed file has a list of cameras, with keys of OCam or of this family."""
+    cameras = content.get("cameras")
+    return isinstance(cameras, list) and any(
+        isinstance(values, dict)
+        and len({"cam_id", "poly", "inv_poly", "affine", "max_fov"} & set(values)) > 1
+        for values in cameras
+    )
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
@@ -63,8 +68,8 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 def _camera(values: Any, where: str, max_angle: float | None) -> OCamCamera:
     chosen(values.get("model", "ocam"), ("ocam",), f"{where}, model")
-    if max_angle is None and "max_fov" in values:
-        max_angle = math.radians(numbers(values["max_fov"], f"{where}, max_fov", 1)[0]) / 2
+    if (view := values.get("max_fov")) is not None and max_angle is None:
+        max_angle = math.radians(numbers(view, f"{where}, max_fov", 1)[0]) / 2
     inverse = numbers(values["inv_poly"], f"{where}, inv_poly") if values.get("inv_poly") else None
     return make_ocam(
         numbers(entry(values, "poly", where), f"{where}, poly"),
@@ -122,6 +127,7 @@ register_format(
         "OmniMVS config.yaml",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored="config|dataset|cameras/img_dir",
         usual_names=("config.yaml",),
         models=("ocam",),
         write_rig=write_omnimvs,

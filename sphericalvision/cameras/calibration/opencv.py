@@ -9,11 +9,13 @@ Convention:
     Which model it is: ``xi`` makes it ``cv2.omnidir``, ``fisheye_model: 1`` (or the distortion model equidistant)
     ``cv2.fisheye``. Without either, four coefficients called ``D`` are ``cv2.fisheye``'s, as its documentation calls
     them; any other number or name are those of the pinhole with distortion.
+
+    In ROS's messages the matrix is that of the whole sensor, and the image its part ``roi``, made smaller by
+    ``binning_x`` and ``binning_y``.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,9 +26,11 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.opencv_keys import (
     DISTORTION,
     MATRIX,
+    MODEL,
     ROTATION,
     SIZE,
     TRANSLATION,
@@ -36,24 +40,31 @@ from sphericalvision.cameras.calibration.opencv_keys import (
 )
 from sphericalvision.cameras.calibration.opencv_writer import write_opencv
 from sphericalvision.cameras.calibration.parsing import (
+    entry,
     errors_of_file,
     focal_lengths,
+    mapping,
     metres_per,
+    model_meant,
+    number,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import checked_rigid
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
-from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.cameras.models.pinhole import PinholeCamera
-from sphericalvision.cameras.models.unified import UnifiedCamera
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import invert_transform
 
 __all__ = ["contents", "recognizes"]
 
+_FLAG = ("fisheyemodel", "fisheye")
 _PAIRS = {"intrinsics": "extrinsics", "extrinsics": "intrinsics"}
 """File names of OpenCV's stereo sample, each with that of the other half."""
+_IGNORED = (
+    r"(?i)[rtpqef]_?[12]?|r_?vecs?|t_?vecs?|om|translation|rotation(_?matrix)?|extrinsic(_?parameter)?s|map[xy12]*|flag.*"
+    r"|(rectification|projection)(_?matrix)?(_?[12]|_?left|_?right)?|(new|optimal)_?camera_?(matrix|mtx)|valid_?pix_?roi.*"
+    r"|(n|nr|nr_?of|num)_?[a-z]+s|(fix_?)?aspect_?ratio|(image|grid|object)_?points|per_?view_?.*"
+)
+"""What belongs to rectified images, to views of the board, and to the calibration as a work; R and T of one camera."""
 
 
 def recognizes(content: dict[str, Any]) -> bool:
@@ -70,16 +81,18 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     Raises:
         ArgumentError: the unit of the translation, or the size of the images, is neither in the file nor given.
     """
-    content = _with_other_half(content, path)
+    _add_other_half(content, path)
     if find(content, MATRIX):
         where = str(path)
-        camera = bounded(_camera(content, "", where, options), options.max_angle, where)
-        return Contents({str(content.get("camera_name") or "cam1"): camera})
+        camera = _as_published(_camera(content, "", where, options), content, where)
+        name = str(content.get("camera_name") or "cam1")
+        return Contents({name: bounded(camera, options.max_angle, where)})
     cameras = {}
     for index in ("1", "2"):
         where = f"{path}, camera {index}"
         cameras[f"cam{index}"] = bounded(_camera(content, index, where, options), options.max_angle, where)
-    rotation_key, translation_key = find(content, ROTATION), find(content, TRANSLATION)
+    rotation_key = find(content, ROTATION, where=str(path))
+    translation_key = find(content, TRANSLATION, where=str(path))
     if rotation_key is None or translation_key is None:
         return Contents(cameras)
     unit = content.get("translation_unit") or options.translation_unit
@@ -99,83 +112,106 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     return Contents(cameras, torch.stack((first, invert_transform(second_from_first))))
 
 
-def _with_other_half(content: dict[str, Any], path: Path) -> dict[str, Any]:
+def _add_other_half(content: dict[str, Any], path: Path) -> None:
     """OpenCV's stereo sample writes intrinsics and extrinsics into two files side by side."""
     other = path.with_name(f"{_PAIRS.get(path.stem, '')}{path.suffix}")
     if path.stem in _PAIRS and other.is_file():
         more = load(other)
-        if isinstance(more, dict):
-            return {**more, **content}
-    return content
+        for key, value in more.items() if isinstance(more, dict) else ():
+            content.setdefault(key, value)
+
+
+def _as_published(camera: Camera, content: Mapping[str, Any], where: str) -> Camera:
+    """The camera of a part of the image, made smaller, where a message of ROS says that it was."""
+    roi = content.get("roi")
+    if roi is not None:
+        keys = ("x_offset", "y_offset", "width", "height")
+        left, top, width, height = (int(number(roi, key, f"{where}, roi")) for key in keys)
+        mapping(roi, where).get("do_rectify")  # which is for those who rectify
+        if any((left, top, width, height)):
+            with errors_of_file(f"{where}, roi"):
+                camera = camera.cropped(top, left, height, width)
+    binning = [
+        int(number(content, key, where)) if key in content else 1 for key in ("binning_x", "binning_y")
+    ]
+    across, down = (max(count, 1) for count in binning)
+    height, width = camera.image_size
+    if height % down or width % across:
+        raise FileFormatError(
+            f"{where}, binning_x and binning_y: {across} and {down} divide no {width} x {height}"
+        )
+    return camera.resized((height // down, width // across)) if across * down > 1 else camera
 
 
 def _image_size(content: Mapping[str, Any], index: str, where: str, options: Options) -> tuple[int, int]:
     for suffix in dict.fromkeys((index, "")):
-        width = find(content, ("imagewidth", "width"), suffix)
-        height = find(content, ("imageheight", "height"), suffix)
-        if width and height:
-            return size_from_width_height([content[width], content[height]], f"{where}, {width} and {height}")
-        both = find(content, SIZE, suffix)
+        width = find(content, ("imagewidth", "width", "imgwidth"), suffix, where)
+        height = find(content, ("imageheight", "height", "imgheight"), suffix, where)
+        both = find(content, SIZE, suffix, where)
+        keys = [width or f"image_width{suffix}", height or f"image_height{suffix}"] if width or height else []
+        sides = [entry(content, key, where) for key in keys]
         if both:
-            return size_from_width_height(matrix(content[both], f"{where}, {both}", 2), f"{where}, {both}")
+            size = size_from_width_height(matrix(content[both], f"{where}, {both}", 2), f"{where}, {both}")
+            if not sides or size == size_from_width_height(sides, f"{where}, {width} and {height}"):
+                return size
+            raise FileFormatError(f"{where}: {both} and {width}, {height} differ; keep the right ones")
+        if sides:
+            return size_from_width_height(sides, f"{where}, {width} and {height}")
     return options.given_size(where, "image_width and image_height")
 
 
-def _is_fisheye(content: Mapping[str, Any], index: str, distortion_key: str, count: int) -> bool:
-    flags, names = ("fisheyemodel", "fisheye"), ("distortionmodel", "cameramodel", "model")
-    if flag := find(content, flags, index) or find(content, flags):
-        return str(content[flag]).lower() in ("1", "1.0", "true")
-    if name := find(content, names, index) or find(content, names):
-        return any(word in str(content[name]).lower() for word in ("fisheye", "equidistant", "kannala"))
-    return count == 4 and distortion_key.lower().startswith("d") and len(distortion_key) <= 2
+def _kind(content: Mapping[str, Any], index: str, where: str, distortion_key: str, count: int) -> str:
+    """The model: what all keys say together that tell it, or else the one that has so many coefficients."""
+    told = {"xi": "omni"} if find(content, ("xi",), index) else {}
+    is_plain = False
+    for names in (_FLAG, MODEL[:2], MODEL[2:]):
+        key = find(content, names, index, where) or find(content, names, "", where)
+        meant = model_meant(content[key]) if key else ""
+        if key and names is _FLAG:
+            is_plain = meant not in ("1", "10", "true")
+            meant = "" if is_plain else "equidistant"
+        if key and meant and not (meant == "none" and names is MODEL[2:]):  # any camera is a pinhole to some
+            told[key] = meant
+    meanings = set(told.values()) - ({"radtan"} if "xi" in told else set())
+    if len(meanings) > 1 or (is_plain and "equidistant" in meanings):
+        raise FileFormatError(f"{where}: {', '.join(told)} tell different models; keep the right one")
+    if meanings:
+        return meanings.pop()
+    if count and not is_plain and find(content, ("xi",), {"1": "2", "2": "1"}.get(index, "")):
+        raise FileFormatError(
+            f"{where}: the key 'xi_{index}' is missing, which the other camera has, or fisheye_model_{index}"
+        )
+    if count == 4 and not is_plain and distortion_key in ("d", "D", f"d{index}", f"D{index}"):
+        return "equidistant"
+    return {0: "none", 8: "rational_polynomial", 12: "thin_prism", 14: "tilted"}.get(count, "radtan")
 
 
 def _camera(content: Mapping[str, Any], index: str, where: str, options: Options) -> Camera:
-    key = find(content, MATRIX, index)
+    key = find(content, MATRIX, index, where)
     if key is None:
         raise FileFormatError(
             f"{where}: the camera matrix is missing (camera_matrix{index}, K{index} or M{index}); found "
             f"{', '.join(map(str, content))}"
         )
-    skew: float | None
     fx, skew, cx, _, fy, cy, *last = matrix(content[key], f"{where}, {key}", 9)
     if last != [0.0, 0.0, 1.0]:
         raise FileFormatError(f"{where}, {key}: expected 0 0 1 in the last row, got {last}")
-    focal_length = torch.tensor(focal_lengths([fx, fy], f"{where}, {key}"), dtype=torch.float64)
+    focal_lengths([fx, fy], f"{where}, {key}")
     size = _image_size(content, index, where, options)
-    distortion_key = find(content, DISTORTION, index)
-    coefficients: list[float] = []
-    if distortion_key is not None:
-        coefficients = matrix(content[distortion_key], f"{where}, {distortion_key}")
-    xi = find(content, ("xi",), index)
-    fisheye = distortion_key is not None and _is_fisheye(content, index, distortion_key, len(coefficients))
+    distortion_key = find(content, DISTORTION, index, where)
+    numbers = [fx, fy, cx, cy]
+    coefficients = matrix(content[distortion_key], f"{where}, {distortion_key}") if distortion_key else []
+    kind = _kind(content, index, where, distortion_key or "", len(coefficients))
+    if kind == "omni":
+        xi = find(content, ("xi",), index, where) or "xi"
+        numbers += matrix(entry(content, xi, where), f"{where}, {xi}", 1)
     if abs(skew) <= 1e-9 * abs(fx):
-        skew = None
-    elif xi is None and not fisheye:
+        return distorted(kind, numbers + coefficients, size, f"{where}, {distortion_key or key}")
+    if kind not in ("omni", "equidistant"):
         raise FileFormatError(
             f"{where}, {key}: a skew of {skew:g} is for fisheye and omnidirectional cameras; OpenCV's others have none"
         )
-    with errors_of_file(where if distortion_key is None else f"{where}, {distortion_key}"):
-        if xi is not None:
-            distortion = _with_k3(coefficients, f"{where}, {distortion_key}")
-            value = matrix(content[xi], f"{where}, {xi}", 1)[0]
-            return UnifiedCamera(focal_length, [cx, cy], value, distortion, size, skew=skew)
-        if fisheye:
-            return KannalaBrandtCamera(focal_length, [cx, cy], coefficients, size, math.pi, skew)
-        if not coefficients:
-            return PinholeCamera(focal_length, [cx, cy], size)
-        return BrownConradyCamera(focal_length, [cx, cy], coefficients, size)
-
-
-def _with_k3(coefficients: list[float], where: str) -> list[float] | None:
-    """Mei's k1 k2 p1 p2 with a k3 of 0 behind, or ``None`` without any."""
-    if not coefficients:
-        return None
-    if len(coefficients) not in (4, 5):
-        raise FileFormatError(
-            f"{where}: expected k1 k2 p1 p2, and k3 at most, got {len(coefficients)} numbers"
-        )
-    return [*coefficients, 0.0][:5]
+    return distorted(kind, numbers + coefficients, size, f"{where}, {distortion_key or key}", skew)
 
 
 register_format(
@@ -186,6 +222,7 @@ register_format(
         contents_of_keys=contents,
         usual_names=("extrinsics.yml",),
         tells_unit=False,
+        ignored=_IGNORED,
         models=("pinhole", "brown_conrady", "kannala_brandt", "unified"),
         write_camera=write_opencv,
         write_rig=write_opencv,

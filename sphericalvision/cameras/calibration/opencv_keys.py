@@ -16,28 +16,44 @@ from torch import Tensor
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError
 
-__all__ = ["DISTORTION", "MATRIX", "ROTATION", "SIZE", "TRANSLATION", "find", "matrix", "rotation"]
+__all__ = ["DISTORTION", "MATRIX", "MODEL", "ROTATION", "SIZE", "TRANSLATION", "find", "matrix", "rotation"]
 
 MATRIX = ("cameramatrix", "k", "m", "mtx")
-DISTORTION = ("distortioncoefficients", "distcoeffs", "distcoefficients", "distortioncoeffs", "dist", "d")
+_COEFFICIENTS = ("", "coefficient", "coeff", "coef", "vector", "vec", "parameter", "param")
+_DISTORTION = [f"{start}{end}" for start in ("dist", "distortion") for end in _COEFFICIENTS]
+DISTORTION = ("d", "kc", *_DISTORTION, *(f"{name}s" for name in _DISTORTION))
+MODEL = ("distortionmodel", "distortiontype", "cameramodel", "cameratype", "model", "lensmodel", "lenstype")
 SIZE = ("cameraresolution", "imagesize", "resolution")
 ROTATION = ("r", "rotation", "rotationmatrix", "rvec", "om")
 TRANSLATION = ("t", "translation", "tvec")
 _INDICES = {"1": ("1", "left", "l"), "2": ("2", "right", "r")}
 
 
-def find(content: Mapping[Any, Any], names: tuple[str, ...], index: str = "") -> str | None:
-    """The key that spells one of ``names``, with the index of a camera if there are two."""
+def find(content: Mapping[Any, Any], names: tuple[str, ...], index: str = "", where: str = "") -> str | None:
+    """The key that spells one of ``names``, with the index of a camera if there are two.
+
+    Raises:
+        FileFormatError: ``where`` is given, and there are several keys that say different things.
+    """
     wanted = set(names)
     if index:
         ends = _INDICES[index]
         wanted = {f"{name}{end}" for name in names for end in ends} | {
             f"{end}{name}" for name in names for end in ends[1:2]
         }
-    for key in content:
-        if re.sub(r"[^a-z0-9]", "", str(key).lower()) in wanted:
-            return str(key)
-    return None
+    found = [str(key) for key in content if re.sub(r"[^a-z0-9]", "", str(key).lower()) in wanted]
+    if where and len(found) > 1:
+        read = rotation if names is ROTATION else _plain
+        values = [read(content[key], f"{where}, {key}") for key in found]
+        if not all(np.array_equal(values[0], value) or np.allclose(values[0], value) for value in values[1:]):
+            raise FileFormatError(
+                f"{where}: {' and '.join(found)} stand for the same thing and differ; keep one"
+            )
+    return found[0] if found else None
+
+
+def _plain(value: Any, where: str) -> Any:
+    return matrix(value, where) if isinstance(value, Mapping | list) else str(value)
 
 
 def matrix(value: Any, where: str, count: int | None = None) -> list[float]:
@@ -49,7 +65,8 @@ def matrix(value: Any, where: str, count: int | None = None) -> list[float]:
                 f"{where}: expected a matrix of rows, cols and data, {missing[0]} is missing"
             )
         rows, columns = numbers([value["rows"], value["cols"]], f"{where}, rows and cols", 2)
-        found = [] if rows * columns == 0 else numbers(value["data"], f"{where}, data")
+        data = value["data"]
+        found = [] if rows * columns == 0 else numbers(data, f"{where}, data")
         if rows * columns != len(found):
             raise FileFormatError(
                 f"{where}: announces {rows:g} x {columns:g} numbers but holds {len(found)}; is the file truncated?"

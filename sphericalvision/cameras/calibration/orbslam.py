@@ -54,7 +54,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """The camera or the two cameras of a parsed file, and their poses as far as the file has any."""
-    first = "Camera1" if "Camera1.fx" in content else "Camera"
+    first = "Camera1" if any(str(key).startswith("Camera1.") for key in content) else "Camera"
     cameras: dict[str, Camera] = {}
     for name, prefix in (("cam1", first), ("cam2", "Camera2")):
         if name == "cam1" or "Camera2.fx" in content:
@@ -134,6 +134,8 @@ register_format(
         "ORB-SLAM3 settings",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored=r"(?!Camera|Stereo|IMU\.T|LEFT|RIGHT|T).*|ThDepth"
+        r"|Camera\d?\.(fps|RGB|bf|newWidth|newHeight|imageScale|(overl|l)apping(Begin|End))|Stereo\.(ThDepth|b)",
         models=models_of(_LENSES),
         write_camera=write_orbslam,
         write_rig=write_orbslam,

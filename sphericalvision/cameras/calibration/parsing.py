@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from sphericalvision.cameras.rig import CameraRig
@@ -17,14 +18,17 @@ __all__ = [
     "METRES_PER_UNIT",
     "check_radius",
     "chosen",
+    "chosen_model",
     "entry",
     "errors_of_file",
     "focal_lengths",
     "mapping",
     "metres_per",
+    "model_meant",
     "number",
     "numbers",
     "size_from_width_height",
+    "view_name",
 ]
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -99,6 +103,38 @@ def chosen(value: Any, choices: Iterable[str], where: str) -> str:
     return value
 
 
+_SYNONYMS = [
+    group.split()
+    for group in (
+        "none no pinhole perspective undistorted rectified nodistortion",
+        "radtan radialtangential radialtangential4 plumbbob brownconrady brown radtan4 radtan5 opencv",
+        "rationalpolynomial rational radtan8 radialtangential8 pinholeradtan8",
+        "thinprism",
+        "tilted",
+        "equidistant equi fisheye kannalabrandt kannalabrandt4 kannalabrandt8 kb kb4 opencvfisheye",
+        "fov atan",
+        "omni omnidir mei unified ucm",
+        "eucm extendedunified",
+        "ds doublesphere",
+    )
+]
+"""What lenses are called, in small letters alone; the first of a line stands for all of it."""
+
+
+def model_meant(value: Any) -> str:
+    """The name that stands for a model's name and all its synonyms; any other name stands for itself."""
+    spelled = re.sub(r"[^a-z0-9]", "", str(value).lower())
+    return next((group[0] for group in _SYNONYMS if spelled in group), spelled)
+
+
+def chosen_model(value: Any, choices: Iterable[str], where: str) -> str:
+    """``value`` or the one of a format's names of models that it is a synonym of, else ``FileFormatError``."""
+    words = tuple(choices)
+    if isinstance(value, str) and value not in words:
+        value = next((word for word in words if model_meant(word) == model_meant(value)), value)
+    return chosen(value, words, where)
+
+
 def _listed(words: tuple[str, ...]) -> str:
     return " or ".join(words) if len(words) < 3 else f"one of {', '.join(words)}"
 
@@ -117,6 +153,20 @@ def entry(values: Any, key: str, where: str) -> Any:
             f"{where}: the key {key!r} is missing; found {', '.join(map(str, values)) or 'none'}"
         )
     return values[key]
+
+
+_IMAGE = re.compile(r"(?i)\.(png|jpe?g|tiff?|bmp|webp|exr|hdr|p[gnp]m|jp2|gif|dng|raw|heic|avif)$")
+
+
+def view_name(file: Any) -> str:
+    """The name of a view by its image: the way to it without the suffix, in whatever system it was written.
+
+    Examples:
+        >>> view_name(r".\\images\\front.000.png"), view_name("./rig.000")
+        ('images/front.000', 'rig.000')
+    """
+    name = str(PurePosixPath(_IMAGE.sub("", str(file).strip().replace("\\", "/"))))
+    return name if name.strip("/.") else ""
 
 
 @contextmanager

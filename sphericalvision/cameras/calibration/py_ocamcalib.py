@@ -74,5 +74,11 @@ def _stretch(rows: Any, where: str) -> tuple[float, float, float]:
 
 
 register_format(
-    FileFormat("py_ocamcalib", "py-OCamCalib json", recognizes_keys=recognizes, contents_of_keys=contents)
+    FileFormat(
+        "py_ocamcalib",
+        "py-OCamCalib json",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        ignored=r"valid|inverse_poly|extrinsics_t\w*|img_path|\w*_?images?_path",
+    )
 )

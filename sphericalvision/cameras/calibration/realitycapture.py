@@ -23,10 +23,11 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import parse_xml, read_text
+from sphericalvision.cameras.calibration.files import once, parse_xml, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import check_understood, noted
 from sphericalvision.cameras.calibration.lenses import Lens
-from sphericalvision.cameras.calibration.parsing import numbers
+from sphericalvision.cameras.calibration.parsing import entry, numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import FileFormatError
@@ -36,6 +37,7 @@ __all__ = ["contents", "files_of_rig", "recognizes"]
 _XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 _PERSPECTIVE = Lens("perspective", "pinhole", "FocalLength35mm=fx AspectRatio=fy cx cy")
 _BROWN = Lens("brown3t2", "brown_conrady", "FocalLength35mm=fx AspectRatio=fy cx cy k1 k2 k3 t1=p2 t2=p1")
+_IGNORED = r"\w*(Version|Prior|Group|Coordinates|In(Texturing|Meshing|Coloring)|Id|Enabled)"
 _MODELS = ("perspective", "brown3", "brown4", "brown3t2", "brown4t2")
 
 
@@ -56,13 +58,15 @@ def contents(path: Path, options: Options) -> Contents:
         ArgumentError: the size of the image is not given.
     """
     root = parse_xml(read_text(path), path)
-    values: dict[str, str] = {}
+    pairs = []
     for element in root.iter():  # an attribute or an element, from version to version
         if element.tag.startswith(_XCR):
-            values[element.tag.removeprefix(_XCR)] = element.text or ""
-        values |= {key.removeprefix(_XCR): text for key, text in element.attrib.items() if _XCR in key}
+            pairs.append((element.tag, element.text or ""))
+        pairs += [(key, text) for key, text in element.attrib.items() if _XCR in key]
+    values = noted(once(((key.removeprefix(_XCR), text) for key, text in pairs), path))
     camera = bounded(_camera(values, path, options), options.max_angle, str(path))
-    pose = _pose(values, path) if "Rotation" in values and "Position" in values else None
+    pose = _pose(values, path) if "Rotation" in values or "Position" in values else None
+    check_understood(values, str(path), _IGNORED)
     return Contents({path.stem: camera}, pose)
 
 
@@ -102,8 +106,9 @@ def _camera(values: dict[str, str], path: Path, options: Options) -> Camera:
 
 
 def _pose(values: dict[str, str], path: Path) -> Tensor:
-    rows = torch.tensor(numbers(values["Rotation"].split(), f"{path}, Rotation", 9), dtype=torch.float64)
-    position = numbers(values["Position"].split(), f"{path}, Position", 3)
+    turn, position = (entry(values, key, str(path)) for key in ("Rotation", "Position"))
+    rows = torch.tensor(numbers(turn.split(), f"{path}, Rotation", 9), dtype=torch.float64)
+    position = numbers(position.split(), f"{path}, Position", 3)
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, :3] = rows.reshape(3, 3).T
     pose[:3, 3] = torch.tensor(position, dtype=torch.float64)

@@ -12,14 +12,14 @@ References:
 from __future__ import annotations
 
 import re
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.colmap_records import images_in
 from sphericalvision.cameras.calibration.files import data_lines
-from sphericalvision.cameras.calibration.parsing import numbers
+from sphericalvision.cameras.calibration.parsing import numbers, view_name
 from sphericalvision.cameras.calibration.poses import transform_from_numbers, transform_from_rows
 from sphericalvision.cameras.trajectory import Trajectory
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
@@ -93,7 +93,7 @@ def _of_images(path: Path) -> Trajectory:
     """Of COLMAP's images, in the order of their names."""
     named: list[tuple[str, Tensor]] = []
     for image in images_in(path):
-        name = str(PurePosixPath(image.name).with_suffix("").name) if image.name.strip("/.") else ""
+        name = view_name(image.name).rsplit("/", 1)[-1]
         named.append(
             (name, invert_transform(transform_from_numbers(image.pose[:4], image.pose[4:], image.where)))
         )

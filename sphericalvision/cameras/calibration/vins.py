@@ -19,10 +19,9 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration import camodocal
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.opencv_keys import matrix
-from sphericalvision.cameras.calibration.parsing import entry
+from sphericalvision.cameras.calibration.parsing import entry, number, size_from_width_height
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.core import FileFormatError, check_file, short_repr
 
@@ -42,16 +41,25 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """
     cameras: dict[str, Camera] = {}
     poses = []
-    for index in range(2 if "cam1_calib" in content else 1):
+    count = 2 if "cam1_calib" in content else 1
+    if number(content, "num_of_cam", str(path)) != count if "num_of_cam" in content else False:
+        raise FileFormatError(f"{path}, num_of_cam: expected {count}, as many as there are names of files")
+    for index in range(count):
         name, key = f"cam{index}", f"cam{index}_calib"
         file_name = entry(content, key, str(path))
         if not isinstance(file_name, str) or not file_name or "\0" in file_name:
             raise FileFormatError(f"{path}, {key}: expected the name of a file, got {short_repr(file_name)}")
         file = check_file(path.parent / file_name, f"the calibration of {name}, which {path} names")
-        inner = load(file)
-        if not isinstance(inner, dict) or not camodocal.recognizes(inner):
-            raise FileFormatError(f"{file}: expected model_type, projection_parameters and so on (of {path})")
-        cameras[name] = next(iter(camodocal.contents(inner, file, options).cameras.values()))
+        cameras[name] = camodocal.camera_in(file, options)
+        sides = [content[key] for key in ("image_width", "image_height") if key in content]
+        if (
+            sides
+            and size_from_width_height(sides, f"{path}, image_width and image_height")
+            != cameras[name].image_size
+        ):
+            raise FileFormatError(
+                f"{path}, image_width and image_height: differ from those of {file}; correct one"
+            )
         where = f"{path}, body_T_{name}"
         poses.append(
             transform_from_rows(matrix(entry(content, f"body_T_{name}", str(path)), where, 16), where)
@@ -60,5 +68,11 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 
 register_format(
-    FileFormat("vins", "VINS-Fusion estimator yaml", recognizes_keys=recognizes, contents_of_keys=contents)
+    FileFormat(
+        "vins",
+        "VINS-Fusion estimator yaml",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        ignored="(?!image_|cam|body|num_of_cam|extrinsic|distortion|projection|model|roi|binning).*|image\\d?_topic",
+    )
 )

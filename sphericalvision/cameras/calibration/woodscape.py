@@ -95,6 +95,7 @@ register_format(
         "WoodScape json",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
+        ignored="",
         files_of_rig=files_of_rig,
     )
 )

@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is read is understood or refused aloud: no key of a file is dropped that the camera depends on."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from sphericalvision.cameras import (
+    BrownConradyCamera,
+    Camera,
+    CameraRig,
+    read_camera,
+    read_cameras,
+    read_rig,
+    ring_rig,
+    save_rig,
+)
+from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError
+from tests.cameras.calibration_samples import dump, kalibr, transforms
+from tests.cameras.test_damaged_files import CONTENTS, places
+
+Found = dict[str, Any] | str
+
+
+def read(path: Path) -> Found:
+    """The cameras, and the rig if the file has one; or what is said against it."""
+    known: dict[str, Any] = {"max_angle": 1.0, "image_size": (240, 320)}
+    unit = "mm" if path.stem == "stereo" else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return {"rig": read_rig(path, translation_unit=unit, **known)}
+        except SphericalVisionError as error:
+            return read_cameras(path, **known) if "without poses" in str(error) else str(error)
+
+
+def same(first: Any, second: Any) -> bool:
+    """Whether both are the same cameras at the same places."""
+    if isinstance(first, CameraRig) and isinstance(second, CameraRig):
+        return same(first.cameras, second.cameras) and torch.equal(
+            first.world_from_camera, second.world_from_camera
+        )
+    if isinstance(first, dict) and isinstance(second, dict):
+        return list(first) == list(second) and all(same(first[name], second[name]) for name in first)
+    return isinstance(first, Camera) and isinstance(second, Camera) and first.equals(second)
+
+
+def changed(value: Any) -> Any:
+    """Another value of the same kind."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        return type(value)(value * 2 + 1)
+    if isinstance(value, dict):
+        return {key: changed(inner) for key, inner in value.items()}
+    return [changed(inner) for inner in value] if isinstance(value, list) else f"{value}x"
+
+
+def damages(content: Any) -> Iterator[tuple[str, str, str, Any]]:
+    """A kind of damage, the key, what it became, and the file; each key once, wherever it stands first."""
+    seen: set[str] = set()
+    for *way, last in places(content):
+        if not isinstance(last, str) or last in seen or way[-1:] == ["cameras"]:
+            continue
+        seen.add(last)
+        middle = (len(last) + 1) // 2
+        words = [("removed", ""), ("misspelt", f"{last}s"), ("misspelt", last[:middle] + last[middle + 1 :])]
+        for kind, key in [*words, ("neighbour", f"{last}2"), ("neighbour", f"{last}_new")]:
+            damaged: Any = copy.deepcopy(content)
+            inner = damaged
+            for step in way:
+                inner = inner[step]
+            if key in inner or (kind == "misspelt" and not key):
+                continue
+            value = inner[last] if kind == "neighbour" else inner.pop(last)
+            if key:
+                inner[key] = changed(value) if kind == "neighbour" else value
+            yield kind, last, key, damaged
+
+
+COMPLETE_WITHOUT = {  # keys of which the rest is a file as its producers write it, too
+    "camchain.yaml": r"cam\d",
+    "FV.json": "aspect_ratio|extrinsic",
+    "sensor.yaml": "T_BS",
+    "settings.yaml": "Stereo.T_c1_c2",
+    "settings_pinhole.yaml": "Stereo.T_c1_c2",
+    "transforms.json": "fl_[xy]|c[xy]|k4",
+    "calibration_fisheye.json": "camera_name",
+    "blender.json": "resolution_percentage|matrix_world",
+    "stereo.yaml": "D[12]|[RT]",
+    "stereo.json": "D[12]|[RT]",
+    "image_02.yaml": "camera_name",
+    "pinhole.yaml": "camera_name",
+    "kannala.yaml": "camera_name",
+}
+
+
+def write(content: Any, name: str) -> str:
+    return json.dumps(content) if name.endswith("json") else yaml.safe_dump(content)
+
+
+@pytest.mark.parametrize("name", CONTENTS)
+def test_each_key_is_understood_or_refused_by_name(tmp_path: Path, name: str) -> None:
+    path, content = tmp_path / name, CONTENTS[name]()
+    path.write_text(write(content, name))
+    intact = read(path)
+    assert not isinstance(intact, str), intact
+    for kind, last, key, damaged in damages(content):
+        path.write_text(write(damaged, name))
+        found = read(path)
+        told = f"{kind}: {last} {key}: {found}"
+        if isinstance(found, str):
+            assert (
+                last in found or (key and key in found) or "not a calibration" in found or last[0] == "M"
+            ), told
+        elif not (kind == "removed" and re.fullmatch(COMPLETE_WITHOUT.get(name, ""), last)):
+            assert same(intact, found), told
+
+
+@pytest.mark.parametrize("name", CONTENTS)
+def test_a_key_that_stands_twice_is_refused(tmp_path: Path, name: str) -> None:
+    content = CONTENTS[name]()
+    key = next(iter(content))
+    text, more = write(content, name), write({key: changed(content[key])}, name)
+    twice = f"{text[:-1]}, {more[1:]}" if name.endswith("json") else text + more
+    (tmp_path / name).write_text(twice)
+    assert f"the key {key!r} stands twice" in str(read(tmp_path / name))
+
+
+K = [[905.0, 0.0, 498.0], [0.0, 911.0, 402.0], [0.0, 0.0, 1.0]]
+FIVE = [0.21, -1.55, 0.012, 0.008, 3.9]
+ROS = {"image_width": 960, "image_height": 720, "camera_matrix": K, "distortion_model": "plumb_bob"}
+
+
+@pytest.mark.parametrize(
+    "key", ["dist_coeff", "distortion", "distortion_vector", "kc", "Distortion_Params", "dist_coefs"]
+)
+def test_distortion_is_read_under_all_its_names(tmp_path: Path, key: str) -> None:
+    camera = read_camera(dump(tmp_path / "camera.yaml", {"K": K, key: [FIVE]}), image_size=(720, 960))
+    same_lens = BrownConradyCamera([905.0, 911.0], [498.0, 402.0], FIVE, (720, 960), float(camera.max_angle))
+    assert camera.equals(same_lens)
+
+
+@pytest.mark.parametrize(
+    ("model", "count", "found"),
+    [
+        ("equi", 4, "KannalaBrandtCamera"), ("kannala_brandt4", 4, "KannalaBrandtCamera"),
+        ("fisheye", 4, "KannalaBrandtCamera"), ("kb4", 4, "KannalaBrandtCamera"),
+        ("radtan", 4, "BrownConradyCamera"), ("plumb_bob", 5, "BrownConradyCamera"),
+        ("rational_polynomial", 8, "BrownConradyCamera"), ("thin_prism", 12, "BrownConradyCamera"),
+        ("fov", 1, "AtanCamera"), ("none", 0, "PinholeCamera"),
+        ("equi", 5, "expected 4 coefficients"), ("plumb_bob", 8, "expected 4 or 5 coefficients"),
+        ("thin_prism_fisheye", 8, "got 'thinprismfisheye'"), ("omnidir", 5, "'xi' is missing"),
+        ("scaramuzza", 5, "expected one of"), ("none", 4, "expected 0 coefficients"),
+    ],
+)  # fmt: skip
+def test_models_are_those_of_a_closed_list(tmp_path: Path, model: str, count: int, found: str) -> None:
+    content = ROS | {"distortion_model": model, "distortion_coefficients": [0.01] * count}
+    path = dump(tmp_path / "camera.yaml", content)
+    if found.endswith("Camera"):
+        assert type(read_camera(path)).__name__ == found
+    else:
+        with pytest.raises(FileFormatError, match=found):
+            read_camera(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fisheye_model": 1}, "fisheye_model, distortion_model tell different models"),
+        ({"camera_model": "fisheye"}, "distortion_model, camera_model tell different models"),
+        ({"dist_coeffs": [0.0] * 5}, "distortion_coefficients and dist_coeffs stand for the same thing"),
+        ({"image_size": [480, 360]}, "image_size and image_width, image_height differ"),
+        ({"rectified": True}, "'rectified' is not understood"),
+        ({"binning_x": 7, "binning_y": 1}, "binning_x and binning_y: 7 and 1 divide no 960 x 720"),
+        ({"roi": {"x_offset": 900, "y_offset": 0, "width": 100, "height": 9}}, "roi: .*rectangle inside"),
+    ],
+)
+def test_what_contradicts_or_is_not_known_is_refused(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    content = {**ROS, "distortion_coefficients": FIVE, **changes}
+    with pytest.raises(FileFormatError, match=message):
+        read_camera(dump(tmp_path / "camera.yaml", content))
+
+
+MESSAGE = {
+    "header": {"frame_id": "cam", "stamp": {"sec": 1}}, "height": 720, "width": 960, "distortion_model": "plumb_bob",
+    "d": FIVE, "k": [*K[0], *K[1], *K[2]], "r": [1.0, 0, 0, 0, 1, 0, 0, 0, 1], "p": [0.0] * 12,
+    "binning_x": 0, "binning_y": 0,
+}  # fmt: skip
+
+
+def test_messages_of_ros_are_cropped_and_binned(tmp_path: Path) -> None:
+    whole = read_camera(dump(tmp_path / "whole.yaml", MESSAGE), max_angle=0.5)
+    roi = {"x_offset": 100, "y_offset": 20, "height": 400, "width": 600, "do_rectify": False}
+    part = {**MESSAGE, "roi": roi, "binning_x": 2, "binning_y": 2}
+    camera = read_camera(dump(tmp_path / "part.yaml", part), max_angle=0.5)
+    assert camera.equals(whole.cropped(20, 100, 400, 600).resized((200, 300)))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_printed_messages_end_in_three_lines_and_may_be_several(tmp_path: Path, encoding: str) -> None:
+    one, path = yaml.safe_dump(MESSAGE), tmp_path / "camera_info.yaml"
+    later = yaml.safe_dump(MESSAGE | {"header": {"stamp": {"sec": 2}}})
+    path.write_text(f"{one}---\n{later}---\n", encoding=encoding)
+    assert read_camera(path).image_size == (720, 960)
+    path.write_text(f"{one}---\n{later.replace('width: 960', 'width: 480')}---\n", encoding=encoding)
+    with pytest.raises(FileFormatError, match="2 YAML documents that differ"):
+        read_camera(path)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "named"),
+    [("cp1252", "line 2: .*0xfc.*cp1252"), ("utf-16-le", "UTF-16 without a byte order mark")],
+)
+def test_other_encodings_are_named(tmp_path: Path, encoding: str, named: str) -> None:
+    (tmp_path / "camera.yaml").write_text(f"# a\n# für\n{yaml.safe_dump(MESSAGE)}", encoding=encoding)
+    with pytest.raises(FileFormatError, match=named):
+        read_camera(tmp_path / "camera.yaml")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "program"),
+    [
+        ("rig.json", '{"cameras": [{"id": "cam0", "origin": [0, 0, 0], "forward": [0, 0, -1]}]}', "Facebook Surround"),
+        ("camera.txt", "0.53 0.67 0.49 0.5 0.89\n1280 1024\ncrop\n640 480\n", "DSO"),
+        ("camera.txt", "EquiDistant 190.9 190.9 254.9 256.8 0.003 0.0 0.0 0.0\n512 512\ncrop\n512 512\n", "DSO"),
+        ("chain.yaml", "cam0: {resolution: [640, 480]}\n", "Kalibr"),
+        ("sfm_data.json", '{"sfm_data_version": "0.3", "views": []}', "OpenMVG"),
+    ],
+)  # fmt: skip
+def test_files_of_other_programs_are_named(tmp_path: Path, name: str, text: str, program: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FileFormatError, match=f"looks like .*{program}"):
+        read_camera(tmp_path / name)
+
+
+def looking(azimuth: float) -> np.ndarray:
+    """The pose in a body, z up, of a camera that looks along a horizontal direction."""
+    cosine, sine = np.cos(azimuth), np.sin(azimuth)
+    return np.array(
+        [[sine, 0, cosine, 0.1 * cosine], [-cosine, 0, sine, 0.1 * sine], [0, -1, 0, 0], [0, 0, 0, 1]]
+    )
+
+
+@pytest.mark.parametrize(("key", "is_right"), [("T_imu_cam", True), ("T_cam_imu", False)])
+def test_transforms_of_kalibr_are_compared(tmp_path: Path, key: str, is_right: bool) -> None:
+    body = [looking(azimuth) for azimuth in np.radians([45, 135, 225])]
+    chain = kalibr("ds none", "ds none", "ds none")
+    for index, pose in enumerate(body):
+        chain[f"cam{index}"][key] = pose.tolist()
+        if index:
+            chain[f"cam{index}"]["T_cn_cnm1"] = (np.linalg.inv(pose) @ body[index - 1]).tolist()
+    path = dump(tmp_path / "camchain.yaml", chain)
+    if is_right:
+        assert abs(float(read_rig(path).axes[0] @ read_rig(path).axes[1])) < 1e-6
+    else:
+        with pytest.raises(
+            FileFormatError, match=r"cam1: T_cn_cnm1 and .* contradict each other; they agree when"
+        ):
+            read_rig(path)
+
+
+CAMERAS = "1 OPENCV_FISHEYE 640 480 300 300 320 240 0.01 0 0 0\n"
+IMAGES = [f"{i} 1 0 0 0 {-0.1 * i} 0 0 1 rig.{i:03d}" for i in range(4)]
+
+
+def test_images_of_colmap_need_their_second_lines(tmp_path: Path) -> None:
+    (tmp_path / "cameras.txt").write_text(CAMERAS)
+    (tmp_path / "images.txt").write_text("\n".join(IMAGES))
+    with pytest.raises(FileFormatError, match=r"images\.txt, line 2: expected the points of the image above"):
+        read_rig(tmp_path)
+    (tmp_path / "images.txt").write_text("\n1.5 2.5 -1 3.25 4 17\n".join(IMAGES))
+    assert read_rig(tmp_path).names == [f"rig.{i:03d}" for i in range(4)]
+
+
+def test_names_of_views_are_kept_whole(tmp_path: Path) -> None:
+    for files, names in (
+        (["./train/rig.000", "./train/rig.001"], ["train/rig.000", "train/rig.001"]),
+        ([r".\images\a.png", r".\images\b.PNG"], ["images/a", "images/b"]),
+        (["c.front.jpg", "c.back.jpg"], ["c.front", "c.back"]),
+    ):
+        content = transforms()
+        for frame, file in zip(content["frames"], files, strict=True):
+            frame["file_path"] = file
+        assert read_rig(dump(tmp_path / "transforms.json", content)).names == names
+
+
+def test_text_beside_binary_must_hold_the_same(tmp_path: Path) -> None:
+    rig = ring_rig(3, radius=0.1)
+    cameras = [camera.convert(to="kannala_brandt").camera for camera in rig.cameras.values()]
+    for suffix in ("bin", "txt"):
+        save_rig(CameraRig(cameras, rig.world_from_camera), tmp_path / f"cameras.{suffix}", "colmap")
+    assert len(read_rig(tmp_path)) == 3
+    text = tmp_path / "cameras.txt"
+    text.write_text(text.read_text().replace("2 OPENCV_FISHEYE ", "2 OPENCV_FISHEYE 1"))
+    with pytest.raises(ArgumentError, match=r"cameras\.bin and cameras\.txt hold different cameras"):
+        read_rig(tmp_path)
+
+
+@pytest.mark.parametrize(("size", "said"), [((240, 320), "another size"), ((960, 720), "exchanged")])
+def test_a_principal_point_far_from_the_middle_is_told(
+    tmp_path: Path, size: tuple[int, int], said: str
+) -> None:
+    path = dump(
+        tmp_path / "camera.yaml", {"camera_matrix": [[600.0, 0, 480.0], [0, 600.0, 360.0], [0, 0, 1.0]]}
+    )
+    with pytest.warns(UserWarning, match=said):
+        read_camera(path, image_size=size)
+
+
+SCALE = "<transform><scale>12.5</scale></transform>"
+SENSOR = (
+    '<sensor id="{}"><resolution width="1000" height="1000"/><calibration type="{}"><f>300</f></calibration>'
+)
+SENSOR += "{}</sensor>"
+OFFSET = "<rotation>-1 0 0 0 1 0 0 0 -1</rotation><location>0 0 -0.004</location>"
+DUAL = f"""<document version="2.0.0"><chunk label="a"><sensors next_id="2">
+{SENSOR.format(0, "equidistant_fisheye", "")}{SENSOR.format(1, "equidistant_fisheye", OFFSET)}</sensors>
+<components active_id="0"><component id="0" label="c">{SCALE}</component></components><cameras>
+<camera id="0" sensor_id="0" component_id="0" label="front"><transform>1 0 0 0 0 1 0 0 0 0 1 0.5 0 0 0 1</transform></camera>
+<camera id="1" sensor_id="1" component_id="0" label="back" master_id="0"/></cameras></chunk></document>"""  # noqa: E501
+
+
+def test_slave_sensors_of_metashape_have_their_masters_pose_and_their_own(tmp_path: Path) -> None:
+    (tmp_path / "cameras.xml").write_text(DUAL)
+    rig = read_rig(tmp_path / "cameras.xml", dtype=torch.float64)
+    assert rig.names == ["front", "back"]
+    assert rig.axes.tolist() == [[0, 0, 1], [0, 0, -1]]
+    assert float(rig.positions[1, 2] - rig.positions[0, 2]) == pytest.approx(-0.05)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("master_id", "maste_id", "master_id"),
+        ('master_id="0"', 'master_id="7"', "there is no camera '7'"),
+        ("<rotation>", "<rotatio>", "not valid XML"),
+        ("<location>0 0 -0.004</location>", "", "'location' is missing"),
+        (SCALE, SCALE.replace("scale>12.5", "scale>1</scale><scale>12.5"), "scale: expected"),
+        ('component_id="0" label="back"', 'component_id="1" label="back"', None),
+        ("<f>300</f>", "<f>300</f><k1>0.1</k1><k9>0.1</k9>", "k9' is not understood"),
+        ("<f>300</f>", "<f>300</f><f>310</f>", "f: expected"),
+        ('label="front">', 'label="front"><orientation>6</orientation>', "orientation: expected 1"),
+        ('version="2.0.0">', 'version="2.0.0"><chunkk/>', "chunkk"),
+        ("<components", "<transform><scale>3</scale></transform><components", "scale: .* differ"),
+    ],
+)
+def test_elements_of_metashape_are_understood(
+    tmp_path: Path, old: str, new: str, message: str | None
+) -> None:
+    (tmp_path / "cameras.xml").write_text(DUAL.replace(old, new))
+    if message is None:
+        assert len(read_rig(tmp_path / "cameras.xml")) == 2
+    else:
+        with pytest.raises(FileFormatError, match=message):
+            read_rig(tmp_path / "cameras.xml")

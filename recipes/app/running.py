@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import io
 import sys
 import tempfile
 import warnings
@@ -39,6 +40,9 @@ CONF = "pkg://sphericalvision.conf"
 
 def run_command(config_name: str, task: Callable[[DictConfig], Any]) -> None:
     """Do what ``sys.argv`` says: show help or version, refuse what does not fit, or run ``task``."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names that the terminal has no letters for
     words = [*quote_paths(sys.argv[1:]), *search_path_of_plugins(sys.argv[1:])]
     if "--version" in words:
         print(f"sphericalvision {__version__}")

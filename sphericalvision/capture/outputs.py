@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import csv
 import errno
+import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -180,11 +182,21 @@ def arrays_of(views: Views) -> dict[str, Any]:
 def read_shares(path: Path) -> dict[str, float]:
     """Photo-consistency by frame, of a table whose last line may be torn; nothing if there is none."""
     shares: dict[str, float] = {}
-    for line in path.read_text().split("\n")[1:-1] if path.is_file() else ():
-        frame, _, share = line.rpartition(",")
+    text = path.read_bytes().decode() if path.is_file() else ""
+    for row in csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")):
         with suppress(ValueError):
+            frame, share = row
             shares[frame] = float(share)
     return shares
+
+
+def _rows_of(shares: Mapping[str, float]) -> str:
+    """Lines of that table; names with a comma or a newline are in quotes."""
+    rows = io.StringIO(newline="")
+    csv.writer(rows, lineterminator="\n").writerows(
+        (frame, f"{share:.4f}") for frame, share in shares.items()
+    )
+    return rows.getvalue()
 
 
 class Outputs:
@@ -260,7 +272,7 @@ class Outputs:
             if "consistency" in self.settings.outputs:
                 self.consistency[frame] = self._judge(depth)
                 with self._table.open("a") as table:  # what is there when the process is killed is read again
-                    table.write(f"{frame},{self.consistency[frame]:.4f}\n")
+                    table.write(_rows_of({frame: self.consistency[frame]}))
             self._number += 1
             self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
 
@@ -284,8 +296,7 @@ class Outputs:
             self.written.append(self._table)
 
     def _write_shares(self) -> None:
-        lines = [f"{frame},{share:.4f}" for frame, share in self.consistency.items()]
-        write_bytes(self._table, "\n".join([SHARES_HEADER, *lines, ""]).encode())
+        write_bytes(self._table, f"{SHARES_HEADER}\n{_rows_of(self.consistency)}".encode())
 
 
 class _Video:

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import re
 import stat
 import uuid
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +23,19 @@ from sphericalvision.core import MissingFileError
 __all__ = ["atomic_write", "list_folder", "part_of_name", "write_bytes", "write_yaml"]
 
 
+MACHINE = f"{zlib.crc32(platform.node().encode()):08x}"
+TEMPORARY = re.compile(r"\.([0-9a-f]{8})-(\d+)-[0-9a-f]{32}(\.|$)")
+"""Name of a temporary file: the machine and the process that write it, and a number of its own."""
+
+
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
     """Give a temporary file in the folder of ``path``; it takes the place of ``path`` once the block ends well.
 
     Whoever reads ``path`` finds the old file or the new one, never half of one; an interrupted or failed block leaves
-    the old file and nothing else. The temporary file has the suffix of ``path``, by which many writers choose their
-    format, and the permissions that the process gives to any new file, even where a writer makes it anew with fewer.
+    the old file and nothing else, and what a killed process has left is removed by the next one that writes there. The
+    temporary file has the suffix of ``path``, by which many writers choose their format, and the permissions that the
+    process gives to any new file, even where a writer makes it anew with fewer.
 
     Args:
         path: what is to be written; missing folders are made.
@@ -45,7 +53,8 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{uuid.uuid4().hex}{path.suffix}")
+    _sweep(path.parent)
+    temporary = path.with_name(f".{MACHINE}-{os.getpid()}-{uuid.uuid4().hex}{path.suffix}")
     try:
         with temporary.open("xb") as created:
             mode = stat.S_IMODE(os.fstat(created.fileno()).st_mode)  # what the umask leaves
@@ -54,6 +63,27 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@cache
+def _sweep(folder: Path) -> None:
+    """Remove, once for a folder, temporary files of processes of this machine that are no more."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            made_by = TEMPORARY.match(entry.name)
+            if made_by and made_by[1] == MACHINE and not _lives(int(made_by[2])):
+                Path(entry.path).unlink(missing_ok=True)
+
+
+def _lives(process: int) -> bool:
+    if os.name == "posix":  # where signal 0 asks, and does nothing
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return False
+        except OSError:  # of another user
+            return True
+    return True
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:

@@ -6,6 +6,8 @@ from __future__ import annotations
 import os
 import resource
 import stat
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,6 +36,24 @@ def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path: Pat
         interrupted()
     assert target.read_text() == "old"
     assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_what_a_killed_process_left_is_swept(tmp_path: Path) -> None:
+    program = (
+        "import os, sys; from pathlib import Path; from sphericalvision.io.files import atomic_write\n"
+        "with atomic_write(Path(sys.argv[1]) / 'a.txt') as temporary: sys.argv[2:] or os.kill(os.getpid(), 9)"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path)]
+    subprocess.run(command, check=False)
+    (left,) = tmp_path.iterdir()
+    others = {tmp_path / ".hidden.txt", tmp_path / f".{'0' * 8}{left.name[9:]}"}
+    for file in others:  # of somebody else, and of another machine
+        file.write_text("here")
+    with atomic_write(tmp_path / "b.txt") as living:
+        assert not left.exists()
+        subprocess.run([*command, "to the end"], check=True)
+        assert living.exists()
+    assert {*tmp_path.iterdir()} == {*others, tmp_path / "a.txt", tmp_path / "b.txt"}
 
 
 def test_until_the_end_readers_find_the_old_file(tmp_path: Path) -> None:

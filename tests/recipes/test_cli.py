@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
+from sphericalvision.recipes.app.running import run_command
 from sphericalvision.recipes.app.words import quote_paths, unquote_paths
 from tests.recipes.tiny import TINY_SCENES, Run
 
@@ -54,6 +56,15 @@ def test_wrong_values_name_their_key(failing: Failing, weights: Path) -> None:
     overlap = failing("train", "experiment=quickstart", "data.val_seed=10")
     assert "data.val_seed" in overlap
     assert "expected one of" in failing("train", "experiment=quickstart", *TINY_SCENES, "data.kind=garden")
+
+
+def test_a_terminal_without_the_letters_of_a_name_is_none_to_fail_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
+    monkeypatch.setattr("sys.stdout", terminal)
+    monkeypatch.setattr("sys.argv", ["sphericalvision-predict", "--version"])
+    run_command("predict", print)
+    print("output: caf\u00e9")
+    assert terminal.buffer.getvalue().endswith(b"output: caf\\xe9\n")  # type: ignore[attr-defined]
 
 
 def test_a_folder_of_own_configs_extends_the_experiments(run: Run, tmp_path: Path, weights: Path) -> None:

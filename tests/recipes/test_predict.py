@@ -322,8 +322,8 @@ def test_prediction_goes_on_where_it_stopped(
 def test_a_torn_table_of_consistency_loses_its_last_line_alone(tmp_path: Path) -> None:
     table = tmp_path / "consistency.csv"
     assert read_shares(table) == {}
-    table.write_text("frame,photo_consistency\n1,0.9134\n2,0.8")
-    assert read_shares(table) == {"1": 0.9134}
+    table.write_text('frame,photo_consistency\n1,0.9134\n"a\nb,c",0.5\n2,0.8')
+    assert read_shares(table) == {"1": 0.9134, "a\nb,c": 0.5}
 
 
 def test_colours_stay_those_of_the_first_frame(run: Run, tmp_path: Path) -> None:

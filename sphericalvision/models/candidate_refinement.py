@@ -120,7 +120,7 @@ class CandidateRefinement(nn.Module):
         correction, confidence, sky = (values.squeeze(1) for values in others)
         weights = scores.softmax(1)
         chosen = ((weights * index).sum(1) + correction).clamp(0, num_hypotheses - 1)
-        seen = cameras.gather(1, weights.argmax(1, keepdim=True)).squeeze(1) >= 2
+        seen = cameras.gather(1, weights.max(1, keepdim=True).indices).squeeze(1) >= 2
         return RefinedIndex(chosen, confidence, sky, seen)
 
 

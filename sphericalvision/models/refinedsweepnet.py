@@ -103,7 +103,7 @@ class RefinedSweepNet(DepthNetwork):
         refining_blocks: residual blocks of the refinement.
 
     Raises:
-        ArgumentError: for a level below the number of widths.
+        ArgumentError: for no widths, or a level below their number.
 
     References:
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown representation
@@ -131,6 +131,8 @@ class RefinedSweepNet(DepthNetwork):
         blocks: int | Sequence[int] = (1, 2, 2, 3, 3),
         refining_blocks: int = 2,
     ) -> None:
+        if not widths:
+            raise ArgumentError("widths: expected the channels of one level or more, got none")
         if check_level(level) < len(widths):
             raise ArgumentError(
                 f"level: expected {len(widths)} or more, got {level!r}: this network looks at its images on "

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import importlib
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
@@ -19,12 +20,14 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.models import (
     IcoSweepNet,
+    RefinedSweepNet,
     load_reference_checkpoint,
     load_weights,
     pretrained,
     save_weights,
 )
 from sphericalvision.models.weights import available_weights, filling
+from sphericalvision.models.weights import files as weight_files
 
 Writer = Callable[..., Path]
 
@@ -114,18 +117,62 @@ def test_weights_that_do_not_fit_name_the_tensor(tmp_path: Path) -> None:
         load_weights(path)
 
 
-@pytest.mark.parametrize("value", ["100000", "1e3", "[" * 3000])
-def test_damaged_hyper_parameters_cost_nothing(tmp_path: Path, value: str) -> None:
-    """A hundred thousand channels would be a terabyte of weights, of which the file has none."""
-    path = save_weights(small_net(), tmp_path / "net.safetensors")
+def rewritten(path: Path, change: Callable[[dict[str, str], dict[str, Tensor]], None]) -> Path:
+    """The same file with other metadata or weights."""
     with safe_open(path, framework="pt") as file:
         metadata, state = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    metadata["hyperparameters"] = re.sub(
-        r'("feature_channels": )\d+', rf"\g<1>{value}", metadata["hyperparameters"]
-    )
+    change(metadata, state)
     save_file(state, path, metadata)
-    with pytest.raises(FileFormatError, match=r"do not fit|cannot build"):
-        load_weights(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("feature_channels", "100000"),  # a terabyte of weights, of which the file has none
+        ("feature_channels", "1e3"),
+        ("feature_channels", "[" * 3000),
+        ("num_hypotheses", "1" + "0" * 30),
+        ("refining_blocks", "10000000"),  # days of making layers
+        ("blocks", "10000000"),
+        ("widths", "[]"),
+    ],
+)
+def test_damaged_hyper_parameters_cost_nothing(tmp_path: Path, name: str, value: str) -> None:
+    small = RefinedSweepNet(3, 5, widths=[2, 2], blocks=1)
+    path = save_weights(
+        small if name not in small_net().hyperparameters else small_net(), tmp_path / "net.safetensors"
+    )
+
+    def damage(metadata: dict[str, str], state: dict[str, Tensor]) -> None:
+        pattern = rf'("{name}": )(\[[^]]*\]|[^,}}]+)'
+        metadata["hyperparameters"], found = re.subn(pattern, rf"\g<1>{value}", metadata["hyperparameters"])
+        assert found == 1
+
+    start = time.process_time()
+    with pytest.raises(FileFormatError, match=r"do not fit|cannot build|ask for more than"):
+        load_weights(rewritten(path, damage))
+    assert time.process_time() - start < 30
+
+
+def test_weights_of_whole_numbers_are_refused(tmp_path: Path) -> None:
+    path = save_weights(small_net(), tmp_path / "net.safetensors")
+
+    def damage(metadata: dict[str, str], state: dict[str, Tensor]) -> None:
+        state["features.last.weight"] = state["features.last.weight"].int()
+
+    with pytest.raises(FileFormatError, match=r"features\.last\.weight.*int32.*float32"):
+        load_weights(rewritten(path, damage))
+
+
+def test_a_full_disk_is_an_error_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise SafetensorError("I/O error: No space left on device (os error 28)")
+
+    monkeypatch.setattr(weight_files, "save_file", full)
+    with pytest.raises(OSError, match=r"No space left.*net\.safetensors"):
+        save_weights(small_net(), tmp_path / "net.safetensors")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_network_may_have_much_that_is_not_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
@@ -38,6 +39,7 @@ def save_weights(net: DepthNetwork, path: str | Path, half: bool = False) -> Pat
     Raises:
         ArgumentError: if the file's name does not end in ``.safetensors``, or the network has no name
             (``register_network``) or hyper-parameters that no file can hold.
+        OSError: if the file cannot be written.
 
     Examples:
         >>> from sphericalvision.models import IcoSweepNet
@@ -53,7 +55,10 @@ def save_weights(net: DepthNetwork, path: str | Path, half: bool = False) -> Pat
         large = {name: x for name, x in state.items() if x.is_floating_point() and x.numel() >= LARGE}
         state |= {name: tensor.half() for name, tensor in large.items()}
     with atomic_write(path) as temporary:
-        save_file(state, temporary, metadata)
+        try:
+            save_file(state, temporary, metadata)
+        except SafetensorError as error:  # of a full disk, for instance
+            raise OSError(errno.EIO, f"could not be written: {error}", str(path)) from error
     return path
 
 
@@ -96,7 +101,7 @@ def load_weights(path: str | Path) -> DepthNetwork:
         return made(network, json.loads(metadata["hyperparameters"]), state, path).eval()
     except FileFormatError:
         raise
-    except (TypeError, ValueError, RuntimeError) as error:  # nesting without end is a RecursionError
+    except Exception as error:  # whatever a stranger's hyper-parameters make of themselves
         raise FileFormatError(
             f"{path}: cannot build {network.__name__} from metadata 'hyperparameters' = "
             f"{metadata['hyperparameters']:.1000}: {error}"

@@ -21,6 +21,8 @@ FACTORIES = (torch.empty, torch.zeros, torch.ones, torch.rand, torch.randn)
 """What weights are made with."""
 SPARE = 10_000_000
 """Numbers, 40 MB, that a network may allocate beside the weights."""
+SPARE_TENSORS = 1000
+"""Tensors that it may make beside four for each weight."""
 
 
 def made(
@@ -32,15 +34,24 @@ def made(
     """Return a network with the hyper-parameters and the weights of a file.
 
     Where the hyper-parameters ask for far more weights than there are, nothing of that is allocated: a damaged number
-    could ask for any amount of memory.
+    could ask for any amount of memory, and for layers without end.
 
     Raises:
-        FileFormatError: as ``filled`` does. Whatever ``network`` raises of hyper-parameters passes.
+        FileFormatError: as ``filled`` does, and for far more tensors. Whatever ``network`` raises of hyper-parameters
+            passes.
     """
+    numbers, tensors = (
+        sum(tensor.numel() for tensor in state.values()) + SPARE,
+        4 * len(state) + SPARE_TENSORS,
+    )
     try:
-        with _AtMost(sum(tensor.numel() for tensor in state.values()) + SPARE):
+        with _AtMost(numbers, tensors):
             net = network(**hyperparameters)
-    except _TooManyError:
+    except _TooManyError as error:
+        if error.tensors:
+            raise FileFormatError(
+                f"{source}: the hyper-parameters ask for more than {tensors} tensors, with weights for {len(state)}"
+            ) from None
         _check_outline(network, hyperparameters, state, source)
         net = network(**hyperparameters)  # it is right: much of it is not weights
     return filled(net, state, source)
@@ -82,22 +93,27 @@ def filled(net: Network, state: Mapping[str, Tensor], source: str | Path) -> Net
 
 
 class _TooManyError(Exception):
-    """A network asks for many more numbers than its file has."""
+    """A network asks for many more numbers than its file has, or for many more ``tensors``."""
+
+    def __init__(self, tensors: bool) -> None:
+        super().__init__()
+        self.tensors = tensors
 
 
 class _AtMost(TorchFunctionMode):
-    """Within it, ``torch.empty`` and the like, of which weights are made, give so many numbers in all, and no more."""
+    """Within it, ``torch.empty`` and the like, of which weights are made, give so much in all, and no more."""
 
-    def __init__(self, numbers: int) -> None:
+    def __init__(self, numbers: int, tensors: int) -> None:
         super().__init__()
-        self.left = numbers
+        self.left, self.tensors_left = numbers, tensors
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         if func in FACTORIES:
             size = (kwargs or {}).get("size", args)
             self.left -= torch.empty(*size, device="meta").numel()
-            if self.left < 0:
-                raise _TooManyError
+            self.tensors_left -= 1
+            if self.left < 0 or self.tensors_left < 0:
+                raise _TooManyError(tensors=self.tensors_left < 0)
         return func(*args, **(kwargs or {}))
 
 
@@ -109,6 +125,11 @@ def _check_fits(net: nn.Module, state: Mapping[str, Tensor], source: str | Path)
         f"'{name}' has shape {tuple(state[name].shape)}, expected {tuple(tensor.shape)}"
         for name, tensor in expected.items()
         if name in state and state[name].shape != tensor.shape
+    ]
+    problems += [
+        f"'{name}' holds {state[name].dtype}, expected {tensor.dtype}"
+        for name, tensor in expected.items()
+        if name in state and state[name].is_floating_point() != tensor.is_floating_point()
     ]
     if problems:
         raise FileFormatError(

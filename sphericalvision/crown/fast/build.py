@@ -2,8 +2,9 @@
 """Where the operators in C++ come from: the machine's compiler, beside the work, and then the user's cache.
 
 The library lies in ``$XDG_CACHE_HOME/sphericalvision`` (``~/.cache/sphericalvision``), a folder that nobody else may
-write to, under a name that follows from all that it depends on: sources, torch, compiler and processor. Its digest lies
-beside it, so that a damaged file is made anew and not loaded.
+write to, under a name that follows from all that it depends on: sources, torch, compiler and processor. It is code that
+will run, so files of others, or that others could have written, are not loaded; and its digest lies beside it, as a
+shorter file would end the process when it is read. Such files are made anew.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def _consider() -> None:
         try:
             if _is_whole(_library()):
                 _load(_library())
-        except (OSError, RuntimeError, MissingCompilerError):
+        except (OSError, RuntimeError, subprocess.SubprocessError):
             pass  # it is made anew below, or said why not
         return
     # Results that must not change from run to run must not change within one either.
@@ -109,7 +110,7 @@ def _compile_beside() -> None:
         with _State.lock:
             _load_or_compile("nice", "-n", "10")
         _log.warning("operators in C++ are used from here on, after %.0f s", time.monotonic() - start)
-    except (MissingCompilerError, OSError) as error:
+    except (OSError, RuntimeError) as error:
         _State.given_up = True
         _log.warning("%s: %s", _GAIN, error)
 
@@ -149,14 +150,21 @@ def _folder() -> Path:
         OSError: there is none, and none can be made.
     """
     named = os.environ.get("XDG_CACHE_HOME")
-    folder = (Path(named) if named else Path.home() / ".cache") / "sphericalvision"
+    try:
+        folder = (Path(named) if named else Path.home() / ".cache") / "sphericalvision"
+    except RuntimeError as error:  # a user without a home
+        raise FileNotFoundError(f"{error}; XDG_CACHE_HOME names a folder to write to") from error
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = folder.stat()
-    if hasattr(os, "getuid") and found.st_uid != os.getuid():
+    if not _is_own(folder.stat(), allowed=stat.S_IFDIR | 0o777):
         raise PermissionError(f"{folder} belongs to somebody else")
-    if stat.S_IMODE(found.st_mode) & 0o077:
+    if stat.S_IMODE(folder.stat().st_mode) & 0o077:
         folder.chmod(0o700)
     return folder
+
+
+def _is_own(found: os.stat_result, allowed: int) -> bool:
+    """Whether a file is this user's, and has no bits of its mode but those ``allowed``."""
+    return not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & ~allowed)
 
 
 @cache
@@ -172,7 +180,12 @@ def _compiler() -> tuple[str, str]:
         raise MissingCompilerError(
             f"the C++ operators need a C++ compiler, such as g++; {command} was not found (CXX names another)"
         )
-    said = subprocess.run([found, "--version"], capture_output=True, text=True, timeout=60)
+    try:
+        said = subprocess.run([found, "--version"], capture_output=True, text=True, timeout=60)
+    except (OSError, subprocess.SubprocessError) as error:
+        raise MissingCompilerError(
+            f"the C++ compiler {found} does not run: {error} (CXX names another)"
+        ) from error
     return found, said.stdout
 
 
@@ -202,10 +215,12 @@ def _digest_file(library: Path) -> Path:
 
 
 def _is_whole(library: Path) -> bool:
-    """Whether the library is there as it was written."""
+    """Whether the library is there as it was written, by this user."""
     try:
-        found = hashlib.sha256(library.read_bytes()).hexdigest()
-        return _digest_file(library).read_text() == found
+        with library.open("rb") as file:
+            own = _is_own(os.fstat(file.fileno()), allowed=stat.S_IFREG | 0o755)
+            found = hashlib.sha256(file.read()).hexdigest()
+        return own and _digest_file(library).read_text() == found
     except (OSError, UnicodeDecodeError):
         return False
 
@@ -241,9 +256,16 @@ def _compile(library: Path, before: list[str]) -> None:
         digest = Path(name) / "digest"
         digest.write_text(hashlib.sha256(made.read_bytes()).hexdigest())
         for path, to in ((made, library), (digest, _digest_file(library))):
+            path.chmod(0o700)  # whatever others may do by the umask
             with path.open("rb") as file:
                 os.fsync(file.fileno())
             path.replace(to)
+    if hasattr(os, "O_DIRECTORY"):  # the names, too
+        folder = os.open(library.parent, os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def _run_all(commands: Iterator[list[str]] | list[list[str]]) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,10 @@ from sphericalvision.crown import HexConv2d
 from sphericalvision.crown.fast import build
 
 V = 12
+
+
+def no_home(*_: Any) -> Path:
+    raise RuntimeError("Could not determine home directory.")
 
 
 class Fresh(build._State):
@@ -90,6 +95,30 @@ def test_a_damaged_or_stale_file_is_made_anew(
     assert len(list(cache.glob("*.so"))) == 2
 
 
+@pytest.mark.parametrize("change", ["shorter", "others may write", "of somebody else"])
+def test_a_library_that_may_not_be_ours_is_made_anew(
+    cache: Path, compiles: list[list[str]], monkeypatch: pytest.MonkeyPatch, change: str
+) -> None:
+    """In ``auto``, too, it is not even opened by the loader; a file that is cut short would end the process."""
+    before = os.umask(0o002)  # of many systems: a group may write what is made
+    build.operators_ready("require")
+    os.umask(before)
+    (library,) = cache.glob("*.so")
+    if change == "shorter":
+        library.write_text("who")
+    elif change == "others may write":
+        library.chmod(0o777)
+    else:  # the folder is ours by now, but somebody put a file into it before
+        true, cheat = os.fstat, os.stat_result((0o100644, 0, 0, 1, os.getuid() + 1, 0, 3, 0, 0, 0))
+        monkeypatch.setattr(build.os, "fstat", lambda file: cheat if len(compiles) == 2 else true(file))
+    Fresh.loaded = False
+    assert not build.operators_ready("auto")
+    assert build.operators_ready("require")
+    assert len(compiles) == 4
+    assert library.stat().st_mode & 0o022 == 0
+    assert library.read_text() == "whole"
+
+
 def test_compiling_begins_beside_the_work_once_it_pays(
     cache: Path,
     compiles: list[list[str]],
@@ -115,12 +144,17 @@ def test_compiling_begins_beside_the_work_once_it_pays(
         assert not build.operators_ready(way)
 
 
-@pytest.mark.parametrize("missing", ["compiler", "folder"])
+@pytest.mark.parametrize("missing", ["compiler", "working compiler", "folder", "home"])
 def test_without_a_compiler_or_a_cache_everything_works_and_one_line_says_what_would_be_gained(
     cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, missing: str
 ) -> None:
     if missing == "compiler":
         monkeypatch.setenv("CXX", "no-such-compiler")
+    elif missing == "working compiler":
+        monkeypatch.setenv("CXX", "false")
+    elif missing == "home":
+        monkeypatch.delenv("XDG_CACHE_HOME")
+        monkeypatch.setattr(Path, "home", no_home)
     else:
         cache.parent.write_text("a file in the place of the folder")
     monkeypatch.setattr(build, "PATIENCE", 0.0)
@@ -130,8 +164,10 @@ def test_without_a_compiler_or_a_cache_everything_works_and_one_line_says_what_w
             layer(values)
             if Fresh.compiling is not None:
                 Fresh.compiling.join()
-    assert len(caplog.messages) == 1
-    assert "as fast" in caplog.messages[0]
+    lines = [message for message in caplog.messages if "beside the work" not in message]
+    assert len(lines) == 1
+    assert "as fast" in lines[0]
+    assert "\n" not in lines[0]
     with (
         kernels("require"),
         pytest.raises(MissingCompilerError, match=r"C\+\+ compiler.*(CXX|XDG_CACHE_HOME)"),

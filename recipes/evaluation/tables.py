@@ -11,12 +11,13 @@ import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from sphericalvision.io.files import write_bytes
 from sphericalvision.recipes.app.cli import print_table
 from sphericalvision.recipes.evaluation.records import write_json
 
-__all__ = ["Cell", "Content", "Row", "Table", "error_table", "save_errors", "summarize"]
+__all__ = ["Cell", "Content", "Row", "Table", "error_table", "save_errors", "save_report", "summarize"]
 
 
 class Cell(NamedTuple):
@@ -57,6 +58,8 @@ Content = str | float | Cell | None
 """What a cell holds: a text, a number (printed with two digits), a mean, or None for what is not measured."""
 
 Row = Sequence[Content]
+
+STYLE = "body{font:14px sans-serif} td,th{padding:2px 8px;text-align:right} td:first-child{text-align:left}"
 
 
 class Table(NamedTuple):
@@ -170,6 +173,34 @@ def save_errors(stem: Path, title: str, errors: Mapping[str, Mapping[str, float]
     table.save(stem, ".md", ".csv")
     write_json(stem.with_suffix(".json"), errors)
     return table
+
+
+def save_report(
+    folder: Path, name: str, title: str, tables: Mapping[str, Table], pictures: Mapping[str, str]
+) -> None:
+    """Write all tables and pictures below their headings, as ``<name>.md`` and as ``index.html``.
+
+    Args:
+        folder: of both.
+        name: of the Markdown.
+        title: of the page.
+        tables: heading -> table.
+        pictures: heading -> file in the folder.
+    """
+    parts = [
+        f"# {title}",
+        *(f"## {heading}\n\n{table.markdown().rstrip()}" for heading, table in tables.items()),
+    ]
+    parts += [f"## {heading}\n\n![{heading}](<{file}>)" for heading, file in pictures.items()]
+    write_bytes(folder / f"{name}.md", ("\n\n".join(parts) + "\n").encode())
+    lines = [
+        f"<!doctype html><meta charset=utf-8><title>{html.escape(title)}</title>\n<style>{STYLE}</style>"
+    ]
+    lines += [f"<h2>{html.escape(heading)}</h2>\n{table.html()}" for heading, table in tables.items()]
+    for heading, file in pictures.items():
+        image = f'<img src="{html.escape(quote(file))}" loading="lazy" style="max-width:100%">'
+        lines.append(f"<h2>{html.escape(heading)}</h2>\n{image}")
+    write_bytes(folder / "index.html", ("\n".join(lines) + "\n").encode())
 
 
 def summarize(values: Iterable[float | None], digits: int = 2) -> Cell | None:

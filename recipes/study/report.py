@@ -13,30 +13,33 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from sphericalvision.cameras import seen_by
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import collate_samples
-from sphericalvision.io.files import write_bytes
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.evaluation.records import Record, read_json, values_of, write_json
-from sphericalvision.recipes.evaluation.tables import Row, Table
+from sphericalvision.recipes.evaluation.pictures import DrawnFrame, color_picture
+from sphericalvision.recipes.evaluation.records import Record, values_of, write_json
+from sphericalvision.recipes.evaluation.tables import Row, Table, save_report
 from sphericalvision.recipes.study.data import View
 from sphericalvision.recipes.study.models import Version, scale_of
-from sphericalvision.recipes.study.pictures import PanelColumn, angle_plot, panel_sheet
+from sphericalvision.recipes.study.pictures import angle_plot, panel_sheet
 from sphericalvision.recipes.study.protocols import Protocols
-from sphericalvision.recipes.study.tables import (
-    change_table,
-    detail_table,
-    input_table,
-    paper_table,
-    zone_table,
-)
+from sphericalvision.recipes.study.tables import study_tables
 from sphericalvision.recipes.study.training import Training
-from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import unsigned
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama
 
 __all__ = ["Evaluated", "report"]
+
+
+HEADINGS = {
+    "models": "Models",
+    "table": "Errors by angle",
+    "change": "Change with the angle",
+    "where": "Where errors are",
+    "inputs": "Equirectangular images without retraining",
+    "details": "Other metrics",
+}
+"""Name of a table -> its heading on the page of all."""
 
 
 class Evaluated(NamedTuple):
@@ -71,29 +74,28 @@ def report(
             "models: nothing is trained yet, so there is nothing to report; leave out train=false"
         )
     results = [_result(config, version, part) for part in evaluated for version in versions]
-    tables = {
-        "table": paper_table(results),
-        "details": detail_table(results),
-        "change": change_table(results),
-        "where": zone_table(results),
-    }
-    if config.inputs == "equirect":
-        tables["inputs"] = input_table(results)
+    tables = study_tables(results)
     for name, table in tables.items():
         table.save(folder / name, ".md", ".csv", ".tex")
     write_image(folder / "errors_against_angle.png", angle_plot(results))
-    columns = [_panel_column(config, part, versions) for part in evaluated if part.view.inputs == "fisheye"]
-    write_image(folder / "panels.png", panel_sheet(columns, config.num_hypotheses, config.model.min_depth))
+    fisheye = [part for part in evaluated if part.view.inputs == "fisheye"]
+    columns = {f"{part.view.angle_deg:g} degrees": _drawn_frame(config, part, versions) for part in fisheye}
+    write_image(folder / "panels.png", panel_sheet(columns))
     write_json(
         folder / "study.json",
         {
             "config": OmegaConf.to_container(config, resolve=True, throw_on_missing=False),
             "notes": notes,
-            "trainings": [{"name": t.name, **read_json(t.record)} for t in trainings if t.is_done],
+            "trainings": [
+                {"name": t.name, "words": t.words, "config": t.config} for t in trainings if t.is_done
+            ],
             "results": results,
         },
     )
-    _save_page(folder, {"models": _model_table(versions, trainings), **tables}, notes)
+    shown = {"models": _model_table(versions, trainings, notes), **tables}
+    headed = {heading: shown[name] for name, heading in HEADINGS.items() if name in shown}
+    pictures = {"Error against angle": "errors_against_angle.png", "Depth maps": "panels.png"}
+    save_report(folder, "study", "Study", headed, pictures)
     for name in ("table", "inputs"):
         if name in tables:
             tables[name].print()
@@ -118,7 +120,7 @@ def _result(config: DictConfig, version: Version, part: Evaluated) -> dict[str, 
     }
 
 
-def _model_table(versions: list[Version], trainings: list[Training]) -> Table:
+def _model_table(versions: list[Version], trainings: list[Training], notes: list[str]) -> Table:
     """What each model is: parameters, and what it was trained on."""
     rows: list[Row] = []
     for version in {version.model.name: version for version in versions}.values():
@@ -135,42 +137,21 @@ def _model_table(versions: list[Version], trainings: list[Training]) -> Table:
             trained += [f"{frames:,}" if frames else c.get("data.root"), str(len(mine))]
         rows.append([version.model.label, parameters, *trained])
     columns = ("model", "parameters", "steps", "frames a step", "training frames", "seeds")
-    return Table("What was compared.", columns, [rows])
+    title = " ".join(["What was compared.", *(f"Not the same for all models: {note}." for note in notes)])
+    return Table(title, columns, [rows])
 
 
-def _panel_column(config: DictConfig, part: Evaluated, versions: list[Version]) -> PanelColumn:
+def _drawn_frame(config: DictConfig, part: Evaluated, versions: list[Version]) -> DrawnFrame:
     """The frame that is drawn, seen at one angle, and what the first seed of every model estimates."""
     estimates: dict[str, Tensor] = {}
     for version in versions:
         estimates.setdefault(version.model.label, part.records[version.name].drawn[str(config.panel_frame)])
     batch = collate_samples([part.samples[config.panel_frame]])
     truth = Protocols(scale_of(config), config.model.level - 2).truth(batch)
-    rig = batch["rig"].select(0)
-    height = config.panel_height
+    rig, height = batch["rig"].select(0), config.panel_height
     depth = icosphere_to_panorama(truth.inverse_depth[0].float(), height).reciprocal()
     images = {name: unsigned(image) for name, image in zip(rig.names, batch["fisheye"][0], strict=True)}
     colors, seen = rgb_panorama(rig, images, height, depth)
-    picture = (
-        (colors.where(seen, torch.tensor(0.6)).clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()
-    )
+    view = color_picture(colors.where(seen, torch.tensor(0.6)))
     index = truth.indices[0].where(truth.valid[0], math.nan).float()
-    around = Equirectangular(height, 2 * height).directions.reshape(-1, 3)
-    shared = seen_by(rig, around, depth.reciprocal().reshape(-1)).view(height, 2 * height) >= 2
-    return PanelColumn(f"{part.view.angle_deg:g}°", picture, index, truth.counts[0], shared, estimates)
-
-
-def _save_page(folder: Path, tables: dict[str, Table], notes: list[str]) -> None:
-    """All of it on one page."""
-    headings = {
-        "models": "Models",
-        "table": "Errors by angle",
-        "change": "Change with the angle",
-        "inputs": "Equirectangular images without retraining",
-        "details": "Other metrics",
-    }
-    parts = ["# Study", *(f"Not the same for all models: {note}." for note in notes)]
-    for name, heading in headings.items():
-        if name in tables:
-            parts.append(f"## {heading}\n\n{tables[name].markdown().rstrip()}")
-    parts.append("![Error against angle](errors_against_angle.png)\n\n![Depth maps](panels.png)")
-    write_bytes(folder / "study.md", ("\n\n".join(parts) + "\n").encode())
+    return DrawnFrame(view, index, truth.counts[0], estimates, scale_of(config))

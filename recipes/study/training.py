@@ -7,7 +7,6 @@ import os
 import shlex
 import shutil
 import sys
-import time
 import traceback
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -29,7 +28,6 @@ from sphericalvision.core import ArgumentError, SphericalVisionError, check_choi
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.next_steps import own_configs
 from sphericalvision.recipes.app.words import quote_paths
-from sphericalvision.recipes.evaluation.records import read_json, write_json
 
 __all__ = [
     "Training",
@@ -66,10 +64,6 @@ ALIKE = (
 """Keys in which models must agree for a fair comparison."""
 
 
-RECORD = "training.json"
-"""In the folder of a training: what was trained, and whether it has reached its end."""
-
-
 class TrainingError(SphericalVisionError, RuntimeError):
     """A training did not reach its end."""
 
@@ -99,11 +93,6 @@ class Training(NamedTuple):
         return cls(f"{model}, seed {seed}", home, words, flat_config(training_config(words)))
 
     @property
-    def record(self) -> Path:
-        """The file that tells what was trained here."""
-        return self.folder / RECORD
-
-    @property
     def weights(self) -> Path:
         """The network with the least error in validation."""
         return self.folder / "checkpoints" / "best.safetensors"
@@ -111,18 +100,18 @@ class Training(NamedTuple):
     @property
     def changes(self) -> list[str]:
         """Keys in which an earlier training in this folder differs, with both values."""
-        if not self.record.is_file():
+        settings = self.folder / "config.yaml"
+        if not settings.is_file():
             return []
-        old = read_json(self.record)["config"]
+        old = flat_config(OmegaConf.load(settings))  # type: ignore[arg-type]
         keys = [key for key in {**old, **self.config} if old.get(key) != self.config.get(key)]
         return [f"{key} was {old.get(key)}, is {self.config.get(key)}" for key in keys]
 
     @property
     def is_done(self) -> bool:
-        """Whether it reached its end, with these words."""
-        if not self.record.is_file() or not self.weights.is_file():
-            return False
-        return bool(read_json(self.record)["finished"]) and not self.changes
+        """Whether it reached its end, with these words: its last table is there."""
+        ends = (self.folder / "validation.json", self.weights)
+        return all(path.is_file() for path in ends) and not self.changes
 
     @property
     def all_words(self) -> list[str]:
@@ -147,12 +136,6 @@ class Training(NamedTuple):
         console.print(f"{self.name}: {'; '.join(changes[:3])}; is trained anew", highlight=False)
         shutil.rmtree(self.folder)
 
-    def prepare(self) -> None:
-        """Note what is trained, before it begins."""
-        seconds = read_json(self.record)["seconds"] if self.record.is_file() else 0.0
-        facts = {"config": self.config, "words": self.words, "finished": False, "seconds": seconds}
-        write_json(self.record, facts)
-
 
 def train_all(config: DictConfig, trainings: list[Training]) -> None:
     """Bring all trainings to their end; what was trained otherwise is told before anything begins.
@@ -171,8 +154,6 @@ def train_all(config: DictConfig, trainings: list[Training]) -> None:
             pending.append(training)
         else:
             console.print(f"{training.name}: not trained, left out (train=false)", highlight=False)
-    for training in pending:
-        training.prepare()
     if pending:
         launch(pending)
 
@@ -212,7 +193,6 @@ def train_here(config: DictConfig) -> None:
     """The task of a training, in whatever process the launcher has chosen."""
     from sphericalvision.recipes.commands.train import train
 
-    folder, began = Path(HydraConfig.get().runtime.output_dir), time.monotonic()
     words = [*own_configs(), *HydraConfig.get().overrides.task]
     # Lightning starts further processes of a training by the command line of this one, and tells them by variables.
     with (
@@ -220,12 +200,9 @@ def train_here(config: DictConfig) -> None:
         mock.patch.object(sys, "argv", ["sphericalvision-train", *words]),
         mock.patch.dict(os.environ),
     ):
-        train(config, folder)
+        train(config, Path(HydraConfig.get().runtime.output_dir))
     if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
-    record = folder / RECORD
-    facts = read_json(record)
-    write_json(record, {**facts, "finished": True, "seconds": facts["seconds"] + time.monotonic() - began})
 
 
 def training_words(own: Sequence[str] | None, config: DictConfig) -> tuple[str, ...]:

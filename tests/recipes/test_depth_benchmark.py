@@ -22,11 +22,11 @@ from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from sphericalvision.recipes.evaluation.measures import errors_of_frame
 from sphericalvision.recipes.evaluation.methods import Method, identity_of
 from sphericalvision.recipes.evaluation.records import Record
-from sphericalvision.recipes.study.comparison import command, methods, running
-from sphericalvision.recipes.study.comparison.frames import Frame, Size, render_frame
+from sphericalvision.recipes.study.comparison import methods, running
+from sphericalvision.recipes.study.comparison.frames import Frame, Size, TrackFrames, render_frame
 from sphericalvision.recipes.study.comparison.methods import SCALE, frame_inputs, make_method
 from sphericalvision.recipes.study.comparison.places import FrameTruth, PlaceErrors
-from sphericalvision.recipes.study.comparison.running import TrackFrames, record_of
+from sphericalvision.recipes.study.comparison.running import record_of
 from sphericalvision.recipes.study.comparison.tracks import TRACKS, chosen_tracks
 from sphericalvision.scenes.world import HELD_OUT_SEED
 from sphericalvision.sphere.intake import Intake
@@ -142,7 +142,9 @@ def test_weights_change_the_identity_of_a_method_and_its_records(tmp_path: Path)
     assert run_track(one, range(1)).frames == first.frames  # its seconds, too
     assert run_track(two, range(1)).frames != first.frames
     run_track(two, range(1, 2))
-    assert list(record_of(track, two, tmp_path, TINY).drawn) == [track.frame_name(n) for n in (0, 1)]
+    assert list(record_of(TrackFrames(track, range(2), TINY, None), two, tmp_path).drawn) == [
+        track.frame_name(n) for n in (0, 1)
+    ]
     assert list(run_track(one, range(1, 2)).drawn) == [track.frame_name(1)]
     with pytest.raises(FileNotFoundError, match="nowhere"):
         make_method("nowhere.safetensors")
@@ -155,7 +157,7 @@ def test_another_aligner_changes_all_records(monkeypatch: pytest.MonkeyPatch, tm
         for align in (True, False):
             running._aligner_identity.cache_clear()
             size = TINY._replace(preparation=replace(AS_IT_IS, align=align))
-            keys.append(record_of(TRACKS["room"], sweep(), tmp_path, size).key)
+            keys.append(record_of(TrackFrames(TRACKS["room"], range(1), size, None), sweep(), tmp_path).key)
     running._aligner_identity.cache_clear()
     assert keys[0] != keys[2]
     assert keys[1] == keys[3]
@@ -263,7 +265,7 @@ def test_processes_give_the_same(run: Run, tmp_path: Path, scene_cache: str) -> 
 
 
 def test_methods_of_a_process_are_made_once(tmp_path: Path) -> None:
-    first = command._methods(("semi-global-sweep",), 3, tmp_path)
-    assert command._methods(("semi-global-sweep",), 3, tmp_path) is first
+    first = running._methods(("semi-global-sweep",), 3, tmp_path)
+    assert running._methods(("semi-global-sweep",), 3, tmp_path) is first
     assert first[0].net.level == 3
     assert replace(TRACKS["room"], kind="hall").frame_name(1) == f"hall-{HELD_OUT_SEED + 1:08d}"

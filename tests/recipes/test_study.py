@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import json
 import math
 import re
@@ -24,27 +25,21 @@ from sphericalvision.data import write_omnistereo
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import save_weights
-from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.commands import train as train_command
 from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.measures import errors_of_frame
 from sphericalvision.recipes.evaluation.methods import Answer, Scale
-from sphericalvision.recipes.evaluation.tables import Table
+from sphericalvision.recipes.evaluation.pictures import DrawnFrame
+from sphericalvision.recipes.evaluation.tables import Table, save_report
 from sphericalvision.recipes.study.data import View, study_frames
 from sphericalvision.recipes.study.models import study_models
-from sphericalvision.recipes.study.pictures import PanelColumn, angle_plot, panel_sheet
+from sphericalvision.recipes.study.pictures import angle_plot, panel_sheet
 from sphericalvision.recipes.study.protocols import Protocols
-from sphericalvision.recipes.study.tables import (
-    change_table,
-    detail_table,
-    input_table,
-    paper_table,
-    zone_table,
-)
+from sphericalvision.recipes.study.tables import study_tables
 from sphericalvision.recipes.study.training import training_config, training_words
 from sphericalvision.scenes.rendered_frames import RenderedFrames
-from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run
 
 ANGLES = (0.0, 45.0)
@@ -90,7 +85,7 @@ def cells(table: Table, row: int) -> list[str]:
 
 def test_the_papers_table_from_known_numbers() -> None:
     """The same cells in every form: a header, four rows of two networks and two of the sweep, a line between angles."""
-    table = paper_table(RESULTS)
+    table = study_tables(RESULTS)["table"]
     assert cells(table, 0) == [
         *("0°", "IcoSweepNet", "15.00 ± 7.07", "4.50 ± 2.12", "3.00 ± 1.41", "1.50 ± 0.71", "6.00 ± 2.83")
     ]
@@ -115,21 +110,21 @@ def test_the_papers_table_from_known_numbers() -> None:
 
 def test_the_other_tables_from_known_numbers() -> None:
     """Ratios are taken within a seed: both seeds of OmniMVS grow threefold, so there is no spread."""
-    change = change_table(RESULTS)
+    change = study_tables(RESULTS)["change"]
     assert change.columns == ("model", "0°", "45°")
     assert [cells(change, row)[1:] for row in range(3)] == [
         ["1.000", "1.000"],
         ["1.000", "3.000"],
         ["1.000", "1.000"],
     ]
-    details = detail_table(RESULTS)
+    details = study_tables(RESULTS)["details"]
     mae = "1.50 ± 0.71"
     assert cells(details, 0) == ["0°", "IcoSweepNet", "0.150 ± 0.071", mae, "0.900", *[mae] * 5, "0.0"]
-    assert cells(zone_table(RESULTS), 0) == ["0°", "IcoSweepNet", *[mae] * 6]
+    assert cells(study_tables(RESULTS)["where"], 0) == ["0°", "IcoSweepNet", *[mae] * 6]
     both = [*RESULTS, result("IcoSweepNet", 0, 0.0, 7.0, "equirect")]
-    assert paper_table(both).rows == paper_table(RESULTS).rows
-    assert cells(input_table(both), 0)[:3] == ["IcoSweepNet", "fisheye", "15.00 ± 7.07"]
-    assert cells(input_table(both), 1) == [
+    assert study_tables(both)["table"].rows == study_tables(RESULTS)["table"].rows
+    assert cells(study_tables(both)["inputs"], 0)[:3] == ["IcoSweepNet", "fisheye", "15.00 ± 7.07"]
+    assert cells(study_tables(both)["inputs"], 1) == [
         "IcoSweepNet",
         "equirect",
         "70.00",
@@ -143,7 +138,7 @@ def test_the_other_tables_from_known_numbers() -> None:
 def test_what_is_not_measured_is_a_dash() -> None:
     missing = result("IcoSweepNet", 0, 0.0, 1.0)
     missing["errors"] = {**missing["errors"], "seam": {"MAE": None}}
-    table = detail_table([missing])
+    table = study_tables([missing])["details"]
     assert "| – |" in table.markdown()
     assert ",,," in table.csv()
 
@@ -235,18 +230,37 @@ def test_nothing_is_counted_where_a_model_says_nothing() -> None:
 def test_pictures_show_and_fade() -> None:
     vertices = Icosphere(2).vertices
     truth = 4 + 2 * vertices[:, 1]
-    up = Equirectangular(40, 80).directions[..., 1] < 0
-    column = PanelColumn(
-        "45°", np.full((40, 80, 3), 200, np.uint8), truth, vertices[:, 1] >= 0, ~up, {"a": truth + 1}
-    )
-    picture = panel_sheet([column], 8, 0.55)
-    assert picture.dtype == np.uint8
-    plain = panel_sheet([column._replace(shared_panorama=torch.ones_like(up))], 8, 0.55)
-    top, bottom = (slice(k * len(picture) // 8, (k + 1) * len(picture) // 8) for k in (3, 4))
-    colorfulness = lambda p: float((p.max(-1).astype(int) - p.min(-1)).mean())  # noqa: E731
-    assert colorfulness(picture[top]) < 0.8 * colorfulness(plain[top])
-    assert colorfulness(picture[bottom]) > 0.9 * colorfulness(plain[bottom])
+    view = np.full((40, 80, 3), 200, np.uint8)
+    frame = DrawnFrame(view, truth, vertices[:, 1] >= 0, {"a": truth + 1}, Scale(8, 0.55))
+    plain = frame._replace(counts=torch.ones_like(frame.counts))
+    assert list(frame.depths()) == ["view", "truth", "a: MAE 12.50"]
+    for some, every in ((frame.depths(), plain.depths()), (frame.errors(), plain.errors())):
+        above, below = (
+            np.ptp(p[rows], axis=-1).mean()
+            for p in ([*some.values()][-1],)
+            for rows in (slice(20), slice(20, 40))
+        )
+        up, down = (
+            np.ptp(p[rows], axis=-1).mean()
+            for p in ([*every.values()][-1],)
+            for rows in (slice(20), slice(20, 40))
+        )
+        assert above < 0.5 * up
+        assert below > 0.9 * down
+    assert panel_sheet({"0°": frame, "45°": plain}).shape[-1] == 3
     assert angle_plot(RESULTS).shape[-1] == 3
+
+
+def test_pages_show_names_as_they_are(tmp_path: Path) -> None:
+    """Names of methods and tracks are those of files, which strangers may have chosen."""
+    name = "</script><script>alert(1)</script> & __TABLE__"
+    table = Table(f"of {name}", ("method", name), [[[name, 1.0]]])
+    save_report(tmp_path, "page", name, {name: table}, {name: 'pages/a &"b".png'})
+    page = (tmp_path / "index.html").read_text()
+    assert "<script" not in page
+    assert page.count(html.escape(name)) == 6
+    assert 'src="pages/a%20%26%22b%22.png"' in page
+    assert "| method |" in (tmp_path / "page.md").read_text()
 
 
 @pytest.fixture(scope="session")
@@ -273,10 +287,12 @@ class Trainer:
         assert config.resume == "auto"
         assert Path(config.output) == folder
         self.trained.append(f"{folder.parent.name}/{folder.name}")
+        print_config(config, folder)
         if self.error is not None:
             raise self.error
         torch.manual_seed(config.seed)
         save_weights(build(config.model), folder / "checkpoints" / "best.safetensors")
+        (folder / "validation.json").write_text("{}")
 
 
 @pytest.fixture
@@ -313,7 +329,7 @@ def test_a_study_writes_everything_and_does_nothing_twice(
         assert read_image(out / name).std() > 0.05
     everything = json.loads((out / "study.json").read_text())
     assert len(everything["results"]) == 18
-    assert [t["finished"] for t in everything["trainings"]] == [True] * 4
+    assert [t["config"]["seed"] for t in everything["trainings"]] == [0, 1, 0, 1]
     assert "| OmniMVS |" in (out / "study.md").read_text()
     table = (out / "table.md").read_text()
 
@@ -357,8 +373,6 @@ def test_a_training_that_dies_is_told_and_taken_up_again(
     assert "icosweepnet, seed 0: the training stopped (no space left)" in message
     assert "resume=auto" in message
     assert "nothing is trained yet" in failing("study", *words, *ONLY, "train=false")
-    record = json.loads((tmp_path / "out/models/icosweepnet/seed0/training.json").read_text())
-    assert record["finished"] is False
     trainer.error = None
     run("study", *words, *ONLY)
     assert trainer.trained == ["icosweepnet/seed0"] * 2

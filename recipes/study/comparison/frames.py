@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +23,11 @@ from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.world import GENERATION, NATURAL_MIN_DEPTH, World, WorldFrame, rendered
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["NATURAL_SIZE", "Frame", "Size", "aligner", "render_frame"]
+__all__ = ["NATURAL_SIZE", "Frame", "Size", "TrackFrames", "aligner", "render_frame"]
+
+
+DRAWN = (0, 3, 4)
+"""Places among the frames of those that are drawn; where kinds of scenes take turns a corridor, outdoors and a room."""
 
 
 class Size(NamedTuple):
@@ -116,6 +120,32 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
         render_directions(frame.scene, rig.center, vertices),
         tuple(recipe.rig.tilted(tilt).make(seed) for tilt in track.shared_tilts_deg),
     )
+
+
+class TrackFrames:
+    """Frames of a track, each rendered when it is asked for.
+
+    Args:
+        track: which.
+        numbers: of the frames.
+        size: how fine.
+        cache: folder of renderings.
+    """
+
+    def __init__(self, track: Track, numbers: range, size: Size, cache: Path | None) -> None:
+        self.track, self.size, self.cache = track, size, cache
+        self.numbers = {track.frame_name(number): number for number in numbers}
+        self.names = list(self.numbers)
+        self.drawn = [self.names[place] for place in DRAWN if place < len(self.names)]
+
+    def frame(self, name: str) -> Frame:
+        """Render a frame."""
+        return render_frame(self.track, self.numbers[name], self.size, self.cache)
+
+    def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Frame]]:
+        """Each frame by itself."""
+        for name in names:
+            yield [name], self.frame(name)
 
 
 def _rendered(name: str, cache: Path | None, frame: WorldFrame) -> Mapping[str, Tensor]:

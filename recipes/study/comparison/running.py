@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Methods through tracks: frame by frame, what is missing of each; and one network on one track, as a function."""
+"""``sphericalvision-study preset=benchmark``: methods by tracks, in processes; or one network on one track."""
 
 from __future__ import annotations
 
@@ -10,57 +10,60 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import torch
+from joblib import Parallel, delayed
+from omegaconf import DictConfig
 
-from sphericalvision.capture.preparation.preparation import AS_IT_IS
+from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
+from sphericalvision.core import FileFormatError
+from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.methods import Method, identity_of
-from sphericalvision.recipes.evaluation.records import Record
-from sphericalvision.recipes.study.comparison.frames import (
-    NATURAL_SIZE,
-    Frame,
-    Size,
-    aligner,
-    render_frame,
-)
-from sphericalvision.recipes.study.comparison.methods import SCALE, frame_inputs
-from sphericalvision.recipes.study.comparison.places import PlaceErrors
-from sphericalvision.recipes.study.comparison.tracks import TRACKS, Track
+from sphericalvision.recipes.evaluation.pictures import DrawnFrame, Picture, color_picture
+from sphericalvision.recipes.evaluation.records import Record, read_json, write_json
+from sphericalvision.recipes.study.comparison.frames import NATURAL_SIZE, Size, TrackFrames, aligner
+from sphericalvision.recipes.study.comparison.methods import SCALE, frame_inputs, make_methods
+from sphericalvision.recipes.study.comparison.places import FrameTruth, PlaceErrors
+from sphericalvision.recipes.study.comparison.tables import Comparison, report
+from sphericalvision.recipes.study.comparison.tracks import TRACKS, Track, chosen_tracks
+from sphericalvision.viz import sheet
+from sphericalvision.viz.panorama import icosphere_to_panorama
 
-__all__ = ["TrackFrames", "one_thread", "record_of", "run_track", "scores"]
+__all__ = ["compare", "record_of", "run_track", "scores"]
 
 GENERATION = 2
 """Raised whenever a frame would be scored otherwise, so that old records are not taken."""
 
-DRAWN = (0, 3, 4)
-"""Places among the frames of those that are drawn; where kinds of scenes take turns a corridor, outdoors and a room."""
 
-
-class TrackFrames:
-    """Frames of a track, each rendered when it is asked for.
-
-    Args:
-        track: which.
-        numbers: of the frames.
-        size: how fine.
-        cache: folder of renderings.
-    """
-
-    def __init__(self, track: Track, numbers: range, size: Size, cache: Path | None) -> None:
-        self.track, self.size, self.cache = track, size, cache
-        self.numbers = {track.frame_name(number): number for number in numbers}
-        self.names = list(self.numbers)
-        self.drawn = [self.names[place] for place in DRAWN if place < len(self.names)]
-
-    def frame(self, name: str) -> Frame:
-        """Render a frame."""
-        return render_frame(self.track, self.numbers[name], self.size, self.cache)
-
-    def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Frame]]:
-        """Each frame by itself."""
-        for name in names:
-            yield [name], self.frame(name)
+def compare(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
+    """Measure what is missing, write tables and pictures; returns the records by track and method."""
+    node = config.benchmark
+    preparation = Preparation.from_keys(node)
+    size = Size(node.level, node.panorama_rows, node.image_rows, node.samples_per_pixel, preparation)
+    numbers = range(node.first_frame, node.first_frame + node.frames)
+    cache = None if node.cache_dir is None else Path(node.cache_dir).absolute()
+    words = tuple(map(str, node.methods))
+    tracks = chosen_tracks([str(word) for word in node.tracks], [str(mesh) for mesh in node.meshes])
+    methods = _methods(words, size.level, folder)
+    sets = [TrackFrames(track, numbers, size, cache) for track in tracks]
+    console.print(f"{len(tracks)} tracks, {node.frames} scenes each, {len(methods)} methods", highlight=False)
+    processes = Parallel(n_jobs=max(1, node.workers), return_as="generator")
+    for summary in processes(
+        delayed(_measure)(frames, words, folder, config.panel_height) for frames in sets
+    ):
+        console.print(summary, highlight=False)
+    results = {
+        frames.track.name: {
+            method.name: record_of(frames, method, folder).only(frames.names) for method in methods
+        }
+        for frames in sets
+    }
+    report(folder, Comparison(tracks, [method.name for method in methods], results, size.level))
+    print(f"Results are in {folder}: benchmark.md, benchmark.json, index.html, pages")
+    return results
 
 
 def scores(
@@ -96,26 +99,75 @@ def scores(
     return run_track(given, [method], None)["network"].means
 
 
-def record_of(track: Track, method: Method, folder: Path | None, size: Size) -> Record:
+def record_of(frames: TrackFrames, method: Method, folder: Path | None) -> Record:
     """What is there of a method on a track."""
+    size = frames.size
     key = {
         "generation": GENERATION,
-        "track": repr(track),
+        "track": repr(frames.track),
         "method": identity_of(method.net),
         "size": {**size._asdict(), "preparation": asdict(size.preparation)},
         "hypotheses": list(SCALE),
     }
     if size.preparation != AS_IT_IS:
         key["aligner"] = _aligner_identity()
-    return Record(None if folder is None else folder / "records" / track.name / f"{method.name}.json", key)
+    name = Path("records", frames.track.name, f"{method.name}.json")
+    return Record(None if folder is None else folder / name, key)
 
 
 def run_track(frames: TrackFrames, methods: Sequence[Method], folder: Path | None) -> Mapping[str, Record]:
     """Score methods on frames of a track, those that are not in ``folder`` yet; the records by method."""
-    size = frames.size
-    records = {method.name: record_of(frames.track, method, folder, size) for method in methods}
+    records = {method.name: record_of(frames, method, folder) for method in methods}
     with one_thread():
-        return evaluate(methods, frames, PlaceErrors(size.level), records, count_cost=True)
+        return evaluate(methods, frames, PlaceErrors(frames.size.level), records, count_cost=True)
+
+
+def _measure(frames: TrackFrames, words: tuple[str, ...], folder: Path, rows: int) -> str:
+    """Measure a track and draw its page; returns a line about it."""
+    records = run_track(frames, _methods(words, frames.size.level, folder), folder)
+    place = folder / "pages" / f"{frames.track.name}.png"
+    key = {name: record.key for name, record in records.items()} | {"rows": rows, "frames": frames.drawn}
+    if not (place.is_file() and _key_of(place) == key):
+        write_image(place, sheet([_drawn(frames, name, records, rows) for name in frames.drawn]))
+        write_json(place.with_suffix(".json"), key)
+    means = {
+        name: record.only(frames.names).means["coarse"]["all"]["MAE"] for name, record in records.items()
+    }
+    shown = (f"{name} {'–' if mean is None else f'{mean:.2f}'}" for name, mean in means.items())
+    return f"{frames.track.name}: MAE {', '.join(shown)}"
+
+
+def _drawn(frames: TrackFrames, name: str, records: Mapping[str, Record], rows: int) -> Picture:
+    """A camera as methods get it, what there is to see, the truth, depth by method, and errors."""
+    frame = frames.frame(name)
+    truth = FrameTruth(frame)
+    camera = frame.rig.names[0]
+    image = color_picture(frame.images[camera] * frame.rig.masks.get(camera, torch.tensor(1.0)))
+    width = min(2 * rows, round(rows * image.shape[1] / image.shape[0]))
+    drawn = DrawnFrame(
+        color_picture(icosphere_to_panorama(frame.colors, rows)),
+        truth.index.where(truth.valid, torch.nan),
+        truth.regions["all"],
+        {method: record.drawn[name] for method, record in records.items()},
+        SCALE,
+    )
+    small = cv2.resize(image, (width, rows), interpolation=cv2.INTER_AREA)
+    depths = drawn.depths()
+    pictures = {"first camera": small, name: depths.pop("view"), **depths, **drawn.errors()}
+    return sheet(pictures, columns=3)
+
+
+def _key_of(page: Path) -> object:
+    try:
+        return read_json(page.with_suffix(".json"))
+    except (OSError, FileFormatError):
+        return None
+
+
+@lru_cache(maxsize=1)
+def _methods(words: tuple[str, ...], level: int, folder: Path) -> list[Method]:
+    """Made once in a process."""
+    return make_methods(words, level, folder)
 
 
 @lru_cache(maxsize=1)

@@ -4,20 +4,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from sphericalvision.io.files import write_bytes
 from sphericalvision.metrics.spread import Interval, bootstrap_interval
 from sphericalvision.recipes.evaluation.records import Errors, Record, values_of, write_json
-from sphericalvision.recipes.evaluation.tables import Cell, Row, Table
+from sphericalvision.recipes.evaluation.tables import Cell, Row, Table, save_report
 from sphericalvision.recipes.study.comparison.places import KEPT, REGIONS
 from sphericalvision.recipes.study.comparison.tracks import Track
 
 __all__ = ["Comparison", "all_tables", "report"]
-
-STYLE = "body{font:14px sans-serif} td,th{padding:2px 8px;text-align:right} td:first-child{text-align:left}"
 
 
 class Comparison(NamedTuple):
@@ -52,9 +49,9 @@ class Comparison(NamedTuple):
 
 def report(folder: Path, comparison: Comparison) -> None:
     """Write ``benchmark.md``, ``benchmark.json`` and ``index.html``, and print the first table."""
-    tables = list(all_tables(comparison).values())
-    parts = ["# Benchmark of depth methods\n", *(table.markdown() for table in tables)]
-    write_bytes(folder / "benchmark.md", "\n".join(parts).encode())
+    tables = all_tables(comparison)
+    pictures = {track.name: f"pages/{track.name}.png" for track in comparison.tracks}
+    save_report(folder, "benchmark", "Benchmark of depth methods", tables, pictures)
     write_json(
         folder / "benchmark.json",
         {
@@ -70,52 +67,48 @@ def report(folder: Path, comparison: Comparison) -> None:
             for track in comparison.tracks
         },
     )
-    pictures = [
-        f'<h2>{track.name}</h2>\n<img src="pages/{track.name}.png" loading="lazy" style="max-width:100%">'
-        for track in comparison.tracks
-    ]
-    head = f"<!doctype html><meta charset=utf-8><title>Benchmark</title>\n<style>{STYLE}</style>"
-    page = "\n".join([head, *(table.html() for table in tables), *pictures]) + "\n"
-    write_bytes(folder / "index.html", page.encode())
-    tables[0].print()
+    next(iter(tables.values())).print()
 
 
 def all_tables(comparison: Comparison) -> dict[str, Table]:
-    """The tables by name; the one of tilts only where there are such tracks."""
+    """The tables by their headings; the one of tilts only where there are such tracks."""
     coarse, fine = f"level {comparison.level - 2}", f"level {comparison.level}"
-    tables = {
-        "mae": _by_track(comparison, f"MAE at {coarse}", ("coarse", "all", "MAE")),
-        "mae_fine": _by_track(comparison, f"MAE at {fine}", ("fine", "all", "MAE")),
-        "panorama": _by_track(comparison, "MAE on a panorama, by solid angle", ("panorama", "MAE")),
-        "above_1": _by_track(comparison, f"Points off by more than 1 % at {coarse}", ("coarse", "all", ">1")),
-        "rms": _by_track(comparison, f"RMS at {coarse}", ("coarse", "all", "RMS")),
-        "relative": _by_track(
-            comparison,
+    means: dict[str, tuple[str, tuple[str, ...], int]] = {
+        f"MAE at {coarse}": (f"MAE at {coarse}", ("coarse", "all", "MAE"), 2),
+        f"MAE at {fine}": (f"MAE at {fine}", ("fine", "all", "MAE"), 2),
+        "MAE on a panorama": ("MAE on a panorama, by solid angle", ("panorama", "MAE"), 2),
+        "Points off by more than 1 %": (
+            f"Points off by more than 1 % at {coarse}",
+            ("coarse", "all", ">1"),
+            2,
+        ),
+        f"RMS at {coarse}": (f"RMS at {coarse}", ("coarse", "all", "RMS"), 2),
+        "Relative error": (
             f"Mean relative error of the depth in metres, AbsRel, at {coarse}",
             ("metres", "AbsRel"),
             3,
         ),
-        "within": _by_track(
-            comparison,
+        "Within a factor of 1.25": (
             f"Share of depths within a factor 1.25 at {coarse}",
             ("metres", "d<1.25"),
             3,
-            best=max,
         ),
-        "regions": _by_region(comparison, fine),
     }
+    tables = {heading: _by_track(comparison, *spec) for heading, spec in means.items()}
+    tables["By kind of place"] = _by_region(comparison, fine)
     if len([track for track in comparison.tracks if track.shared_tilts_deg]) > 1:
-        tables["drift"] = _drift(comparison, coarse)
-    return {**tables, "confidence": _confidence(comparison, coarse), "cost": _cost(comparison)}
+        tables["Against tilt"] = _drift(comparison, coarse)
+    tables["Of the surest points"] = _confidence(comparison, coarse)
+    return {**tables, "Cost of a frame": _cost(comparison)}
 
 
 def _by_track(
     comparison: Comparison,
     title: str,
     path: tuple[str, ...],
-    digits: int = 2,
-    best: Callable[[Sequence[float]], float] = min,
+    digits: int,
 ) -> Table:
+    best = max if path[-1] == "d<1.25" else min
     rows: list[Row] = []
     for track in comparison.tracks:
         intervals = [comparison.interval(track, method, *path) for method in comparison.methods]

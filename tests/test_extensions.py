@@ -102,7 +102,7 @@ TRAINING = (
 OWN_SCENES = ("rig=file", "rig.path=rig.json", "data.kind=crowd")
 OWN_FAULTS = (
     "data=random_rigs",
-    "data.shares={crowd: 1}",
+    "+data.world.kind.crowd=1",
     "data.image_size=[32,32]",
     "+data.world.faults.haze=[1.0,0.5]",
 )

@@ -103,9 +103,6 @@ class RandomRigScenes(WorldSamples):
         first_seed: of sample 0; below 10,000,000, which are for comparing methods.
         level: of the icosphere that carries the images.
         depth_level: of the icosphere that carries depth; that of the images when not given.
-        shares: how often each kind of scene comes, by its name; that of ``values`` when not given, as of the next two.
-        level_rigs: share of level rings.
-        disturbed: share of samples that are disturbed.
         image_size: (height, width) of the cameras.
         samples_per_pixel: rays through each pixel.
         prepare: makes of a rig and its photographs, camera name -> ``(3, h, w)`` in [0, 1], those that are used, as the
@@ -135,9 +132,6 @@ class RandomRigScenes(WorldSamples):
         first_seed: int = 0,
         level: int = 6,
         depth_level: int | None = None,
-        shares: Mapping[str, float] | None = None,
-        level_rigs: float | None = None,
-        disturbed: float | None = None,
         image_size: tuple[int, int] = (256, 256),
         samples_per_pixel: int = 1,
         prepare: Callable[[CameraRig, Mapping[str, Tensor]], Mapping[str, Tensor]] | None = None,
@@ -145,13 +139,7 @@ class RandomRigScenes(WorldSamples):
         values: Mapping[str, Any] | None = None,
     ) -> None:
         chosen = dict(world_values("random_rigs") if values is None else values)
-        level_of_world = chosen.pop("level_rigs")
-        if shares is not None:
-            chosen["kind"] = dict(shares)
-        if disturbed is not None:
-            chosen["faults"] = {**chosen["faults"], "disturbed": disturbed}
-        size = (int(image_size[0]), int(image_size[1]))
-        rigs = LevelOrRandomRigs(level_of_world if level_rigs is None else level_rigs, size)
+        rigs = LevelOrRandomRigs(chosen.pop("level_rigs"), (int(image_size[0]), int(image_size[1])))
         world = World.of(
             chosen, rig=rigs, draws=by_purpose, prepare=prepare, samples_per_pixel=samples_per_pixel
         )

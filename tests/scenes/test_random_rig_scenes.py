@@ -19,6 +19,8 @@ from sphericalvision.scenes.recipes import make_scene, ray_depth, render_directi
 from sphericalvision.scenes.world import HELD_OUT_SEED, World, world_values
 
 SMALL = {"level": 3, "image_size": (24, 24)}
+VALUES = world_values("random_rigs")
+UNDISTURBED = {**VALUES, "faults": {**VALUES["faults"], "disturbed": 0.0}}
 
 
 def equal(one, other):
@@ -33,11 +35,11 @@ def test_a_seed_is_a_sample_with_a_cache_and_without(tmp_path):
         assert equal(first, plain[index])
         assert torch.equal(first["rig"].world_from_camera, plain[index]["rig"].world_from_camera)
     assert equal(RandomRigScenes(1, 9, **SMALL)[0], plain[2])
-    assert RandomRigScenes(1, **SMALL).name != RandomRigScenes(1, **SMALL, disturbed=0.0).name
+    assert RandomRigScenes(1, **SMALL).name != RandomRigScenes(1, **SMALL, values=UNDISTURBED).name
 
 
 def test_samples_are_what_they_say():
-    scenes = RandomRigScenes(6, 20, **SMALL, disturbed=0.0)
+    scenes = RandomRigScenes(6, 20, **SMALL, values=UNDISTURBED)
     for sample in (scenes[index] for index in range(6)):
         assert sample["images"].shape == (len(sample["rig"]), 3, 642)
         assert (sample["images"].movedim(1, -1)[~sample["seen"]] == 0).all()
@@ -49,7 +51,7 @@ def test_samples_are_what_they_say():
 def test_rigs_and_scenes_are_of_all_kinds():
     scenes = RandomRigScenes(300, **SMALL)
     frames = [scenes.world.frame(seed) for seed in range(300)]
-    shares = world_values("random_rigs")["kind"]
+    shares = VALUES["kind"]
     kinds = Counter(frame.kind for frame in frames)
     assert set(kinds) == set(shares)
     assert all(abs(kinds[kind] / 300 - share) < 0.08 for kind, share in shares.items())
@@ -59,7 +61,7 @@ def test_rigs_and_scenes_are_of_all_kinds():
 
 
 def test_scenes_have_other_skies_and_some_no_lamps():
-    scenes = RandomRigScenes(60, **SMALL, shares={"bare": 1.0})
+    scenes = RandomRigScenes(60, **SMALL, values={**VALUES, "kind": {"bare": 1.0}})
     own = [make_scene("bare", seed) for seed in range(60)]
     others = [scenes.world.frame(seed).scene for seed in range(60)]
     under = [not torch.equal(a.background, b.background) for a, b in zip(own, others, strict=True)]
@@ -75,7 +77,7 @@ def test_scenes_have_other_skies_and_some_no_lamps():
 
 
 def test_some_samples_are_too_bright():
-    scenes = RandomRigScenes(300, **SMALL, disturbed=0.0)
+    scenes = RandomRigScenes(300, **SMALL, values=UNDISTURBED)
     stops = torch.tensor([DISPLAY * math.log2(scenes.world.frame(seed).gain) for seed in range(300)])
     bright = stops > 0
     assert 0.2 < bright.float().mean() < 0.4
@@ -110,11 +112,11 @@ def test_seeds_of_the_benchmark_and_unknown_kinds_are_refused():
     with pytest.raises(ArgumentError, match="seeds"):
         RandomRigScenes(2, HELD_OUT_SEED - 1, **SMALL)
     with pytest.raises(ArgumentError, match="shares"):
-        RandomRigScenes(1, shares={"forest": 1.0}, **SMALL)
+        RandomRigScenes(1, values={**VALUES, "kind": {"forest": 1.0}}, **SMALL)
 
 
 def test_what_happens_how_often_is_plain_values():
-    values = world_values("random_rigs")
+    values = VALUES
     faults = {**values["faults"], "disturbed": 1.0, "grey": 1.0, "noise": [0.0, 0.0]}
     grey = RandomRigScenes(1, 30, **SMALL, values={**values, "carrier": 1.0, "faults": faults})
     spread = grey[0]["images"].amax(1) - grey[0]["images"].amin(1)
@@ -170,14 +172,13 @@ def test_what_is_drawn_for_one_purpose_changes_nothing_of_another():
         getattr(by_purpose(seed), purpose).initial_seed() for seed in range(200) for purpose in purposes
     ]
     assert len(set(streams)) == len(streams)
-    values = world_values("random_rigs")
     plain = RandomRigScenes(1, **SMALL).world
-    for changed in ({"shares": {"room": 1.0}}, {"level_rigs": 1.0}, {"values": {**values, "carrier": 0.0}}):
-        world = RandomRigScenes(1, **SMALL, **changed).world
+    for changed in ({"kind": {"room": 1.0}}, {"level_rigs": 1.0}, {"carrier": 0.0}):
+        world = RandomRigScenes(1, **SMALL, values={**VALUES, **changed}).world
         for seed in range(8):
             one, other = plain.frame(seed), world.frame(seed)
             assert (one.faults, one.gain) == (other.faults, other.gain)
-            assert (one.kind == other.kind) or "shares" in changed
+            assert (one.kind == other.kind) or "kind" in changed
             poses = one.true_rig.world_from_camera, other.true_rig.world_from_camera
             assert torch.equal(*poses) or "level_rigs" in changed
 
@@ -193,7 +194,7 @@ def test_points_nearer_than_the_nearest_hypothesis_are_not_valid():
 
 
 def test_masks_hide_carriers_from_what_was_seen_and_from_nothing_else():
-    values = {**world_values("random_rigs"), "carrier": 1.0}
+    values = {**VALUES, "carrier": 1.0}
     hidden, shown, none = (
         RandomRigScenes(6, 50, **SMALL, values={**values, **changed})
         for changed in ({"masked": 1.0}, {"masked": 0.0}, {"carrier": 0.0})

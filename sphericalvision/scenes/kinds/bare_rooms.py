@@ -17,12 +17,7 @@ __all__ = ["random_bare_room"]
 def random_bare_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A room without pictures on its plain walls, the rig at its origin; not yet exposed (see `make_scene`)."""
     palette = Palette(generator)
-    sides = [palette.log_uniform(1.2, 5.0) for _ in range(4)]
-    height = palette.uniform(2.3, 3.4)
-    floor = palette.uniform(0.75, min(1.7, height - 0.8))
-    room = rooms.Room(
-        palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius
-    )
+    room = rooms.Room.drawn(palette, clear_radius, (1.2, 5.0), (2.3, 3.4))
     tone = palette.color(0.5, 0.9, 0.3)
     opening: tuple[int, rooms.Opening] | None = None
     if palette.chance(0.6):

@@ -30,12 +30,7 @@ def random_glazed_room(generator: torch.Generator, clear_radius: float = 0.6) ->
     than the room. A window without a view and a bright picture on a wall differ in little but the frame and the light.
     """
     palette = Palette(generator)
-    sides = [palette.log_uniform(1.2, 6.0) for _ in range(4)]
-    height = palette.uniform(2.3, 3.6)
-    floor = palette.uniform(0.75, min(1.7, height - 0.8))
-    room = rooms.Room(
-        palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius
-    )
+    room = rooms.Room.drawn(palette, clear_radius, (1.2, 6.0), (2.3, 3.6))
     order = torch.randperm(4, generator=generator).tolist()
     openings = {side: _opening(room, side) for side in order[: palette.integer(2, 4)]}
     rooms.build_shell(room, openings)

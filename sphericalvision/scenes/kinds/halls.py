@@ -21,11 +21,7 @@ __all__ = ["random_hall"]
 def random_hall(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A hall of 10 to 40 m with the rig somewhere in it, y down; not yet exposed (see `make_scene`)."""
     palette = Palette(generator)
-    sides = [palette.log_uniform(3.0, 20.0) for _ in range(4)]
-    height, floor = palette.uniform(5.0, 11.0), palette.uniform(0.75, 1.7)
-    hall = rooms.Room(
-        palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius
-    )
+    hall = rooms.Room.drawn(palette, clear_radius, (3.0, 20.0), (5.0, 11.0))
     rooms.build_shell(hall, {})
     _columns(hall)
     _beams(hall)

@@ -24,12 +24,7 @@ def random_polished_room(generator: torch.Generator, clear_radius: float = 0.6) 
     Depth is that of the floor itself, which the mirrored room below it is not: what photo-consistency gets wrong.
     """
     palette = Palette(generator)
-    sides = [palette.log_uniform(1.5, 8.0) for _ in range(4)]
-    height = palette.uniform(2.4, 4.5)
-    floor = palette.uniform(0.75, min(1.7, height - 0.8))
-    room = rooms.Room(
-        palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius
-    )
+    room = rooms.Room.drawn(palette, clear_radius, (1.5, 8.0), (2.4, 4.5))
     side = palette.integer(0, 3)
     window = rooms.random_opening(room, side, palette.uniform(1.0, 2.5), 0.5, 2.1)
     rooms.build_shell(room, {side: window})

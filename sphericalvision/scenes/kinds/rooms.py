@@ -56,6 +56,16 @@ class Room:
     lamps: list[Lamp] = field(default_factory=list)
     circles: list[tuple[float, float, float]] = field(default_factory=list)
 
+    @classmethod
+    def drawn(
+        cls, palette: Palette, clear: float, sides: tuple[float, float], height: tuple[float, float]
+    ) -> Room:
+        """A room around the rig: its sides so far away, so high, each within bounds; its floor where people stand."""
+        left, back, right, front = (palette.log_uniform(*sides) for _ in range(4))
+        high = palette.uniform(*height)
+        floor = palette.uniform(0.75, min(1.7, high - 0.8))
+        return cls(palette, (-left, -back), (right, front), floor, floor - high, clear)
+
     def add(self, parts: list[Part]) -> bool:
         """Keep the parts unless one of them comes nearer to the rig than ``clear``."""
         if pack(parts).distance_from(torch.zeros(3)).min() < self.clear:

@@ -115,7 +115,7 @@ def scale_of(config: DictConfig) -> Scale:
 
 
 def study_models(config: DictConfig) -> list[StudyModel]:
-    """The models of ``config.models``, in order; entries that are null are left out.
+    """The models of ``config.models``, in order, and the network of ``config.checkpoint``; null is left out.
 
     Raises:
         ArgumentError: there is none, or one has an unknown kind or key.
@@ -125,6 +125,9 @@ def study_models(config: DictConfig) -> list[StudyModel]:
         for name, node in (config.models or {}).items()
         if node is not None
     ]
+    if config.checkpoint is not None:
+        label = Path(config.checkpoint).stem
+        models.append(StudyModel("own", label, "depth_network", None, config.checkpoint, {}))
     if not models:
         raise ArgumentError("models: expected at least one model, got none; see preset=small for examples")
     return models

@@ -385,6 +385,9 @@ def test_weights_that_are_there_are_taken_by_seed(
     run("study", *words, *ONLY, "models.icosweepnet.checkpoint=ico-{seed}.safetensors", "seeds=[7]")
     (only,) = json.loads((tmp_path / "out/study.json").read_text())["results"]
     assert (only["seed"], only["label"]) == (7, "IcoSweepNet")
+    run("study", *words, *ONLY, "models.icosweepnet=null", "checkpoint=ico-7.safetensors")
+    (own,) = json.loads((tmp_path / "out/study.json").read_text())["results"]
+    assert (own["model"], own["label"], own["errors"]) == ("own", "ico-7", only["errors"])
 
 
 def test_images_on_disk_are_turned(

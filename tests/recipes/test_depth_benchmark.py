@@ -23,7 +23,7 @@ from sphericalvision.recipes.evaluation.measures import errors_of_frame
 from sphericalvision.recipes.evaluation.methods import Method, identity_of
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.study.comparison import methods, running
-from sphericalvision.recipes.study.comparison.frames import Frame, Size, TrackFrames, render_frame
+from sphericalvision.recipes.study.comparison.frames import Size, TrackFrame, TrackFrames, render_frame
 from sphericalvision.recipes.study.comparison.methods import SCALE, frame_inputs, make_method
 from sphericalvision.recipes.study.comparison.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.study.comparison.running import record_of
@@ -51,11 +51,11 @@ class Oracle(DepthNetwork):
 
 
 @pytest.fixture(scope="module")
-def frame() -> Frame:
+def frame() -> TrackFrame:
     return render_frame(TRACKS["outdoors"], 0, TINY)
 
 
-def test_errors_of_a_known_offset(frame: Frame) -> None:
+def test_errors_of_a_known_offset(frame: TrackFrame) -> None:
     """0.8 hypotheses are 5 % of N; half of the points are off, and the other half is known to be right."""
     truth = FrameTruth(frame)
 
@@ -187,7 +187,7 @@ def test_it_is_killed_and_goes_on(
     asked: list[tuple[str, str]] = []
     answer = Method.__call__
 
-    def counting(self: Method, frame: Frame) -> Any:
+    def counting(self: Method, frame: TrackFrame) -> Any:
         if len(asked) == 5:
             raise KeyboardInterrupt
         asked.append((self.name, frame.name))
@@ -202,7 +202,7 @@ def test_it_is_killed_and_goes_on(
 
     finished: list[tuple[str, str]] = []
 
-    def noting(self: Method, frame: Frame) -> Any:
+    def noting(self: Method, frame: TrackFrame) -> Any:
         finished.append((self.name, frame.name))
         return answer(self, frame)
 

@@ -23,7 +23,7 @@ from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.world import GENERATION, NATURAL_MIN_DEPTH, World, WorldFrame, rendered
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["NATURAL_SIZE", "Frame", "Size", "TrackFrames", "aligner", "render_frame"]
+__all__ = ["NATURAL_SIZE", "Size", "TrackFrame", "TrackFrames", "aligner", "render_frame"]
 
 
 DRAWN = (0, 3, 4)
@@ -52,7 +52,7 @@ class Size(NamedTuple):
 NATURAL_SIZE = Size()
 
 
-class Frame(NamedTuple):
+class TrackFrame(NamedTuple):
     """One frame of a track.
 
     Attributes:
@@ -78,7 +78,9 @@ class Frame(NamedTuple):
     shared_rigs: tuple[CameraRig, ...]
 
 
-def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Path | None = None) -> Frame:
+def render_frame(
+    track: Track, number: int, size: Size = NATURAL_SIZE, cache: Path | None = None
+) -> TrackFrame:
     """Make a frame of a track; what cameras see is kept in ``cache``, the rest is soon computed.
 
     Args:
@@ -110,7 +112,7 @@ def render_frame(track: Track, number: int, size: Size = NATURAL_SIZE, cache: Pa
     frame = world.frame(seed)
     vertices = Icosphere(size.level).vertices
     around = Equirectangular(size.panorama_rows, 2 * size.panorama_rows).directions
-    return Frame(
+    return TrackFrame(
         name,
         dict(frame.images),
         _aligned(frame.rig, frame.images) if size.preparation.align else frame.rig,
@@ -138,11 +140,11 @@ class TrackFrames:
         self.names = list(self.numbers)
         self.drawn = [self.names[place] for place in DRAWN if place < len(self.names)]
 
-    def frame(self, name: str) -> Frame:
+    def frame(self, name: str) -> TrackFrame:
         """Render a frame."""
         return render_frame(self.track, self.numbers[name], self.size, self.cache)
 
-    def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Frame]]:
+    def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], TrackFrame]]:
         """Each frame by itself."""
         for name in names:
             yield [name], self.frame(name)

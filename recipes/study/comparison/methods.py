@@ -19,7 +19,7 @@ from sphericalvision.models import (
 )
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.evaluation.methods import Inputs, Method, Scale
-from sphericalvision.recipes.study.comparison.frames import Frame
+from sphericalvision.recipes.study.comparison.frames import TrackFrame
 from sphericalvision.scenes import make_scene, ray_depth
 from sphericalvision.scenes.registry import kind_of
 from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
@@ -33,7 +33,7 @@ TRAINING_SCENES = 70
 """Of seeds 0 and up, every kind in turn: what the constant map is the median of."""
 
 
-def frame_inputs(frame: Frame, net: DepthNetwork) -> Inputs:
+def frame_inputs(frame: TrackFrame, net: DepthNetwork) -> Inputs:
     """Images and what was seen, as a network wants them, a batch of one."""
     intake = net.intake(frame.rig)
     return Inputs(intake(frame.images)[None], intake.seen[None], frame.rig)

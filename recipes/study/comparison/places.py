@@ -15,7 +15,7 @@ from sphericalvision.metrics import depth_error, depth_index_error
 from sphericalvision.metrics.spread import error_of_surest
 from sphericalvision.metrics.structure import depth_structure, local_contrast
 from sphericalvision.recipes.evaluation.methods import Answer
-from sphericalvision.recipes.study.comparison.frames import Frame
+from sphericalvision.recipes.study.comparison.frames import TrackFrame
 from sphericalvision.recipes.study.comparison.methods import SCALE
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth
@@ -39,7 +39,7 @@ class FrameTruth:
         frame: as rendered.
     """
 
-    def __init__(self, frame: Frame) -> None:
+    def __init__(self, frame: TrackFrame) -> None:
         self.fine = Icosphere(level_from_num_vertices(frame.inverse_depth.shape[-1]))
         self.coarse_ids = coarse_ids(self.fine.level)
         self.index = index_from_inverse_depth(frame.inverse_depth, *SCALE)
@@ -89,7 +89,7 @@ class PlaceErrors:
     def __init__(self, level: int) -> None:
         self.directions = Icosphere(level).vertices
 
-    def truth(self, frame: Frame) -> FrameTruth:
+    def truth(self, frame: TrackFrame) -> FrameTruth:
         """What is right in a frame."""
         return FrameTruth(frame)
 

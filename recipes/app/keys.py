@@ -69,7 +69,7 @@ KEYS: dict[str, Any] = {
     "up": Literal["-y", "y", "z", "camera"],
     "skip_existing": bool,
     "on_error": Literal["skip", "stop"],
-    "expected_deg": HalfAngle,
+    "check": bool,
     "depths": Annotated[list[Distance], MinLen(1)],
     "picture_depths": list[Distance],
     # what is written

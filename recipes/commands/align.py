@@ -4,91 +4,93 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from omegaconf import DictConfig
-from rich.progress import track
+from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, save_rig
 from sphericalvision.cameras.calibration import RIG_FORMATS
-from sphericalvision.capture import RayMatcher, RayMatches, align_rig
-from sphericalvision.capture.calibrating.align import AlignedRig
-from sphericalvision.capture.checks import pose_agreement
+from sphericalvision.cameras.resolution import pixels_a_radian
+from sphericalvision.capture import Predictor, calibrate_photometry
 from sphericalvision.capture.photographs import as_photographs
-from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.preparation.alignment import LEVEL, RigTurns
+from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.opening import spread_evenly
 from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.recipes.app.captures import open_capture
-from sphericalvision.recipes.app.cli import console, print_table
+from sphericalvision.recipes.app.cli import choose_device, console, print_table
 
 __all__ = ["align"]
 
-HELD_OUT = 3
-"""Most frames that judge and are not matched."""
 
-
-def align(config: DictConfig) -> AlignedRig | None:
-    """Match the images of some frames, turn the cameras, and write ``config.output`` if other frames agree better.
+def align(config: DictConfig) -> RigTurns:
+    """Judge a calibration by some frames, as ``predict`` does, and write ``config.output`` if cameras are turned.
 
     Raises:
-        ArgumentError: too little matches, or a key makes no sense; the message names it.
+        ArgumentError: a key makes no sense; the message names it.
         FileFormatError: an image cannot be read.
     """
     if config.format is not None:
         check_choice("format", config.format, RIG_FORMATS)
     source = open_capture(config)
-    rig = source.rig
-    if len(rig) < 2:
+    if len(source.rig) < 2:
         raise ArgumentError("cameras: expected two or more that see the same things, got one")
     names = source.names(Selection(config.start, config.stop, config.every))
     if names is None:
         raise ArgumentError("images: expected a recording, not live cameras")
-    chosen = spread_evenly(names, config.num_frames)
-    judges = chosen[1::3][:HELD_OUT] or chosen
-    matched = [name for name in chosen if name not in judges] or chosen
-    images = _read(source, [*matched, *judges])
-    matcher = RayMatcher(rig)
-    matches = RayMatches.joined(
-        [matcher(images[name]) for name in track(matched, "matching", console=console)]
-    )
-    result = align_rig(rig, matches, expected=math.radians(config.expected_deg))
-    before, after = (_agreement(images, judges, other) for other in (rig, result.rig))
-    _print(result, matches, len(matched))
-    where = "frames that were not matched" if set(judges) - set(matched) else "the frame itself"
-    console.print(f"photo-consistency of {where}: {before:.3f} before, {after:.3f} after")
-    if after <= before:
-        print("Images agree no better with the cameras turned: the calibration stays, nothing is written.")
-        return None
-    Path(config.output).parent.mkdir(parents=True, exist_ok=True)
-    save_rig(result.rig, config.output, config.format)
-    print(config.output)
-    return result
-
-
-def _read(source: Any, wanted: list[str]) -> dict[str, Mapping[str, Any]]:
-    found: dict[str, Mapping[str, Any]] = {}
-    for frame in source.frames(Selection(), lambda name: name in wanted):
-        if frame.images is None:
-            raise frame.error
-        found[frame.name] = as_photographs(frame.images, source.rig)
+    frames = _read(source, spread_evenly(names, config.num_frames))
+    start = time.perf_counter()
+    with console.status(f"comparing {len(frames)} frame(s) with the calibration"):
+        found = Predictor(source.rig, level=LEVEL, device=choose_device(config.device)).judge(frames)
+    _print(source.rig, found, frames)
+    print(f"alignment {found.described()} ({len(frames)} frame(s), {time.perf_counter() - start:.1f} s).")
+    if found.turned and not config.check:
+        Path(config.output).parent.mkdir(parents=True, exist_ok=True)
+        save_rig(found.rig.to("cpu"), config.output, config.format)
+        print(config.output)
     return found
 
 
-def _agreement(images: Mapping[str, Mapping[str, Any]], names: list[str], rig: CameraRig) -> float:
-    return sum(pose_agreement(images[name], rig) for name in names) / len(names)
+def _read(source: Source, wanted: list[str]) -> list[Mapping[str, Any]]:
+    found: list[Mapping[str, Any]] = []
+    for frame in source.frames(Selection(), lambda name: name in wanted):
+        if frame.images is None:
+            raise frame.error or ArgumentError(f"images: frame {frame.name} has none")
+        found.append(as_photographs(frame.images, source.rig))
+    return found
 
 
-def _print(result: AlignedRig, matches: RayMatches, frames: int) -> None:
-    rows = []
-    for place, name in enumerate(result.rig.names):
-        mine = ((matches.first == place) | (matches.second == place)) & result.inliers
-        turn, spread = float(result.turns[place].norm()), float(result.spread[place])
-        miss = float(result.misses[mine].square().mean().sqrt())
-        degrees = (f"{math.degrees(value):.3f}" for value in (turn, spread, miss))
-        rows.append([name, *degrees, str(int(mine.sum()))])
-    header = ["camera", "turned (°)", "± (°)", "rays miss (°)", "pairs"]
-    print_table(
-        f"{int(result.inliers.sum())} of {len(matches.first)} pairs of {frames} frame(s) agree", header, rows
+def _print(rig: CameraRig, found: RigTurns, frames: list[Mapping[str, Tensor]]) -> None:
+    """A row for each camera: its turn, how much of its view others share, exposure, resolution, what to do."""
+    light = calibrate_photometry(
+        rig, {name: torch.stack([frame[name] for frame in frames]) for name in rig.names}
     )
+    directions = icosphere_vertices(LEVEL).to(rig.world_from_camera)
+    seen = rig.project_along(directions, directions.new_zeros(1)).valid[:, 0]
+    rows = []
+    for place, (name, camera) in enumerate(rig.cameras.items()):
+        turn, spread = (
+            math.degrees(float(values[place])) for values in (found.turns.norm(dim=-1), found.spread)
+        )
+        mine = seen[place]
+        shared = float((mine & (seen.sum(0) > 1)).sum() / mine.sum().clamp(min=1))
+        exposure = float(light.exposure[place].mean().exp())
+        resolution = math.radians(pixels_a_radian(camera))
+        doubtful = found.reason and (turn + 2 * spread >= math.degrees(found.within) - 1e-6)
+        what = "turn" if name in found.turned else "look" if doubtful else ""
+        numbers = (
+            f"{turn:.2f}",
+            f"{spread:.2f}",
+            f"{100 * shared:.0f} %",
+            f"{exposure:.2f}",
+            f"{resolution:.1f}",
+        )
+        rows.append([name, *numbers, what])
+    header = ["camera", "turned (°)", "± (°)", "shared", "light", "pixels/°", "do"]
+    print_table("the calibration, as images see it", header, rows)

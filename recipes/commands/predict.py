@@ -29,6 +29,8 @@ MOST_PATHS = 30
 """Of files that are named at the end."""
 ENOUGH = 0.9
 """Share of the sphere that two cameras see, below which it is said."""
+ALIGNED = "aligned.yaml"
+"""Beside the results: the calibration with cameras turned."""
 FREE = (
     *("frames", "start", "stop", "every", "outputs", "output", "preset"),
     *("skip_existing", "on_error", "device"),
@@ -100,19 +102,21 @@ def aligned(predictor: Predictor, source: Source, folder: Path, goes_on: bool) -
 
     Whoever goes on with a prediction takes what is there.
     """
-    kept = folder / "aligned.yaml"
+    kept = folder / ALIGNED
     if goes_on:
         if not kept.is_file():
             return predictor
         source.rig = CameraRig(source.rig.cameras, read_rig(kept).world_from_camera, source.rig.masks)
         return predictor.with_rig(source.rig)
+    start = time.perf_counter()
     with console.status("comparing frames with the calibration"):
         found = predictor.prepare(f.images for f in source.samples() if f.images is not None)
     if found is not None:
-        source.rig = found.rig.to("cpu")
-        folder.mkdir(parents=True, exist_ok=True)
-        save_rig(source.rig, kept)
-        say(f"preparation {found.described()}. The calibration is in {kept}")
+        say(f"preparation {found.described()} ({time.perf_counter() - start:.1f} s)")
+        if found.turned:
+            source.rig = found.rig.to("cpu")
+            folder.mkdir(parents=True, exist_ok=True)
+            save_rig(source.rig, kept)
     return predictor
 
 
@@ -151,6 +155,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         config.skip_existing,
     )
     outputs = Outputs(folder, settings)
+    if (folder / ALIGNED).is_file():
+        outputs.written.append(folder / ALIGNED)
     left = None if names is None else set(names)
     if left is not None and config.skip_existing:
         files = {name: done_file(folder, name, settings.outputs) for name in left}

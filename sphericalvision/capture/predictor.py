@@ -19,7 +19,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
 from sphericalvision.capture.depth import Depth
 from sphericalvision.capture.photographs import as_photographs
-from sphericalvision.capture.preparation.alignment import RigTurns, turned_rig
+from sphericalvision.capture.preparation.alignment import RigTurns, judged_rig, untold
 from sphericalvision.capture.preparation.compensation import Compensation, Compensator
 from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
@@ -236,30 +236,57 @@ class Predictor:
             return self._min_depth
 
     def prepare(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns | None:
-        """Do with a few frames what ``preparation`` says is done once: ``align``. Arguments and result as of that."""
-        return self.align(frames) if self.preparation.align else None
+        """Do with a few frames what ``preparation`` says is done once: cameras that are turned are turned back.
+
+        Args:
+            frames: of images by camera name, as the predictor is called with, one frame each.
+
+        Returns:
+            The verdict on the calibration, whatever it is; None where it is not asked for.
+        """
+        if not self.preparation.align:
+            return None
+        found = self.judge(frames)
+        self._use(found)
+        return found
 
     def align(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns | None:
         """Turn cameras whose images disagree at the depth that the network estimates, and use that rig from now on.
 
         Calibrations are seldom right for long: orientations wrong by a degree double the error of depth. They are found
-        to about a tenth of a degree, from one frame or a few. Small turns, and turns that two halves of all directions
-        do not agree on, are left alone. Positions and intrinsics are not touched.
+        to about a tenth of a degree, from one frame or a few. Cameras whose turn does not clearly exceed its
+        uncertainty are left alone. Positions and intrinsics are not touched.
+
+        Args:
+            frames: as of ``judge``.
+
+        Returns:
+            The turned rig, its turns, and how well images agreed before and after; None if the rig stays as it is.
+        """
+        found = self.judge(frames)
+        self._use(found)
+        return found if found.turned else None
+
+    def judge(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns:
+        """Say whether cameras are turned from what the calibration says, from images at the depth estimated.
 
         Args:
             frames: of images by camera name, as the predictor is called with, one frame each; a second or two each.
 
         Returns:
-            The turned rig, its turns, and how well images agreed before and after; None if the rig stays as it is.
+            The verdict: turns and their uncertainty, which cameras are turned, or why nothing could be told.
         """
         if len(self._rig) < 2:
-            return None
-        depths = [self(images) for images in frames]
-        found = turned_rig(depths) if depths else None
-        if found is not None:
-            with self._lock:
-                self._rig, self._ready = found.rig, None
-        return found
+            return untold(self._rig, "one camera has nothing to be compared with")
+        kept = list(frames)
+        if not kept:
+            return untold(self._rig, "there is no frame")
+
+        def estimated(rig: CameraRig) -> list[Depth]:
+            predictor = self if rig is self._rig else self.with_rig(rig)
+            return [predictor(images) for images in kept]
+
+        return judged_rig(estimated(self._rig), estimated)
 
     @torch.inference_mode()
     def __call__(self, images: Mapping[str, Any]) -> Depth:
@@ -291,6 +318,11 @@ class Predictor:
         photographs = self._photographs(images)
         ready = self._prepared(photographs)
         return self._inputs(ready, photographs)[0], ready.intake.seen
+
+    def _use(self, found: RigTurns) -> None:
+        if found.turned:
+            with self._lock:
+                self._rig, self._ready = found.rig, None
 
     def __repr__(self) -> str:
         near = (

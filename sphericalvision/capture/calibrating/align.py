@@ -18,7 +18,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.capture.calibrating.turns import rotations, turned
+from sphericalvision.capture.calibrating.turns import rightness, rotations, turned
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.least_squares import solve_least_squares
 
@@ -119,8 +119,7 @@ def align_rig(rig: CameraRig, matches: RayMatches, *, expected: float = math.rad
     for _ in range(_ROUNDS):
         trust = pairs.trust(turns, scale)
         turns = pairs.solve(turns, trust, weights, expected)
-        size = turns.square().sum(-1)
-        weights = 1 / (1 + size / max(float(size.median()), _FINEST**2))
+        weights = rightness(turns)
         scale = max(scale / 2, _FINEST, min(expected, 2 * pairs.typical_miss(turns, scale)))
     misses = pairs.misses(turns)
     inliers = (misses.abs() < 2 * scale) & pairs.in_front(turns, 2 * scale)

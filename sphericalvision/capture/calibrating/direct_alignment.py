@@ -25,8 +25,9 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.resolution import pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.capture.calibrating.turns import rotations, turned
+from sphericalvision.capture.calibrating.turns import rightness, rotations, turned
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import icosphere_vertices
 
 __all__ = ["DirectAlignment", "align_rig_direct"]
 
@@ -40,8 +41,8 @@ _STIFFNESS = 20.0
 """An expected turn counts as many directions that disagree as they typically do: neighbours are not independent."""
 _HOLD = 0.005
 """Of the mean curvature in depth: holds depth to what it was said to be, where there is no texture."""
-_SURE = math.radians(0.05)
-"""Turns below are no turns when it comes to which cameras are right."""
+_PARTS = 42
+"""Of the sphere, each nearest to a vertex of the icosphere of level 1, that contradict each other by chance."""
 
 
 class DirectAlignment(NamedTuple):
@@ -50,6 +51,8 @@ class DirectAlignment(NamedTuple):
     rig: CameraRig
     turns: Float[Tensor, "n 3"]
     """By how much each camera was turned, radians."""
+    spread: Float[Tensor, " n"]
+    """Standard deviation of the turns, radians, as far as parts of the sphere contradict each other."""
     agreement: tuple[float, float]
     """0 to 1, of all pairs of cameras in all directions, before and after."""
 
@@ -141,8 +144,9 @@ def align_rig_direct(
     ]
     with torch.no_grad():
         problem = _Problem(rig, views, directions, trust, expected)
-        turns, agreement = problem.solve(depth * problem.radius, iterations)
-    return DirectAlignment(turned(rig, turns), turns.to(rig.world_from_camera), agreement)
+        turns, spread, agreement = problem.solve(depth * problem.radius, iterations)
+    like = rig.world_from_camera
+    return DirectAlignment(turned(rig, turns), turns.to(like), spread.to(like), agreement)
 
 
 class _Samples(NamedTuple):
@@ -217,19 +221,20 @@ class _Problem:
         self.offsets = (offsets / self.radius).to(directions)
         self.rotations = poses[:, :3, :3]
         self.views, self.directions, self.trust, self.expected = views, directions, trust, expected
+        self.parts = (directions @ icosphere_vertices(1, torch.float32, directions.device).mT).argmax(-1)
 
-    def solve(self, parallax: Tensor, iterations: int) -> tuple[Tensor, tuple[float, float]]:
-        """Turns, and how well images agreed before and after."""
+    def solve(self, parallax: Tensor, iterations: int) -> tuple[Tensor, Tensor, tuple[float, float]]:
+        """Turns, their standard deviations, and how well images agreed before and after."""
         turns = torch.zeros(len(self.views), 3, dtype=torch.float64, device=parallax.device)
         start = parallax = parallax.clamp(0, _NEAREST)
         agreements = []
-        for _ in range(iterations):
+        for iteration in range(iterations + 1):
             samples = [self._samples(place, turns, parallax) for place in range(len(self.views))]
             agreements.append(self._agreement(samples))
-            step, deeper = self._step(samples, turns, parallax - start)
-            turns, parallax = turns + step, (parallax + deeper).clamp(0, _NEAREST)
-        last = [self._samples(place, turns, parallax) for place in range(len(self.views))]
-        return turns, (agreements[0], self._agreement(last))
+            step, deeper, spread = self._step(samples, turns, parallax - start)
+            if iteration < iterations:
+                turns, parallax = turns + step, (parallax + deeper).clamp(0, _NEAREST)
+        return turns, spread, (agreements[0], agreements[-1])
 
     def _samples(self, place: int, turns: Tensor, parallax: Tensor) -> _Samples:
         view, offset = self.views[place], self.offsets[place]
@@ -265,24 +270,21 @@ class _Problem:
         ]
         return sum(pair[0] for pair in pairs) / max(sum(pair[1] for pair in pairs), 1e-9)
 
-    def _step(self, samples: list[_Samples], turns: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
-        """Changes of turns and parallaxes."""
+    def _step(self, samples: list[_Samples], turns: Tensor, moved: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Changes of turns and parallaxes, and the standard deviation of each camera's turn."""
         size = 3 * len(samples)
         curve = turns.new_zeros(size, size)
-        slope = turns.new_zeros(size)
+        slopes, mixed = (self.trust.new_zeros(*self.trust.shape, size) for _ in range(2))
         depth_curve, depth_slope = torch.zeros_like(self.trust), torch.zeros_like(self.trust)
-        mixed = self.trust.new_zeros(*self.trust.shape, size)
         typical = []
         for one, other, difference, square, both in self._pairs(samples):
             weight = both / (1 + square).square()
             columns = torch.cat((samples[one].by_turn, -samples[other].by_turn), -1)
             weighted = columns * weight[:, None, :, None]
-            places = torch.tensor(
-                [3 * one, 3 * one + 1, 3 * one + 2, 3 * other, 3 * other + 1, 3 * other + 2]
-            )
+            places = torch.tensor([3 * camera + axis for camera in (one, other) for axis in range(3)])
             places = places.to(curve.device)
             curve[places[:, None], places] += torch.einsum("fcva,fcvb->ab", weighted, columns).double()
-            slope[places] += torch.einsum("fcva,fcv->a", weighted, difference).double()
+            slopes[..., places] += torch.einsum("fcva,fcv->fva", weighted, difference)
             by_depth = samples[one].by_depth - samples[other].by_depth
             mixed[..., places] += torch.einsum("fcva,fcv->fva", weighted, by_depth)
             depth_curve += (by_depth.square().sum(1)) * weight
@@ -291,25 +293,24 @@ class _Problem:
         hold = _HOLD * depth_curve.mean() + 1e-9
         depth_curve, depth_slope = depth_curve + hold, depth_slope + hold * moved
         curve -= torch.einsum("fva,fvb,fv->ab", mixed, mixed, 1 / depth_curve).double()
-        slope -= torch.einsum("fva,fv->a", mixed, depth_slope / depth_curve).double()
+        slopes -= mixed * (depth_slope / depth_curve).unsqueeze(-1)
+        parts = slopes.new_zeros(_PARTS, size).index_add(0, self.parts, slopes.sum(0)).double()
 
         at, eye = turns.flatten(), torch.eye(size, dtype=torch.float64, device=turns.device)
         squares = torch.cat(typical)
         noise = max(float(squares.median()) if len(squares) else 0.0, 0.01)
         held = eye * (_STIFFNESS * noise / self.expected**2)
-        away = turns.square().sum(-1)
-        right = 1 / (1 + away / max(float(away.median()), _SURE**2))
-        mean = _mean(right)
+        right = rightness(turns)
+        mean = torch.cat([share * eye[:3, :3] for share in right / right.sum()], 1)
         gauge = mean.mT @ mean * float(curve.diagonal().mean().clamp(min=1e-9)) * size
-        step = torch.linalg.solve(curve + held + gauge, -(slope + held @ at + gauge @ at))
+        answers = torch.linalg.inv(curve + held + gauge)
+        step = -answers @ (parts.sum(0) + held @ at + gauge @ at)
         deeper = -(depth_slope + mixed @ step.to(mixed)) / depth_curve
-        return step.view_as(turns), deeper
-
-
-def _mean(right: Tensor) -> Tensor:
-    """``(3, 3 n)``: what takes turns of cameras, one after the other, to their weighted mean."""
-    eye = torch.eye(3, dtype=right.dtype, device=right.device)
-    return torch.cat([share * eye for share in right / right.sum()], 1)
+        # Parts of the sphere are as good as independent, which neighbouring directions are not.
+        variance = ((parts - parts.mean(0)) @ answers).square().sum(
+            0
+        ) + _STIFFNESS * noise * answers.diagonal()
+        return step.view_as(turns), deeper, variance.view_as(turns).sum(-1).sqrt()
 
 
 def _tangents(rays: Tensor) -> Iterator[tuple[Tensor, Tensor]]:

@@ -3,13 +3,19 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
 
-__all__ = ["rotations", "turned"]
+__all__ = ["about_most", "rightness", "rotations", "turned"]
+
+_NONE = math.radians(0.05)
+"""Turns below are no turns when it comes to which cameras are right."""
+_ROUNDS = 10
 
 
 def rotations(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -35,3 +41,28 @@ def turned(rig: CameraRig, turns: Float[Tensor, "n 3"]) -> CameraRig:
         poses
     )
     return CameraRig(rig.cameras, poses, rig.masks)
+
+
+def rightness(turns: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """Return weights of cameras, 1 for those that did not turn: cameras that turned far hardly count.
+
+    Examples:
+        >>> rightness(torch.tensor([[0.0, 0.0, 0.0], [0.0001, 0.0, 0.0], [0.02, 0.0, 0.0]])).round(decimals=2)
+        tensor([1.0000, 0.9900, 0.0000])
+    """
+    away = turns.square().sum(-1)
+    return 1 / (1 + away / max(float(away.median()), _NONE**2))
+
+
+def about_most(turns: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """Return turns but for the one that most cameras share: no image tells a turn of the whole rig.
+
+    Examples:
+        >>> shared = torch.tensor([[0.001, 0.0, 0.0], [0.001, 0.0, 0.0], [0.001, 0.02, 0.0]])
+        >>> about_most(shared)[:, 0].abs().max() < 1e-6, about_most(shared)[2, 1] > 0.019
+        (tensor(True), tensor(True))
+    """
+    for _ in range(_ROUNDS):
+        right = rightness(turns)
+        turns = turns - right @ turns / right.sum()
+    return turns

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rig whose cameras are turned by a little from what its calibration says, corrected by the depth of some frames."""
+"""Whether a calibration is right: turns of a rig's cameras, at the depth of some frames, against their uncertainty."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -12,54 +12,105 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.resolution import pixels_a_radian
-from sphericalvision.capture import align_rig_direct
-from sphericalvision.capture.calibrating.turns import turned
+from sphericalvision.capture.calibrating.direct_alignment import align_rig_direct
+from sphericalvision.capture.calibrating.turns import about_most, turned
+from sphericalvision.capture.checks import pose_agreement
 from sphericalvision.capture.depth import Depth
-from sphericalvision.capture.preparation.compensation import compensated
+from sphericalvision.capture.preparation.compensation import denoised
+from sphericalvision.capture.preparation.reduced import averaged, reduced_rig
 from sphericalvision.geometry.transforms import axis_angle_from_transform, invert_transform
 from sphericalvision.icosphere import icosphere_vertices
 
-__all__ = ["RigTurns", "turned_rig"]
+__all__ = ["RigTurns", "judged_rig", "untold"]
 
-LEVEL = 6
+LEVEL = 5
 """Icosphere level of the directions that are compared."""
 STEPS = ((math.radians(0.9), 1.0, 4), (math.radians(0.9), 0.6, 3), (math.radians(0.45), 0.6, 3))
 """Pixel in radians, blur in pixels and iterations, one after the other."""
-APART = 2.0
-"""Times that turns must exceed the difference between those found from one half of all directions and the other."""
-LEAST, LEAST_OF_TWO = 0.14, 0.45
-"""Pixels, at least of the first step, root mean square of turns. Right calibrations are found to be off by up to 0.1
-in a single frame; two cameras by more, as no third one contradicts."""
-MOST = math.radians(3)
-"""A camera that is found to be turned further was not found."""
+BIAS, BIAS_OF_TWO = 0.02, 0.08
+"""Pixels, at least of the first step, by which turns may be wrong beyond what parts of the sphere tell: depth was
+estimated with the rig as it is, and of two cameras no third one contradicts it."""
+SURE = 2.5
+"""Standard deviations beyond which a camera is turned: one right camera in thousands."""
+LEAST = 0.14
+"""Pixels, at least of the first step: smaller turns are those that lenses are not known better for."""
+ENOUGH = math.radians(0.6)
+"""A camera that may be turned by more, as far as can be told, is not called right."""
+DOUBT = math.radians(0.5)
+"""Where turns are known no better, the images are too coarse or too bare for a verdict."""
+AGAIN, ROUNDS = math.radians(1), 4
+"""Depth is estimated anew with cameras turned, and cameras turned by that, as long as they still turn by more."""
+LEAST_AGREEMENT = 0.75
+"""Of images that show the same, before cameras turn: less is found where they have nothing in common."""
+MOST, MOST_LEFT = math.radians(10), math.radians(1.5)
+"""A camera that is found to be turned further, or still turns by the second in the last round, was not found."""
+HARM = 0.01
+"""By which a quick sweep may find that images agree less with cameras turned."""
 
 
 class RigTurns(NamedTuple):
-    """What a rig's cameras were turned by."""
+    """The verdict on a calibration: whether cameras are turned from what it says.
+
+    Attributes:
+        rig: with those cameras turned back that are turned for sure.
+        turns: ``(n, 3)`` rotation vectors in the world, radians, as estimated of all cameras.
+        spread: ``(n,)`` their standard deviations, radians.
+        turned: names of the cameras that are turned; none where the calibration is right, or nothing could be told.
+        agreement: 0 to 1: how well images agreed before and after.
+        reason: why nothing could be told; empty if something was.
+    """
 
     rig: CameraRig
-    """With the cameras turned."""
     turns: Tensor
-    """``(n, 3)`` rotation vectors in the world, radians."""
-    agreement: tuple[float, float]
-    """0 to 1: how well images agreed before and after."""
+    spread: Tensor
+    turned: tuple[str, ...] = ()
+    agreement: tuple[float, float] = (0.0, 0.0)
+    reason: str = ""
+
+    @property
+    def within(self) -> float:
+        """Radians that no camera is turned by, as far as can be told."""
+        return float((self.turns.norm(dim=-1) + 2 * self.spread).max())
 
     def described(self) -> str:
-        """Return what was turned and what it brought."""
-        angles = zip(self.rig.names, self.turns.norm(dim=-1).tolist(), strict=True)
-        which = ", ".join(f"{name} by {math.degrees(angle):.2f}°" for name, angle in angles)
+        """Return the verdict as a sentence."""
+        if self.reason:
+            return f"could not tell whether the calibration is right, because {self.reason}"
+        if not self.turned:
+            return f"finds the calibration right: no camera is turned by more than {math.degrees(self.within):.2f}°"
+        found = zip(self.rig.names, self.turns.norm(dim=-1).tolist(), self.spread.tolist(), strict=True)
+        which = ", ".join(
+            f"{name} by {math.degrees(angle):.2f}° ± {math.degrees(spread):.2f}°"
+            for name, angle, spread in found
+            if name in self.turned
+        )
         before, after = self.agreement
         return f"turns {which}: images agree better, {after:.3f} in place of {before:.3f} of 1"
 
 
-def turned_rig(depths: Sequence[Depth]) -> RigTurns | None:
-    """Return the rig with its cameras turned so that images agree at about the depth that was estimated.
+def untold(rig: CameraRig, reason: str) -> RigTurns:
+    """Return the verdict that nothing can be told of a rig.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> untold(ring_rig(3), "there is no frame").described()
+        'could not tell whether the calibration is right, because there is no frame'
+    """
+    turns = torch.zeros(len(rig), 3, dtype=torch.float64, device=rig.world_from_camera.device)
+    return RigTurns(rig, turns, turns.sum(-1) + math.inf, reason=reason)
+
+
+def judged_rig(
+    depths: Sequence[Depth], estimate: Callable[[CameraRig], Sequence[Depth]] | None = None
+) -> RigTurns:
+    """Return what images say of a calibration, at about the depth that was estimated with it.
+
+    A camera counts as turned if its turn exceeds its uncertainty clearly. Whether images agree better in a quick sweep
+    does not decide, as that hardly sees small turns; but cameras stay where it says that turning them does harm.
 
     Args:
-        depths: one frame or several of one rig, estimated with the rig as it is.
-
-    Returns:
-        None where the calibration is right, as far as images can tell, or where they tell nothing.
+        depths: one frame or several of one rig of two cameras or more, estimated with the rig as it is.
+        estimate: the same frames' depth with cameras turned, asked for where they turned far.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -67,52 +118,89 @@ def turned_rig(depths: Sequence[Depth]) -> RigTurns | None:
         >>> from sphericalvision.capture import Predictor
         >>> rig = ring_rig(3, image_size=(64, 64))
         >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.55)
-        >>> turned_rig([predictor(render_rig(make_scene("floating", seed=1), rig))]) is None
-        True
+        >>> judged_rig([predictor(render_rig(make_scene("floating", seed=1), rig))]).turned
+        ()
     """
     rig = depths[0].rig
+    found = latest = _estimated(depths)
+    for _ in range(ROUNDS - 1):
+        if estimate is None or not found.turns.norm(dim=-1).max() < MOST or _largest(latest) < AGAIN:
+            break
+        latest = _estimated(estimate(turned(rig, found.turns)))
+        turns = about_most(_between(rig, turned(latest.rig, latest.turns)))
+        found = latest._replace(rig=rig, turns=turns, agreement=(found.agreement[0], latest.agreement[1]))
+    sizes = found.turns.norm(dim=-1)
+    sure = (sizes > SURE * found.spread) & (sizes > LEAST * _pixel(rig))
+    if len(rig) == 2:  # which of the two it was cannot be told
+        sure = sure.any().expand(2)
+    reason = _doubt(found, bool(sure.any()), 0.0 if estimate is None else _largest(latest))
+    if reason or not sure.any():
+        return found._replace(reason=reason)
+    better = turned(rig, found.turns * sure[:, None])
+    before, after = (sum(pose_agreement(depth.images, each) for depth in depths) for each in (rig, better))
+    if after < before - HARM * len(depths):
+        return found._replace(reason="a sweep finds that images agree less with the cameras turned")
+    names = tuple(name for name, which in zip(rig.names, sure.tolist(), strict=True) if which)
+    return found._replace(rig=better, turned=names)
+
+
+def _doubt(found: RigTurns, sure: bool, latest: float) -> str:
+    """Why nothing can be told; empty if something can."""
+    if found.agreement[0] < LEAST_AGREEMENT:
+        return "images of different cameras show nothing in common; are they of one moment, and of these cameras?"
+    farthest = found.rig.names[int(found.turns.norm(dim=-1).argmax())]
+    if _largest(found) > MOST or latest > MOST_LEFT:
+        return f"{farthest} seems to be turned by more than can be found; calibrate it anew"
+    if found.spread.max() < DOUBT and (sure or found.within < ENOUGH):
+        return ""
+    doubtful = found.rig.names[int((found.turns.norm(dim=-1) + 2 * found.spread).argmax())]
+    return (
+        f"{doubtful} could be turned by up to {math.degrees(found.within):.2f}°; more frames, with more texture where "
+        "cameras overlap, say more"
+    )
+
+
+def _largest(found: RigTurns) -> float:
+    return float(found.turns.norm(dim=-1).max())
+
+
+def _pixel(rig: CameraRig) -> float:
+    """Radians of a pixel of the first step, at least."""
+    return max(STEPS[0][0], *(1 / pixels_a_radian(camera) for camera in rig.cameras.values()))
+
+
+def _between(one: CameraRig, other: CameraRig) -> Tensor:
+    """Rotation vectors ``(n, 3)`` in the world from the cameras of one rig to those of the other."""
+    moved = other.world_from_camera.double() @ invert_transform(one.world_from_camera.double())
+    return axis_angle_from_transform(moved)[0]
+
+
+def _estimated(depths: Sequence[Depth]) -> RigTurns:
+    """Turns from coarse to fine, and how well the coarse images agreed before and after."""
+    rig = depths[0].rig
     directions = icosphere_vertices(LEVEL, torch.float32, rig.world_from_camera.device)
-    images = [compensated(rig, depth.images) for depth in depths]
-    stacked = {name: torch.stack([image[name] for image in images]) for name in rig.names}
+    better = reduced_rig(rig, min(step[0] for step in STEPS))
+    frames = [averaged(better, _grey(depth)) for depth in depths]
+    images = {name: torch.stack([frame[name] for frame in frames]) for name in rig.names}
     estimates = [_along(depth, directions) for depth in depths]
     inverse_depth, weights = (torch.stack(values) for values in zip(*estimates, strict=True))
-    halves = [
-        _found(rig, stacked, directions[part], inverse_depth[:, part], weights[:, part])
-        for part in (slice(0, None, 2), slice(1, None, 2))
-    ]
-    turns = torch.stack([axis_angle for axis_angle, _ in halves])
-    mean, apart = turns.mean(0), turns[0] - turns[1]
-    size = _typical(mean)
-    pixel = max(STEPS[0][0], *(1 / pixels_a_radian(camera) for camera in rig.cameras.values()))
-    if (
-        size < pixel * (LEAST if len(rig) > 2 else LEAST_OF_TWO)
-        or size < APART * _typical(apart)
-        or float(mean.norm(dim=-1).max()) > MOST
-    ):
-        return None
-    before, after = (sum(found[part] for _, found in halves) / 2 for part in (0, 1))
-    return RigTurns(turned(rig, mean), mean, (before, after))
-
-
-def _found(
-    rig: CameraRig, images: dict[str, Tensor], directions: Tensor, inverse_depth: Tensor, weights: Tensor
-) -> tuple[Tensor, tuple[float, float]]:
-    """Turns ``(n, 3)`` from coarse to fine, and how well the finest images agreed before and after."""
-    better = rig
+    agreements = []
     for pixel, blur, iterations in STEPS:
         found = align_rig_direct(
             better, images, directions, inverse_depth, weights, pixel=pixel, blur=blur, iterations=iterations
         )
         better = found.rig
-        if blur == STEPS[0][1]:
-            agreement = found.agreement
-    moved = better.world_from_camera.double() @ invert_transform(rig.world_from_camera.double())
-    return axis_angle_from_transform(moved)[0], agreement
+        agreements.append(found.agreement)
+    bias = _pixel(rig) * (BIAS if len(rig) > 2 else BIAS_OF_TWO)
+    spread = (found.spread.double().square() + bias**2).sqrt()
+    return RigTurns(rig, about_most(_between(rig, better)), spread, agreement=agreements[0])
 
 
-def _typical(turns: Tensor) -> float:
-    """Root mean square of turns ``(n, 3)``."""
-    return float(turns.square().sum(-1).mean().sqrt())
+def _grey(depth: Depth) -> dict[str, Tensor]:
+    return {
+        name: denoised(image, depth.rig.masks.get(name)).mean(-3, keepdim=True)
+        for name, image in depth.images.items()
+    }
 
 
 def _along(depth: Depth, directions: Tensor) -> tuple[Tensor, Tensor]:

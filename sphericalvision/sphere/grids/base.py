@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 
-__all__ = ["SphereGrid"]
+from sphericalvision.geometry import bilinear_sample
+from sphericalvision.sphere.grids.checks import check_values
+
+__all__ = ["GridModule", "SphereGrid"]
 
 
 @runtime_checkable
@@ -52,3 +56,38 @@ class SphereGrid(Protocol):
         That is the value nearest by angle on an icosphere. Pixels of a panorama, a cube map, HEALPix or a tangent image
         are no Voronoi cells: beside their edges another centre may be nearer, by less than a pixel. A NaN is refused.
         """
+
+
+class GridModule(nn.Module):
+    """What the grids of this package share; their tables move with ``.to`` and are not saved."""
+
+    directions: Tensor
+
+    def _make_directions(self: Any, dtype: torch.dtype | None, device: torch.device | str | None) -> None:
+        """The middles of the cells, exact in float64, as the buffer ``directions`` in ``dtype``."""
+        directions = self.cell_samples(1, torch.float64, device)[0].view(*self.shape, 3)
+        self.register_buffer(
+            "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
+        )
+
+    def sample(
+        self: Any, values: Float[Tensor, " ..."], directions: Float[Tensor, "*places n 3"]
+    ) -> Float[Tensor, "*batch c n"]:
+        """Interpolate values linearly between those around each direction, as the class describes.
+
+        Args:
+            values: ``(*b, c, *shape)``, floating point.
+            directions: ``(*b, n, 3)``, or ``(n, 3)`` for all of the batch.
+
+        Returns:
+            ``(*b, c, n)``, differentiable in both arguments; NaN where a direction is.
+
+        Raises:
+            ShapeError: if the values are not on this grid.
+        """
+        check_values(values, self.shape)
+        found: Tensor = self._interpolated(values, directions)
+        return found
+
+    def _interpolated(self: Any, values: Tensor, directions: Tensor) -> Tensor:
+        return bilinear_sample(self.image(values), self.image_pixels(directions))

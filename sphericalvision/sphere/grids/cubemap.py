@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Float, Int, Shaped
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.core import check_last_dim, full_precision
-from sphericalvision.geometry import bilinear_sample, normalize
+from sphericalvision.geometry import normalize
 from sphericalvision.geometry.directions import check_directions, safe_sqrt
+from sphericalvision.sphere.grids.base import GridModule
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
@@ -39,7 +40,7 @@ def world_from_cube_face(
     return axes.transpose(1, 2)
 
 
-class Cubemap(nn.Module):
+class Cubemap(GridModule):
     """Six faces of ``size`` x ``size`` pixels, each a perspective image of 90° seen from the centre.
 
     Convention:
@@ -68,7 +69,6 @@ class Cubemap(nn.Module):
         tensor([1., 0., 0.])
     """
 
-    directions: Tensor
     padded_ids: Tensor
 
     def __init__(
@@ -78,10 +78,7 @@ class Cubemap(nn.Module):
         check_positive(size=size)
         check_cells(6 * size**2, size=size)
         self.size = size
-        directions = self.cell_samples(1, torch.float64, device)[0].view(*self.shape, 3)
-        self.register_buffer(
-            "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
-        )
+        self._make_directions(dtype, device)
         self.register_buffer("padded_ids", _padded_ids(size, device), persistent=False)
 
     @property
@@ -187,23 +184,6 @@ class Cubemap(nn.Module):
         face, tangents = self.face_coordinates(normalize(directions))
         pixels = _lattice(tangents, self.size)
         return mosaic_pixels(face, pixels + 1, 6, self.size + 2)
-
-    def sample(
-        self, values: Float[Tensor, "*values c 6 size size"], directions: Float[Tensor, "*places n 3"]
-    ) -> Float[Tensor, "*batch c n"]:
-        """Interpolate values linearly between the nearest pixels, across edges and corners.
-
-        Args:
-            values: ``(*b, c, 6, size, size)``, floating point.
-            directions: ``(*b, n, 3)``, or ``(n, 3)`` for all of the batch.
-
-        Returns:
-            ``(*b, c, n)``, differentiable in both arguments.
-
-        Raises:
-            ShapeError: if the values are not on this grid.
-        """
-        return bilinear_sample(self.image(values), self.image_pixels(directions))
 
     def extra_repr(self) -> str:
         return f"size={self.size}"

@@ -7,7 +7,7 @@ import math
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim
 from sphericalvision.geometry import (
@@ -17,12 +17,13 @@ from sphericalvision.geometry import (
 )
 from sphericalvision.geometry.directions import check_directions
 from sphericalvision.geometry.interpolation import wrap_panorama
+from sphericalvision.sphere.grids.base import GridModule
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 
 __all__ = ["Equirectangular"]
 
 
-class Equirectangular(nn.Module):
+class Equirectangular(GridModule):
     """A panorama of ``height`` rows and ``width`` columns as a grid of directions.
 
     Convention:
@@ -53,8 +54,6 @@ class Equirectangular(nn.Module):
         0.707
     """
 
-    directions: Tensor
-
     def __init__(
         self,
         height: int,
@@ -70,10 +69,7 @@ class Equirectangular(nn.Module):
             raise ArgumentError(f"max_latitude: expected radians in (0, π/2], got {max_latitude!r}")
         self.height, self.width = height, width
         self.max_latitude = min(float(max_latitude), math.pi / 2)
-        directions = self.cell_samples(1, torch.float64, device)[0].view(height, width, 3)
-        self.register_buffer(
-            "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
-        )
+        self._make_directions(dtype, device)
 
     @classmethod
     def with_square_pixels(
@@ -231,24 +227,8 @@ class Equirectangular(nn.Module):
         v = self.pixels(directions)[..., 1]
         return torch.stack((torch.remainder(u + 0.5, self.width) - 0.5, v), -1)
 
-    def sample(
-        self, values: Float[Tensor, "*values c h w"], directions: Float[Tensor, "*places n 3"]
-    ) -> Float[Tensor, "*batch c n"]:
-        """Interpolate values bilinearly in longitude and latitude, across the seam and over the poles.
-
-        Beyond the latitudes of a panorama without poles its outermost rows are repeated, see ``contains``.
-
-        Args:
-            values: ``(*b, c, height, width)``, floating point.
-            directions: ``(*b, n, 3)``, or ``(n, 3)`` for all of the batch.
-
-        Returns:
-            ``(*b, c, n)``, differentiable in both arguments.
-
-        Raises:
-            ShapeError: if the values are not on this grid.
-        """
-        image = wrap_panorama(self.image(values), poles=self.whole_sphere)
+    def _interpolated(self, values: Tensor, directions: Tensor) -> Tensor:
+        image = wrap_panorama(values, poles=self.whole_sphere)
         return bilinear_sample(image, self.image_pixels(directions) + 1)
 
     def extra_repr(self) -> str:

@@ -7,13 +7,14 @@ import math
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.core import check_choice, check_last_dim
 from sphericalvision.geometry import longitude_latitude_from_directions, normalize
 from sphericalvision.geometry.directions import check_directions, safe_hypot
 from sphericalvision.geometry.lookup import weighted_sums
-from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
+from sphericalvision.sphere.grids.base import GridModule
+from sphericalvision.sphere.grids.checks import check_cells, check_positive
 from sphericalvision.sphere.grids.healpix_pixels import (
     direction_of_place,
     neighbor_places,
@@ -30,7 +31,7 @@ from sphericalvision.sphere.grids.healpix_pixels import (
 __all__ = ["Healpix"]
 
 
-class Healpix(nn.Module):
+class Healpix(GridModule):
     """``12 * nside**2`` pixels of one area, numbered ring by ring or nested.
 
     Convention:
@@ -60,8 +61,6 @@ class Healpix(nn.Module):
         [0, 44]
     """
 
-    directions: Tensor
-
     def __init__(
         self,
         nside: int,
@@ -75,10 +74,7 @@ class Healpix(nn.Module):
         self.nside = nside
         self.nested = bool(nested)
         self.num_pixels = 12 * nside**2
-        directions = self.cell_samples(1, torch.float64, device)[0].squeeze(1)
-        self.register_buffer(
-            "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
-        )
+        self._make_directions(dtype, device)
 
     @property
     def shape(self) -> tuple[int]:
@@ -221,22 +217,7 @@ class Healpix(nn.Module):
         ids = torch.stack((start + first % count, start + (first + 1) % count), -1)
         return ids, torch.stack((1 - share, share), -1), theta
 
-    def sample(
-        self, values: Float[Tensor, "*values c pixels"], directions: Float[Tensor, "*places n 3"]
-    ) -> Float[Tensor, "*batch c n"]:
-        """Interpolate values between the four pixels of ``locate``.
-
-        Args:
-            values: ``(*b, c, 12 * nside**2)``, floating point.
-            directions: ``(*b, n, 3)``, or ``(n, 3)`` for all of the batch.
-
-        Returns:
-            ``(*b, c, n)``, differentiable in both arguments.
-
-        Raises:
-            ShapeError: if the values are not on this grid.
-        """
-        check_values(values, self.shape)
+    def _interpolated(self, values: Tensor, directions: Tensor) -> Tensor:
         return weighted_sums(values, *self.locate(directions))
 
     def extra_repr(self) -> str:

@@ -6,14 +6,14 @@ from __future__ import annotations
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, check_last_dim, full_precision
-from sphericalvision.geometry import bilinear_sample
 from sphericalvision.geometry.directions import check_directions
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
+from sphericalvision.sphere.grids.base import GridModule
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
 from sphericalvision.sphere.grids.pixel_solid_angles import solid_angles_in_triangle
@@ -21,7 +21,7 @@ from sphericalvision.sphere.grids.pixel_solid_angles import solid_angles_in_tria
 __all__ = ["TangentImages"]
 
 
-class TangentImages(nn.Module):
+class TangentImages(GridModule):
     """Gnomonic images that touch the sphere at the middle of each face of an icosphere.
 
     Within a patch the distortion stays small, so a network for ordinary images can look at one patch after the other.
@@ -56,8 +56,6 @@ class TangentImages(nn.Module):
         torch.Size([3, 1])
     """
 
-    directions: Tensor
-
     def __init__(
         self,
         base_level: int,
@@ -80,10 +78,7 @@ class TangentImages(nn.Module):
         check_cells(self.num_patches * size**2, base_level=base_level, size=size)
         reach = _corners_in_plane(base_level, torch.device("cpu"))[0].abs().max().item()
         self.pixel_size = 2 * reach / (size - 1 - 2 * margin)
-        directions = self.cell_samples(1, torch.float64, device)[0].view(*self.shape, 3)
-        self.register_buffer(
-            "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False
-        )
+        self._make_directions(dtype, device)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -175,23 +170,6 @@ class TangentImages(nn.Module):
         """
         patch, pixels = self.face_coordinates(directions)
         return mosaic_pixels(patch, pixels, self.num_patches, self.size)
-
-    def sample(
-        self, values: Float[Tensor, "*values c patches size size"], directions: Float[Tensor, "*places n 3"]
-    ) -> Float[Tensor, "*batch c n"]:
-        """Interpolate bilinearly in the patch whose face contains the direction.
-
-        Args:
-            values: ``(*b, c, patches, size, size)``, floating point.
-            directions: ``(*b, n, 3)``, or ``(n, 3)`` for all of the batch.
-
-        Returns:
-            ``(*b, c, n)``, differentiable in both arguments.
-
-        Raises:
-            ShapeError: if the values are not on this grid.
-        """
-        return bilinear_sample(self.image(values), self.image_pixels(directions))
 
     def extra_repr(self) -> str:
         return f"base_level={self.base_level}, size={self.size}, margin={self.margin:g}, patches={self.num_patches}"

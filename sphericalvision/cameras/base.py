@@ -40,7 +40,7 @@ from sphericalvision.core import (
     check_tensor,
 )
 from sphericalvision.geometry.broadcasting import broadcast_shapes
-from sphericalvision.geometry.directions import components, is_at_least, is_greater
+from sphericalvision.geometry.directions import components
 from sphericalvision.geometry.interpolation import bilinear_sample
 
 __all__ = ["Camera", "Conversion", "Projection", "Unprojection", "check_single"]
@@ -288,7 +288,7 @@ class Camera:
         height, width = self.image_size
         u, v = pixels.detach().unbind(-1)
         from_middle_u, from_middle_v = (u - (width - 1) / 2).abs(), (v - (height - 1) / 2).abs()
-        return is_at_least(width / 2, from_middle_u) & is_at_least(height / 2, from_middle_v)
+        return (from_middle_u <= width / 2) & (from_middle_v <= height / 2)
 
     def sample(
         self, image: Shaped[Tensor, "*images c h w"], points: Float[Tensor, "*points n 3"]
@@ -523,7 +523,7 @@ class Camera:
         cotangent = 1 / torch.tan(self._widest(points).clamp_max(math.pi - 1.5 * eps))
         x, y, z = components(points.detach())
         squared = torch.addcmul(x * x, y, y)
-        return is_greater(torch.addcmul(z * z.abs(), squared, cotangent * cotangent.abs(), value=-1), 0.0)
+        return torch.addcmul(z * z.abs(), squared, cotangent * cotangent.abs(), value=-1) > 0
 
     def _looks_within_max_angle(self, directions: Tensor) -> Tensor:
         """The same for unit directions."""

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig, coverage, overlap
 from sphericalvision.cameras.base import check_single
-from sphericalvision.cameras.field_of_view import visible_angle
+from sphericalvision.cameras.field_of_view import directions_around_axis, visible_angle
 from sphericalvision.core import check_type
 from sphericalvision.geometry import longitude_latitude_from_directions
 from sphericalvision.sphere import Equirectangular
@@ -69,7 +69,7 @@ def rig_picture(rig: CameraRig, title: str | None = None) -> Picture:
     for index, (name, camera) in enumerate(rig.cameras.items()):
         color = colors[index % len(colors)]
         position, rotation = positions[index], rig.world_from_camera[index, :3, :3]
-        edge = _around_axis(visible_angle(camera, _ROUND), _ROUND) @ rotation.mT * length + position
+        edge = directions_around_axis(visible_angle(camera, _ROUND), _ROUND) @ rotation.mT * length + position
         tip = position + 1.3 * length * rotation[:, 2]
         _draw_3d(space, edge, color=color, linewidth=1.4)
         for corner in edge[:-1:15]:
@@ -161,11 +161,6 @@ def coverage_panorama(
     numbers = f"{where}: {100 * seen:.1f} % seen, {100 * shared:.1f} % by two or more, {mean:.2f} cameras on average"
     axes.set_title(f"{title}\n{numbers}" if title else numbers, fontsize=10)
     return figure_pixels(figure)
-
-
-def _around_axis(angle: Tensor, azimuth: Tensor) -> Tensor:
-    flat = torch.sin(angle)
-    return torch.stack((flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.cos(angle)), dim=-1)
 
 
 def _draw_3d(axes: Axes3D, points: Tensor, **style: Any) -> None:

@@ -28,7 +28,7 @@ from sphericalvision.cameras.models.plane_distortion import (
 from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry.directions import components, is_greater
+from sphericalvision.geometry.directions import components
 
 __all__ = ["BrownConradyCamera", "project_brown_conrady", "unproject_brown_conrady"]
 
@@ -122,7 +122,7 @@ def project_brown_conrady(
     x, y, z = components(points)
     shrink = z.clamp_min(torch.finfo(z.dtype).tiny ** 0.4).reciprocal()
     u, v, valid = distort_inside(x * shrink, y * shrink, distortion, max_tangent)
-    valid = valid & is_greater(z, 0.0)
+    valid = valid & (z > 0)
     if distortion.shape[-1] == 14:
         u, v, meets = _tilt(u, v, distortion[..., 12:])
         valid = valid & meets

@@ -19,7 +19,7 @@ from sphericalvision.cameras.models.image_plane import (
 )
 from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
+from sphericalvision.geometry.directions import components, safe_sqrt
 
 __all__ = ["DoubleSphereCamera", "project_double_sphere", "unproject_double_sphere"]
 
@@ -66,7 +66,7 @@ def project_double_sphere(
     denominator = torch.addcmul(alpha * second, 1 - alpha, shifted)
     least = limits.eps * first
     shrink = torch.maximum(denominator, least).reciprocal()
-    valid = is_greater(denominator, least) & is_greater(z, -_widest_cosine(xi, alpha) * first)
+    valid = (denominator > least) & (z > -_widest_cosine(xi, alpha) * first)
     return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), valid)
 
 

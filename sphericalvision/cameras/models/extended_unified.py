@@ -19,7 +19,7 @@ from sphericalvision.cameras.models.image_plane import (
 )
 from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
+from sphericalvision.geometry.directions import components, safe_sqrt
 
 __all__ = ["ExtendedUnifiedCamera", "project_extended_unified", "unproject_extended_unified"]
 
@@ -63,7 +63,7 @@ def project_extended_unified(
     x, y, z = components(points)
     squared = torch.addcmul(beta * torch.addcmul(x * x, y, y), z, z)
     length = torch.sqrt(squared.clamp_min(torch.finfo(z.dtype).tiny))
-    valid = is_greater(z, _widest_cosine(alpha) * length)
+    valid = z > _widest_cosine(alpha) * length
     # Beyond the model's end points land far outside of the image, in place of a division by 0.
     denominator = alpha * length + (1 - alpha) * z
     denominator = torch.maximum(denominator, torch.finfo(z.dtype).eps * length)

@@ -23,7 +23,7 @@ from sphericalvision.cameras.models.image_plane import (
 from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_type
-from sphericalvision.geometry.directions import components, is_greater
+from sphericalvision.geometry.directions import components
 
 __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
 
@@ -44,9 +44,7 @@ def project_pinhole(
     """
     x, y, z = components(points)
     shrink = z.clamp_min(torch.finfo(z.dtype).tiny ** 0.4).reciprocal()
-    return Projection(
-        pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), is_greater(z, 0.0)
-    )
+    return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), z > 0)
 
 
 @model_function

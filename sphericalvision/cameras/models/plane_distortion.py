@@ -15,7 +15,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, addcmul
 
-from sphericalvision.geometry.directions import is_greater
 from sphericalvision.geometry.inverse_table import tabulate_inverse
 from sphericalvision.geometry.rootfinding import increasing_limit
 
@@ -122,8 +121,8 @@ def distort_inside(
     x, y = x.clamp(-LARGEST_RADIUS, LARGEST_RADIUS), y.clamp(-LARGEST_RADIUS, LARGEST_RADIUS)
     distorted = distort(x, y, coefficients, limit)
     with torch.no_grad():
-        one_to_one = is_greater(_determinant(x, y, distorted, coefficients), 0.0)
-        return distorted.u, distorted.v, one_to_one & is_greater(limit, distorted.squared)
+        one_to_one = _determinant(x, y, distorted, coefficients) > 0
+        return distorted.u, distorted.v, one_to_one & (limit > distorted.squared)
 
 
 def _determinant(x: Tensor, y: Tensor, distorted: Distorted, coefficients: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ from sphericalvision.cameras.models.plane_distortion import distort_inside, fold
 from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry.directions import components, is_greater, safe_sqrt
+from sphericalvision.geometry.directions import components, safe_sqrt
 
 __all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
 
@@ -73,7 +73,7 @@ def project_unified(
     x, y, z = components(points)
     squared = torch.addcmul(torch.addcmul(x * x, y, y), z, z)
     length = torch.sqrt(squared.clamp_min(torch.finfo(z.dtype).tiny))
-    valid = is_greater(z, _widest_cosine(xi) * length)
+    valid = z > _widest_cosine(xi) * length
     # Beyond the model's end points land far outside of the image, in place of a division by 0.
     denominator = torch.maximum(torch.addcmul(z, xi, length), torch.finfo(z.dtype).eps * length)
     x, y = x / denominator, y / denominator

@@ -1,6 +1,5 @@
 from .convolutions.padding import CubePad2d as CubePad2d
 from .convolutions.padding import EquirectangularPad2d as EquirectangularPad2d
-from .convolutions.padding import cube_pad as cube_pad
 from .convolutions.padding import equirectangular_pad as equirectangular_pad
 from .convolutions.seamless import make_seamless as make_seamless
 from .convolutions.sphere_conv import SphereConv2d as SphereConv2d
@@ -9,6 +8,7 @@ from .convolutions.tangent_taps import sphere_taps as sphere_taps
 from .grids.base import SphereGrid as SphereGrid
 from .grids.cube_layouts import cube_from_layout as cube_from_layout
 from .grids.cube_layouts import cube_to_layout as cube_to_layout
+from .grids.cube_padding import cube_pad as cube_pad
 from .grids.cubemap import Cubemap as Cubemap
 from .grids.equirectangular import Equirectangular as Equirectangular
 from .grids.healpix import Healpix as Healpix

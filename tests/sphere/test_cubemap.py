@@ -13,8 +13,7 @@ import torch
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.sphere import Cubemap, Equirectangular, cube_from_layout, cube_to_layout, resample
-from sphericalvision.sphere.grids.cube_layouts import CUBE_LAYOUTS
-from sphericalvision.sphere.grids.cubemap import world_from_cube_face
+from sphericalvision.sphere.grids.cube_layouts import CUBE_LAYOUTS, world_from_cube_face
 from tests.laws.grid_laws import DOUBLE, some_rotation, spread_directions
 
 

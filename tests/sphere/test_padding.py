@@ -21,7 +21,7 @@ from sphericalvision.sphere import (
     equirectangular_pad,
     make_seamless,
 )
-from sphericalvision.sphere.grids.cubemap import world_from_cube_face
+from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
 
 
 def random_values(*shape: int) -> Tensor:

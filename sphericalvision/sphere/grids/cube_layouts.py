@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cube maps as one picture, a list or a dictionary, and back."""
+"""Faces of cube maps: their names and axes; as one picture, a list or a dictionary, and back."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
 
-__all__ = ["CUBE_FACES", "CUBE_LAYOUTS", "cube_from_layout", "cube_to_layout"]
+__all__ = ["CUBE_FACES", "CUBE_LAYOUTS", "cube_from_layout", "cube_to_layout", "world_from_cube_face"]
 
 CUBE_FACES = ("front", "right", "back", "left", "up", "down")
 """Names of the faces of a cube map in their order."""
@@ -20,6 +20,28 @@ CUBE_LAYOUTS = ("dice", "strip", "list", "dict")
 """What ``cube_to_layout`` and ``cube_from_layout`` know."""
 
 _DICE = {"left": (1, 0), "front": (1, 1), "right": (1, 2), "back": (1, 3), "up": (0, 1), "down": (2, 1)}
+
+_RIGHT_DOWN_FORWARD = (
+    ((1, 0, 0), (0, 1, 0), (0, 0, 1)),  # front
+    ((0, 0, -1), (0, 1, 0), (1, 0, 0)),  # right
+    ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),  # back
+    ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),  # left
+    ((1, 0, 0), (0, 0, 1), (0, -1, 0)),  # up: its lower edge meets the front face
+    ((1, 0, 0), (0, 0, -1), (0, 1, 0)),  # down: its upper edge meets the front face
+)
+
+
+def world_from_cube_face(
+    dtype: torch.dtype | None = None, device: torch.device | str | None = None
+) -> Shaped[Tensor, "6 3 3"]:
+    """Rotations ``(6, 3, 3)`` whose columns are the right, down and forward axes of each face.
+
+    Examples:
+        >>> world_from_cube_face()[1] @ torch.tensor([0.0, 0.0, 1.0])  # the right face looks along +x
+        tensor([1., 0., 0.])
+    """
+    axes = torch.tensor(_RIGHT_DOWN_FORWARD, dtype=dtype or torch.get_default_dtype(), device=device)
+    return axes.transpose(1, 2)
 
 
 def cube_to_layout(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import check_last_dim, full_precision
@@ -12,32 +12,11 @@ from sphericalvision.geometry import normalize
 from sphericalvision.geometry.directions import check_directions, safe_sqrt
 from sphericalvision.sphere.grids.base import GridModule
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
-from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES
+from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES, world_from_cube_face
+from sphericalvision.sphere.grids.cube_padding import faces_continued
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
 
-__all__ = ["Cubemap", "world_from_cube_face"]
-
-_RIGHT_DOWN_FORWARD = (
-    ((1, 0, 0), (0, 1, 0), (0, 0, 1)),  # front
-    ((0, 0, -1), (0, 1, 0), (1, 0, 0)),  # right
-    ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),  # back
-    ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),  # left
-    ((1, 0, 0), (0, 0, 1), (0, -1, 0)),  # up: its lower edge meets the front face
-    ((1, 0, 0), (0, 0, -1), (0, 1, 0)),  # down: its upper edge meets the front face
-)
-
-
-def world_from_cube_face(
-    dtype: torch.dtype | None = None, device: torch.device | str | None = None
-) -> Shaped[Tensor, "6 3 3"]:
-    """Rotations ``(6, 3, 3)`` whose columns are the right, down and forward axes of each face.
-
-    Examples:
-        >>> world_from_cube_face()[1] @ torch.tensor([0.0, 0.0, 1.0])  # the right face looks along +x
-        tensor([1., 0., 0.])
-    """
-    axes = torch.tensor(_RIGHT_DOWN_FORWARD, dtype=dtype or torch.get_default_dtype(), device=device)
-    return axes.transpose(1, 2)
+__all__ = ["Cubemap"]
 
 
 class Cubemap(GridModule):
@@ -69,8 +48,6 @@ class Cubemap(GridModule):
         tensor([1., 0., 0.])
     """
 
-    padded_ids: Tensor
-
     def __init__(
         self, size: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
     ) -> None:
@@ -79,7 +56,6 @@ class Cubemap(GridModule):
         check_cells(6 * size**2, size=size)
         self.size = size
         self._make_directions(dtype, device)
-        self.register_buffer("padded_ids", _padded_ids(size, device), persistent=False)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -153,24 +129,9 @@ class Cubemap(GridModule):
     def padded(
         self, values: Float[Tensor, "*batch c 6 size size"]
     ) -> Float[Tensor, "*batch c 6 size+2 size+2"]:
-        """Faces with a ring of the pixels across their edges, ``(*b, c, 6, size + 2, size + 2)``.
-
-        In the four corners of the ring, where no pixel is, stands the mean of the two next to it.
-        """
+        """Faces with a ring of the pixels across their edges, ``(*b, c, 6, size + 2, size + 2)``; see ``cube_pad``."""
         check_values(values, self.shape)
-        side = self.size + 2
-        ring = (
-            values.flatten(-3)
-            .index_select(-1, self.padded_ids.flatten().to(values.device))
-            .unflatten(-1, (6, side, side))
-        )
-        top, bottom = ring[..., :1, :], ring[..., -1:, :]
-        rows = []
-        for edge, inner in ((top, ring[..., 1:2, :]), (bottom, ring[..., -2:-1, :])):
-            left = (edge[..., 1:2] + inner[..., :1]) / 2
-            right = (edge[..., -2:-1] + inner[..., -1:]) / 2
-            rows.append(torch.cat((left, edge[..., 1:-1], right), -1))
-        return torch.cat((rows[0], ring[..., 1:-1, :], rows[1]), -2)
+        return faces_continued(values, (1, 1, 1, 1))
 
     def image(self, values: Float[Tensor, "*batch c 6 size size"]) -> Float[Tensor, "*batch c h w"]:
         """One image ``(*b, c, h, w)`` of the padded faces, in which ``image_pixels`` are meant."""
@@ -230,29 +191,3 @@ def _corner_shares(x: Tensor, y: Tensor, limit: float) -> tuple[Tensor, Tensor]:
     difference = right - below
     middle = (difference + safe_sqrt(difference * difference + 4 * own)) / 2
     return 1 - middle + difference, 1 - middle
-
-
-def _padded_ids(size: int, device: torch.device | str | None) -> Tensor:
-    """Index of the pixel at each place of the padded faces, (6, size + 2, size + 2); 0 in the corners."""
-    side = torch.arange(size, dtype=torch.float64, device=device)
-    tangent = (2 * side + 1 - size) / size
-    one = torch.ones_like(tangent)
-    inward = (1 - 1 / size) * one
-    inner = slice(1, -1)
-    ring = (  # places, and the mirror images of the outermost pixels there, in the frame of the face
-        (inner, 0, torch.stack((-one, tangent, inward), -1)),
-        (inner, -1, torch.stack((one, tangent, inward), -1)),
-        (0, inner, torch.stack((tangent, -one, inward), -1)),
-        (-1, inner, torch.stack((tangent, one, inward), -1)),
-    )
-    ids = torch.zeros(6, size + 2, size + 2, dtype=torch.long, device=device)
-    ids[:, 1:-1, 1:-1] = torch.arange(6 * size * size, device=device).view(6, size, size)
-    world_from_face = world_from_cube_face(torch.float64, device)
-    for row, column, local in ring:
-        world = local @ world_from_face.mT
-        face = (world @ world_from_face[..., 2].T).argmax(-1)
-        there = (world.unsqueeze(-2) @ world_from_face[face]).squeeze(-2)
-        there = (there[..., :2] / there[..., 2:] + 1) * (size / 2)
-        x, y = there.floor().long().clamp(0, size - 1).unbind(-1)
-        ids[:, row, column] = (face * size + y) * size + x
-    return ids

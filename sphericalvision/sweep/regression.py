@@ -35,7 +35,8 @@ def depth_estimate(logits: Float[Tensor, "B N V"], seen: Bool[Tensor, "B n N V"]
     """Return the expected index, its confidence and whether two cameras saw it, each ``(B, V)``.
 
     Args:
-        logits: ``(B, N, V)``, the score of each hypothesis; higher is more likely.
+        logits: ``(B, N, V)``, the score of each hypothesis; higher is more likely. With a NaN, index and
+            confidence are NaN.
         seen: ``(B, n, N, V)``, True where camera n saw the point of hypothesis N, as in ``SweepVolume``.
 
     Examples:
@@ -45,7 +46,7 @@ def depth_estimate(logits: Float[Tensor, "B N V"], seen: Bool[Tensor, "B n N V"]
         DepthEstimate(index=tensor([[1.]]), confidence=tensor([[1.]]), seen=tensor([[True]]))
     """
     index = soft_argmax(logits)
-    nearest = index.detach().round().long()[:, None, None].expand(-1, seen.shape[1], 1, -1)
+    nearest = index.detach().nan_to_num().round().long()[:, None, None].expand(-1, seen.shape[1], 1, -1)
     return DepthEstimate(
         index, soft_argmax_confidence(logits), seen.gather(2, nearest).squeeze(2).sum(1) >= 2
     )

@@ -34,10 +34,11 @@ def winner_takes_all(cost: Float[Tensor, "B N V"], subhypothesis: bool = False) 
 def at_nearest_hypothesis(
     values: Shaped[Tensor, "B N V"], index: Float[Tensor, "B V"]
 ) -> Shaped[Tensor, "B V"]:
-    """Return the values ``(B, N, V)`` of the hypothesis nearest to a fractional index ``(B, V)``.
+    """Return the values ``(B, N, V)`` of the hypothesis nearest to a fractional index ``(B, V)``, the first for NaN.
 
     Examples:
         >>> at_nearest_hypothesis(torch.tensor([[[5.0], [6.0], [7.0]]]), torch.tensor([[1.3]]))
         tensor([[6.]])
     """
-    return values.gather(1, index.round().long()[:, None]).squeeze(1)
+    nearest = index.nan_to_num().round().long().clamp(0, values.shape[1] - 1)
+    return values.gather(1, nearest[:, None]).squeeze(1)

@@ -10,6 +10,7 @@ import torch
 
 from sphericalvision.core import ShapeError
 from sphericalvision.sweep import depth_estimate, soft_argmax, soft_argmax_confidence
+from sphericalvision.sweep.winner import at_nearest_hypothesis
 
 
 def test_soft_argmax_is_the_expectation(generator: torch.Generator) -> None:
@@ -80,3 +81,13 @@ def test_an_estimate_is_seen_where_two_cameras_see_it(generator: torch.Generator
 def test_one_dimension_is_refused() -> None:
     with pytest.raises(ShapeError, match="logits"):
         soft_argmax(torch.zeros(8))
+
+
+def test_what_is_not_a_number_stays_so() -> None:
+    logits, seen = torch.zeros(1, 4, 3), torch.ones(1, 2, 4, 3, dtype=torch.bool)
+    logits[0, 2, 1] = torch.nan
+    found = depth_estimate(logits, seen)
+    assert found.index.isnan().tolist() == found.confidence.isnan().tolist() == [[False, True, False]]
+    values = torch.arange(4.0).view(1, 4, 1).expand(1, 4, 3)
+    index = torch.tensor([[torch.nan, -1.0, 9.0]])
+    assert at_nearest_hypothesis(values, index).tolist() == [[0, 0, 3]]

@@ -93,6 +93,7 @@ def undistorted_camera(
             "field_of_view and focal_length: give one of them, the other follows from the width"
         )
     if field_of_view is not None:
+        check_type("field_of_view", field_of_view, (int, float), "radians from the left to the right edge")
         if not 0 < field_of_view < math.pi:
             raise ArgumentError(
                 f"field_of_view: expected radians in (0, π), got {field_of_view}; a perspective picture ends before "

@@ -22,6 +22,12 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)  # a ru
 settings.load_profile("repeatable")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of the laws of cameras, as Kornia's tests have them."""
+    parser.addoption("--device", default="cpu", help="where laws run: cpu, cuda, mps")
+    parser.addoption("--dtype", default="float32,float64", help="precisions in which laws run")
+
+
 @pytest.fixture(scope="session")
 def golden() -> Path:
     """Folder with outputs of the original authors' implementation; without it the test is skipped."""

@@ -37,7 +37,21 @@ def obey(law: Law, case: CameraCase, dtype: torch.dtype, **more: object) -> None
         "tolerance": case.own_tolerance + camera_laws.pixel_precision(camera),
         **more,
     }
-    law(**{name: known[name] for name in inspect.signature(law).parameters})
+    try:
+        law(**{name: known[name] for name in inspect.signature(law).parameters})
+    except AssertionError as error:
+        error.add_note(f"of {camera}")
+        raise
+
+
+def test_a_law_that_fails_says_which_camera_and_which_point() -> None:
+    def law_nothing_is_seen(camera: Camera) -> None:
+        points = camera_laws.directions_within(camera, 4)
+        camera_laws.hold_everywhere(~camera.project(points).valid, points, "nothing is seen")
+
+    with pytest.raises(AssertionError, match=r"not so at 4 of 4, the first at \[") as failure:
+        obey(law_nothing_is_seen, CAMERAS[0], torch.float64)
+    assert type(CAMERAS[0].make(1.0)).__name__ in failure.value.__notes__[0]
 
 
 def test_every_camera_of_the_package_has_a_case() -> None:
@@ -47,11 +61,18 @@ def test_every_camera_of_the_package_has_a_case() -> None:
     assert offered - {Camera} == {type(case.make(1.0)) for case in CAMERAS}
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=["float32", "float64"])
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """A law runs in the precisions and on the device that the command line asks for."""
+    if "precision" in metafunc.fixturenames:
+        names = metafunc.config.getoption("--dtype").split(",")
+        metafunc.parametrize("precision", [getattr(torch, name) for name in names], ids=names)
+
+
 @pytest.mark.parametrize("case", CAMERAS, ids=lambda case: case.name)
 @pytest.mark.parametrize("law", laws_of(camera_laws).values(), ids=laws_of(camera_laws))
-def test_law(law: Law, case: CameraCase, dtype: torch.dtype) -> None:
-    obey(law, case, dtype)
+def test_law(law: Law, case: CameraCase, precision: torch.dtype, pytestconfig: pytest.Config) -> None:
+    with torch.device(pytestconfig.getoption("--device")):  # what a law makes without saying where
+        obey(law, case, precision)
 
 
 @pytest.mark.parametrize("case", CAMERAS, ids=lambda case: case.name)

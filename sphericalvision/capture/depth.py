@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.capture.surface import distance_along
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, full_precision
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere import Icosphere, locate
 from sphericalvision.models import DepthNetwork
@@ -92,8 +92,7 @@ class Depth:
     @property
     def inverse_depth(self) -> Float[Tensor, "*batch_and_grid"]:
         """``(*b, *grid)`` in 1/m, at least that of index 0: depth is finite and positive."""
-        index = self.index.to(torch.promote_types(self.index.dtype, torch.float32))
-        return positive(inverse_depth_from_index(index, self.network.num_hypotheses, self.min_depth))
+        return inverse_depth_from_index(self.index, self.network.num_hypotheses, self.min_depth)
 
     @property
     def depth(self) -> Float[Tensor, "*batch_and_grid"]:
@@ -134,6 +133,7 @@ class Depth:
         taken_out = self.compensations[frame : frame + 1 or None]
         return Depth(index, confidence, seen, self.network, self.rig, images, taken_out)
 
+    @full_precision
     def panorama(self, height: int) -> DepthImage:
         """Return depth as an equirectangular panorama ``(*b, height, 2 * height)`` around the rig's centre."""
         inverse_depth, confidence, seen = self._looked_up(height)
@@ -142,6 +142,7 @@ class Depth:
             inverse_depth.reciprocal().reshape(shape), confidence.reshape(shape), seen.reshape(shape)
         )
 
+    @full_precision
     def camera(
         self, camera: str | Camera, world_from_camera: Float[Tensor, "4 4"] | None = None
     ) -> DepthImage:
@@ -196,6 +197,7 @@ class Depth:
             return views[0]
         return DepthImage(*(torch.stack(parts) for parts in zip(*views, strict=True)))
 
+    @full_precision
     def points(
         self, min_confidence: float = 0.0, max_depth: float | None = None, voxel: float | None = None
     ) -> SurfacePoints:
@@ -224,6 +226,7 @@ class Depth:
         cloud = surface_points(self.network.grid, inverse_depth, confidence, kept, rig, self.images)
         return cloud if voxel is None else voxel_means(cloud, voxel)
 
+    @full_precision
     def at(
         self, directions: Float[Tensor, "n 3"]
     ) -> tuple[Float[Tensor, "*batch n"], Float[Tensor, "*batch n"], Bool[Tensor, "*batch n"]]:

@@ -121,9 +121,7 @@ class RigProgram(nn.Module):
         index, confidence, seen = self.net.predict(
             images, _pytree.tree_unflatten(leaves, self.structure), self.seen
         )
-        inverse_depth = positive(
-            inverse_depth_from_index(index.float(), self.net.num_hypotheses, self.net.min_depth)
-        )
+        inverse_depth = inverse_depth_from_index(index.float(), self.net.num_hypotheses, self.net.min_depth)
         if self.shape is None:
             return inverse_depth, confidence, seen
         shape = (images.shape[0], *self.shape)

@@ -29,7 +29,7 @@ from sphericalvision.capture.preparation.nearest import (
     nearest_hypothesis,
 )
 from sphericalvision.capture.preparation.preparation import Preparation
-from sphericalvision.core import ArgumentError, check_choice, check_type
+from sphericalvision.core import ArgumentError, check_choice, check_type, full_precision
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
@@ -351,6 +351,7 @@ class Predictor:
         found = as_photographs(images, self._rig, self._channels)
         return {name: image.to(self._device, non_blocking=True) for name, image in found.items()}
 
+    @full_precision
     def _inputs(
         self, ready: _Ready, photographs: Mapping[str, Tensor]
     ) -> tuple[Tensor, tuple[Compensation, ...]]:
@@ -408,6 +409,7 @@ class Predictor:
         self._scaled = net.eval().to(self._device)
         return self._scaled
 
+    @full_precision
     def _made(self) -> _Ready:
         net = self._network()
         intake, angles = net.intake(self._rig, self._antialias), torch.empty(0)

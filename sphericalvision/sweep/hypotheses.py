@@ -89,7 +89,8 @@ def inverse_depth_from_index(
     """
     check_hypotheses(num_hypotheses, min_depth)
     check_tensor("index", index, "(*)")
-    index = index.to(torch.promote_types(index.dtype, torch.float32)).clamp(0, _MOST_INDEX)
+    index = index.to(torch.promote_types(index.dtype, torch.float32))
+    index = index.clamp(0.0, _MOST_INDEX)  # two floats: converters to ONNX want them alike
     return index * (1 / ((num_hypotheses - 1) * min_depth)) + INVERSE_DEPTH_OFFSET
 
 

@@ -7,6 +7,7 @@ import copy
 import math
 import pickle
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -317,6 +318,29 @@ def test_depth_is_finite_and_positive_wherever_it_is_asked_for(level: int, dtype
         assert found.min() > 0
     nearest = depth.panorama(128).depth.min()
     assert nearest == pytest.approx(0.55, rel=1e-3)
+
+
+def test_autocast_around_a_predictor_leaves_geometry_in_full_precision(
+    rig: CameraRig, images: Images
+) -> None:
+    torch.manual_seed(0)
+    net = IcoSweepNet(3, 6, feature_channels=2).eval()
+    one, other = (Predictor(rig, net, min_depth=0.4) for _ in range(2))
+    depth = one(images)
+    verbs: list[Callable[[Depth], Tensor]] = [
+        lambda d: d.panorama(16).depth,
+        lambda d: d.camera("cam2").depth,
+        lambda d: d.points().points,
+        lambda d: d.at(torch.eye(3))[0],
+    ]
+    with torch.autocast("cpu", torch.bfloat16):
+        inputs, _ = other.inputs(images)
+        found = [verb(depth) for verb in verbs]
+        other(images)
+    assert torch.equal(inputs, one.inputs(images)[0])
+    assert torch.equal(other(images).index, depth.index)
+    for values, verb in zip(found, verbs, strict=True):
+        torch.testing.assert_close(values, verb(depth), equal_nan=True, rtol=0, atol=0)
 
 
 def test_a_sky_above_what_floats_has_no_depth_behind_the_rig() -> None:

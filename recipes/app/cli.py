@@ -26,6 +26,7 @@ __all__ = [
     "console",
     "print_config",
     "print_table",
+    "say",
 ]
 
 console = Console()
@@ -79,6 +80,11 @@ def print_config(config: DictConfig, folder: Path | None = None) -> None:
     console.print(tree)
     if folder is not None:
         write_bytes(folder / "config.yaml", OmegaConf.to_yaml(resolved).encode())
+
+
+def say(text: str, style: str | None = None) -> None:
+    """Print a line as it is."""
+    console.print(text, style=style, highlight=False, soft_wrap=True)
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:

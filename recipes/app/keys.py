@@ -79,10 +79,7 @@ KEYS: dict[str, Any] = {
     "near": Positive | None,
     "min_confidence": Share,
     "voxel": Positive | None,
-    "inputs": Text,
-    "tables": Text,
     "batch": Count | None,
-    "formats": list[str],
     # cameras
     "to": Text | None,
     "format": Text | None,
@@ -173,7 +170,14 @@ TRAINER: dict[str, Any] = {
 """Keys of the group ``trainer`` that Lightning's own hints leave more open; the others are compared with those."""
 
 OWN: dict[str, dict[str, Any]] = {
-    "export": {"height": Count | None, "cameras": list[str | int] | None},
+    "export": {
+        "height": Count | None,
+        "cameras": list[str | int] | None,
+        "min_depth": Positive | Literal["auto"],
+        "inputs": Literal["camera", "sphere"],
+        "tables": Literal["inside", "inputs"],
+        "formats": list[Literal["pt2", "onnx", "compiled"]],
+    },
     "inspect": {"images": Text | None, "level": Number},
     "convert": {"output": Text | None},
     "calibrate": {"to": Text},
@@ -198,16 +202,20 @@ GROUPS: dict[str, dict[str, Any]] = {
 
 
 ONLY_WITH: dict[str, dict[str, tuple[str, ...]]] = {
-    "predict": {"poses": ("window", "spacing", "up"), "min_depth=auto": ("trained_radius",)},
+    "predict": {
+        "poses": ("window", "spacing", "up"),
+        "min_depth=auto": ("trained_radius",),
+        "outputs=[cloud]|[glb]": ("min_confidence", "voxel"),
+    },
     "inspect": {"images": ("frame",)},
     "convert": {"to": ("num_coefficients", "projection", "fit_angle_deg"), "output": ("format",)},
     "render": {"mesh": ("mesh_up", "mesh_scale")},
     "calibrate": {"to=fisheye": ("projection",)},
-    "train": {"data.rig": ("rig",)},
-    "evaluate": {"data.rig": ("rig",)},
+    "train": {"data.rig": ("rig",), "data.mesh": ("data.mesh_up", "data.mesh_scale")},
+    "evaluate": {"data.rig": ("rig",), "data.mesh": ("data.mesh_up", "data.mesh_scale")},
     "study": {"data.rig": ("rig",), "inputs=equirect": ("equirect_rig", "equirect_size")},
 }
-"""Command -> a key that has a value, or one that has this one -> the keys that count only then."""
+"""Command -> a key that has a value, or one that has (in a list: holds) one of these -> keys that count only then."""
 
 
 def type_of(command: str, key: str) -> Any:
@@ -235,8 +243,11 @@ def unused_key(command: str, config: DictConfig, given: Iterable[str]) -> str | 
     for needed, keys in ONLY_WITH.get(command, {}).items():
         key, equal, wanted = needed.partition("=")
         value = OmegaConf.select(config, key)
-        counts = value == wanted if equal else value is not None
-        if not counts and (lost := [name for name in given if name.partition(".")[0] in keys]):
+        values = [f"[{one}]" for one in value] if OmegaConf.is_list(value) else [str(value)]
+        counts = bool({*values} & {*wanted.split("|")}) if equal else value is not None
+        if counts or (key == "outputs" and value is None):  # null are the usual ones, clouds among them
+            continue
+        if lost := [name for name in given if f"{name}.".startswith(tuple(f"{part}." for part in keys))]:
             word = "data=scenes" if key == "data.rig" else needed if equal else f"{needed}=..."
-            return f"{lost[0]}: counts only with {word}; give that, too, or leave {lost[0]} out"
+            return f"{lost[0]}: counts only with {word.replace('|', f' or {key}=')}; give that, too, or leave it out"
     return None

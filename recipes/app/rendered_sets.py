@@ -15,11 +15,10 @@ from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.data.omnistereo.files import RELEASES, Release
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
-from sphericalvision.io.files import write_yaml
 from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.cli import console
 
-__all__ = ["check_settings", "keep_settings", "missing_frames", "settings_of"]
+__all__ = ["RECORD", "check_settings", "missing_frames", "settings_of"]
 
 RECORD = "rendered.yaml"
 """Beside the frames: how they were rendered."""
@@ -62,11 +61,6 @@ def check_settings(folder: Path, settings: dict[str, Any], release: str) -> None
             f"output: {folder} holds frames rendered with {there}, this command says {here}; use the same to add "
             "frames, or choose another folder"
         )
-
-
-def keep_settings(folder: Path, settings: dict[str, Any]) -> None:
-    """Write beside the frames how they are rendered."""
-    write_yaml(folder / RECORD, settings)
 
 
 def missing_frames(root: Path, frames: range, release: str, num_cameras: int) -> list[int]:

@@ -13,9 +13,7 @@ from torch import Tensor
 
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.export import (
-    INPUTS,
     OPSET,
-    TABLES,
     RigProgram,
     compile_program,
     export_onnx,
@@ -24,29 +22,20 @@ from sphericalvision.capture.export import (
     onnx_size,
     rig_tables,
 )
-from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.io.files import atomic_write
-from sphericalvision.recipes.app.cli import console, print_config
+from sphericalvision.recipes.app.cli import print_config, say
 from sphericalvision.recipes.app.rigs import rig_from_file
 from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["export"]
-
-FORMATS = ("pt2", "onnx", "compiled")
 
 
 def export(config: DictConfig, folder: Path) -> list[Path]:
     """Write the program in every format of ``config.formats``; returns the files.
 
     Raises:
-        ArgumentError: an unknown format or input, or what ``RigProgram`` refuses.
+        ArgumentError: what ``RigProgram`` refuses.
     """
-    check_choice("inputs", config.inputs, INPUTS)
-    check_choice("tables", config.tables, TABLES)
-    for name in config.formats:
-        check_choice("formats", name, FORMATS)
-    if isinstance(config.min_depth, str) and config.min_depth != "auto":
-        raise ArgumentError(f"min_depth: expected a number of metres or auto, got {config.min_depth!r}")
     rig = rig_from_file(config.calibration, config.translation_unit, config.max_angle_deg, config.image_size)
     if config.cameras is not None:
         rig = rig.subset(list(config.cameras))
@@ -121,11 +110,6 @@ def save_tables(program: RigProgram, path: Path) -> Path:
     with atomic_write(path) as temporary:
         save_file({name: table.contiguous() for name, table in rig_tables(program).items()}, temporary)
     return path
-
-
-def say(text: str) -> None:
-    """Print a line as it is."""
-    console.print(text, highlight=False, soft_wrap=True)
 
 
 def shown(written: list[Path]) -> list[Path]:

@@ -15,7 +15,6 @@ from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.capture.sources.captures import find_capture, read_frame
 from sphericalvision.capture.sources.opening import rig_with_masks
-from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_image
@@ -102,14 +101,7 @@ def save_pictures(
 
 
 def inspect(config: DictConfig, folder: Path) -> list[Path]:
-    """Print what is to be known about ``config.calibration`` and write pictures to ``folder``; returns the files.
-
-    Raises:
-        ArgumentError: the depths are not positive.
-    """
-    for key in ("depths", "picture_depths"):
-        if any(not float(depth) > 0 for depth in config[key]):
-            raise ArgumentError(f"{key}: expected metres above 0, got {list(config[key])}")
+    """Print what is to be known about ``config.calibration`` and write pictures to ``folder``; returns the files."""
     rig, known = load_rig(config)
     images: Mapping[str, Tensor] = {}
     if config.images is not None:

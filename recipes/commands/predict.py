@@ -19,9 +19,9 @@ from sphericalvision.capture.outputs import Outputs, Settings, done_file
 from sphericalvision.capture.preparation.preparation import AUTO, Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.threads import Behind
-from sphericalvision.core import ArgumentError, FileFormatError, check_choice
+from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.recipes.app.captures import masked_by_itself, open_capture, open_moving
-from sphericalvision.recipes.app.cli import choose_device, console, print_config
+from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 
 __all__ = ["open_frames", "predict", "predictor_for"]
 
@@ -42,12 +42,8 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
     """The predictor that a configuration describes.
 
     Raises:
-        ArgumentError: the network wants another number of cameras, or ``min_depth`` is no number and no known word.
+        ArgumentError: the network wants another number of cameras.
     """
-    if isinstance(config.min_depth, str) and config.min_depth not in ("auto", "scene"):
-        raise ArgumentError(
-            f"min_depth: expected a number of metres, auto or scene, got {config.min_depth!r}"
-        )
     return Predictor(
         rig,
         config.checkpoint,
@@ -126,7 +122,6 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     Raises:
         FileFormatError: images of some frames cannot be read; the others are done before that is told.
     """
-    check_choice("on_error", config.on_error, ("skip", "stop"))
     source = open_frames(config)
     if Preparation.from_keys(config).own_body:
         source.rig = masked_by_itself(source, folder)
@@ -261,11 +256,6 @@ def _report(outputs: Outputs) -> None:
             f"Two cameras see {100 * min(outputs.shares):.0f} % of all directions at the depth estimated. Elsewhere "
             "nothing can be measured: grey in pictures, left out of point clouds, False in matched_panorama of arrays."
         )
-
-
-def say(text: str, style: str | None = None) -> None:
-    """Print a line as it is."""
-    console.print(text, style=style, highlight=False, soft_wrap=True)
 
 
 def _settings_before(folder: Path) -> dict[str, Any]:

@@ -12,16 +12,10 @@ from rich.progress import track
 from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
-from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
-from sphericalvision.data.omnistereo.files import RELEASES
+from sphericalvision.io.files import write_yaml
 from sphericalvision.recipes.app.cli import build, console, print_config
-from sphericalvision.recipes.app.rendered_sets import (
-    check_settings,
-    keep_settings,
-    missing_frames,
-    settings_of,
-)
+from sphericalvision.recipes.app.rendered_sets import RECORD, check_settings, missing_frames, settings_of
 from sphericalvision.scenes.meshes import MeshFiles, mesh_files
 from sphericalvision.scenes.rendered_frames import RenderedFrames
 
@@ -32,18 +26,15 @@ def render(config: DictConfig) -> int:
     """Render the frames that ``config.output`` lacks, which the runs of a multi-run share; returns how many these were.
 
     Raises:
-        ArgumentError: an unknown release, no frames asked for, or the folder holds frames of other settings.
+        ArgumentError: the folder holds frames of other settings.
     """
     folder = Path(config.output).absolute()
-    if config.release not in (None, *RELEASES):
-        raise ArgumentError(f"release: expected {' or '.join(RELEASES)}, got {config.release!r}")
-    if config.num_frames < 1:
-        raise ArgumentError(f"num_frames: expected 1 or more, got {config.num_frames}")
     rig: CameraRig = build(config.rig, "rig")
     panoramas = any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values())
     release = config.release or ("tiff" if panoramas else "png")
     frames = range(config.first_frame, config.first_frame + config.num_frames)
-    check_settings(folder, settings_of(config, rig, release), release)
+    settings = settings_of(config, rig, release)
+    check_settings(folder, settings, release)
     missing = missing_frames(folder, frames, release, len(rig))
     print_config(config)
     if len(missing) < len(frames):
@@ -62,7 +53,7 @@ def render(config: DictConfig) -> int:
         carrier=config.carrier,
     )
     if missing:
-        keep_settings(folder, settings_of(config, rig, release))
+        write_yaml(folder / RECORD, settings)
         write_omnistereo(folder, _progress(rendered, config.num_workers), rig, release, config.min_depth)
     print(f"{len(missing)} frames written, {len(frames)} in {folder}")
     print(f"Read back with: data=omnistereo data.root={folder} data.train_split=all data.val_split=all")

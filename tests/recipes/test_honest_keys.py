@@ -10,17 +10,21 @@ from typing import Any
 
 import pytest
 import torch
+import yaml
 from hydra import compose, initialize_config_module
+from hydra.utils import get_class
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.cameras import save_camera, save_rig
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app import command
+from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.keys import ONLY_WITH, unused_key
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.app.words import quote_paths
 from tests.recipes.board_pictures import COLUMNS, ROWS, SQUARE, write_boards
-from tests.recipes.tiny import TINY_SCENES, Run
+from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run
 
 RIG = "calibration=c/rig.yaml"
 IMAGES = "images=c/{camera}/{frame:05d}.png"
@@ -32,6 +36,8 @@ PREDICT = (
     "device=cpu",
     "align=false",
 )
+ALONE = ("data.cache_dir=null", "callbacks=none")
+DEMO = ("samples_per_pixel=1", "device=cpu", "output=out")
 RUNS = (
     (*PREDICT, RIG, IMAGES),
     (
@@ -55,6 +61,15 @@ RUNS = (
         "output=out",
         "device=cpu",
     ),
+    ("train", *TINY_TRAINING, *ALONE, "trainer.max_steps=1", "logger=none", "output=out"),
+    (
+        "demo",
+        "rig.image_size=[32,32]",
+        "checkpoint=weights.safetensors",
+        "height=16",
+        "baseline_scenes=2",
+        *DEMO,
+    ),
     ("align", RIG, IMAGES),
     ("calibrate", "images=board/*.png", f"board={COLUMNS}x{ROWS}", f"square={SQUARE}"),
     (
@@ -69,8 +84,8 @@ RUNS = (
 )
 """Runs as small as they get; some find nothing to write, and end."""
 
-NAMED = ("hydra", "output", "rig")
-"""Keys that others stand for: the folder of the run, the rig of the data."""
+NAMED = ("hydra", "output", "rig", "paths", "tags")
+"""Keys that other values name: the folder of the run, the rig of the data, words in the records of a run."""
 
 
 @pytest.fixture(autouse=True)
@@ -138,16 +153,58 @@ def test_every_key_is_looked_at_or_refused(
     [(name, key, needed) for name, table in ONLY_WITH.items() for needed in table for key in table[needed]],
 )
 def test_keys_that_do_not_count_are_refused(name: str, key: str, needed: str) -> None:
-    words = {"predict": ["min_depth=1"], "calibrate": ["to=pinhole"]}.get(name, ["data=omnihouse"])
+    words = {"predict": ["min_depth=1", "outputs=[npz]"], "calibrate": ["to=pinhole"]}.get(
+        name, ["data=omnihouse"]
+    )
     words = words if name in ("predict", "calibrate", "train", "evaluate", "study") else []
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         config = compose(name, words)
     message = unused_key(name, config, [key])
     assert message is not None
+    needed = needed.partition("|")[0]
     assert message.startswith(f"{key}: counts only with {needed.replace('data.rig', 'data=scenes')}")
     other, _, value = needed.partition("=")
-    OmegaConf.update(config, other, value or "given", force_add=True)
+    OmegaConf.update(config, other, yaml.safe_load(value or "given"), force_add=True)
     assert unused_key(name, config, [key]) is None
+
+
+NETWORK = ("model=icosweepnet_small", "model.level=3", "model.num_hypotheses=4", "model.feature_channels=2")
+ONE = ("data.num_train=1", "data.num_val=1", "data.num_test=1")
+SMALL = (*NETWORK, *ONE, "data.samples_per_pixel=1", "data.num_workers=0")
+DATA = (
+    (*SMALL, "data=scenes", "rig.image_size=[16,16]", "data.carrier=pole"),
+    (*SMALL, "data=random_rigs", "data.image_size=[16,16]"),
+    ("experiment=spherical_digits", "model.level=3"),
+    ("experiment=segmentation", "model.level=3", *ONE),
+)
+"""Words of trainings whose data can be made at once."""
+
+
+@pytest.mark.parametrize("words", DATA, ids=lambda words: " ".join(words[-2:]))
+def test_every_key_of_data_is_looked_at_or_refused(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose("train", list(words))
+    if "cache_dir" in config.data:
+        config.data.cache_dir = str(tmp_path)
+    kind, found = get_class(config.data._target_), set()
+    read = kind.__getattribute__
+
+    def seen(self: Any, name: str) -> Any:
+        found.update(vars(Preparation()) if name == "__dict__" else [name])  # it takes its keys from all
+        return read(self, name)
+
+    monkeypatch.setattr(kind, "__getattribute__", seen)
+    data = build(config.data)
+    data.serve(build(config.model))
+    data.prepare_data()
+    for split in ("train", "val", "test"):
+        _ = data.dataset(split)[0]
+    data.train_dataloader()
+    keys = [str(key) for key in config.data if key != "_target_"]
+    forgotten = [key for key in keys if key not in found and not unused_key("train", config, [f"data.{key}"])]
+    assert forgotten == []
 
 
 def test_keys_of_training_are_refused_where_nothing_is_trained(

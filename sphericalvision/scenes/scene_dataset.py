@@ -23,7 +23,7 @@ from sphericalvision.icosphere.topology import check_level
 from sphericalvision.scenes.cache import ArrayCache, decode, encode
 from sphericalvision.scenes.meshes import MeshFiles
 from sphericalvision.scenes.world import GENERATION, NATURAL_MIN_DEPTH, World, WorldFrame
-from sphericalvision.sphere import Equirectangular
+from sphericalvision.sphere import Equirectangular, SphereGrid
 from sphericalvision.sphere.intake import pixels_seen, signed
 
 __all__ = ["ENTRIES", "FisheyeSceneDataset", "SceneDataset"]
@@ -152,8 +152,8 @@ class SceneDataset(Dataset[dict[str, Any]]):
         sample: dict[str, Any] = {}
         if self._images is not None:
             sample |= self._shown(self._images.get(name, lambda: self._render(frame)), rig)
-        for key, (directions, cache) in self._depths.items():
-            measure = functools.partial(self._measure, frame, directions)
+        for key, (grid, cache) in self._depths.items():
+            measure = functools.partial(self._measure, frame, grid)
             sample[key] = cache.get(name, measure)["inverse_depth"]
             sample[key.replace("inverse_depth", "valid")] = sample[key] <= 1 / self.min_depth
         return {key: sample[key] for key in KEYS if key in sample} | {"rig": rig, "frame": name}
@@ -211,21 +211,21 @@ class SceneDataset(Dataset[dict[str, Any]]):
         return ArrayCache(_below(root, f"{name}-{rig_fingerprint(self.rig, numbers)}"), holds)
 
     @staticmethod
-    def _measure(frame: WorldFrame, directions: Callable[[], Tensor]) -> dict[str, Tensor]:
-        return {"inverse_depth": frame.inverse_depth(directions())}
+    def _measure(frame: WorldFrame, grid: Callable[[], SphereGrid]) -> dict[str, Tensor]:
+        return {"inverse_depth": frame.inverse_depth(grid().directions)}
 
-    def _depth_caches(self, root: Path | None) -> dict[str, tuple[Callable[[], Tensor], ArrayCache]]:
-        """By the sample's entry, in which directions depth is wanted, and where it is kept."""
-        found: dict[str, tuple[Callable[[], Tensor], ArrayCache]] = {}
+    def _depth_caches(self, root: Path | None) -> dict[str, tuple[Callable[[], SphereGrid], ArrayCache]]:
+        """By the sample's entry, on which grid depth is wanted, and where it is kept."""
+        found: dict[str, tuple[Callable[[], SphereGrid], ArrayCache]] = {}
         if {"sphere", "depth"} & set(self.entries):
             level, shape = self.depth_level, (Icosphere(self.depth_level).num_vertices,)
             cache = self._depth_cache(root, f"level{level}", shape)
-            found["inverse_depth"] = (lambda: Icosphere(level).vertices), cache
+            found["inverse_depth"] = functools.partial(Icosphere, level), cache
         if "panorama" in self.entries:
             size = self.panorama
             cache = self._depth_cache(root, "x".join(map(str, size)), size)
             found["panorama_inverse_depth"] = (
-                (lambda: Equirectangular.with_square_pixels(*size).directions),
+                functools.partial(Equirectangular.with_square_pixels, *size),
                 cache,
             )
         return found

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import math
+import pickle
 import random
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -215,3 +216,12 @@ def test_random_rotation_follows_its_generator(rig: CameraRig) -> None:
     assert same(first, again)
     with pytest.raises(ShapeError, match="vertices"):
         rotate_fivefold(torch.zeros(3, 100), 1)
+
+
+def test_data_sets_go_to_processes_that_are_started_anew(make_rig: Callable[..., CameraRig]) -> None:
+    """Where processes are not forked (macOS, Windows), a loader's workers get their data set as bytes."""
+    entries = ("sphere", "panorama")
+    scenes = SceneDataset(1, make_rig(image_size=(8, 8)), level=3, entries=entries, panorama=(8, 16))
+    sample, again = scenes[0], pickle.loads(pickle.dumps(scenes))[0]
+    assert same(sample, again)
+    assert torch.equal(sample["panorama_inverse_depth"], again["panorama_inverse_depth"])

@@ -184,6 +184,6 @@ def test_every_format_is_damaged(tmp_path: Path) -> None:
         for name, content in files(folder).items():
             path = tmp_path / folder / name
             path.write_bytes(content)
-            if path.suffix != ".png":
+            if path.suffix != ".png" and path.stem != "points3D":
                 found.add(format_of(path))
     assert {format.name for format in file_formats()} <= found

@@ -441,6 +441,128 @@ def blender(**changes: Any) -> dict[str, Any]:
     return {"cameras": {**panoramas, "plain": {"type": "PERSP", **common}}}
 
 
+KB4 = [0.0035, 0.0007, -0.002, 0.0002]
+PLANE = [190.98, 190.97, 254.93, 256.9]
+EYE = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+
+
+def okvis(**changes: Any) -> dict[str, Any]:
+    """OKVIS's configuration of two cameras, the second to the right of the first and looking right."""
+    lens = {"image_dimension": [512, 512], "distortion_type": "equidistant", "distortion_coefficients": KB4}
+    lens |= {"focal_length": PLANE[:2], "principal_point": PLANE[2:], **changes}
+    cameras = [{"T_SC": flat(pose)["data"], **lens} for pose in (EYE, RIGHT_OF_FIRST)]
+    return {"cameras": cameras, "camera_params": {"camera_rate": 20}, "imu_params": {"a_max": 176.0}}
+
+
+def svo(kind: str = "equidistant") -> dict[str, Any]:
+    """SVO Pro's rig of the same cameras."""
+    distortion = {"type": kind, "parameters": {"cols": 1, "rows": 4, "data": KB4}}
+    lens = {"image_height": 512, "image_width": 512, "type": "pinhole", "distortion": distortion}
+    lens |= {"intrinsics": {"cols": 1, "rows": 4, "data": PLANE}, "line-delay-nanoseconds": 0}
+    cameras = [
+        {
+            "camera": {"label": f"cam{index}", **lens},
+            "T_B_C": {"cols": 4, "rows": 4, "data": flat(pose)["data"]},
+        }
+        for index, pose in enumerate((EYE, RIGHT_OF_FIRST))
+    ]
+    return {"label": "rig", "cameras": cameras}
+
+
+def svo_of_one(**changes: Any) -> dict[str, Any]:
+    """The first SVO's camera in PTAM's model."""
+    numbers = {"cam_fx": 0.51, "cam_fy": 0.8, "cam_cx": 0.5, "cam_cy": 0.52, "cam_d0": 0.93}
+    return {"cam_model": "ATAN", "cam_width": 752, "cam_height": 480, **numbers, **changes}
+
+
+def mc_calib() -> dict[str, Any]:
+    """MC-Calib's cameras: the first a fisheye, the second plain, 11 cm to its right."""
+    lenses = ((1, KB4, EYE), (0, [-0.1, 0.02, 1e-3, -2e-3, 0.0], RIGHT_OF_FIRST))
+    fx, fy, cx, cy = PLANE
+    content: dict[str, Any] = {"nb_camera": 2}
+    for index, (kind, distortion, pose) in enumerate(lenses):
+        in_mm = [[*row[:3], row[3] * 1000] for row in pose[:3]]
+        content[f"camera_{index}"] = {
+            "camera_matrix": flat([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+            "distortion_vector": flat([distortion]),
+            "distortion_type": kind,
+            "camera_group": 0,
+            "img_width": 512,
+            "img_height": 512,
+            "camera_pose_matrix": flat([*in_mm, pose[3]]),
+        }
+    return content
+
+
+def opensfm() -> dict[str, Any]:
+    """OpenSfM's reconstruction of two shots, the second to the right of the first and looking right."""
+    names = ("c_x", "c_y", "k1", "k2", "k3", "k4")
+    lens = {
+        "projection_type": "fisheye_opencv",
+        "width": 640,
+        "height": 512,
+        "focal_x": 0.3,
+        "focal_y": 0.301,
+    }
+    lens |= dict(zip(names, [0.002, -0.001, *KB4], strict=True))
+    shots = {
+        "a.001.jpg": {"rotation": [0.0, 0.0, 0.0], "translation": [0.0, 0.0, 0.0], "camera": "lens"},
+        "b.001.jpg": {"rotation": [0.0, -np.pi / 2, 0.0], "translation": [0.0, 0.0, -0.11], "camera": "lens"},
+    }
+    return {"cameras": {"lens": lens}, "shots": shots, "points": {"1": {"coordinates": [0, 0, 1]}}}
+
+
+def adapter() -> dict[str, Any]:
+    """Fisheye-Calib-Adapter's double sphere."""
+    lens = dict(zip(("fx", "fy", "cx", "cy"), PLANE, strict=True)) | {"alpha": 0.593, "xi": -0.17}
+    return {"image": {"width": 512, "height": 512}, "parameter": lens}
+
+
+def gyroflow(**changes: Any) -> dict[str, Any]:
+    """A lens profile of Gyroflow."""
+    fx, fy, cx, cy = PLANE
+    lens = {"RMS_error": 0.5, "camera_matrix": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]}
+    return {
+        "name": "Lens",
+        "calib_dimension": {"w": 512, "h": 512},
+        "orig_dimension": {"w": 1024, "h": 1024},
+        "input_horizontal_stretch": 1.0,
+        "fps": 59.94,
+        "asymmetrical": True,
+        "fisheye_params": {**lens, "distortion_coeffs": KB4, "radial_distortion_limit": 2.1},
+        **changes,
+    }
+
+
+def spires() -> dict[str, Any]:
+    """Oxford Spires' ``sensor.yaml`` of two cameras; LiDAR to camera, the second looks to the right."""
+    lens = {
+        "intrinsics": PLANE,
+        "extra_params": KB4,
+        "image_height": 512,
+        "image_width": 512,
+        "topic": "/cam",
+    }
+    poses = ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -0.11, 0.0, -HALF, 0.0, HALF])
+    cameras = [
+        {"label": name, "T_cam_lidar_t_xyz_q_xyzw": pose, **lens}
+        for name, pose in zip(("front", "right"), poses, strict=True)
+    ]
+    return {"sensor": {"cameras": cameras, "camera_model": "OPENCV_FISHEYE", "camera_fov": 160.0}}
+
+
+MRCAL = """# generated on 2026-11-25
+{
+    'lensmodel':  'LENSMODEL_OPENCV5',
+    # intrinsics are fx,fy,cx,cy,distortion0,distortion1,....
+    'intrinsics': [ 461.6, 460.2, 362.7, 246.0, -0.277, 0.067, 0.00088, 0.00012, 0.01 ],
+    # extrinsics are rt_fromref
+    'extrinsics': [ 0, -1.5707963267948966, 0, 0, 0, -0.11 ],
+    'imagersize': [ 752, 480 ],
+    'icam_intrinsics': 0,
+    'optimization_inputs': b'abc',
+}
+"""
 REALITY_CAPTURE = """<x:xmpmeta xmlns:x="adobe:ns:meta/">
   <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
     <rdf:Description xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" xcr:Version="3"

@@ -27,22 +27,31 @@ from tests.cameras.calibration_samples import (
     COLMAP,
     KITTI,
     MATRIX,
+    MRCAL,
     QUARTER_TURN,
     REALITY_CAPTURE,
+    adapter,
     aria,
     asl,
     basalt,
     blender,
     camodocal_kannala_brandt,
     camodocal_pinhole,
+    gyroflow,
     kalibr,
+    mc_calib,
     mei,
     multicol,
     multicol_system,
+    okvis,
     opencv_stereo,
     opencv_yaml,
+    opensfm,
     orbslam,
     py_ocamcalib,
+    spires,
+    svo,
+    svo_of_one,
     transforms,
     woodscape,
 )
@@ -80,6 +89,14 @@ CONTENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "calibration_fisheye.json": py_ocamcalib,
     "blender.json": blender,
     "fisheye.yaml": multicol,
+    "okvis.yaml": okvis,
+    "svo.yaml": svo,
+    "atan.yaml": svo_of_one,
+    "mc_calib.yaml": mc_calib,
+    "reconstruction.json": opensfm,
+    "DS.yml": adapter,
+    "lens.json": gyroflow,
+    "spires.yaml": spires,
     "stereo.yaml": opencv_values,
     "stereo.json": lambda: opencv_values(
         xi_1=1.2, xi_2=0.9, D1=[0.1, 0.0, 0.0, 0.0], D2=[0.1, 0.0, 0.0, 0.0]
@@ -93,6 +110,7 @@ TEXTS: dict[str, str] = {
     "cameras.txt": COLMAP,
     "calib_cam_to_cam.txt": KITTI,
     "image001.xmp": REALITY_CAPTURE,
+    "front.cameramodel": MRCAL,
     "plain.yml": opencv_yaml(image_width=320, image_height=240, camera_matrix=MATRIX, dist_coeffs=[0.1] * 5),
     "plain.xml": "<?xml version='1.0'?><opencv_storage><image_width>320</image_width><image_height>240"
     "</image_height><camera_matrix type_id='opencv-matrix'><rows>3</rows><cols>3</cols><dt>d</dt>"
@@ -111,8 +129,11 @@ def read_everything(path: Path) -> None:
         "kannala.yaml",
         "fisheye.yaml",
         "calibration_fisheye.json",
+        "atan.yaml",
+        "DS.yml",
+        "lens.json",
     ):
-        unit = "mm" if path.stem == "stereo" else None
+        unit = "mm" if path.stem in ("stereo", "mc_calib") else None
         if path.name != "image_02.yaml":
             read_rig(path, max_angle=1.0, translation_unit=unit, image_size=(240, 320))
 

@@ -27,8 +27,22 @@ from sphericalvision.cameras import (
     save_rig,
 )
 from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError
-from tests.cameras.calibration_samples import dump, kalibr, transforms
-from tests.cameras.test_damaged_files import CONTENTS, places
+from tests.cameras.calibration_samples import (
+    KB4,
+    MRCAL,
+    PLANE,
+    adapter,
+    assert_projects,
+    directions,
+    double_sphere,
+    dump,
+    gyroflow,
+    kalibr,
+    kannala_brandt,
+    svo_of_one,
+    transforms,
+)
+from tests.cameras.test_damaged_files import CONTENTS, TEXTS, places
 
 Found = dict[str, Any] | str
 
@@ -36,7 +50,7 @@ Found = dict[str, Any] | str
 def read(path: Path) -> Found:
     """The cameras, and the rig if the file has one; or what is said against it."""
     known: dict[str, Any] = {"max_angle": 1.0, "image_size": (240, 320)}
-    unit = "mm" if path.stem == "stereo" else None
+    unit = "mm" if path.stem in ("stereo", "mc_calib") else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -71,7 +85,7 @@ def damages(content: Any) -> Iterator[tuple[str, str, str, Any]]:
     """A kind of damage, the key, what it became, and the file; each key once, wherever it stands first."""
     seen: set[str] = set()
     for *way, last in places(content):
-        if not isinstance(last, str) or last in seen or way[-1:] == ["cameras"]:
+        if not isinstance(last, str) or last in seen or way[-1:] in (["cameras"], ["shots"]):
             continue
         seen.add(last)
         middle = (len(last) + 1) // 2
@@ -91,6 +105,9 @@ def damages(content: Any) -> Iterator[tuple[str, str, str, Any]]:
 
 COMPLETE_WITHOUT = {  # keys of which the rest is a file as its producers write it, too
     "camchain.yaml": r"cam\d",
+    "svo.yaml": "label",
+    "reconstruction.json": r"c_[xy]|shots",
+    "lens.json": "asymmetrical",
     "FV.json": "aspect_ratio|extrinsic",
     "sensor.yaml": "T_BS",
     "settings.yaml": "Stereo.T_c1_c2",
@@ -367,3 +384,66 @@ def test_elements_of_metashape_are_understood(
     else:
         with pytest.raises(FileFormatError, match=message):
             read_rig(tmp_path / "cameras.xml")
+
+
+@pytest.mark.parametrize(
+    "name", ["okvis.yaml", "svo.yaml", "spires.yaml", "mc_calib.yaml", "reconstruction.json"]
+)
+def test_poses_of_other_programs_are_camera_to_world(tmp_path: Path, name: str) -> None:
+    """The second camera stands 11 cm to the right of the first and looks to the right, in every convention."""
+    path = tmp_path / name
+    path.write_text(write(CONTENTS[name](), name))
+    rig = read_rig(path, dtype=torch.float64, translation_unit="mm" if name.startswith("mc") else None)
+    expected = torch.tensor([[0.0, 0.0, 0.0], [0.11, 0.0, 0.0]], dtype=torch.float64)
+    torch.testing.assert_close(rig.positions, expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64), rtol=0, atol=1e-9
+    )
+    rays = directions(50.0)
+    plane = [192.0, 192.64, 320.78, 254.86] if name.startswith("rec") else PLANE
+    assert_projects(next(iter(rig.cameras.values())), kannala_brandt(rays, *plane, *KB4), rays)
+
+
+def test_lenses_of_other_programs(tmp_path: Path) -> None:
+    rays = directions(50.0)
+    sphere = read_camera(dump(tmp_path / "DS.yml", adapter()), dtype=torch.float64)
+    assert_projects(sphere, double_sphere(rays, *PLANE, xi=-0.17, alpha=0.593), rays)
+    for is_free, center in ((True, PLANE[2:]), (False, [256.0, 256.0])):
+        profile = read_camera(dump(tmp_path / "a.json", gyroflow(asymmetrical=is_free)), dtype=torch.float64)
+        assert_projects(profile, kannala_brandt(rays, *PLANE[:2], *center, *KB4), rays)
+    atan = read_camera(dump(tmp_path / "atan.yaml", svo_of_one()), dtype=torch.float64)
+    assert atan.focal_length.tolist() == [0.51 * 752, 0.8 * 480]
+    assert atan.principal_point.tolist() == [375.5, 0.52 * 480 - 0.5]
+    (tmp_path / "right.cameramodel").write_text(MRCAL)
+    (tmp_path / "front.cameramodel").write_text(
+        MRCAL.replace("-1.5707963267948966", "0").replace("-0.11", "0")
+    )
+    rig = read_rig(tmp_path, dtype=torch.float64)
+    assert rig.names == ["front", "right"]
+    torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0, 0], dtype=torch.float64), rtol=0, atol=1e-9)
+    assert float(rig.positions[1, 0]) == pytest.approx(0.11)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        ("front.cameramodel", "OPENCV5", "SPLINED_STEREOGRAPHIC_order=3", "lensmodel: expected one of"),
+        ("front.cameramodel", "extrinsics'", "extrinsic'", "'extrinsics' is missing"),
+        ("front.cameramodel", "icam_", "roi_", "'roi_intrinsics' is not understood"),
+        ("svo.yaml", "type: equidistant", "type: fisheye", "expected one of none, equidistant"),
+        ("DS.yml", "xi", "beta", "'xi' is missing"),
+        ("lens.json", '"name"', '"distortion_model": "poly5", "name"', "distortion_model: expected opencv_fisheye"),
+        ("lens.json", 'stretch": 1.0', 'stretch": 1.33', "input_horizontal_stretch: expected 1"),
+        ("reconstruction.json", "fisheye_opencv", "fisheye62", "projection_type: expected one of"),
+        ("mc_calib.yaml", "camera_1:\n  camera_group: 0", "camera_1:\n  camera_group: 1", "camera_group"),
+        ("image001.xmp", "xcr:Skew", "xcr:Skewed", "'Skewed' is not"),
+        ("image001.xmp", 'xcr:Skew="0"', 'xcr:Skew="0" xcr:Scale="3"', "'Scale' is not understood"),
+        ("calib_cam_to_cam.txt", "corner_dist:", "crop_00:", "'crop_00' is not understood"),
+    ],
+)  # fmt: skip
+def test_what_other_files_hold_is_understood(
+    tmp_path: Path, name: str, old: str, new: str, message: str
+) -> None:
+    assert old in TEXTS[name]
+    (tmp_path / name).write_text(TEXTS[name].replace(old, new))
+    assert message in str(read(tmp_path / name))

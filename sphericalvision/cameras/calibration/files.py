@@ -52,7 +52,7 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         text, bad = "", error.start
     if re.search("[\0-\x08\x0e-\x1f]", text or ("" if is_marked else data.decode("latin-1"))):
-        is_wide = 2.5 * data.count(b"\0") > len(data)
+        is_wide = 0.4 * len(data) < data.count(b"\0") < 0.6 * len(data)
         kind = "UTF-16 without a byte order mark; save it as UTF-8" if is_wide else "binary data"
         raise FileFormatError(f"{path}: expected a text file, got {kind}")
     if data and not text:

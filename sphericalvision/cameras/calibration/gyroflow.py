@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gyroflow's lens profiles: one camera of ``cv2.fisheye``.
+
+Convention:
+    ``camera_matrix`` is that of images of ``calib_dimension``, which is the size of the camera here: resize it for
+    videos of ``orig_dimension``. Unless ``asymmetrical``, the principal point is the middle of the image, as Gyroflow
+    takes it, whatever the matrix says.
+
+References:
+    https://docs.gyroflow.xyz/app/getting-started/lens-calibration
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import distorted
+from sphericalvision.cameras.calibration.opencv_keys import matrix
+from sphericalvision.cameras.calibration.parsing import chosen, entry, number, size_from_width_height
+from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.core import FileFormatError
+
+__all__ = ["contents", "recognizes"]
+
+
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file has ``fisheye_params`` and ``calib_dimension``."""
+    return "fisheye_params" in content and "calib_dimension" in content
+
+
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+    """The camera of a parsed file.
+
+    Raises:
+        FileFormatError: the profile is of another model, of a stretched image, or has a digital lens.
+    """
+    where = str(path)
+    chosen(
+        content.get("distortion_model") or "opencv_fisheye", ("opencv_fisheye",), f"{where}, distortion_model"
+    )
+    for key in ("input_horizontal_stretch", "input_vertical_stretch"):
+        if content.get(key) and number(content, key, where) != 1:
+            raise FileFormatError(f"{where}, {key}: expected 1, got {content[key]!r:.80}")
+    for key in ("digital_lens", "interpolations"):
+        if content.get(key):
+            raise FileFormatError(f"{where}, {key}: expected none, got {content[key]!r:.80}")
+    dimension, lens = content["calib_dimension"], content["fisheye_params"]
+    sides = [entry(dimension, key, f"{where}, calib_dimension") for key in ("w", "h")]
+    height, width = size = size_from_width_height(sides, f"{where}, calib_dimension")
+    fx, skew, cx, _, fy, cy, *_ = matrix(entry(lens, "camera_matrix", where), f"{where}, camera_matrix", 9)
+    if content.get("asymmetrical") is not True:
+        cx, cy = width / 2, height / 2
+    more = matrix(entry(lens, "distortion_coeffs", where), f"{where}, distortion_coeffs", 4)
+    camera = distorted("equidistant", [fx, fy, cx, cy, *more], size, where, skew or None)
+    return Contents({path.stem: bounded(camera, options.max_angle, where)})
+
+
+register_format(
+    FileFormat(
+        "gyroflow",
+        "Gyroflow lens profile",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        ignored=r"(?!(calib|crop|input|distortion|asym|digital_lens$|interpol|fisheye))[^/]+"
+        r"|(calib_dimension|fisheye_params)/(radial_distortion_limit|RMS_error)|calibrated_by|calibrator_version|crop_factor|crop",
+    )
+)

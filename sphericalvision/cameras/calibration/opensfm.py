@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OpenSfM's and ODM's ``camera_models.json`` (``cameras.json``), and ``reconstruction.json`` with poses.
+
+Convention:
+    Lengths are shares of the longer side of the image, from its middle; the first pixel's centre is (0.5, 0.5).
+    ``rotation`` (axis-angle) and ``translation`` of a shot take coordinates of the world to the camera's. Lengths are
+    in the reconstruction's own unit, which is metres if it is georeferenced.
+
+References:
+    https://opensfm.org/docs/geometry.html, "Camera models" and "Coordinate systems".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sphericalvision.cameras.base import Camera
+from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.lenses import distorted
+from sphericalvision.cameras.calibration.parsing import (
+    chosen,
+    entry,
+    mapping,
+    number,
+    numbers,
+    size_from_width_height,
+    view_name,
+)
+from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.core import FileFormatError, short_repr
+from sphericalvision.geometry import invert_transform, transform_from_axis_angle
+
+__all__ = ["contents", "recognizes"]
+
+_MODELS = {
+    "perspective": ("radtan", "k1 k2 0 0"),
+    "simple_radial": ("radtan", "k1 0 0 0"),
+    "radial": ("radtan", "k1 k2 0 0"),
+    "brown": ("radtan", "k1 k2 p1 p2 k3"),
+    "fisheye": ("equidistant", "k1 k2 0 0"),
+    "fisheye_opencv": ("equidistant", "k1 k2 k3 k4"),
+}
+_PANORAMAS = ("spherical", "equirectangular")
+
+
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether a parsed file has shots with cameras, or is cameras with a ``projection_type``."""
+    return ("shots" in content and "cameras" in content) or any(
+        isinstance(values, dict) and "projection_type" in values for values in content.values()
+    )
+
+
+def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+    """The lenses by name; or if poses are wanted, a camera for each shot."""
+    lenses = mapping(content["cameras"] if "shots" in content else content, f"{path}, cameras")
+    cameras = {str(name): _camera(lenses[name], f"{path}, {name}", options) for name in lenses}
+    if not options.rig or "shots" not in content:
+        return Contents(cameras)
+    shots = content["shots"]
+    named: dict[str, Camera] = {}
+    poses = []
+    for file in mapping(shots, f"{path}, shots"):
+        where, shot = f"{path}, shots, {file}", shots[file]
+        lens, name = str(entry(shot, "camera", where)), view_name(file)
+        if lens not in cameras or not name or name in named:
+            raise FileFormatError(
+                f"{where}: expected its own name and a camera that is there, got {short_repr(lens)}"
+            )
+        if shot.get("orientation", 1) not in (0, 1):
+            raise FileFormatError(f"{where}, orientation: expected 1, an image that is not turned")
+        parts = [
+            numbers(entry(shot, key, where), f"{where}, {key}", 3) for key in ("rotation", "translation")
+        ]
+        turn, place = torch.tensor(parts, dtype=torch.float64)
+        named[name] = cameras[lens]
+        poses.append(invert_transform(transform_from_axis_angle(turn, place)))
+    if not named:
+        raise FileFormatError(f"{path}, shots: expected at least one")
+    return Contents(named, torch.stack(poses))
+
+
+def _camera(values: Any, where: str, options: Options) -> Camera:
+    kind = chosen(
+        entry(values, "projection_type", where), (*_MODELS, *_PANORAMAS), f"{where}, projection_type"
+    )
+    size = size_from_width_height([entry(values, key, where) for key in ("width", "height")], where)
+    if kind in _PANORAMAS:
+        return EquirectangularCamera(size)
+    side = max(size)
+    focal = ("focal_x", "focal_y") if "focal_x" in values or "focal" not in values else ("focal", "focal")
+    fx, fy = (side * number(values, key, where) for key in focal)
+    u, v = (side * number(values, key, where) if key in values else 0.0 for key in ("c_x", "c_y"))
+    lens, keys = _MODELS[kind]
+    more = [0.0 if key == "0" else number(values, key, where) for key in keys.split()]
+    camera = distorted(lens, [fx, fy, size[1] / 2 - 0.5 + u, size[0] / 2 - 0.5 + v, *more], size, where)
+    return bounded(camera, options.max_angle, where)
+
+
+register_format(
+    FileFormat(
+        "opensfm",
+        "OpenSfM and ODM cameras or reconstruction",
+        recognizes_keys=recognizes,
+        contents_of_keys=contents,
+        usual_names=("reconstruction.json", "camera_models.json"),
+        ignored=r"points|shots|biases|rig_\w+|reference_lla|reference|.*/\w+_prior|shots/.*/(gps_\w+|capture_time|vertices"
+        r"|faces|scale|covariance|merge_cc|is_interpolated|compass|skey|gravity_\w+)",
+    )
+)

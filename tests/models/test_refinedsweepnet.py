@@ -201,6 +201,64 @@ def test_candidates_at_an_edge_are_both_sides():
     assert undecided.spread.min() > 3
 
 
+def test_a_vertex_between_two_takes_the_second_answer_of_the_first_one():
+    grid, parents = Icosphere(2), icosphere_vertex_parents(3)
+    logits = torch.full((1, 31, grid.num_vertices), -20.0)
+    logits[0, 30] = 9.0
+    other = torch.arange(grid.num_vertices) % 20
+    logits[0, other, torch.arange(grid.num_vertices)] = (
+        5.0  # far from the best one, and another one everywhere
+    )
+    index = candidates_of(FusedLogits(logits, torch.zeros(1, 1, grid.num_vertices))).index
+    torch.testing.assert_close(index[0, 3], two_modes(logits)[1][0, parents[:, 0]])
+    assert (other[parents[:, 0]] != other[parents[:, 1]]).any()
+
+
+def test_what_is_missing_around_a_vertex_of_five_neighbors_is_not_the_last_vertex():
+    grid = Icosphere(2)
+    logits = torch.full((1, 31, grid.num_vertices), -20.0)
+    logits[0, 8, :-1], logits[0, 30, -1] = 20.0, 20.0  # the south pole alone is near
+    index = candidates_of(FusedLogits(logits, torch.zeros(1, 1, grid.num_vertices))).index
+    north = Icosphere(3).vertices[:, 1] < 0
+    torch.testing.assert_close(index[0, :3, north], torch.full_like(index[0, :3, north], 4.0))
+
+
+def test_gates_change_weights_by_three_powers_of_e_at_most(net):
+    most, least = (net.fusion._weights(torch.full((1, 2, 5), gate)) for gate in (50.0, -50.0))
+    for high, low, sharpness in zip(most, least, net.fusion.sharpness, strict=True):
+        torch.testing.assert_close(high, (sharpness + 3).exp().expand_as(high))
+        torch.testing.assert_close(low, (sharpness - 3).exp().expand_as(low))
+
+
+def test_depths_do_not_depend_on_the_hypotheses_that_they_are_counted_in(net, frame):
+    """Inside they are counted in others, to and fro."""
+    images, rig, seen, true = frame
+    finer = net.with_changes(num_hypotheses=31)
+    with torch.no_grad():
+        ours, theirs = (one.predict(images, rig, seen).index for one in (net, finer))
+        torch.testing.assert_close(theirs, 2 * ours)
+        losses = [
+            one.training_loss(images, rig, seen, target, true <= 15, depth_index_huber)
+            for one, target in ((net, true), (finer, 2 * true))
+        ]
+    torch.testing.assert_close(*losses)
+
+
+def test_what_nobody_sees_has_no_confidence_and_some_depth(net, frame):
+    images, rig, seen, _ = frame
+    with torch.inference_mode():
+        index, confidence, both = net.predict(images, rig, torch.zeros_like(seen))
+        # What cameras see beyond infinity is what they see there.
+        offsets = (rig.center - rig.positions)[None]
+        beyond, there = (
+            net._appearance(torch.full((1, 1, 642), at), images, seen, offsets) for at in (-9.0, 0.0)
+        )
+    assert not both.any()
+    assert not confidence.any()
+    assert index.isfinite().all()
+    torch.testing.assert_close(beyond, there, rtol=0, atol=0)
+
+
 def test_cameras_agree_at_the_true_depth(frame):
     images, rig, seen, true = frame
     inverse_depth = true / (15 * 0.55)

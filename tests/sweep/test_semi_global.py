@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 
 import pytest
@@ -37,6 +38,26 @@ def test_the_radius_of_a_textured_sphere_is_found_everywhere(index: int) -> None
     assert confidence.median() > 0.9
     assert confidence.min() >= 0
     assert confidence.max() <= 1
+
+
+def test_the_winner_is_among_the_hypotheses_that_two_cameras_see(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its colour guides the smoothing; what is not seen costs as much as the only one that is."""
+    module, winners = importlib.import_module("sphericalvision.sweep.semi_global"), []
+    read = module._colors_at
+
+    def colors_at(
+        images: torch.Tensor, shown: torch.Tensor, tables: object, winner: torch.Tensor
+    ) -> torch.Tensor:
+        winners.append(winner)
+        return read(images, shown, tables, winner)
+
+    evidence = torch.zeros(1, 3, 8, 162)
+    evidence[:, 1:, 5] = torch.tensor([0.4, 2.0])[None, :, None]
+    monkeypatch.setattr(module, "correlation_evidence", lambda *_, **__: evidence)
+    monkeypatch.setattr(module, "_colors_at", colors_at)
+    tables = semi_global_tables(ring_rig(4), 8, MIN_DEPTH, image_level=3, substeps=1)
+    semi_global_costs(torch.rand(1, 4, 3, 642), tables.sweep, tables.seen)
+    assert (winners[0] == 5).all()
 
 
 def test_between_two_hypotheses_the_fraction_is_found() -> None:

@@ -6,8 +6,9 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ShapeError, check_dtype, uses_reference_kernels
+from sphericalvision.core import ShapeError, check_dtype
 from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, convolve_crown
+from sphericalvision.crown.fast import settled_way
 from sphericalvision.crown.layout import Crown, check_crown, from_crown, to_crown
 from sphericalvision.crown.norm import _CrownBatchNorm, crown_norm
 from sphericalvision.crown.places import check_values
@@ -26,7 +27,7 @@ class _CrownConvNorm(nn.Module):
     def forward(self, crown: Crown) -> Crown:
         check_crown(crown)
         check_dtype("crown", crown.col, self.conv.weight)
-        if self.norm.is_affine and not uses_reference_kernels():  # one step in place of two
+        if self.norm.is_affine and settled_way() != "reference":  # one step in place of two
             weight, bias = self.norm.folded(self.conv.weight)
             return convolve_crown(crown, weight, bias, self.conv.stride, self.relu)
         return self.norm.normalize(self.conv(crown), self.relu)

@@ -19,7 +19,6 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import uses_reference_kernels
 from sphericalvision.crown.fast import settled_way
 from sphericalvision.crown.places import own_charts
 from sphericalvision.icosphere import level_from_num_vertices
@@ -41,7 +40,7 @@ def slices_pay() -> bool:
     which take functions apart that torch knows.
     """
     transformed = torch._C._are_functorch_transforms_active()
-    return not (uses_reference_kernels() or torch.compiler.is_compiling() or transformed)
+    return not (settled_way() == "reference" or torch.compiler.is_compiling() or transformed)
 
 
 class Unfold(torch.autograd.Function):

@@ -240,7 +240,7 @@ class ImageLookup(nn.Module):
         """How many parts to cut results into: on a CPU ``grid_sample`` gives each image of a batch to one thread."""
         if torch.compiler.is_compiling() or images.shape[0] > 1 or images.device.type != "cpu":
             return 1
-        if torch.get_num_threads() == 1 or uses_reference_kernels():
+        if torch.get_num_threads() == 1:
             return 1
         if torch.is_grad_enabled() and (images.requires_grad or self.grid.requires_grad):
             return 1

@@ -88,9 +88,9 @@ def normalize(
 
 
 def settled_way() -> str:
-    """The way of ``core.kernels`` in force here and now, for who must compute the same once more.
+    """The way of ``core.kernels`` in force here and now; layers that have another way in torch ask, too.
 
-    ``"auto"`` may change between two times, once operators are compiled.
+    Who computes the same once more needs it, as ``"auto"`` may change between two times, once operators are compiled.
     """
     way = way_of_kernels()
     return way if way != "auto" or operators_ready(way) else "plain"

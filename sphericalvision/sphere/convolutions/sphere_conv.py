@@ -8,19 +8,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import (
-    ArgumentError,
-    ShapeError,
-    check_channels,
-    check_dtype,
-    check_tensor,
-    uses_reference_kernels,
-)
-from sphericalvision.geometry import bilinear_sample
-from sphericalvision.geometry.image_edges import taps_across_edges
-from sphericalvision.geometry.lookup import weighted_sums
+from sphericalvision.core import ArgumentError, ShapeError, check_channels, check_dtype, check_tensor
 from sphericalvision.sphere.convolutions.tangent_taps import sphere_taps
-from sphericalvision.sphere.fast import conv_in_rows
+from sphericalvision.sphere.fast import conv_in_rows, read_pixels
 
 __all__ = ["SphereConv2d", "sphere_conv2d"]
 
@@ -77,11 +67,7 @@ def sphere_conv2d(
     u = taps[..., 0].flatten(0, 1)[:, None] + shift[:, None]
     v = taps[..., 1].flatten(0, 1)[:, None].expand_as(u)
     pixels = torch.stack((u, v), -1).view(-1, 2)
-    if uses_reference_kernels():  # slower, and differentiable any number of times
-        read = weighted_sums(images.flatten(-2), *taps_across_edges(pixels, (height, width), "sphere"))
-    else:
-        read = bilinear_sample(images, pixels, wrap_longitude=True)
-    picture = read.view(*images.shape[:2], len(taps) * rows, len(shift) * columns)
+    picture = read_pixels(images, pixels).view(*images.shape[:2], len(taps) * rows, len(shift) * columns)
     return F.conv2d(picture, weight, bias, (rows, columns), groups=groups)
 
 

@@ -11,9 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import uses_reference_kernels
+from sphericalvision.geometry.image_edges import taps_across_edges
+from sphericalvision.geometry.interpolation import bilinear_sample
+from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.sphere.fast.row_sums import RowSums, adjoint, conv_of_row_sums, row_sums
 
-__all__ = ["conv_in_rows"]
+__all__ = ["conv_in_rows", "read_pixels"]
 
 Pair = tuple[int, int]
 
@@ -59,6 +62,14 @@ def _pays(images: Tensor, weight: Tensor, stride: Pair) -> bool:
         and not torch.jit.is_tracing()
         and not torch.is_autocast_enabled("cpu")
     )
+
+
+def read_pixels(images: Float[Tensor, "B C H W"], pixels: Float[Tensor, "P 2"]) -> Float[Tensor, "B C P"]:
+    """Read panoramas between their pixels; by the reference slower, and differentiable any number of times."""
+    if uses_reference_kernels():
+        taps = taps_across_edges(pixels, (images.shape[-2], images.shape[-1]), "sphere")
+        return weighted_sums(images.flatten(-2), *taps)
+    return bilinear_sample(images, pixels, wrap_longitude=True)
 
 
 @lru_cache(maxsize=32)

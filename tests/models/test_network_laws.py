@@ -6,14 +6,26 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from sphericalvision.models import ConstantDepth
 from sphericalvision.models.weights import network_names
 from sphericalvision.models.weights.registry import network_class
 from tests.laws.network_laws import LAWS, NETWORKS, inputs
+
+
+class Launches(TorchDispatchMode):
+    """Counts the operators that a device would be asked for; views ask for nothing."""
+
+    number = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        self.number += not func.is_view
+        return func(*args, **(kwargs or {}))
 
 
 @torch.no_grad()
@@ -33,11 +45,20 @@ def test_every_network_of_the_package_has_an_example() -> None:
 @pytest.mark.parametrize(
     "name", [name for name in NETWORKS if name.startswith(("icosweep", "omnimvs", "romni"))]
 )
-def test_networks_run_on_the_meta_device(name: str) -> None:
-    """Shapes alone, with tables made before: to count operations, or to look at a network too large for a machine."""
-    net = NETWORKS[name].make()
-    images, rig = inputs(net, 1)
-    tables = net.tables(rig).to("meta")
-    index = net.to("meta")(images.to("meta"), tables)
-    assert index.device.type == "meta"
-    assert index.shape == (1, *net.grid.shape)
+def test_networks_run_on_the_meta_device_by_as_many_launches_for_any_batch(
+    name: str, record_property: Callable[[str, object], None]
+) -> None:
+    """Shapes alone, with tables made before; what loops over samples would launch more operators for more of them."""
+    net = NETWORKS[name].make().eval()
+    tables = net.tables(inputs(net, 1)[1]).to("meta")
+    net, launches = net.to("meta"), []
+    for batch in (2, 3):
+        images = inputs(net.to("meta"), batch)[0].to("meta")
+        with Launches() as counted:
+            index = net(images, tables)
+        launches.append(counted.number)
+        assert index.device.type == "meta"
+        assert index.shape == (batch, *net.grid.shape)
+    print(f"{name}: {launches[0]} operators a forward pass")  # the table of launches: pytest -s
+    record_property("operators", launches[0])
+    assert launches[0] == launches[1]

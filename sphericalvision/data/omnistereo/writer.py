@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
+import yaml
 
 from sphericalvision.cameras import (
     CameraRig,
@@ -18,7 +19,6 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
-from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.omnistereo.files import RELEASES, Release, check_scale, index_frames, read_min_depth
@@ -162,7 +162,9 @@ def _calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) 
             config = Path(folder) / layout.calibration
             ocam = all(isinstance(camera, OCamCamera) for camera in rig.cameras.values())
             save_rig(rig, config, format="omnimvs" if ocam else "native")
-            write_yaml(config, {**_description(root, layout, min_depth), **load(config)})
+            write_yaml(
+                config, {**_description(root, layout, min_depth), **yaml.safe_load(config.read_text())}
+            )
         return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
 
 

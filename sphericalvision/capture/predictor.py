@@ -359,11 +359,12 @@ class Predictor:
         if self.preparation.of_images is None:
             return ready.intake(photographs), ()
         compensator = ready.compensator
-        smooth, noise = compensator.smoothed(photographs)
+        bright, gains = compensator.brightened(photographs)
+        smooth, noise = compensator.smoothed(bright)
         flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in smooth.items()}
         frames = [{name: images[frame] for name, images in flat.items()} for frame in range(len(noise))]
         lights = [compensator.light(frame) if len(self._rig) > 1 else None for frame in frames]
-        taken_out = tuple(map(Compensation, noise, lights))
+        taken_out = tuple(map(Compensation, noise, lights, gains))
         if ready.net.images == "camera":
             even = [compensator.evened(frame, light) for frame, light in zip(frames, lights, strict=True)]
             stacked = {n: torch.stack([frame[n] for frame in even]).view_as(smooth[n]) for n in smooth}

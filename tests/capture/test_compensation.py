@@ -128,3 +128,20 @@ def test_the_light_that_is_told_is_that_which_is_taken_out(rig: CameraRig, clean
     taken_out, _ = predictor.inputs(dark)
     torch.testing.assert_close(taken_out, even, atol=0.1, rtol=0)
     assert (taken_out - even).abs().mean() < 0.01
+
+
+@pytest.mark.parametrize("factor", [1 / 16, 1 / 64])
+def test_dark_pictures_give_the_depth_of_bright_ones(
+    rig: CameraRig, clean: dict[str, Tensor], factor: float
+) -> None:
+    """Of 12 or 10 bits in 16, and of scenes at night; frames of a batch are judged one by one."""
+    predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5)
+    batch = {name: torch.stack((image, image * factor)) for name, image in clean.items()}
+    depth = predictor(batch)
+    bright, dark = depth.compensations
+    assert bright.gain == 1
+    assert dark.gain == pytest.approx(1 / factor, rel=0.5)
+    assert any("brightens" in sentence for sentence in dark.described())
+    assert (depth.index[0] - depth.index[1]).abs().mean() < 0.2
+    black = predictor({name: torch.zeros_like(image) for name, image in clean.items()})
+    assert black.compensations[0].gain == 1

@@ -10,7 +10,9 @@ import torch
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, PinholeCamera, ring_rig
 from sphericalvision.capture import calibrate_photometry
+from sphericalvision.capture.preparation.compensation import Compensator
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.scenes.disturbances import vignetted
 
 GAINS = (1.0, 0.8, 1.1, 0.9)
@@ -94,6 +96,81 @@ def test_panoramas_have_exposure_but_no_vignetting() -> None:
     torch.testing.assert_close(
         (found.exposure[1] - found.exposure[0]).exp(), torch.full((3,), 1.25), atol=0.01, rtol=0
     )
+
+
+def test_saturated_and_black_values_do_not_count(rig: CameraRig) -> None:
+    """Cut off at white and black, half of the sphere is the same in all cameras, whatever their exposure."""
+    images = {}
+    for (name, camera), gain in zip(rig.cameras.items(), GAINS, strict=True):
+        pose = rig.world_from_camera[rig.names.index(name), :3, :3]
+        directions = camera.unproject(camera.pixel_grid()).directions @ pose.mT
+        brightness = torch.where(
+            directions[..., 0] > 0.3, 9.0, torch.where(directions[..., 0] < -0.3, 0.0, 0.5)
+        )
+        images[name] = (brightness * gain).clamp(0, 1).expand(3, -1, -1)
+    found = calibrate_photometry(rig, images)
+    gains = torch.tensor(GAINS).log()
+    torch.testing.assert_close(found.exposure[:, 0], gains - gains.mean(), atol=0.01, rtol=0)
+
+
+def test_what_cameras_see_differently_has_little_influence(rig: CameraRig) -> None:
+    """A fifth of a picture shows something else: outliers, which the weights are for."""
+    images = faulty(rig)
+    images["cam3"][:, :, :10] = 0.9
+    clean, found = calibrate_photometry(rig, faulty(rig)), calibrate_photometry(rig, images)
+    torch.testing.assert_close(found.exposure, clean.exposure, atol=0.02, rtol=0)
+
+
+@pytest.mark.parametrize("far", [10.0, 100.0])
+def test_cameras_are_compared_where_they_agree_best(far: float) -> None:
+    """A pattern on a sphere of 10 or of 100 radii: at the other distance the points of two cameras differ."""
+    rig = ring_rig(4, radius=0.2, image_size=(96, 96))
+    images = {}
+    for place, (name, camera) in enumerate(rig.cameras.items()):
+        directions = (
+            camera.unproject(camera.pixel_grid()).directions @ rig.world_from_camera[place, :3, :3].mT
+        )
+        offset = rig.positions[place] - rig.center
+        along = directions @ offset
+        points = (
+            offset
+            + directions
+            * (along.square() - offset.square().sum() + (0.2 * far) ** 2).sqrt().sub(along)[..., None]
+        )
+        pattern = 0.5 + 0.3 * torch.sin(points / (0.2 * far) * 25).prod(-1)
+        images[name] = pattern.nan_to_num(0.5).clamp(0, 1).expand(3, -1, -1)
+    residuals = {
+        each: calibrate_photometry(rig, images, depth=0.2 * each).residual for each in (10.0, 30.0, 100.0)
+    }
+    assert min(residuals, key=residuals.__getitem__) == far
+    assert calibrate_photometry(rig, images).residual == residuals[far]
+
+
+def test_large_images_are_compared_when_reduced(rig: CameraRig) -> None:
+    large = rig.resized((480, 480))
+    images = {
+        name: vignetted(torch.full((3, 480, 480), 0.5), camera, 0.5) * gain
+        for (name, camera), gain in zip(large.cameras.items(), GAINS, strict=True)
+    }
+    small = {
+        name: vignetted(torch.full((3, 48, 48), 0.5), camera, 0.5) * gain
+        for (name, camera), gain in zip(rig.cameras.items(), GAINS, strict=True)
+    }
+    found, like = calibrate_photometry(large, images), calibrate_photometry(rig, small)
+    torch.testing.assert_close(found.exposure, like.exposure, atol=0.01, rtol=0)
+    torch.testing.assert_close(found.strength, like.strength, atol=0.02, rtol=0)
+
+
+def test_an_unsure_difference_is_left_alone(rig: CameraRig) -> None:
+    """Little is left of a picture with too much contrast: what it tells of lenses is half as large as its spread."""
+    fine = rig.resized((192, 192))
+    frame = render_rig(make_scene("rough", seed=1007), fine, 2)
+    images = {name: ((image - 0.3) * 1.6 + 0.3).clamp(0, 1) for name, image in frame.items()}
+    found = calibrate_photometry(fine, images)
+    assert found.strength > 0.2
+    assert found.spread > 0.1
+    assert Compensator(fine).light(images) is None
+    assert Compensator(rig).light(faulty(rig)) is not None
 
 
 def test_mistakes_are_told(rig: CameraRig) -> None:

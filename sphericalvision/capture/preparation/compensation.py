@@ -20,10 +20,15 @@ __all__ = ["Compensation", "Compensator", "compensated", "denoised", "noise_of"]
 
 LEAST_LIGHT = 0.05
 """Share of the light: cameras that differ by less are taken to be alike."""
+SURE = 2.0
+"""Standard deviations by which the difference exceeds that for sure."""
 LEAST_NOISE = 0.01
 """Of the range [0, 1]: texture alone may look like less."""
 WINDOW, REACH, CONTRAST = 7, 2.0, 4.0
 """Of the bilateral filter: pixels; deviation over places, pixels; and over colours, deviations of the noise."""
+BRIGHT_SHARE, BRIGHT, DARK, BLACK = 0.95, 0.7, 0.2, 0.002
+"""The share of all values that bright ones are above, what they usually are, below what a frame is dark, and below what
+there is nothing to be seen."""
 DARKEST, BRIGHTEST = 0.02, 0.98
 """Values beyond are clipped, or outside of the lens: no noise shows there."""
 MOST_SAMPLES = 200_000
@@ -36,14 +41,18 @@ class Compensation(NamedTuple):
     Attributes:
         noise: camera name -> standard deviation of the noise that was smoothed, of the range [0, 1]; 0 where none was.
         light: how exposure and vignetting differed; None where the difference was negligible.
+        gain: factor on all images, where all were dark; else 1.
     """
 
     noise: Mapping[str, float]
     light: PhotometricCalibration | None = None
+    gain: float = 1.0
 
     def described(self) -> list[str]:
-        """Return a sentence for each of the two; none where nothing was done."""
+        """Return a sentence for each of the three; none where nothing was done."""
         sentences = []
+        if self.gain != 1:
+            sentences.append(f"brightens dark images {self.gain:.1f} times")
         if any(self.noise.values()):
             strength = ", ".join(
                 f"{100 * amount:.1f} % of {name}" for name, amount in self.noise.items() if amount
@@ -77,6 +86,27 @@ class Compensator:
     def _angles(self) -> dict[str, Tensor]:
         return pixel_angles(self.rig)
 
+    def brightened(
+        self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
+    ) -> tuple[dict[str, Float[Tensor, "*batch c _ _"]], list[float]]:
+        """Return images as bright as is usual, where those of all cameras are dark, and the factor of each frame.
+
+        So are scenes at night, and pictures of 10 or 12 bits that are stored in 16.
+        """
+        flat = [image.reshape(-1, *image.shape[-3:]) for image in images.values()]
+        gains = []
+        for frame in zip(*flat, strict=True):
+            bright = torch.cat([_spread(image) for image in frame]).quantile(BRIGHT_SHARE).item()
+            gains.append(BRIGHT / bright if BLACK < bright < DARK else 1.0)
+        if all(gain == 1 for gain in gains):
+            return dict(images), gains
+        factors = flat[0].new_tensor(gains).view(-1, 1, 1, 1)
+        bright_images = {
+            name: (image * factors).clamp(max=1).view_as(images[name])
+            for name, image in zip(images, flat, strict=True)
+        }
+        return bright_images, gains
+
     def smoothed(
         self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
     ) -> tuple[dict[str, Float[Tensor, "*batch c _ _"]], list[dict[str, float]]]:
@@ -89,7 +119,7 @@ class Compensator:
     def light(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> PhotometricCalibration | None:
         """Return how exposure and vignetting of the cameras differ, None where the difference is negligible."""
         found = self._photometer(images)
-        return found if found.strength > LEAST_LIGHT else None
+        return found if found.strength - SURE * found.spread > LEAST_LIGHT else None
 
     def evened(
         self, images: Mapping[str, Float[Tensor, "*batch c _ _"]], light: PhotometricCalibration | None
@@ -110,8 +140,14 @@ def compensated(
         True
     """
     compensator = Compensator(rig)
-    smooth, _ = compensator.smoothed(images)
+    smooth, _ = compensator.smoothed(compensator.brightened(images)[0])
     return compensator.evened(smooth, compensator.light(smooth))
+
+
+def _spread(image: Tensor) -> Tensor:
+    """Some of an image's values, from all over it."""
+    step = max(1, round((image.numel() / MOST_SAMPLES) ** 0.5))
+    return image[:, ::step, ::step].detach().float().flatten()
 
 
 def denoised(

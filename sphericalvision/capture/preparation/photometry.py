@@ -10,20 +10,23 @@ Convention:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.conversion.fit import cap
+from sphericalvision.cameras.masks import resized_mask
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.cameras.sphere_images import sphere_lookups
+from sphericalvision.capture.preparation.reduced import averaged, reduced_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.directions import angle_from_axis
+from sphericalvision.icosphere import icosphere_vertices
 
 __all__ = ["Photometer", "PhotometricCalibration", "calibrate_photometry", "pixel_angles"]
 
@@ -32,6 +35,8 @@ _DISTANCES = (10.0, 30.0, 100.0)
 """Of the points where cameras are compared, in radii of the rig: those of a table, a room, a hall."""
 _DARKEST, _BRIGHTEST = 0.04, 0.97
 """Values beyond are noise, or cut off."""
+_FINER = 4
+"""Times as fine as images are compared, the border of what a camera sees is looked for."""
 _ROUNDS = 8
 _HOLD_EXPOSURE, _HOLD_FALLOFF, _HOLD_ALIKE = 1e-3, 1e-3, 0.02
 """Weights, in shares of all equations, of: no change of exposure; no vignetting; the same lens in all cameras."""
@@ -45,6 +50,7 @@ class PhotometricCalibration(NamedTuple):
         falloff: ``(n, 2)`` c1 and c2 of the module's convention; 0 for panoramas, which have no lens.
         edge: ``(n,)`` radians, largest angle from the axis that a camera sees.
         residual: typical size of the remaining differences, of the logarithm of values.
+        spread: standard deviation of ``strength``, as far as parts of the sphere contradict each other.
 
     Examples:
         >>> lens = PhotometricCalibration(torch.zeros(1, 3), torch.tensor([[0.5, 0.0]]), torch.tensor([1.6]), 0.0)
@@ -56,12 +62,23 @@ class PhotometricCalibration(NamedTuple):
     falloff: Float[Tensor, "n 2"]
     edge: Float[Tensor, " n"]
     residual: float
+    spread: float = 0.0
 
     @property
     def strength(self) -> float:
         """Largest deviation of ``light`` from 1 at the axes and edges of the cameras."""
-        places = torch.stack((torch.zeros_like(self.edge), self.edge), -1)
-        return float((self.light(places) - 1).abs().max())
+        return float((self._at_ends() - 1).abs().max())
+
+    def differing(self, others: Sequence[PhotometricCalibration]) -> float:
+        """Return the standard deviation of ``strength``, from calibrations without one part of the sphere each."""
+        if len(others) < 2:
+            return 0.0
+        at = int((self._at_ends() - 1).abs().argmax())
+        found = torch.stack([other._at_ends().flatten()[at] for other in others])
+        return float(((len(found) - 1) * (found - found.mean()).square().mean()).sqrt())  # the jackknife
+
+    def _at_ends(self) -> Tensor:
+        return self.light(torch.stack((torch.zeros_like(self.edge), self.edge), -1))
 
     def light(self, angles: Float[Tensor, " n *points"]) -> Float[Tensor, "n c *points"]:
         """Factors ``(n, c, *points)`` on what cameras show at ``angles`` ``(n, *points)`` from their axes, radians.
@@ -173,11 +190,21 @@ class Photometer:
         if depth is not None and not depth > 0:
             raise ArgumentError(f"depth: expected metres above 0, got {depth!r}")
         self.rig = rig
+        self._small = reduced_rig(rig, math.sqrt(4 * math.pi / _POINTS))
+        finer = {
+            name: [
+                min(_FINER * length, full)
+                for length, full in zip(small.image_size, camera.image_size, strict=True)
+            ]
+            for (name, camera), small in zip(rig.cameras.items(), self._small.cameras.values(), strict=True)
+        }
+        fine = rig.resized(finer)
         self._inside, edges = {}, []
-        for name, camera in rig.cameras.items():
+        for name, camera in fine.cameras.items():
             directions, inside = camera.unproject(camera.pixel_grid())
             edges.append(angle_from_axis(directions).where(inside, 0.0).amax())
-            self._inside[name] = inside & rig.masks[name].bool() if name in rig.masks else inside
+            inside = inside & fine.masks[name].bool() if name in fine.masks else inside
+            self._inside[name] = resized_mask(inside, self._small.cameras[name].image_size)
         self._edge = torch.stack(edges)
         radius = float(rig.radius)
         distances = [far * radius for far in _DISTANCES] if depth is None else [depth]
@@ -200,54 +227,68 @@ class Photometer:
                     f"images[{name!r}]: expected shape (*b, c, {camera.image_size[0]}, {camera.image_size[1]}) as "
                     f"calibrated, got {tuple(images[name].shape)}"
                 )
-        frames = []  # black outside of the field of view
-        for name, inside in self._inside.items():
-            frames.append(images[name].reshape(-1, *images[name].shape[-3:]) * inside)
+        small = averaged(self._small, images)
+        frames = [
+            small[name].reshape(-1, *small[name].shape[-3:]) * inside for name, inside in self._inside.items()
+        ]
         found = [points.compared(frames) for points in self._places]
-        exposure, falloff, residual = min(found, key=lambda answer: answer[2])
-        return PhotometricCalibration(exposure.to(self._edge), falloff.to(self._edge), self._edge, residual)
+        best = min(found, key=lambda answer: answer.residual)
+        calibration, *others = (
+            PhotometricCalibration(exposure.to(self._edge), falloff.to(self._edge), self._edge, best.residual)
+            for exposure, falloff in best.answers
+        )
+        return calibration._replace(spread=calibration.differing(others))
 
 
 class _Points:
     """Where points at one inverse depth, 1/m, fall in the images, and how much light is lost there."""
 
     def __init__(self, of: Photometer, inverse_depth: float) -> None:
-        rig = of.rig
+        rig = of._small
         directions = cap(math.pi, _POINTS, next(iter(rig.cameras.values()))).to(rig.world_from_camera)
-        self.lookups = sphere_lookups(rig, directions, antialias=True, inverse_depth=inverse_depth)
+        self.lookups = sphere_lookups(rig, directions, inverse_depth=inverse_depth)
         rays = directions + inverse_depth * (rig.center - rig.positions)[:, None].to(directions)
         angles = angle_from_axis(rays @ rig.world_from_camera[:, :3, :3])
         has_lens = [not isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values()]
         squared = (angles / of._edge[:, None]).clamp(max=1).square()
         squared = squared * torch.tensor(has_lens, device=squared.device)[:, None]
         self.basis = torch.stack((squared, squared.square()), -1)
+        self.parts = (directions @ icosphere_vertices(0).to(directions).mT).argmax(-1)
         self.shares = [
             look(inside[None].float(), 0)
             for look, inside in zip(self.lookups, of._inside.values(), strict=True)
         ]
 
-    def compared(self, images: list[Tensor]) -> tuple[Tensor, Tensor, float]:
-        """Exposure, falloff and residual of images ``(b, c, h, w)``, a camera each."""
-        values, usable = (
-            [],
-            [],
-        )  # logarithms (c, b V), and whether they are not at the border of the view (b V,)
+    def compared(self, images: list[Tensor]) -> _Solution:
+        """Exposure and falloff that explain images ``(b, c, h, w)``, a camera each."""
+        values: list[Tensor] = []  # logarithms (c, b V)
+        usable: list[Tensor] = []  # whether they are not at the border of the view (b V,)
         for look, share, frames in zip(self.lookups, self.shares, images, strict=True):
             found = look(frames, 0) / share.to(frames).clamp(min=0.5)
             good = look.seen & (share[0] > 0.99) & (found.amin(1) > _DARKEST) & (found.amax(1) < _BRIGHTEST)
             values.append(found.clamp(min=_DARKEST).log().movedim(1, 0).flatten(1))
             usable.append(good.flatten())
-        return _solve(torch.stack(values), torch.stack(usable), self.basis)
+        return _solve(torch.stack(values), torch.stack(usable), self.basis, self.parts)
+
+
+class _Solution(NamedTuple):
+    """Exposure ``(n, c)`` and falloff ``(n, 2)``, of all points and then without each part of the sphere in turn."""
+
+    answers: list[tuple[Tensor, Tensor]]
+    residual: float
 
 
 def _solve(
-    values: Float[Tensor, "n c m"], usable: Bool[Tensor, "n m"], basis: Float[Tensor, "n V 2"]
-) -> tuple[Tensor, Tensor, float]:
-    """Exposure ``(n, c)``, falloff ``(n, 2)`` and residual, by weighted least squares, weighted anew each round."""
+    values: Float[Tensor, "n c m"],
+    usable: Bool[Tensor, "n m"],
+    basis: Float[Tensor, "n V 2"],
+    parts: Int[Tensor, " V"],
+) -> _Solution:
+    """Weighted least squares, weighted anew each round; without a part with the weights that all points ended with."""
     number, channels, count = values.shape
     basis = basis.repeat(1, count // basis.shape[1], 1).double()
     size = number * channels + 2 * number
-    rows, differences = [], []
+    rows, differences, places = [], [], []
     for one in range(number):
         for other in range(one):
             both = (usable[one] & usable[other]).nonzero()[:, 0]
@@ -258,9 +299,10 @@ def _solve(
                     first = number * channels + 2 * camera
                     row[:, first : first + 2] = -sign * basis[camera, both]
                 rows.append(row)
+                places.append(parts[both % len(parts)])
                 differences.append((values[one, channel, both] - values[other, channel, both]).double())
     if not rows or not sum(map(len, rows)):
-        return values.new_zeros(number, channels), values.new_zeros(number, 2), 0.0
+        return _Solution([(values.new_zeros(number, channels), values.new_zeros(number, 2))], 0.0)
     matrix, difference = torch.cat(rows), torch.cat(differences)
     hold = _held(number, channels, basis).mul(len(matrix) / size)
     found, scale = basis.new_zeros(size), 0.3
@@ -270,8 +312,15 @@ def _solve(
         normal = matrix.mT @ (weights[:, None] * matrix) + hold * weights.mean()
         found = torch.linalg.solve(normal, matrix.mT @ (weights * difference))
         scale = max(0.01, 1.4826 * float((difference - matrix @ found).abs().median()))
-    exposure, falloff = found.split((number * channels, 2 * number))
-    return exposure.view(number, channels), falloff.view(number, 2), scale
+    place = torch.cat(places)
+    answers = [found]
+    for part in place.unique():  # as good as independent, which neighbouring points are not
+        here, share = matrix[place == part], weights[place == part]
+        without = normal - here.mT @ (share[:, None] * here)
+        wanted = matrix.mT @ (weights * difference) - here.mT @ (share * difference[place == part])
+        answers.append(torch.linalg.solve(without, wanted))
+    split = (answer.split((number * channels, 2 * number)) for answer in answers)
+    return _Solution([(one.view(number, channels), two.view(number, 2)) for one, two in split], scale)
 
 
 def _held(number: int, channels: int, like: Tensor) -> Tensor:

@@ -172,7 +172,8 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
         return [*data, "model.level=5", *TRAINING]
     if recipe == "train":
         return [*data, *network_words(config.model), *TRAINING]
-    return [*data, *STUDY, *study_words(config, cache)]
+    panoramas = ["equirect_size=[32,64]"] if config.inputs == "equirect" else []
+    return [*data, *STUDY, *panoramas, *study_words(config, cache)]
 
 
 def composed(recipe: str, words: list[str]) -> DictConfig:
@@ -278,7 +279,6 @@ STUDY = [
     "seeds=[0]",
     "num_hypotheses=4",
     "image_size=[32,32]",
-    "equirect_size=[32,64]",
     "panorama_size=[8,32]",
     "panel_height=40",
     "frames=2",

@@ -52,15 +52,8 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     if count != int(count) or not 1 <= count <= 1000:
         raise FileFormatError(f"{path}, nb_camera: expected a count from 1 to 1000, got {count:g}")
     names = [f"camera_{index}" for index in range(int(count))]
-    if (
-        len(
-            {
-                str(mapping(entry(content, name, str(path)), f"{path}, {name}").get("camera_group"))
-                for name in names
-            }
-        )
-        > 1
-    ):
+    several = [mapping(entry(content, name, str(path)), f"{path}, {name}") for name in names]
+    if len({str(values.get("camera_group")) for values in several}) > 1:
         raise FileFormatError(f"{path}, camera_group: the groups have no common frame; keep one of them")
     if options.translation_unit is None:
         raise ArgumentError(
@@ -69,8 +62,8 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         )
     cameras: dict[str, Camera] = {}
     poses = []
-    for name in names:
-        where, values = f"{path}, {name}", content[name]
+    for name, values in zip(names, several, strict=True):
+        where = f"{path}, {name}"
         (fx, skew, cx), (zero, fy, cy), last = _rows(
             entry(values, "camera_matrix", where), f"{where}, camera_matrix"
         )

@@ -80,8 +80,8 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     for sensor in _each(chunk.get("sensors"), "sensor"):
         name = str(sensor.get("id"))
         where = f"{path}, sensor {name:.80}"
-        if "calibration" in sensor:  # the adjusted one stands last
-            sensor["calibration"] = list(_each(sensor, "calibration"))[-1:]
+        if found := list(_each(sensor, "calibration")):  # the adjusted one stands last
+            sensor["calibration"] = found[-1:]
             sensors[name] = _camera(sensor["calibration"][0], sensor, where, options)
         if "rotation" in sensor or "location" in sensor:
             turn, place = (

@@ -23,7 +23,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.opencv_keys import matrix
-from sphericalvision.cameras.calibration.parsing import chosen, entry, number, size_from_width_height
+from sphericalvision.cameras.calibration.parsing import chosen, entry, mapping, number, size_from_width_height
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
 
@@ -49,7 +49,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     poses = []
     for index, values in enumerate(content["cameras"]):
         where = f"{path}, cameras[{index}]"
-        lens = entry(values, "camera", where)
+        lens = mapping(entry(values, "camera", where), f"{where}, camera")
         name = str(lens.get("label") or f"cam{index}")
         name = name if name not in cameras else f"cam{index}"
         cameras[name] = bounded(_camera(lens, where), options.max_angle, where)

@@ -19,7 +19,6 @@ from sphericalvision.capture.export import (
     export_onnx,
     export_program,
     onnx_difference,
-    onnx_size,
     rig_tables,
 )
 from sphericalvision.io.files import atomic_write
@@ -68,7 +67,7 @@ def export(config: DictConfig, folder: Path) -> list[Path]:
     operations = sum(node.op == "call_function" for node in exported.graph.nodes)
     say(f"torch.export: {operations} operations, {time.process_time() - start:.0f} s of processor time")
     if "pt2" in config.formats:
-        written.append(path)
+        written += [path, path.with_suffix(".json")]
         say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
     if "compiled" in config.formats:
         start = time.process_time()
@@ -80,11 +79,11 @@ def export(config: DictConfig, folder: Path) -> list[Path]:
     if "onnx" in config.formats:
         start = time.process_time()
         written.append(export_onnx(exported, folder / "depth.onnx"))
-        operations, size = onnx_size(written[-1])
+        size = written[-1].stat().st_size
         seconds = time.process_time() - start
         difference = onnx_difference(written[-1], program, images)
         say(
-            f"{written[-1].name}: opset {OPSET}, {operations} operations, {size / 1e6:.1f} MB, "
+            f"{written[-1].name}: opset {OPSET}, {size / 1e6:.1f} MB, "
             f"{seconds:.0f} s of processor time; onnxruntime differs by {difference:.1e} 1/m in inverse depth at most"
         )
     return shown(written)

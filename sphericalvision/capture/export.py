@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import json
+import logging
 import tempfile
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +22,7 @@ from torch.utils import _pytree
 from sphericalvision.capture.depth import positive
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, recording
-from sphericalvision.io.files import atomic_write
+from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import signed
 from sphericalvision.sweep import inverse_depth_from_index
@@ -28,11 +32,11 @@ __all__ = [
     "TABLES",
     "RigProgram",
     "compile_program",
+    "description",
     "example_images",
     "export_onnx",
     "export_program",
     "onnx_difference",
-    "onnx_size",
     "rig_tables",
     "with_constants_folded",
 ]
@@ -40,6 +44,8 @@ __all__ = [
 INPUTS = ("camera", "sphere")
 TABLES = ("inside", "inputs")
 OPSET = 20
+DESCRIPTION = "description"
+"""Under which an exported program keeps that of its inputs and outputs."""
 LOOKUPS = {torch.ops.aten.index_select.default: 2, torch.ops.aten.embedding.default: 1}
 """Operation -> which of its arguments says what is looked up; both take 32 bits."""
 CONVOLUTIONS = tuple(getattr(torch.ops.aten, f"conv{dims}d").default for dims in (1, 2, 3))
@@ -135,6 +141,41 @@ class RigProgram(nn.Module):
         )
 
 
+def description(program: RigProgram) -> dict[str, str]:
+    """Return what somebody has to know who has the program alone: what goes in and comes out, in which order and units.
+
+    It is written beside the ``.pt2`` file as ``.json``, and stands in the metadata of the ONNX file.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> predictor = Predictor(ring_rig(3, image_size=(16, 16)), method="semi_global", level=3, min_depth=0.5)
+        >>> description(RigProgram(predictor, height=8))["cameras"]
+        'cam1, cam2, cam3'
+    """
+    rig, net = program.intake.rig, program.net
+    size = "x".join(map(str, program.image_size))
+    images = {
+        "camera": f"as the cameras take them, height x width {size}, red, green and blue in [0, 1], not in [0, 255]",
+        "sphere": "on the vertices of an icosphere, red, green and blue in [-1, 1], 0 where nothing was seen",
+    }
+    if program.shape is not None:
+        grid = "equirectangular panorama: forward is its middle column, columns grow to the right, the top row is up"
+    else:
+        grid = f"{net.grid!r}, in the order of its directions"
+    return {
+        "images": f"float32 (batch, {len(rig)} cameras in this order, 3, ...): {images[program.inputs]}",
+        "cameras": ", ".join(rig.names),
+        "inverse_depth": "float32, 1/m, along the ray from the center; its reciprocal is metres; NaN: not known",
+        "confidence": "float32, 0 to 1",
+        "seen": "bool, True where two cameras look; elsewhere depth is a guess",
+        "grid": grid,
+        "axes": "x right, y down, z forward, metres, in the world of the calibration",
+        "center": ", ".join(f"{value:.6g}" for value in rig.center.tolist()),
+        "min_depth": f"{net.min_depth:.6g}",
+        "num_hypotheses": str(net.num_hypotheses),
+    }
+
+
 def rig_tables(program: RigProgram, like: RigProgram | None = None) -> dict[str, Shaped[Tensor, " ..."]]:
     """Return by name all that a program knows of its rig: the inputs, besides images, of one with ``tables="inputs"``.
 
@@ -185,11 +226,26 @@ def example_images(program: RigProgram, batch: int = 1) -> Float[Tensor, "B n 3 
     return torch.rand(batch, program.num_cameras, 3, *program.image_size, device=program.seen.device)
 
 
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep off the screen what torch and its converters tell of themselves; errors are raised as ever."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(before)
+
+
 @torch.no_grad()
 def export_program(
     program: RigProgram, path: str | Path | None = None, batch: int | None = 1
 ) -> torch.export.ExportedProgram:
     """Return a program as ``torch.export`` has it, and write it to a ``.pt2`` file, which torch runs by itself.
+
+    Beside the file, ``.json`` in place of ``.pt2``, stands its ``description``.
 
     All that follows from level and rig is computed now and is constant in the program.
 
@@ -211,15 +267,16 @@ def export_program(
     if program.tables == "inputs":
         tables = rig_tables(program)
         inputs, shapes = (*inputs, tables), (*shapes, dict.fromkeys(tables))
-    with warnings.catch_warnings(), recording():
-        warnings.simplefilter("ignore")
+    with quiet(), recording():
         program(*inputs)  # makes the tables of icospheres, which are constants then
         traced: Any = torch.export.export(program, inputs, dynamic_shapes=shapes, strict=False).module()
         folded = with_constants_folded(traced, *inputs)
         exported = torch.export.export(folded, inputs, dynamic_shapes=shapes, strict=False)
-    if path is not None:
-        with atomic_write(path) as temporary:
-            torch.export.save(exported, temporary)
+        exported.graph_module.meta[DESCRIPTION] = description(program)
+        if path is not None:
+            with atomic_write(path) as temporary:
+                torch.export.save(exported, temporary)
+            _write_description(exported, Path(path))
     return exported
 
 
@@ -243,8 +300,7 @@ def compile_program(exported: torch.export.ExportedProgram, path: str | Path) ->
     path = Path(path)
     if path.suffix != ".pt2":
         raise ArgumentError(f"path: expected a name that ends in .pt2, got {path.name!r}")
-    with tempfile.TemporaryDirectory(dir=path.parent) as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder, quiet():
         try:
             made = aoti_compile_and_package(exported, package_path=str(Path(folder) / path.name))
         except InvalidCxxCompiler:
@@ -252,7 +308,13 @@ def compile_program(exported: torch.export.ExportedProgram, path: str | Path) ->
                 "compiled: needs a C++ compiler, g++ or clang++ (CXX names another); formats=[pt2,onnx] need none"
             ) from None
         Path(made).replace(path)
+    _write_description(exported, path)
     return path
+
+
+def _write_description(exported: torch.export.ExportedProgram, path: Path) -> None:
+    told = exported.graph_module.meta.get(DESCRIPTION, {})
+    write_bytes(path.with_suffix(".json"), json.dumps(told, indent=2).encode())
 
 
 def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Path:
@@ -270,8 +332,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
         raise ArgumentError(f"onnx: needs {error.name}: pip install 'sphericalvision[onnx]'") from None
     names = ["inverse_depth", "confidence", "seen"]
     inputs, _ = exported.example_inputs
-    with warnings.catch_warnings(), atomic_write(path) as temporary:
-        warnings.simplefilter("ignore")
+    with quiet(), atomic_write(path) as temporary:
         # The optimiser of the converter does not end on programs of this size; runtimes optimise what they load.
         converted = torch.onnx.export(
             exported,
@@ -283,6 +344,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
             output_names=names,
         )
         assert converted is not None
+        converted.model.metadata_props.update(exported.graph_module.meta.get(DESCRIPTION, {}))
         converted.save(temporary)
     return Path(path)
 
@@ -301,22 +363,6 @@ def onnx_difference(path: str | Path, program: RigProgram, images: Float[Tensor,
     with torch.no_grad():
         expected = program(images)[0].cpu()
     return float((found - expected).nan_to_num().abs().max())
-
-
-def onnx_size(path: str | Path) -> tuple[int, int]:
-    """Return how many operations an ONNX file has, those inside of loops counted once, and its size in bytes."""
-    import onnx
-
-    def count(graph: Any) -> int:
-        inside = [
-            attribute.g for node in graph.node for attribute in node.attribute if attribute.HasField("g")
-        ]
-        return sum(node.op_type != "Constant" for node in graph.node) + sum(map(count, inside))
-
-    model = onnx.load(path, load_external_data=False)
-    return count(model.graph) + sum(len(function.node) for function in model.functions), Path(
-        path
-    ).stat().st_size
 
 
 def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:

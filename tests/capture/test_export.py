@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import cache
 from pathlib import Path
 
@@ -138,7 +139,7 @@ class Bright(DepthNetwork):
         return DepthEstimate(index, images[:, 0, 0].sigmoid(), seen.all(-2).expand_as(index))
 
 
-def test_a_small_network_as_pt2_and_onnx(tmp_path: Path) -> None:
+def test_a_small_network_as_pt2_and_onnx(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     program = RigProgram(Predictor(ring_rig(2, image_size=(8, 8)), Bright(), min_depth=0.5))
     exported = export_program(program, tmp_path / "depth.pt2")
     images = example_images(program)
@@ -147,7 +148,17 @@ def test_a_small_network_as_pt2_and_onnx(tmp_path: Path) -> None:
         torch.testing.assert_close(theirs, ours, rtol=1e-5, atol=1e-6)
     for package in ("onnx", "onnxscript", "onnxruntime"):
         pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
-    assert onnx_difference(export_onnx(exported, tmp_path / "depth.onnx"), program, images) < 1e-5
+    path = export_onnx(exported, tmp_path / "depth.onnx")
+    assert onnx_difference(path, program, images) < 1e-5
+    import onnx
+
+    told = json.loads((tmp_path / "depth.json").read_text())
+    assert {entry.key: entry.value for entry in onnx.load(path).metadata_props}.items() >= told.items()
+    assert told["cameras"] == "cam1, cam2"
+    assert "[0, 1]" in told["images"]
+    assert (told["min_depth"], told["num_hypotheses"]) == ("0.5", "4")
+    captured = capfd.readouterr()
+    assert captured.out + captured.err == ""
 
 
 @pytest.mark.slow

@@ -1,14 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bundled with three.js into viewer.min.js: npm install three@0.187.0 esbuild, then
-// npx esbuild viewer.js --bundle --minify --format=iife --legal-comments=eof --outfile=viewer.min.js
-// Two views of a frame: a panorama from inside, which fades between pictures, and points to orbit around.
+// Runs in the page after three.min.js, which is: npm install three@0.187.0 esbuild, then of a file that exports the names
+// below from "three" and its OrbitControls:  npx esbuild parts.js --bundle --minify --format=iife --global-name=THREE
+// --legal-comments=eof --outfile=three.min.js
+// Two views of a frame: a panorama from inside, which fades between pictures, and points, from inside and from outside.
 // A time line goes from frame to frame.
-import {
-  BufferAttribute, BufferGeometry, Mesh, MeshBasicMaterial, PerspectiveCamera, Points, PointsMaterial, Scene,
-  SphereGeometry, SRGBColorSpace, TextureLoader, WebGLRenderer,
-} from "three";
-import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-
+const {
+  BufferAttribute, BufferGeometry, Color, Mesh, MeshBasicMaterial, OrbitControls, PerspectiveCamera, Plane, Points,
+  PointsMaterial, Scene, SphereGeometry, SRGBColorSpace, TextureLoader, Vector3, WebGLRenderer,
+} = THREE;
 const data = JSON.parse(document.getElementById("data").textContent);
 
 function bytes(base64) {
@@ -30,7 +29,7 @@ function view(id, fieldOfView, near, far) {
     draw();
   };
   new ResizeObserver(resize).observe(canvas);
-  return { canvas, camera, scene, draw };
+  return { canvas, camera, scene, renderer, draw };
 }
 
 function panorama() {
@@ -63,19 +62,39 @@ function panorama() {
     camera.rotation.set(pitch, yaw, 0, "YXZ");
     draw();
   };
-  canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
-  canvas.addEventListener("pointermove", (event) => {
-    if (!event.buttons) return;
-    const perPixel = (camera.fov * Math.PI) / 180 / canvas.clientHeight;
-    yaw += event.movementX * perPixel;
-    pitch = Math.max(-1.55, Math.min(1.55, pitch + event.movementY * perPixel));
+  const turn = (right, down) => {
+    yaw += right;
+    pitch = Math.max(-1.55, Math.min(1.55, pitch + down));
     look();
+  };
+  const zoom = (factor) => {
+    camera.fov = Math.max(20, Math.min(110, camera.fov * factor));
+    camera.updateProjectionMatrix();
+    draw();
+  };
+  // One finger or the mouse turns, two fingers zoom.
+  const fingers = new Map();
+  const apart = () => {
+    const [one, other] = [...fingers.values()];
+    return Math.hypot(one.x - other.x, one.y - other.y);
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+  });
+  for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (event) => fingers.delete(event.pointerId));
+  canvas.addEventListener("pointermove", (event) => {
+    const before = fingers.get(event.pointerId), now = { x: event.clientX, y: event.clientY };
+    if (!before) return;
+    const width = fingers.size === 2 ? apart() : 0;
+    fingers.set(event.pointerId, now);
+    const perPixel = (camera.fov * Math.PI) / 180 / canvas.clientHeight;
+    if (fingers.size === 1) turn((now.x - before.x) * perPixel, (now.y - before.y) * perPixel);
+    else if (width) zoom(width / Math.max(1, apart()));
   });
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
-    camera.fov = Math.max(20, Math.min(110, camera.fov * Math.exp(event.deltaY / 1000)));
-    camera.updateProjectionMatrix();
-    draw();
+    zoom(Math.exp(event.deltaY / 1000));
   }, { passive: false });
   const slider = document.getElementById("slide"), label = document.getElementById("shown");
   slider.max = names.length - 1;
@@ -90,29 +109,54 @@ function panorama() {
   slider.addEventListener("input", slide);
   slide();
   look();
-  return show;
+  return { show, turn, zoom };
 }
 
 function cloud() {
-  const { canvas, camera, scene, draw } = view("cloud", 60, 0.01, 10000);
+  const { canvas, camera, scene, renderer, draw } = view("cloud", 75, 0.002 * data.radius, 10000);
+  scene.background = new Color(0xdde7ef);
   const geometry = new BufferGeometry();
-  scene.add(new Points(geometry, new PointsMaterial({ size: 0.02 * data.radius ** 0.5, vertexColors: true })));
-  camera.position.set(0.6, 1.2, 1.8).multiplyScalar(data.radius);
+  const material = new PointsMaterial({ vertexColors: true });
+  // Directions are spread evenly, so what a point stands for grows with its distance from the rig.
+  material.onBeforeCompile = (shader) => {
+    shader.vertexShader = shader.vertexShader
+      .replace("gl_PointSize = size;", "gl_PointSize = size * length(position);")
+      .replace("#include <color_vertex>", "#include <color_vertex>\nvColor.rgb = pow(vColor.rgb, vec3(2.2));");  // of images
+  };
+  scene.add(new Points(geometry, material));
   const controls = new OrbitControls(camera, canvas);
+  controls.zoomSpeed = 3;
   controls.addEventListener("change", draw);
-  controls.update();
+  let inside = false;
+  const where = document.getElementById("where"), cut = document.getElementById("cut");
+  const go = () => {
+    inside = !inside;
+    where.textContent = inside ? "from outside" : "from inside";
+    controls.rotateSpeed = inside ? -0.5 : 1;  // inside the picture is what is dragged, not the camera
+    camera.position.set(...(inside ? [0, 0, 0.01] : [0.8, 1.8, 2.4])).multiplyScalar(data.radius);
+    controls.update();
+    draw();
+  };
+  where.addEventListener("click", go);
+  cut.addEventListener("change", () => {
+    renderer.clippingPlanes = cut.checked ? [new Plane(new Vector3(0, -1, 0), 0.1 * data.radius)] : [];
+    draw();
+  });
+  go();
   const count = document.getElementById("number");
-  return (frame) => {
+  const show = (frame) => {
     const points = new Float32Array(bytes(frame.points));
     geometry.setAttribute("position", new BufferAttribute(points, 3));
     geometry.setAttribute("color", new BufferAttribute(new Uint8Array(bytes(frame.colors)), 3, true));
     geometry.computeBoundingSphere();
     count.textContent = points.length / 3;
+    material.size = 2 * Math.sqrt((4 * Math.PI) / Math.max(1, points.length / 3));
     draw();
   };
+  return { show, where, cut };
 }
 
-const showPanorama = panorama(), showCloud = cloud();
+const around = panorama(), points = cloud();
 const time = document.getElementById("time"), play = document.getElementById("play");
 const name = document.getElementById("frame");
 let wanted = 0, showing = Promise.resolve(), playing = null;
@@ -124,8 +168,8 @@ function go(number) {
   showing = showing.then(async () => {
     if (number !== wanted) return;
     const frame = data.frames[number];
-    await showPanorama(frame);
-    showCloud(frame);
+    await around.show(frame);
+    points.show(frame);
     name.textContent = frame.name;
     document.body.dataset.frame = number;
   });
@@ -146,5 +190,16 @@ play.addEventListener("click", () => {
   playing = !playing;
   play.textContent = playing ? "pause" : "play";
   next();
+});
+const keys = {
+  ArrowLeft: () => around.turn(0.1, 0), ArrowRight: () => around.turn(-0.1, 0),
+  ArrowUp: () => around.turn(0, 0.1), ArrowDown: () => around.turn(0, -0.1),
+  "+": () => around.zoom(0.9), "-": () => around.zoom(1.1),
+  i: () => points.where.click(), c: () => points.cut.click(), p: () => play.click(),
+};
+document.addEventListener("keydown", (event) => {
+  if (event.target.tagName === "INPUT" && event.target.type === "range" || event.ctrlKey || event.metaKey || !keys[event.key]) return;
+  event.preventDefault();
+  keys[event.key]();
 });
 go(0).then(() => { document.body.dataset.ready = "yes"; });

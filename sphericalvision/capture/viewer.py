@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.depth import Depth
 from sphericalvision.capture.pictures import near_end_of
 from sphericalvision.io.files import write_bytes
@@ -31,6 +32,8 @@ __all__ = ["Timeline", "save_viewer"]
 HERE = Path(__file__).parent
 MOST_POINTS, FEWEST_POINTS = 100_000, 20_000
 """In a page of one frame, and of each frame of many."""
+MOST_ROWS = 1536
+"""Of the panorama of the images of one frame."""
 MOST_FRAMES = 100
 """On a time line."""
 MOST_ERROR = 10.0
@@ -48,9 +51,9 @@ def save_viewer(
     """Write a self-contained HTML page of one frame and return its path; it opens from disk, without a network.
 
     Args:
-        path: of the page, about a megabyte.
+        path: of the page, one to three megabytes.
         depth: of one frame.
-        height: rows of the panoramas in it.
+        height: rows of the panoramas in it; that of the images is as fine as the images are.
         title: of the page.
         near: metres, the red end of the colours of depth; about the nearest of the frame when not given.
         truth: true depth in ``depth.directions``, metres, for a picture of errors; NaN where it is not known.
@@ -64,7 +67,7 @@ def save_viewer(
         >>> save_viewer("room.html", predictor(render_rig(make_scene("room", seed=1), rig)), height=32).name
         'room.html'
     """
-    page = Timeline(height, title, near, MOST_POINTS)
+    page = Timeline(height, title, near, MOST_POINTS, max(height, min(rows_like(depth.rig), MOST_ROWS)))
     page.add("", depth, truth)
     return page.save(path)
 
@@ -79,6 +82,7 @@ class Timeline:
         title: of the page.
         near: metres, the red end of the colours of depth; about the nearest of the first frame when not given.
         most_points: of a frame.
+        image_height: rows of the panorama of the images; as of the others when not given.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -99,7 +103,9 @@ class Timeline:
         title: str = "depth all around",
         near: float | None = None,
         most_points: int = FEWEST_POINTS,
+        image_height: int | None = None,
     ) -> None:
+        self.image_height = height if image_height is None else image_height
         self.height, self.title, self.near, self.most_points = height, title, near, most_points
         self._frames: list[dict[str, Any]] = []
         self._radius = 1.0
@@ -118,7 +124,8 @@ class Timeline:
             self.near = near_end_of(depth)
         panorama = depth.panorama(self.height)
         images = {key: image.cpu() for key, image in depth.images.items()}
-        colors, _ = rgb_panorama(depth.rig.to("cpu"), images, self.height, panorama.depth.cpu())
+        fine = panorama if self.image_height == self.height else depth.panorama(self.image_height)
+        colors, _ = rgb_panorama(depth.rig.to("cpu"), images, self.image_height, fine.depth.cpu())
         sure = panorama.confidence.where(panorama.seen, math.nan).cpu()
         strength = confidence_strength(panorama.confidence, panorama.seen).cpu()
         pictures = {
@@ -166,13 +173,30 @@ class Timeline:
             "FACTS": facts,
             # The end of a script is no end of this one, whatever a frame is called.
             "DATA": json.dumps({"frames": self._frames, "radius": self._radius}).replace("<", r"\u003c"),
-            "SCRIPT": (HERE / "viewer.min.js").read_text(encoding="utf-8"),
+            "LIBRARY": (HERE / "three.min.js").read_text(encoding="utf-8"),
+            "SCRIPT": (HERE / "viewer.js").read_text(encoding="utf-8"),
         }
         template = (HERE / "viewer.html").read_text(encoding="utf-8")
         # In one pass, so that nothing that comes from elsewhere is taken for a place of the template.
         page = re.sub("__([A-Z]+)__", lambda place: parts[place[1]], template)
         write_bytes(path, page.encode())
         return Path(path)
+
+
+def rows_like(rig: CameraRig) -> int:
+    """Return the rows of a panorama with as many pixels a radian as the finest camera has in its middle.
+
+    Examples:
+        >>> from sphericalvision.cameras import EquirectangularCamera
+        >>> rows_like(CameraRig([EquirectangularCamera((100, 200))], torch.eye(4)[None]))
+        100
+    """
+    steps = []
+    for camera in rig.to("cpu").cameras.values():
+        middle = torch.tensor(camera.image_size[::-1], dtype=torch.float32) / 2
+        here, there = camera.unproject(torch.stack((middle, middle + torch.tensor([1.0, 0.0])))).directions
+        steps.append(float((there - here).norm()))
+    return round(math.pi / min(steps))
 
 
 def _data_url(picture: npt.NDArray[Any]) -> str:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import json
 import re
@@ -58,12 +59,22 @@ def test_names_of_frames_are_data(name: str, tmp_path: Path) -> None:
     data, _, rest = rest.partition("</script>")
     assert json.loads(data)["frames"][0]["name"] == name
     assert "<" not in data
-    assert rest.count("<script>") == 1
+    assert rest.count("<script>") == 2
 
 
-def small_depth() -> Depth:
-    rig = ring_rig(2, image_size=(16, 16))
-    images = {name: np.full((16, 16), 9, np.uint8) for name in rig.names}
+def test_images_of_one_frame_are_as_fine_as_the_cameras(tmp_path: Path) -> None:
+    text = save_viewer(tmp_path / "page.html", small_depth(size=128), 16).read_text()
+    sizes = [
+        cv2.imdecode(np.frombuffer(base64.b64decode(url), np.uint8), cv2.IMREAD_COLOR).shape[:2]
+        for url in re.findall('image/jpeg;base64,([^"]+)', text)
+    ]
+    assert sizes[1:] == [(16, 32)] * 2
+    assert 90 < sizes[0][0] == sizes[0][1] / 2 < 130  # 128 pixels for 220 degrees are 105 for 180
+
+
+def small_depth(size: int = 16) -> Depth:
+    rig = ring_rig(2, image_size=(size, size))
+    images = {name: np.full((size, size), 9, np.uint8) for name in rig.names}
     return Predictor(rig, method="semi_global", level=3, min_depth=0.5)(images)
 
 
@@ -126,6 +137,24 @@ def test_both_views_show_something_and_turn_when_dragged(opened: tuple[Any, list
     assert before.std() > 5
     drag(tab, canvas)
     assert np.abs(picture(tab, canvas) - before).mean() > 1
+    assert complaints == []
+
+
+def test_points_are_seen_from_inside_first_and_the_ceiling_is_cut_on_request(
+    opened: tuple[Any, list[str]],
+) -> None:
+    tab, complaints = opened
+    seen = [picture(tab, "#cloud")]
+    for press in ("i", "c", "c", "i"):
+        tab.locator("body").press(press)
+        tab.wait_for_timeout(300)
+        seen.append(picture(tab, "#cloud"))
+    changed = [np.abs(before - after).mean() for before, after in pairwise(seen)]
+    assert min(changed) > 1
+    around = picture(tab, "#panorama")
+    tab.locator("body").press("ArrowLeft")
+    tab.wait_for_timeout(300)
+    assert np.abs(picture(tab, "#panorama") - around).mean() > 1
     assert complaints == []
 
 

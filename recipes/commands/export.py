@@ -14,6 +14,7 @@ from torch import Tensor
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.export import (
     OPSET,
+    OUTPUTS,
     RigProgram,
     compile_program,
     export_onnx,
@@ -49,44 +50,51 @@ def export(config: DictConfig, folder: Path) -> list[Path]:
     )
     print_config(config, folder)
     program = RigProgram(predictor, config.inputs, config.height, config.tables).eval()
-    images = rendered_images(predictor, program).expand(
-        config.batch or 1, *[-1] * (4 if config.inputs == "camera" else 3)
-    )
-    say(f"images {tuple(images.shape)} -> {answer_shapes(program, images)}")
+    images = rendered_images(predictor, program)
+    images = images.expand(config.batch or 1, *images.shape[1:])
+    with torch.inference_mode():
+        answer = zip(OUTPUTS, program(images), strict=True)
+    shapes = ", ".join(f"{name} {tuple(value.shape)}" for name, value in answer)
+    say(f"images {tuple(images.shape)} -> {shapes}")
     written = []
     if config.tables == "inputs":
-        written.append(save_tables(program, folder / "tables.safetensors"))
-        say(
-            f"tables: {len(rig_tables(program))} inputs besides the images, those of this rig in {written[-1].name}"
-        )
-    if not config.formats:
-        return shown(written)
+        tables = {name: table.contiguous() for name, table in rig_tables(program).items()}
+        written.append(folder / "tables.safetensors")
+        with atomic_write(written[-1]) as temporary:
+            save_file(tables, temporary)
+        say(f"tables: {len(tables)} inputs besides the images, those of this rig in {written[-1].name}")
+    if config.formats:
+        written += programs(program, images, config, folder)
+    for file in written:
+        print(file)
+    return written
+
+
+def programs(program: RigProgram, images: Tensor, config: DictConfig, folder: Path) -> list[Path]:
+    """Write the files of ``config.formats``; what each took, and how well it computes, is printed."""
+    written = []
     start = time.process_time()
+
+    def told(path: Path, what: str) -> None:
+        written.append(path)
+        size, seconds = path.stat().st_size / 1e6, time.process_time() - start
+        say(f"{path.name}: {size:.1f} MB, {seconds:.0f} s of processor time, {what}")
+
     path = folder / "depth.pt2"
     exported = export_program(program, path if "pt2" in config.formats else None, config.batch)
     operations = sum(node.op == "call_function" for node in exported.graph.nodes)
-    say(f"torch.export: {operations} operations, {time.process_time() - start:.0f} s of processor time")
     if "pt2" in config.formats:
-        written += [path, path.with_suffix(".json")]
-        say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
+        told(path, f"{operations} operations of torch")
+        written.append(path.with_suffix(".json"))
     if "compiled" in config.formats:
         start = time.process_time()
-        written.append(compile_program(exported, folder / "depth.compiled.pt2"))
-        seconds = time.process_time() - start
-        say(
-            f"{written[-1].name}: {written[-1].stat().st_size / 1e6:.1f} MB, {seconds:.0f} s of processor time and g++"
-        )
+        told(compile_program(exported, folder / "depth.compiled.pt2"), "g++ beside it")
     if "onnx" in config.formats:
         start = time.process_time()
-        written.append(export_onnx(exported, folder / "depth.onnx"))
-        size = written[-1].stat().st_size
-        seconds = time.process_time() - start
-        difference = onnx_difference(written[-1], program, images)
-        say(
-            f"{written[-1].name}: opset {OPSET}, {size / 1e6:.1f} MB, "
-            f"{seconds:.0f} s of processor time; onnxruntime differs by {difference:.1e} 1/m in inverse depth at most"
-        )
-    return shown(written)
+        path = export_onnx(exported, folder / "depth.onnx")
+        difference = onnx_difference(path, program, images)
+        told(path, f"opset {OPSET}; onnxruntime differs by {difference:.1e} 1/m in inverse depth at most")
+    return written
 
 
 def rendered_images(predictor: Predictor, program: RigProgram) -> Tensor:
@@ -95,27 +103,3 @@ def rendered_images(predictor: Predictor, program: RigProgram) -> Tensor:
     if program.inputs == "sphere":
         return predictor.inputs(rendered)[0][None]
     return torch.stack(list(rendered.values()))[None]
-
-
-def answer_shapes(program: RigProgram, images: Tensor) -> str:
-    """Names and shapes of the outputs."""
-    with torch.inference_mode():
-        answer = program(images)
-    return ", ".join(f"{name} {tuple(value.shape)}" for name, value in zip(NAMES, answer, strict=True))
-
-
-def save_tables(program: RigProgram, path: Path) -> Path:
-    """Write the inputs that are not images."""
-    with atomic_write(path) as temporary:
-        save_file({name: table.contiguous() for name, table in rig_tables(program).items()}, temporary)
-    return path
-
-
-def shown(written: list[Path]) -> list[Path]:
-    """Print the paths of files, which are the result."""
-    for file in written:
-        print(file)
-    return written
-
-
-NAMES = ("inverse_depth", "confidence", "seen")

@@ -29,6 +29,7 @@ from sphericalvision.sweep import inverse_depth_from_index
 
 __all__ = [
     "INPUTS",
+    "OUTPUTS",
     "TABLES",
     "RigProgram",
     "compile_program",
@@ -42,6 +43,7 @@ __all__ = [
 ]
 
 INPUTS = ("camera", "sphere")
+OUTPUTS = ("inverse_depth", "confidence", "seen")
 TABLES = ("inside", "inputs")
 OPSET = 20
 DESCRIPTION = "description"
@@ -330,7 +332,6 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
         import onnxscript  # noqa: F401
     except ImportError as error:
         raise ArgumentError(f"onnx: needs {error.name}: pip install 'sphericalvision[onnx]'") from None
-    names = ["inverse_depth", "confidence", "seen"]
     inputs, _ = exported.example_inputs
     with quiet(), atomic_write(path) as temporary:
         # The optimiser of the converter does not end on programs of this size; runtimes optimise what they load.
@@ -341,7 +342,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
             verbose=False,
             opset_version=OPSET,
             input_names=["images", *(f"rig.{name}" for tables in inputs[1:] for name in tables)],
-            output_names=names,
+            output_names=OUTPUTS,
         )
         assert converted is not None
         converted.model.metadata_props.update(exported.graph_module.meta.get(DESCRIPTION, {}))

@@ -92,26 +92,15 @@ def _photograph(name: str, image: Any, size: tuple[int, int], channels: str) -> 
 def _scaled(name: str, image: Any) -> Tensor:
     """The values as float32 in [0, 1]."""
     array = image if isinstance(image, Tensor) else np.asarray(image)
-    integer = not array.is_floating_point() if isinstance(array, Tensor) else array.dtype.kind in "ui"
-    if isinstance(array, np.ndarray):
-        if array.dtype.kind not in "uf":
-            raise ArgumentError(
-                f"images[{name!r}]: expected uint8, uint16 or float in [0, 1], got {array.dtype}"
-            )
-        greatest = np.iinfo(array.dtype).max if integer else 1
-        kind = np.uint8 if array.dtype == np.uint8 else np.float32
-        array = torch.from_numpy(np.require(array, kind, ["C", "W"]))  # torch takes none that is read-only
-    elif integer:
-        if array.dtype not in (torch.uint8, torch.uint16):
-            raise ArgumentError(
-                f"images[{name!r}]: expected uint8, uint16 or float in [0, 1], got {array.dtype}"
-            )
-        greatest = torch.iinfo(array.dtype).max
-    else:
-        greatest = 1
+    kind = str(array.dtype).removeprefix("torch.")
+    bits = kind.removeprefix("uint") if kind.startswith("uint") else None
+    if bits is None and "float" not in kind:
+        raise ArgumentError(f"images[{name!r}]: expected uint8, uint16 or float in [0, 1], got {array.dtype}")
+    if isinstance(array, np.ndarray):  # torch takes none that is read-only
+        array = torch.from_numpy(np.require(array, np.uint8 if bits == "8" else np.float32, ["C", "W"]))
     values = array.float()
-    if integer:
-        return values / greatest
+    if bits is not None:
+        return values / (2 ** int(bits) - 1)
     if values.numel():
         least, most = (float(value) for value in values.detach().aminmax())
         if not (least >= -0.01 and most <= 1.01):  # also where one is NaN

@@ -20,6 +20,7 @@ from sphericalvision.sweep import photo_consistency_share, semi_global_sweep, se
 __all__ = [
     "PhotoConsistency",
     "capture_warnings",
+    "exposure_warning",
     "hypotheses_warning",
     "overlap_warning",
     "pose_agreement",
@@ -31,6 +32,8 @@ LEVEL, HYPOTHESES = 5, 24
 ENOUGH_SEEN = 0.9
 FAR, SURE = 4.0, 0.5
 """How many times the nearest depth the nearest surface may be away; the confidence from which an answer counts."""
+DARK = 0.12
+"""Of white: 12 bits in 16 are up to a sixteenth."""
 JUDGED_WITH = 16
 """Hypotheses that depth maps are judged with."""
 CLEARLY = 1.25
@@ -40,8 +43,8 @@ CLEARLY = 1.25
 def capture_warnings(depth: Depth) -> list[str]:
     """Return sentences about a frame that say what is probably wrong and what to do; none where all is well.
 
-    Looked at are how much of the sphere two cameras see, how many hypotheses lie nearer than anything, and whether the
-    images agree better when the poses are taken the other way round, as camera-from-world.
+    Looked at are how much of the sphere two cameras see, how dark the images are, how many hypotheses lie nearer than
+    anything, and whether the images agree better when the poses are taken the other way round, as camera-from-world.
 
     Args:
         depth: of one frame.
@@ -55,7 +58,7 @@ def capture_warnings(depth: Depth) -> list[str]:
         >>> len(capture_warnings(predictor(render_rig(make_scene("room", seed=1), rig))))
         1
     """
-    found = (overlap_warning(depth), hypotheses_warning(depth), poses_warning(depth))
+    found = (overlap_warning(depth), *(warning(depth) for warning in OF_A_FRAME))
     return [sentence for sentence in found if sentence is not None]
 
 
@@ -82,6 +85,17 @@ def hypotheses_warning(depth: Depth) -> str | None:
     return (
         f"Nothing is nearer than about {nearest:.2f} m: {100 * (1 - depth.min_depth / nearest):.0f} % of the "
         f"hypotheses are wasted between that and min_depth = {depth.min_depth:.2f} m; min_depth=scene finds better."
+    )
+
+
+def exposure_warning(depth: Depth) -> str | None:
+    """Return what to say if all images use a small part of the range of their values."""
+    brightest = max(float(image.float().flatten()[::97].quantile(0.99)) for image in depth.images.values())
+    if brightest >= DARK:
+        return None
+    return (
+        f"The images are dark: nearly all values are below {brightest:.3f} of white, where depth is less exact. "
+        "Of 12 bits that are stored in 16, multiply the values by 16; otherwise expose longer."
     )
 
 
@@ -124,6 +138,10 @@ def pose_agreement(images: Mapping[str, Float[Tensor, "3 _ _"]], rig: CameraRig)
         intake(images)[None], rig, HYPOTHESES, nearest, level=LEVEL - 1, substeps=1, seen=intake.seen
     )
     return float((estimate.confidence * estimate.seen).sum() / estimate.seen.sum().clamp(min=1))
+
+
+OF_A_FRAME = (exposure_warning, hypotheses_warning, poses_warning)
+"""What is asked of the first frame, whatever two cameras see of it."""
 
 
 class PhotoConsistency:

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.capture import Depth, DepthImage
-from sphericalvision.capture.checks import PhotoConsistency, hypotheses_warning, poses_warning
+from sphericalvision.capture.checks import OF_A_FRAME, PhotoConsistency
 from sphericalvision.capture.pictures import depth_picture, near_end_of
 from sphericalvision.capture.rerun_log import RerunLog
 from sphericalvision.capture.viewer import Timeline, save_viewer
@@ -278,7 +278,7 @@ class Outputs:
 
     def _warn(self, depth: Depth) -> None:
         """Say what is probably wrong, told from the first frame."""
-        for warning in (hypotheses_warning(depth), poses_warning(depth)):
+        for warning in (ask(depth) for ask in OF_A_FRAME):
             if warning is not None:
                 self.warnings.append(warning)
 

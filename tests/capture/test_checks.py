@@ -49,6 +49,13 @@ def test_wasted_hypotheses_are_told() -> None:
     assert "min_depth = 0.10 m" in warning
 
 
+def test_twelve_bits_in_sixteen_are_told() -> None:
+    depth = depth_of(RING, "room", 0.55)
+    dark = {name: image / 16 for name, image in depth.images.items()}
+    (warning,) = capture_warnings(replace(depth, images=dark))
+    assert "12 bits" in warning
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_inverted_poses_are_told(seed: int) -> None:
     rig = scattered(seed)

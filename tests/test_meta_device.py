@@ -254,6 +254,9 @@ CALLS: dict[str, Callable[[], Any]] = {
         models.OmniMVS(16, feature_channels=4, output_size=(16, 64)), m(1, 4, 1, 24, 24), rig()
     ),
     "RefinedSweepNet": lambda: run(models.RefinedSweepNet(5), m(1, 4, 3, 10242), rig()),
+    "RomniStereo": lambda: run(
+        models.RomniStereo(16, feature_channels=4, output_size=(16, 64)), m(1, 4, 1, 24, 24), rig()
+    ),
     "SemiGlobalSweep": lambda: run(models.SemiGlobalSweep(4, 8), m(1, 4, 3, 2562), rig()),
     "ConstantDepth": lambda: run(models.ConstantDepth(4, 8), m(1, 4, 3, 2562), rig()),
     "WinnerTakesAll": lambda: run(models.WinnerTakesAll(4, 8), m(1, 4, 3, 2562), rig()),
@@ -328,6 +331,7 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("read_image", "write_image", "read_mesh_scene", "write_omnistereo"), FILES),
     **dict.fromkeys(("OmniStereoDataset", "available_weights", "pretrained", "load_weights"), FILES),
     **dict.fromkeys(("load_reference_checkpoint", "save_weights", "save_point_cloud"), FILES),
+    "load_romnistereo_checkpoint": FILES,
     **dict.fromkeys(("field_of_view", "overlap", "level_from_num_vertices", "num_icosphere_vertices"), NUMBERS),
     **dict.fromkeys(("calibrate_camera", "convert", "fit_inverse_polynomial", "refine", "refine_rig"), FIT),
     **dict.fromkeys(("RayMatcher", "RayMatches", "Trajectory", "align_rig", "read_trajectory"), "features and files"),

@@ -136,7 +136,7 @@ class RomniStereo(DepthNetwork):
         index = indices[-1].clamp(0, self.num_hypotheses - 1)
         moved = (indices[-1] - indices[-2] if len(indices) > 1 else indices[-1]).abs()
         # What was seen is told by the point in whose square of four pixels the nearest sphere is.
-        coarse = F.avg_pool2d(index.detach(), 2) / self.sweep.every
+        coarse = F.avg_pool2d(index.detach()[:, None], 2).squeeze(1) / self.sweep.every
         sphere = coarse.round().long().clamp(max=tables.seen.shape[-3] - 1)
         views = self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3).sum(-3)
         both = (views >= 2).repeat_interleave(2, -2).repeat_interleave(2, -1)

@@ -38,6 +38,11 @@ def plain_errors() -> Iterator[None]:
     """
     try:
         yield
+    except BrokenPipeError:  # whoever read, as in "... --help | head -1", has read enough
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # what is left to be flushed goes nowhere
+        raise SystemExit(128 + 13) from None  # as a program that SIGPIPE ends
     except KeyboardInterrupt:
         print("\nInterrupted.", file=sys.stderr)
         raise SystemExit(130) from None

@@ -110,3 +110,18 @@ main()
     assert result.returncode == 1
     (line,) = result.stderr.splitlines()
     assert "pip install 'sphericalvision[recipes]'" in line
+
+
+def test_a_reader_that_has_read_enough_is_no_fault() -> None:
+    """``sphericalvision-predict --help | head -1``: the status of a program that a closed pipe ends, and no message."""
+    program = (
+        "import sys; from sphericalvision.recipes.predict import main; sys.argv[1:] = ['--help']; main()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait() == 128 + 13

@@ -50,7 +50,7 @@ def align(config: DictConfig) -> RigTurns:
         found = Predictor(source.rig, level=LEVEL, device=choose_device(config.device)).judge(frames)
     _print(source.rig, found, frames)
     print(f"alignment {found.described()} ({len(frames)} frame(s), {time.perf_counter() - start:.1f} s).")
-    if found.turned and not config.check:
+    if not config.check and found.turned:
         Path(config.output).parent.mkdir(parents=True, exist_ok=True)
         save_rig(found.rig.to("cpu"), config.output, config.format)
         print(config.output)

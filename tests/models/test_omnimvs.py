@@ -331,7 +331,7 @@ def test_mistakes_are_named(generator: torch.Generator) -> None:
     net = small_net()
     with pytest.raises(ShapeError, match=r"\(B, 3, 3, H, W\) for 3 cameras"):
         net(images(generator, num_cameras=2), small_rig(2))
-    with pytest.raises(ShapeError, match="calibrated for 24 x 30"):
+    with pytest.raises(ShapeError, match="images are 24 x 30"):
         net(torch.zeros(1, 3, 3, 30, 24), small_rig())
     with pytest.raises(ShapeError, match="rig has 2"):
         net(images(generator), small_rig(2))

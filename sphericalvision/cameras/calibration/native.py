@@ -191,7 +191,7 @@ register_format(
         "the package's own YAML (save_camera, save_rig)",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
-        ignored="",
+        ignored="config|dataset",  # of data sets, whose config.yaml may hold a rig of this kind
         usual_names=("rig.yaml",),
         write_camera=write_camera,
         write_rig=write_rig,

@@ -9,10 +9,10 @@ folders.
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -38,17 +38,22 @@ def first_sentence(doc: str | None) -> str:
     ).replace("|", "\\|")
 
 
+def home(module_name: str, name: str) -> str:
+    """The module where a name that a package hands on is written, which its stub tells."""
+    module = importlib.import_module(module_name)
+    stub = Path(module.__file__ or "").with_suffix(".pyi")
+    for node in ast.parse(stub.read_text()).body if stub.exists() else ():
+        if isinstance(node, ast.ImportFrom) and any(alias.name == name for alias in node.names):
+            inner = f"{module_name}.{node.module}" if node.module else f"{module_name}.{name}"
+            return home(inner, name) if node.module else inner
+    return getattr(inspect.getmodule(getattr(module, name)), "__name__", None) or module_name
+
+
 def exported(module_name: str, homes: str | None = None) -> list[str]:
     """Names that a package exports; of some of its files and folders alone, if ``homes`` lists them."""
-    package = importlib.import_module(module_name)
-    if homes is None:
-        return list(package.__all__)
-    places = tuple(f"{module_name}.{home.strip()}." for home in homes.split(","))
-    return [
-        name
-        for name in package.__all__
-        if f"{getattr(inspect.getmodule(getattr(package, name)), '__name__', '')}.".startswith(places)
-    ]
+    names = importlib.import_module(module_name).__all__
+    places = tuple(f"{module_name}.{place.strip()}." for place in (homes or "").split(","))
+    return [name for name in names if homes is None or f"{home(module_name, name)}.".startswith(places)]
 
 
 def names_tables(module_name: str, names: list[str]) -> str:
@@ -56,18 +61,14 @@ def names_tables(module_name: str, names: list[str]) -> str:
     package = importlib.import_module(module_name)
     themes: dict[str, list[str]] = {}
     for name in names:
-        value = getattr(package, name)
-        home = inspect.getmodule(value)
+        value, place = getattr(package, name), home(module_name, name)
+        described = inspect.isroutine(value) or inspect.isclass(value) or inspect.ismodule(value)
         theme = (
-            first_sentence(home.__doc__)
-            if home is not None and home is not package
-            else "Constants and types."
+            first_sentence(importlib.import_module(place).__doc__) if described else "Constants and types."
         )
-        doc = value.__doc__ if inspect.isroutine(value) or inspect.isclass(value) else None
-        address = (
-            f"{home.__name__}.{name}" if home and is_hidden(module_name, name) else f"{module_name}.{name}"
-        )
-        themes.setdefault(theme, []).append(f"| [`{name}`](#{address}) | {first_sentence(doc)} |")
+        address = place if inspect.ismodule(value) else f"{place}.{name}"
+        doc = first_sentence(value.__doc__) if described else ""
+        themes.setdefault(theme, []).append(f"| [`{name}`](#{address}) | {doc} |")
     parts = [
         f"**{theme.rstrip('.')}**\n\n| name | |\n|---|---|\n" + "\n".join(rows)
         for theme, rows in sorted(themes.items(), key=lambda item: item[0].startswith("Constants"))
@@ -75,37 +76,29 @@ def names_tables(module_name: str, names: list[str]) -> str:
     return "\n\n".join(parts)
 
 
-def is_hidden(module_name: str, name: str) -> bool:
-    """Whether a package exports a function whose file has the same name: Griffe sees the file alone."""
-    value = getattr(importlib.import_module(module_name), name)
-    home = inspect.getmodule(value)
-    if home is None or home.__name__.rpartition(".")[2] != name:
-        return False
-    parent = home.__name__.rpartition(".")[0]
-    return parent == module_name or getattr(sys.modules[parent], name, None) is value
-
-
-def hidden_names(module_name: str, names: list[str]) -> str:
-    """Blocks for the functions that ``is_hidden`` tells."""
+def described_names(module_name: str, names: list[str]) -> str:
+    """A block for each name at the place where it is written: packages hand names on lazily, and Griffe reads files."""
     package = importlib.import_module(module_name)
-    hidden = [name for name in names if is_hidden(module_name, name)]
-    return "".join(f"\n\n::: {getattr(package, name).__module__}.{name}" for name in hidden)
+    blocks = []
+    for name in names:
+        place = home(module_name, name)
+        if inspect.ismodule(getattr(package, name)):
+            blocks.append(f"::: {place}\n    options: {{members: false}}")
+        else:
+            blocks.append(f"::: {place}.{name}")
+    return "\n\n".join(blocks)
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
     """Put the tables of names above what MkDocs makes of the docstrings."""
     if not page.file.src_uri.startswith("api/"):
         return markdown
-    hidden = []
 
     def block(found: re.Match[str]) -> str:
         names = exported(found[1], found[2])
-        hidden.append(hidden_names(found[1], names))
-        options = "show_root_heading: false, show_root_toc_entry: false, show_submodules: false"
-        members = f", members: [{', '.join(names)}]" if found[2] else ""
-        return f"{names_tables(found[1], names)}\n\n::: {found[1]}\n    options: {{{options}{members}}}"
+        return f"{names_tables(found[1], names)}\n\n{described_names(found[1], names)}"
 
-    return re.sub(BLOCK, block, markdown, flags=re.M) + "".join(hidden)
+    return re.sub(BLOCK, block, markdown, flags=re.M)
 
 
 def type_of(key: Key, path: Path) -> str:

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -65,3 +68,14 @@ def test_every_public_camera_name_is_on_one_page_of_the_api(monkeypatch: pytest.
     parts = [part for page in pages for part in re.findall(reference_pages.BLOCK, page, re.M)]
     names = [name for package, homes in parts if homes for name in reference_pages.exported(package, homes)]
     assert sorted(names) == sorted(reference_pages.exported("sphericalvision.cameras"))
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
+    """``make docs``: every name of the API is found, and every link inside a page leads somewhere."""
+    pytest.importorskip("mkdocs")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr[-2000:]
+    assert 'id="sphericalvision.cameras.rig.CameraRig"' in (tmp_path / "api" / "cameras.html").read_text()

@@ -78,7 +78,9 @@ def noted(value: Any, known: dict[int, Any] | None = None) -> Any:
     return several
 
 
-def check_understood(content: Any, where: str, ignored: str, way: str = "") -> None:
+def check_understood(
+    content: Any, where: str, ignored: str, way: str = "", lists: frozenset[int] = frozenset()
+) -> None:
     """Raise for a key that was not read and may matter.
 
     Args:
@@ -87,20 +89,21 @@ def check_understood(content: Any, where: str, ignored: str, way: str = "") -> N
         ignored: what does not matter in this format, as a regular expression for the whole way to a key, ``a/b`` being
             the key b in that of a; places in lists do not count.
         way: to ``content``.
+        lists: those that ``content`` lies in: by aliases of YAML a list may hold itself.
 
     Raises:
         FileFormatError: there is one; the message names it.
     """
-    if isinstance(content, list):
+    if isinstance(content, list) and id(content) not in lists:
         for inner in content:
-            check_understood(inner, where, ignored, way)
+            check_understood(inner, where, ignored, way, lists | {id(content)})
     if not isinstance(content, Keys):
         return
     read, content.read = content.read, set(content)  # what stands at two places is looked at once
     for key, value in content.items():
         name = f"{way}{key}"
         if key in read:
-            check_understood(value, where, ignored, f"{name}/")
+            check_understood(value, where, ignored, f"{name}/", lists)
         elif similar := get_close_matches(str(key), content.missed - set(content), 1, 0.85):
             raise FileFormatError(
                 f"{where}: the key {short_repr(name)} is not known; correct it to {similar[0]!r}, or remove it"

@@ -44,6 +44,7 @@ from tests.cameras.calibration_samples import (
     transforms,
 )
 from tests.cameras.test_damaged_files import CONTENTS, TEXTS, places
+from tests.cameras.test_survey_files import CALIBRATION, CHUNK
 
 Found = dict[str, Any] | str
 
@@ -144,6 +145,60 @@ def test_each_key_is_understood_or_refused_by_name(tmp_path: Path, name: str) ->
             ), told
         elif not (kind == "removed" and re.fullmatch(COMPLETE_WITHOUT.get(name, ""), last)):
             assert same(intact, found), told
+
+
+NAMES = {  # of elements and attributes, or of keys, in files that are neither YAML nor JSON
+    ".xml": r"<([A-Za-z_][\w:.-]*)|\s([A-Za-z_][\w:.-]*)=\"",
+    ".xmp": r"<([A-Za-z_][\w:.-]*)|\s([A-Za-z_][\w:.-]*)=\"",
+    ".txt": r"(?m)^(\w+):|()$",
+    ".cameramodel": r"'(\w+)'\s*:|\b(\w+)\s*:",
+}
+OTHER_TEXTS = {
+    **{
+        name: TEXTS[name]
+        for name in ("calib_cam_to_cam.txt", "image001.xmp", "front.cameramodel", "plain.xml")
+    },
+    "lens.xml": CALIBRATION,
+    "chunk.xml": CHUNK,
+}
+MAY_BE_REMOVED = {  # Metashape leaves out what it did not estimate, and a chunk may have no scale
+    "image001.xmp": "xcr:AspectRatio",
+    "lens.xml": r"c[xy]|[kpb]\d",
+    "chunk.xml": r"c[xy]|[kp]\d|camera|transform|scale",
+}
+
+
+def text_damages(text: str, suffix: str) -> Iterator[tuple[str, str, str]]:
+    """A kind of damage, the name, and the text: misspelt everywhere, removed once, or with a neighbour like it."""
+    for name in dict.fromkeys(found[1] or found[2] for found in re.finditer(NAMES[suffix], text) if found[0]):
+        middle, word = (len(name) + 1) // 2, re.escape(name)
+        for other in (f"{name}s", name[:middle] + name[middle + 1 :]):
+            if other:
+                yield "misspelt", name, re.sub(rf"(?<![\w:.-]){word}(?![\w:.-])", other, text)
+        for kind, old, new in (
+            ("removed", rf"(?s)<{word}(\s[^>]*)?/>|<{word}(\s[^>]*)?>.*?</{word}>", ""),
+            ("removed", rf"\s{word}=\"[^\"]*\"", ""),
+            ("removed", rf"(?m)^{word}:.*\n", ""),
+            ("neighbour", rf"(\s){word}=\"([^\"]*)\"", rf'\1{name}="\2" {name}2="9\2"'),
+            ("neighbour", rf"(?s)(<{word}(?:\s[^>]*)?>([^<]*)</{word}>)", rf"\1<{name}2>9\2</{name}2>"),
+            ("neighbour", rf"(?m)^{word}(:.*\n)", rf"{name}\1{name}2\1"),
+        ):
+            yield kind, name, re.sub(old, new, text, count=1)
+
+
+@pytest.mark.parametrize("name", OTHER_TEXTS)
+def test_each_name_of_other_files_is_understood_or_refused(tmp_path: Path, name: str) -> None:
+    path, text = tmp_path / name, OTHER_TEXTS[name]
+    path.write_text(text)
+    intact, tried = read(path), 0
+    assert not isinstance(intact, str), intact
+    for kind, key, damaged in text_damages(text, path.suffix):
+        if damaged == text or (kind == "removed" and re.fullmatch(MAY_BE_REMOVED.get(name, ""), key)):
+            continue
+        path.write_text(damaged)
+        found, tried = read(path), tried + 1
+        assert isinstance(found, str) or same(intact, found), f"{kind}: {key}: {found}"
+    assert tried > 10
 
 
 @pytest.mark.parametrize("name", CONTENTS)

@@ -78,7 +78,7 @@ def _camera(values: dict[str, str], path: Path, options: Options) -> Camera:
         return numbers(found.split(), f"{path}, {key}", count)
 
     kind = values.get("DistortionModel", "perspective")
-    coefficients = get("DistortionCoeficients", "0 0 0 0 0 0", None)
+    coefficients = get("DistortionCoeficients", None if kind in _MODELS[1:] else "0 0 0 0 0 0", None)
     if len(coefficients) > 6:
         raise FileFormatError(
             f"{path}, DistortionCoeficients: expected 6 numbers at most, got {len(coefficients)}"
@@ -95,9 +95,10 @@ def _camera(values: dict[str, str], path: Path, options: Options) -> Camera:
     side = max(height, width)
     focal = get("FocalLength35mm")[0] * side / 36
     aspect = get("AspectRatio", "1")[0]
+    middle = None if "PrincipalPointU" in values or "PrincipalPointV" in values else "0"  # both or none
     center = [
-        width / 2 + get("PrincipalPointU", "0")[0] * side - 0.5,
-        height / 2 + get("PrincipalPointV", "0")[0] * side - 0.5,
+        width / 2 + get("PrincipalPointU", middle)[0] * side - 0.5,
+        height / 2 + get("PrincipalPointV", middle)[0] * side - 0.5,
     ]
     plane = [focal, focal * aspect, *center]
     if not any(coefficients):

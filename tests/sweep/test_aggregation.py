@@ -94,5 +94,5 @@ def test_a_name_belongs_to_one_class() -> None:
 
     with pytest.raises(ArgumentError, match=r"'variance' is .*MeanVariance already"):
         register_aggregation("variance", Other)
-    with pytest.raises(ArgumentError, match=r"aggregation.*'concatenation', 'variance'.*'median'"):
+    with pytest.raises(ArgumentError, match=r"aggregation.*'concatenation'.*'variance'.*'median'"):
         named_aggregation("median", 3, 4)

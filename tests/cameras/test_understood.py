@@ -135,6 +135,9 @@ def test_each_key_is_understood_or_refused_by_name(tmp_path: Path, name: str) ->
     path.write_text(write(content, name))
     intact = read(path)
     assert not isinstance(intact, str), intact
+    if isinstance(content, dict):
+        path.write_text(write({"_source": "a comment, as JSON has it", **content}, name))
+        assert same(intact, read(path))
     for kind, last, key, damaged in damages(content):
         path.write_text(write(damaged, name))
         found = read(path)

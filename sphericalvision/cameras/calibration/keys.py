@@ -116,6 +116,8 @@ def check_understood(
 
 
 def _never_matters(key: str) -> bool:
+    if key.startswith("_"):  # how a comment is written in JSON, which has none
+        return True
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", key)]
     if any(map(_NEVER_MATTER.fullmatch, words)) or _NAMES.fullmatch(key):
         return True

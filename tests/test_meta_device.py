@@ -334,7 +334,7 @@ EXCEPTIONS: dict[str, str] = {
     "load_romnistereo_checkpoint": FILES,
     **dict.fromkeys(("field_of_view", "overlap", "level_from_num_vertices", "num_icosphere_vertices"), NUMBERS),
     **dict.fromkeys(("calibrate_camera", "convert", "fit_inverse_polynomial", "refine", "refine_rig"), FIT),
-    **dict.fromkeys(("RayMatcher", "RayMatches", "Trajectory", "align_rig", "read_trajectory"), "features and files"),
+    **dict.fromkeys(("Trajectory", "read_trajectory"), "features and files"),
     **dict.fromkeys(("PhotometricCalibration", "align_rig_direct", "calibrate_photometry"), FIT),
     **dict.fromkeys(("OwnBody", "Preparation", "find_own_body"), "looks at images by OpenCV"),
     **dict.fromkeys(("from_kornia", "to_kornia"), "looks whether the other library's class can hold the numbers"),

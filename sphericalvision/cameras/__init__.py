@@ -11,9 +11,6 @@ _own, __dir__, __all__ = attach_stub(__name__, __file__)
 _MOVED = (
     "OwnBody",
     "PhotometricCalibration",
-    "RayMatcher",
-    "RayMatches",
-    "align_rig",
     "align_rig_direct",
     "calibrate_camera",
     "calibrate_photometry",

@@ -1,8 +1,5 @@
-from .calibrating.align import RayMatches as RayMatches
-from .calibrating.align import align_rig as align_rig
 from .calibrating.calibrate import calibrate_camera as calibrate_camera
 from .calibrating.direct_alignment import align_rig_direct as align_rig_direct
-from .calibrating.matching import RayMatcher as RayMatcher
 from .calibrating.refine import refine as refine
 from .calibrating.refine import refine_rig as refine_rig
 from .depth import Depth as Depth

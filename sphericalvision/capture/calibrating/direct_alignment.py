@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Orientations of a rig's cameras from brightness alone: images must agree where depth is about known.
 
-Where ``align_rig`` needs a few hundred matched features, of several frames, this compares all directions of one frame.
-What is compared are images without shading: a band of spatial frequencies, over its local contrast. Neither exposure
-nor vignetting remain, which would pull cameras towards each other's shade.
+All directions of one frame are compared: no features have to be found and matched. What is compared are images without
+shading: a band of spatial frequencies, over its local contrast. Neither exposure nor vignetting remain, which would
+pull cameras towards each other's shade.
 
 Convention:
-    ``turns`` are rotation vectors in the world, as of ``align_rig``: a camera that looks along d by the calibration
-    looks along ``exp(turn) @ d`` in truth.
+    ``turns`` are rotation vectors in the world: a camera that looks along d by the calibration looks along
+    ``exp(turn) @ d`` in truth.
 """
 
 from __future__ import annotations

@@ -155,7 +155,7 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
     """Words that make a command small: few and small frames, few steps, narrow networks."""
     if recipe == "benchmark":
         return BENCHMARK
-    if recipe in ("align", "convert", "calibrate", "digits_table", "export"):
+    if recipe in ("align", "convert", "calibrate", "export"):
         return []
     if "preset=benchmark" in words:
         return [*METHODS, f"benchmark.cache_dir={cache}"]

@@ -65,9 +65,7 @@ def override_message(error: Exception, command: str) -> str:
         if group.partition("/")[0] == "rig":
             extra = "; a calibration file is rig=file rig.path=..."
         return f"{group}={option}: there is no such option{extra}; known are {known}"
-    program = f"sphericalvision-{command}"
-    if command in ("demo", "digits_table"):
-        program = f"python -m sphericalvision.recipes.{command}"
+    program = "python -m sphericalvision.recipes.demo" if command == "demo" else f"sphericalvision-{command}"
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown[1]
         known_keys = keys_of(compose(command))

@@ -38,11 +38,14 @@ class MultirunTable(Callback):
 
 
 def multirun_rows(folder: Path) -> list[dict[str, Any]]:
-    """A row for each run that has ended: its number, the words that differ between runs, and its validation."""
+    """A row for each run that has ended: its number, the words that differ between runs, its validation and test."""
     runs = []
     for path in folder.glob("*/validation.json"):
         words = OmegaConf.load(path.parent / ".hydra" / "overrides.yaml")
         (values,) = json.loads(path.read_text()).values()
+        if (tested := path.with_name("test.json")).is_file():
+            (others,) = json.loads(tested.read_text()).values()
+            values |= {f"test {name}": value for name, value in others.items()}
         runs.append((path.parent.name, dict(str(word).split("=", 1) for word in words), values))
     runs.sort(key=lambda run: (len(run[0]), run[0]))
     differ = [

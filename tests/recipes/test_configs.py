@@ -187,7 +187,6 @@ def test_every_key_is_explained(path: Path) -> None:
         "align",
         "inspect",
         "demo",
-        "digits_table",
     ],
 )
 def test_every_command_composes(name: str) -> None:

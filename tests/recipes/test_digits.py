@@ -18,7 +18,6 @@ from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere, 
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SphereClassifier
 from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS, network_grid
-from sphericalvision.recipes.commands.digits_table import DigitsRun, table
 from sphericalvision.recipes.digits.aligned import AlignedCrownClassifier, AlignedCrownConv2d
 from sphericalvision.recipes.digits.datamodule import NUM_DIGITS, DigitsDataModule
 from sphericalvision.recipes.digits.dataset import SphericalDigits, draw_on_sphere, load_digits
@@ -122,26 +121,17 @@ def test_a_turn_by_columns_is_nothing_without_a_seam(network: str, invariant: bo
     assert (difference < 1e-5) == invariant
 
 
-@pytest.mark.parametrize("network", SPHERE_NETWORKS)
-def test_training_and_table(run: Run, tmp_path: Path, network: str) -> None:
-    """The same command as for depth; two runs of one network become a row of the table."""
-    for orientation in ("upright", "rotated"):
-        words = (f"model.network={network}", f"data.orientation={orientation}")
-        run("train", *TINY, *words, f"output=runs/{orientation}")
-    folder = tmp_path / "runs/upright"
-    assert (folder / "checkpoints/best.ckpt").is_file()
-    (tested,) = json.loads((folder / "test.json").read_text()).values()
-    assert set(tested) == {"upright", "rotated"}
-    assert ClassificationModule.stored_network(folder / "checkpoints/best.ckpt").network == network
-
-    run("digits_table", "runs=runs")
-    row = json.loads((tmp_path / "runs/digits.json").read_text())[network]
-    assert row["N/N"] == pytest.approx(tested["upright"])
-    assert row["N/R"] == pytest.approx(tested["rotated"])
-    assert {"parameters", "N/N", "N/R", "R/R", "R/N"} == set(row)
-    assert (
-        (tmp_path / "runs/digits.md").read_text().startswith("| convolution | parameters | N/N | N/R | R/R")
-    )
+def test_a_sweep_of_all_networks_ends_with_the_table_of_their_tests(run: Run, tmp_path: Path) -> None:
+    """The same command as for depth; each run is a row."""
+    run("train", "--multirun", *TINY, f"model.network={','.join(SPHERE_NETWORKS)}", "hydra.sweep.dir=runs")
+    rows = json.loads((tmp_path / "runs/sweep.json").read_text())
+    assert [row["model.network"] for row in rows] == list(SPHERE_NETWORKS)
+    for row in rows:
+        folder = tmp_path / "runs" / row["run"]
+        (tested,) = json.loads((folder / "test.json").read_text()).values()
+        assert tested == {kind: row[f"test {kind}"] for kind in ("upright", "rotated")}
+        best = ClassificationModule.stored_network(folder / "checkpoints/best.ckpt")
+        assert best.network == row["model.network"]
 
 
 def test_test_accuracies_are_those_of_a_loop(run: Run, tmp_path: Path) -> None:
@@ -201,20 +191,12 @@ def test_aligned_crowns_convolve_as_hexagons_do_away_from_borders() -> None:
     assert sum(isinstance(layer, AlignedCrownConv2d) for layer in net.modules()) == 4
 
 
-def test_runs_that_only_differ_in_their_seed_are_averaged() -> None:
-    runs = [
-        DigitsRun("hex", 9, "upright", {"upright": accuracy, "rotated": 10.0}) for accuracy in (90.0, 94.0)
-    ]
-    assert table(runs) == {"hex": {"parameters": 9, "N/N": 92.0, "N/R": 10.0}}
-
-
 def test_mistakes_are_told(failing: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "damaged.ckpt").write_bytes(b"no checkpoint")
     message = failing("train", *TINY, f"resume={tmp_path / 'damaged.ckpt'}")
     assert "damaged.ckpt is not a checkpoint of sphericalvision-train" in message
     assert "expected one of 'upright', 'rotated'" in failing("train", *TINY, "data.orientation=tilted")
     assert "level: expected 3 or more" in failing("train", *TINY, "model.level=2")
-    assert "--multirun" in failing("digits_table", f"runs={tmp_path}")
     assert network_grid("sphere", 3).shape == (16, 32)
 
 

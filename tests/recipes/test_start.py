@@ -26,7 +26,6 @@ COMMANDS = {
     "demo": (*LIGHTNING, "sklearn"),
     "train": ("sklearn", "trimesh"),
     "evaluate": ("tensorboard", "sklearn", "trimesh"),
-    "digits_table": (*LIGHTNING, "trimesh"),
 }
 """Command -> what its work must not import; its files in ``recipes/commands`` import the rest."""
 
@@ -40,7 +39,7 @@ def imported(program: str) -> set[str]:
     return set(result.stdout.rpartition("MODULES ")[2].split())
 
 
-SLOW = ("train", "evaluate", "demo", "digits_table")
+SLOW = ("train", "evaluate", "demo")
 
 
 @pytest.mark.parametrize(

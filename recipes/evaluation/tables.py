@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables: the same cells as Markdown, CSV, LaTeX, HTML, and on the console."""
+"""Tables: the same cells as Markdown, CSV, HTML, and on the console."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Cell(NamedTuple):
     interval: tuple[float, float] | None = None
     best: bool = False
 
-    def text(self, sign: str = " ± ") -> str:
+    def text(self) -> str:
         """For reading.
 
         Examples:
@@ -48,7 +48,7 @@ class Cell(NamedTuple):
         """
         text = f"**{self.mean:.{self.digits}f}**" if self.best else f"{self.mean:.{self.digits}f}"
         if self.spread is not None:
-            text += f"{sign}{self.spread:.{self.digits}f}"
+            text += f" ± {self.spread:.{self.digits}f}"
         if self.interval is not None:
             text += f" ({'–'.join(f'{bound:.{self.digits}f}' for bound in self.interval)})"
         return text
@@ -118,18 +118,6 @@ class Table(NamedTuple):
             writer.writerow(values)
         return file.getvalue()
 
-    def latex(self) -> str:
-        """A tabular for ``booktabs``, groups divided by lines."""
-        body = "\n\\midrule\n".join(
-            "\n".join(" & ".join(_latex_cell(cell) for cell in row) + " \\\\" for row in group)
-            for group in self.groups
-        )
-        return (
-            f"% {self.title}\n% \\usepackage{{booktabs}}\n"
-            f"\\begin{{tabular}}{{{'l' * self.labels}{'r' * (len(self.columns) - self.labels)}}}\n\\toprule\n"
-            f"{' & '.join(map(_latex, self.columns))} \\\\\n\\midrule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
-        )
-
     def html(self) -> str:
         """A paragraph with the title, and the table."""
         lines = [f"<th>{'</th><th>'.join(map(html.escape, self.columns))}</th>"]
@@ -142,8 +130,8 @@ class Table(NamedTuple):
         print_table(self.title, list(self.columns), self.texts())
 
     def save(self, stem: Path, *suffixes: str) -> None:
-        """Write ``.md``, ``.csv`` or ``.tex``."""
-        writers: dict[str, Callable[[], str]] = {".md": self.markdown, ".csv": self.csv, ".tex": self.latex}
+        """Write ``.md`` or ``.csv``."""
+        writers: dict[str, Callable[[], str]] = {".md": self.markdown, ".csv": self.csv}
         for suffix in suffixes:
             write_bytes(stem.with_suffix(suffix), writers[suffix]().encode())
 
@@ -224,29 +212,3 @@ def _text(cell: Content) -> str:
     if isinstance(cell, Cell):
         return cell.text()
     return "–" if cell is None else cell if isinstance(cell, str) else f"{cell:.2f}"
-
-
-def _latex_cell(cell: Content) -> str:
-    return "$" + cell.text(r" \pm ") + "$" if isinstance(cell, Cell) else _latex(_text(cell))
-
-
-def _latex(text: str) -> str:
-    r"""Text of a table as LaTeX.
-
-    Examples:
-        >>> print(_latex("15°, >1 (%)"))
-        15$^\circ$, $>$1 (\%)
-    """
-    for plain, macro in (
-        ("%", r"\%"),
-        ("&", r"\&"),
-        ("_", r"\_"),
-        (">", "$>$"),
-        ("<", "$<$"),
-        ("°", r"$^\circ$"),
-        ("±", r"$\pm$"),
-        ("θ", r"$\theta$"),
-        ("–", "--"),
-    ):
-        text = text.replace(plain, macro)
-    return text

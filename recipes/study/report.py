@@ -76,7 +76,7 @@ def report(
     results = [_result(config, version, part) for part in evaluated for version in versions]
     tables = study_tables(results)
     for name, table in tables.items():
-        table.save(folder / name, ".md", ".csv", ".tex")
+        table.save(folder / name, ".md", ".csv")
     write_image(folder / "errors_against_angle.png", angle_plot(results))
     fisheye = [part for part in evaluated if part.view.inputs == "fisheye"]
     columns = {f"{part.view.angle_deg:g} degrees": _drawn_frame(config, part, versions) for part in fisheye}

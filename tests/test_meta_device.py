@@ -343,7 +343,7 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("MissingFileError", "ShapeError", "SphericalVisionError"), CLASS),
     **dict.fromkeys(("kernels", "reference_kernels"), CLASS),
     **dict.fromkeys(("set_kernel_options", "state_dict_from_reference", "Compose"), CLASS),
-    **dict.fromkeys(("Scene", "MeshScene", "make_scene", "mesh_from_scene", "ray_depth"), SCENE),
+    **dict.fromkeys(("Scene", "MeshScene", "make_scene", "ray_depth"), SCENE),
     **dict.fromkeys(("render_camera", "render_directions", "render_rig", "ray_labels"), SCENE),
     "SURFACE_LABELS": CLASS,
     **dict.fromkeys(("SceneDataset", "FisheyeSceneDataset"), SCENE),

@@ -17,7 +17,6 @@ _MOVED = dict.fromkeys(("read_image", "write_image"), "sphericalvision.io.images
         "Scene",
         "SceneDataset",
         "make_scene",
-        "mesh_from_scene",
         "ray_depth",
         "ray_labels",
         "read_mesh_scene",

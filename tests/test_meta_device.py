@@ -246,7 +246,6 @@ CALLS: dict[str, Callable[[], Any]] = {
     "omnimvs_error": lambda: metrics.omnimvs_error(m(1, 8, 16), m(1, 8, 16)),
     "evaluation_mask": lambda: metrics.evaluation_mask(rig(), m(V, 3), m(1, V)),
     "seam_mask": lambda: metrics.seam_mask(m(V, 3)),
-    "LatitudeProfile": lambda: updated(metrics.LatitudeProfile(icosphere.Icosphere(LEVEL)), m(1, V)),
     # models
     "DepthNetwork": lambda: models.IcoSweepNet(4, 8, feature_channels=2).to(PLACE["device"]).depth(m(1, V)),
     "IcoSweepNet": lambda: run(models.IcoSweepNet(4, 8, feature_channels=2), m(1, 4, 3, 2562), rig()),

@@ -7,7 +7,6 @@ from .masks import seam_mask as seam_mask
 from .omnimvs import OmniMVSError as OmniMVSError
 from .omnimvs import omnimvs_error as omnimvs_error
 from .regions import ByRegion as ByRegion
-from .sphere import LatitudeProfile as LatitudeProfile
 from .sphere import SolidAngleIoU as SolidAngleIoU
 from .sphere import SolidAngleMean as SolidAngleMean
 from .sphere import angular_error as angular_error

@@ -7,9 +7,6 @@ angle make numbers of different grids, and of different sizes of one grid, the s
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
-
 import torch
 from jaxtyping import Bool, Float, Int, Num
 from torch import Tensor
@@ -23,10 +20,9 @@ from sphericalvision.core import (
     check_tensor,
     check_type,
 )
-from sphericalvision.geometry import angle_from_axis
 from sphericalvision.sphere import SphereGrid
 
-__all__ = ["LatitudeBands", "LatitudeProfile", "SolidAngleIoU", "SolidAngleMean", "angular_error"]
+__all__ = ["SolidAngleIoU", "SolidAngleMean", "angular_error"]
 
 
 def angular_error(
@@ -129,78 +125,6 @@ class SolidAngleMean(_OnGrid):
     def compute(self) -> Float[Tensor, ""]:
         """Return the mean."""
         return (self.total / self.num_images).float()
-
-
-class LatitudeBands(NamedTuple):
-    """Means in bands of equal width in latitude, from north to south.
-
-    Attributes:
-        latitude: ``(num_bands,)`` middles of the bands in radians, π/2 is up.
-        mean: ``(num_bands,)``; NaN where nothing counted.
-        solid_angle: ``(num_bands,)`` steradians that counted, summed over images.
-    """
-
-    latitude: Float[Tensor, " bands"]
-    mean: Float[Tensor, " bands"]
-    solid_angle: Float[Tensor, " bands"]
-
-
-class LatitudeProfile(_OnGrid):
-    """Mean of values in bands of latitude: what a network loses towards the poles.
-
-    Values are weighted by solid angle and pooled over all images, so that a band that a mask leaves with few points
-    counts by those.
-
-    Args:
-        grid: on which the values lie.
-        num_bands: number of bands of equal width between the poles.
-
-    ``update`` takes values ``(B, *grid.shape)`` and an optional mask, as ``SolidAngleMean``; ``compute`` returns
-    ``LatitudeBands``. The mean over bands, weighted by their solid angles, is the mean over all that counted.
-
-    Raises:
-        ShapeError: if values or mask do not lie on the grid.
-        ArgumentError: if the number of bands is not positive.
-
-    Examples:
-        >>> from sphericalvision.icosphere import Icosphere
-        >>> ico = Icosphere(4)
-        >>> metric = LatitudeProfile(ico, num_bands=3)
-        >>> metric.update((ico.vertices[None, :, 1] < 0).float())  # 1 in the upper half
-        >>> [round(value, 1) for value in metric.compute().mean.tolist()]
-        [1.0, 0.5, 0.0]
-    """
-
-    band: Tensor
-    total: Tensor
-    weight: Tensor
-
-    def __init__(self, grid: SphereGrid, num_bands: int = 18, **kwargs: object) -> None:
-        super().__init__(grid, **kwargs)
-        if num_bands < 1:
-            raise ArgumentError(f"num_bands: expected 1 or more, got {num_bands!r}")
-        self.num_bands = num_bands
-        x, y, z = grid.directions.double().reshape(-1, 3).unbind(-1)
-        from_pole = angle_from_axis(torch.stack((z, x, -y), -1))
-        band = (from_pole * (num_bands / math.pi)).long().clamp(0, num_bands - 1)
-        self.register_buffer("band", band, persistent=False)
-        for name in ("total", "weight"):
-            zeros = torch.zeros(num_bands, dtype=torch.float64)
-            self.add_state(name, default=zeros, dist_reduce_fx="sum")
-
-    def update(self, values: Num[Tensor, " B *grid"], mask: Bool[Tensor, " B *grid"] | None = None) -> None:
-        """Add a batch."""
-        flat = self._flat("values", values)
-        weights = self._weights(flat, mask)
-        weighted = torch.where(weights > 0, flat * weights, 0.0)
-        self.total.index_add_(0, self.band, weighted.sum(0))
-        self.weight.index_add_(0, self.band, weights.sum(0))
-
-    def compute(self) -> LatitudeBands:
-        """Return the bands from north to south."""
-        middle = torch.arange(self.num_bands, device=self.total.device) + 0.5
-        latitude = math.pi / 2 - middle * (math.pi / self.num_bands)
-        return LatitudeBands(latitude, (self.total / self.weight).float(), self.weight.float())
 
 
 class SolidAngleIoU(_OnGrid):

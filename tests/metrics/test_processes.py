@@ -16,7 +16,6 @@ from sphericalvision.metrics import (
     ByRegion,
     DepthError,
     DepthIndexError,
-    LatitudeProfile,
     OmniMVSError,
     SolidAngleIoU,
     SolidAngleMean,
@@ -35,7 +34,6 @@ def metrics() -> dict[str, Metric]:
         "official": OmniMVSError(),
         "regions": ByRegion(DepthIndexError(16), {"seam": seam_mask(grid.vertices, 0.3)}),
         "mean": SolidAngleMean(grid),
-        "profile": LatitudeProfile(grid, num_bands=3),
         "labels": SolidAngleIoU(grid, num_classes=3),
     }
 
@@ -45,7 +43,7 @@ def update(metric: Metric, name: str, images: slice) -> None:
     pred, target = 0.2 + torch.rand(2, sum(SIZES), 42, generator=generator)
     mask = torch.rand(sum(SIZES), 42, generator=generator) > 0.3
     panoramas = torch.rand(2, sum(SIZES), 4, 8, generator=generator)
-    if name in ("mean", "profile"):
+    if name == "mean":
         metric.update((pred - target).abs()[images], mask[images])
     elif name == "labels":
         metric.update(

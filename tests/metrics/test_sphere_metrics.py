@@ -12,7 +12,7 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.losses import depth_index_huber, solid_angle_cross_entropy, solid_angle_mean
-from sphericalvision.metrics import LatitudeProfile, SolidAngleIoU, SolidAngleMean, angular_error
+from sphericalvision.metrics import SolidAngleIoU, SolidAngleMean, angular_error
 from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
 
 GRIDS = [Equirectangular(32, 64), Icosphere(4), Cubemap(24), Healpix(16)]
@@ -58,40 +58,6 @@ def test_masked_means_equal_loops_and_empty_images_are_out(generator: torch.Gene
     )
 
 
-@pytest.mark.parametrize("grid", GRIDS, ids=ids)
-def test_profile_of_a_function_of_latitude(grid: SphereGrid, generator: torch.Generator) -> None:
-    """Bands against sorting every place by its latitude; together they are the mean over the sphere."""
-    values = torch.rand(2, *grid.shape, generator=generator)
-    mask = torch.rand(2, *grid.shape, generator=generator) > 0.3
-    profile = LatitudeProfile(grid, num_bands=7)
-    profile.update(values[:1], mask[:1])
-    profile.update(values[1:], mask[1:])
-    bands = profile.compute()
-    assert bands.latitude[0] == pytest.approx(math.pi / 2 * 6 / 7)  # north comes first
-    latitude = torch.asin(-grid.directions.double()[..., 1]).flatten()
-    weights = grid.solid_angles.double().flatten()
-    for k in range(7):
-        low, high = (math.pi / 2 - math.pi / 7 * (k + 1), math.pi / 2 - math.pi / 7 * k)
-        inside = (latitude > low) & (latitude <= high)
-        both = torch.cat([inside & m.flatten() for m in mask])
-        expected = loop_mean(values.flatten(), weights.repeat(2), both)
-        assert bands.mean[k].item() == pytest.approx(expected, rel=1e-4)
-    total = (bands.mean * bands.solid_angle).sum() / bands.solid_angle.sum()
-    everything = solid_angle_mean(values.double(), grid.solid_angles.double(), mask)
-    area = (mask.flatten(1) * weights).sum(1)
-    assert total.item() == pytest.approx((everything * area).sum().item() / area.sum().item(), rel=1e-5)
-
-
-def test_bands_without_a_point_are_not_a_number() -> None:
-    grid = Equirectangular(8, 16)
-    profile = LatitudeProfile(grid, num_bands=4)
-    profile.update(torch.ones(1, 8, 16), grid.directions[None, ..., 1] < 0)
-    bands = profile.compute()
-    assert bands.mean[:2].tolist() == [1.0, 1.0]
-    assert bands.mean[2:].isnan().all()
-    assert bands.solid_angle.sum().item() == pytest.approx(2 * math.pi, rel=1e-6)
-
-
 def test_segmentation_equals_loops(generator: torch.Generator) -> None:
     grid = Equirectangular(6, 12)
     pred, target = torch.randint(0, 3, (2, 2, 6, 12), generator=generator)
@@ -125,14 +91,13 @@ def test_a_polar_row_counts_little() -> None:
     assert metric.compute()["accuracy"].item() == pytest.approx((1 + math.cos(math.pi / 8)) / 2, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["mean", "profile", "iou"])
+@pytest.mark.parametrize("name", ["mean", "iou"])
 def test_states_of_two_processes_add_up(name: str, generator: torch.Generator) -> None:
     grid = Icosphere(2)
 
-    def make() -> SolidAngleMean | LatitudeProfile | SolidAngleIoU:
+    def make() -> SolidAngleMean | SolidAngleIoU:
         return {
             "mean": lambda: SolidAngleMean(grid),
-            "profile": lambda: LatitudeProfile(grid, 5),
             "iou": lambda: SolidAngleIoU(grid, 3),
         }[name]()
 
@@ -202,8 +167,6 @@ def test_bad_arguments_are_named() -> None:
         SolidAngleMean(grid).update(torch.zeros(1, 8, 4))
     with pytest.raises(ShapeError, match="mask"):
         SolidAngleMean(grid).update(torch.zeros(2, 4, 8), torch.ones(1, 4, 8))
-    with pytest.raises(ArgumentError, match="num_bands"):
-        LatitudeProfile(grid, 0)
     labels = torch.full((1, 4, 8), 7)
     with pytest.raises(ArgumentError, match="target: expected labels from 0 to 1, got 7 to 7"):
         SolidAngleIoU(grid, 2).update(torch.zeros_like(labels), labels)

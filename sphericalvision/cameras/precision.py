@@ -23,6 +23,7 @@ from sphericalvision.core import check_floating, check_last_dim, check_tensor
 __all__ = ["HALF", "at_least_float32", "model_function"]
 
 HALF = (torch.float16, torch.bfloat16)
+_PAIRS = ("image_size", "latitudes", "longitudes")  # of plain numbers
 
 AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 
@@ -56,7 +57,7 @@ def model_function(function: AnyFunction) -> AnyFunction:
         check_last_dim(names[0], values, size)
         at_least_float32(names[0], values)
         for name, value in zip(names, arguments, strict=False):
-            if isinstance(value, list | tuple) and name != "image_size":  # would be indexed as tensors are
+            if isinstance(value, list | tuple) and name not in _PAIRS:  # would be indexed as tensors are
                 check_tensor(name, value, "(*,) or (*, n)")
         return function(
             *(_raised(value) for value in arguments),

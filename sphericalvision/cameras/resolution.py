@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import math
-
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
@@ -20,5 +18,5 @@ def pixels_a_radian(camera: Camera) -> float:
         1.0
     """
     if isinstance(camera, EquirectangularCamera):
-        return camera.image_size[1] / (2 * math.pi)
+        return camera.image_size[1] / (camera.longitudes[1] - camera.longitudes[0])
     return float(focal_length_on_axis(camera).max())

@@ -16,6 +16,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import image_edges
+from sphericalvision.cameras.resolution import pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.lookup import ImageLookup
@@ -111,6 +112,9 @@ def _in_order(rig: CameraRig, images: Mapping[str, Tensor] | Sequence[Tensor]) -
 def _shrinking(camera: Camera, directions: Tensor) -> int:
     """How many pixels in a row lie between neighbouring directions, on average, at least 1."""
     spacing = math.sqrt(4 * math.pi / directions.shape[-2])
-    around = isinstance(camera, EquirectangularCamera)  # else the image circle fills the shorter side
-    pixel = 2 * float(camera.max_angle.max()) / (camera.image_size[1] if around else min(camera.image_size))
+    if isinstance(camera, EquirectangularCamera):
+        return max(1, int(spacing * pixels_a_radian(camera)))
+    pixel = (
+        2 * float(camera.max_angle.max()) / min(camera.image_size)
+    )  # the image circle fills the shorter side
     return max(1, int(spacing / pixel))

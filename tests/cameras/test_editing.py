@@ -64,12 +64,7 @@ def test_resizing_back_gives_the_camera_back(camera: Camera) -> None:
 
 
 def test_the_same_rays_go_through_cropped_pixels(camera: Camera) -> None:
-    if isinstance(camera, EquirectangularCamera):
-        with pytest.raises(ArgumentError, match="keeps all"):
-            camera.cropped(2, 1, 30, 40)
-        top, left, height, width = 5, 0, camera.image_size[0] - 10, camera.image_size[1]
-    else:
-        top, left, height, width = CROP
+    top, left, height, width = (2, 1, 30, 40) if isinstance(camera, EquirectangularCamera) else CROP
     cropped = camera.cropped(top, left, height, width)
     whole = camera.pixel_grid()[top : top + height, left : left + width]
     directions, valid = camera.unproject(whole)

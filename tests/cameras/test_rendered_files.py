@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -70,6 +71,11 @@ def test_blender_pinhole_panorama_and_poses(tmp_path: Path) -> None:
     rig = read_rig(dump(tmp_path / "blender.json", blender()), dtype=torch.float64)
     plain, whole = rig.cameras["plain"], rig.cameras["equirectangular"]
     assert isinstance(whole, EquirectangularCamera)
+    assert whole.edges == "sphere"
+    part = {**blender()["cameras"]["equirectangular"], "latitude_min": -0.2, "longitude_max": 1.0}
+    camera = read_camera(dump(tmp_path / "part.json", {"cameras": {"part": part}}))
+    assert camera.latitudes == pytest.approx((-0.2, math.pi / 2))
+    assert camera.longitudes == pytest.approx((-math.pi, 1.0))
     assert isinstance(plain, PinholeCamera)
     assert plain.focal_length.tolist() == pytest.approx([30 / 36 * 640] * 2)
     assert rig.positions[0].tolist() == [0.5, 0.2, 1.6]

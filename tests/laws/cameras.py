@@ -98,6 +98,16 @@ CAMERAS = [
         _fisheye("orthographic", 85, 44.0),
     ),
     CameraCase("equirectangular", lambda s: EquirectangularCamera((48, 96)), traced=True),
+    CameraCase(
+        "corner",
+        lambda s: EquirectangularCamera((40, 90), latitudes=(-1.3, 0.9), longitudes=(-1.5, 2.6)),
+    ),
+    CameraCase(
+        "from behind",
+        lambda s: EquirectangularCamera(
+            (40, 90), latitudes=(-0.9, math.pi / 2), longitudes=(1, 1 + 2 * math.pi)
+        ),
+    ),
     CameraCase("band", lambda s: EquirectangularCamera((40, 160), vertical_field_of_view=math.pi / 2)),
     CameraCase(
         "ocam",

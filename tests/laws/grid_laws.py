@@ -141,9 +141,10 @@ def everywhere(grid: SphereGrid, directions: Tensor) -> Tensor:
     return torch.ones_like(directions[..., 0], dtype=torch.bool)
 
 
-def between_rows(grid: Equirectangular, directions: Tensor) -> Tensor:
-    _, latitude = longitude_latitude_from_directions(directions)
-    return latitude.abs() <= grid.max_latitude * (1 - 1 / grid.height)
+def between_centres(grid: Equirectangular, directions: Tensor) -> Tensor:
+    u, v = grid.pixels(directions).unbind(-1)
+    inside = (v >= 0) & (v <= grid.height - 1)
+    return inside if grid.image_edges == "around" else inside & (u >= 0) & (u <= grid.width - 1)
 
 
 class GridEntry(NamedTuple):
@@ -171,8 +172,17 @@ GRIDS: dict[str, GridEntry] = {
         lambda k: Equirectangular(6 * k, 16 * k, dtype=DOUBLE, max_latitude=1.0),
         turns_of_columns,
         at_seam,
-        inside=between_rows,
+        inside=between_centres,
         share=math.sin(1.0),
+    ),
+    "corner": GridEntry(  # its longitudes jump by a turn away from its edges
+        lambda k: Equirectangular(
+            6 * k, 14 * k, dtype=DOUBLE, latitudes=(-1.3, 0.9), longitudes=(1.2, 2 * math.pi)
+        ),
+        lambda grid: [],
+        at_seam,
+        inside=between_centres,
+        share=(math.sin(0.9) + math.sin(1.3)) / 2 * (2 * math.pi - 1.2) / (2 * math.pi),
     ),
     "cubemap": GridEntry(lambda k: Cubemap(5 * k, dtype=DOUBLE), cube_rotations, at_cube_edges),
     "healpix": GridEntry(lambda k: Healpix(3 * k, dtype=DOUBLE), quarter_turns, at_seam_and_poles),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from sphericalvision.cameras import EquirectangularCamera, remap, remap_mask
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere import Icosphere
@@ -59,6 +60,41 @@ def test_latitudes_decide_what_is_inside() -> None:
     assert Equirectangular(10, 16, max_latitude=0.1).contains(directions).tolist() == [
         i == 3 for i in range(7)
     ]
+
+
+def test_limits_are_a_part_of_the_whole_for_grid_and_camera_alike() -> None:
+    """Rows and columns of a whole panorama; a strip's rows; a front that is cut out, and one that looks back."""
+    turn = math.pi / 16
+    whole, camera = Equirectangular(16, 32, DOUBLE), EquirectangularCamera((16, 32)).to(DOUBLE)
+    values = torch.rand(2, 16, 32, dtype=DOUBLE)
+    for rows, columns in (
+        (slice(2, 9), slice(0, 32)),
+        (slice(0, 5), slice(3, 20)),
+        (slice(4, 16), slice(20, 40)),
+    ):
+        latitudes = (math.pi / 2 - rows.stop * turn, math.pi / 2 - rows.start * turn)
+        longitudes = (columns.start * turn - math.pi, columns.stop * turn - math.pi)
+        size = (rows.stop - rows.start, columns.stop - columns.start)
+        part = Equirectangular(*size, DOUBLE, latitudes=latitudes, longitudes=longitudes)
+        lens = EquirectangularCamera(size, latitudes=latitudes, longitudes=longitudes).to(DOUBLE)
+        index = torch.arange(columns.start, columns.stop) % 32
+        torch.testing.assert_close(part.directions, whole.directions[rows][:, index], atol=1e-12, rtol=0)
+        torch.testing.assert_close(part.solid_angles, whole.solid_angles[rows][:, index])
+        found = resample(values, whole, part)
+        torch.testing.assert_close(found, values[:, rows, index], atol=1e-12, rtol=0)
+        torch.testing.assert_close(remap(values, camera, lens), found, atol=1e-12, rtol=0)
+        assert torch.equal(remap_mask(lens, camera), resample_mask(part, whole))
+        there = resample_mask(part, whole)
+        assert there.sum() == math.prod(size)
+        back = resample(found, part, whole, mode="nearest")[:, there]
+        torch.testing.assert_close(back, values[:, there], atol=1e-12, rtol=0)
+        if columns.stop <= 32:
+            cropped = camera.cropped(rows.start, columns.start, *size)
+            assert cropped.latitudes == pytest.approx(lens.latitudes)
+            assert cropped.longitudes == pytest.approx(lens.longitudes)
+    strip = Equirectangular(7, 32, latitudes=(math.pi / 2 - 9 * turn, math.pi / 2 - 2 * turn))
+    assert torch.equal(strip.rows_of(values), values[:, 2:9])
+    assert strip.image_edges == "around"
 
 
 @pytest.mark.parametrize("grid", [square(4, 16, DOUBLE), square(8, 16, DOUBLE)], ids=repr)
@@ -145,6 +181,17 @@ def test_wrong_sizes_are_named() -> None:
         square(5, 8)
     with pytest.raises(ArgumentError, match="max_latitude: expected radians"):
         Equirectangular(4, 8, max_latitude=45.0)
+    for make in (Equirectangular, lambda h, w, **limits: EquirectangularCamera((h, w), **limits)):
+        for limits in (
+            {"latitudes": (0.5, -0.5)},
+            {"latitudes": (0, 2)},
+            {"longitudes": (0, 7)},
+            {"longitudes": 3},
+        ):
+            with pytest.raises(ArgumentError, match=next(iter(limits))):
+                make(4, 8, **limits)
+    with pytest.raises(ArgumentError, match="vertical_field_of_view, latitudes: expected one"):
+        EquirectangularCamera((4, 8), 1.0, latitudes=(0, 0.5))
     with pytest.raises(ShapeError, match=r"\(2, 8\) or \(4, 8\) for the whole sphere, got \(3, 8\)"):
         square(2, 8).rows_of(torch.zeros(3, 8))
     with pytest.raises(ShapeError, match=r"values: expected shape \(\*b, c, 2, 8\)"):

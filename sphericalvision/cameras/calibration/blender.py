@@ -45,6 +45,7 @@ from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.core import FileFormatError, short_repr
+from sphericalvision.geometry.panorama import ALL_LATITUDES, ALL_LONGITUDES
 
 __all__ = ["contents", "recognizes"]
 
@@ -167,18 +168,14 @@ def _view(values: Any, where: str) -> float:
 
 
 def _panorama(values: Any, size: tuple[int, int], where: str) -> Camera:
-    """A whole panorama, or a band of it that is as high below the horizon as above."""
+    """A panorama between the stated longitudes and latitudes."""
     keys = ("longitude_min", "longitude_max", "latitude_min", "latitude_max")
-    whole = (-math.pi, math.pi, -math.pi / 2, math.pi / 2)
+    whole = (*ALL_LONGITUDES, *ALL_LATITUDES)
     west, east, south, north = (
         number(values, key, where) if key in values else value for key, value in zip(keys, whole, strict=True)
     )
-    if abs(west + math.pi) > 1e-5 or abs(east - math.pi) > 1e-5 or abs(south + north) > 1e-5:
-        raise FileFormatError(
-            f"{where}, {', '.join(keys)}: expected all longitudes and as many latitudes below 0 as above, got "
-            f"{west:g}, {east:g}, {south:g}, {north:g}"
-        )
-    return EquirectangularCamera(size, vertical_field_of_view=min(2 * north, math.pi))
+    with errors_of_file(where):
+        return EquirectangularCamera(size, latitudes=(south, north), longitudes=(west, east))
 
 
 register_format(

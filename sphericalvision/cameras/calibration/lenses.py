@@ -25,6 +25,7 @@ from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.registry import camera_model
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.geometry.panorama import ALL_LATITUDES, ALL_LONGITUDES
 
 __all__ = [
     "Lens",
@@ -236,9 +237,9 @@ def check_holds(format: str, camera: Camera) -> None:
 
 
 def check_whole_panorama(camera: EquirectangularCamera, program: str) -> None:
-    """Raise ``ArgumentError`` for a band."""
-    if camera.vertical_field_of_view != math.pi:
-        raise ArgumentError(f"camera: {program}'s panoramas are whole, this one is a band; write 'native'")
+    """Raise ``ArgumentError`` for a part of a panorama."""
+    if (camera.latitudes, camera.longitudes) != (ALL_LATITUDES, ALL_LONGITUDES):
+        raise ArgumentError(f"camera: {program}'s panoramas are whole, this one is a part; write 'native'")
 
 
 def numbers_of(tensor: Shaped[Tensor, " ..."]) -> list[float]:

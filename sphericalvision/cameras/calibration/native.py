@@ -62,7 +62,8 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
     check_single(camera)
     check_registered(camera)
     result: dict[str, Any] = {"model": camera.model, "image_size": list(camera.image_size)}
-    result |= {name: getattr(camera, name) for name in camera.option_names}
+    options = {name: getattr(camera, name) for name in camera.option_names}
+    result |= {name: list(value) if isinstance(value, tuple) else value for name, value in options.items()}
     tensors = {name: getattr(camera, name) for name in camera.intrinsic_names}
     tensors = {name: x for name, x in tensors.items() if x is not None or name not in camera.default_names}
     result |= {name: None if tensor is None else tensor.tolist() for name, tensor in tensors.items()}
@@ -90,7 +91,8 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
     arguments: dict[str, Any] = {
         "image_size": size_from_width_height([width, height], f"{where}, image_size")
     }
-    arguments |= {key: entry(values, key, where) for key in model.option_names}
+    options = (key for key in model.option_names if key in values or key not in model.default_names)
+    arguments |= {key: entry(values, key, where) for key in options}
     for key in model.intrinsic_names:
         if key in model.default_names and key not in values:
             continue

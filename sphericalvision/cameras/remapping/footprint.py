@@ -85,6 +85,7 @@ def sample_groups(spans: Float[Tensor, "h w 2"], image_size: tuple[int, int]) ->
 def _on_sphere(step: Tensor, v: Tensor, source: EquirectangularCamera) -> Tensor:
     """Steps (*, 2) in a panorama the short way round, their share along the row by its length on the sphere."""
     height, width = source.image_size
-    latitude = (0.5 - (v + 0.5) / height) * source.vertical_field_of_view
-    across = torch.remainder(step[..., 0] + width / 2, width) - width / 2
+    latitude = sum(source.latitudes) / 2 + (0.5 - (v + 0.5) / height) * source.vertical_field_of_view
+    around = width * (2 * math.pi / (source.longitudes[1] - source.longitudes[0]))
+    across = torch.remainder(step[..., 0] + around / 2, around) - around / 2
     return torch.stack((across * torch.cos(latitude), step[..., 1]), dim=-1)

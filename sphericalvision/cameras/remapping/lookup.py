@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import cast
 
@@ -55,9 +54,7 @@ def image_edges(camera: Camera) -> str:
         >>> image_edges(EquirectangularCamera((4, 8)))
         'sphere'
     """
-    if not isinstance(camera, EquirectangularCamera):
-        return "border"
-    return "sphere" if camera.vertical_field_of_view > math.pi - 1e-6 else "around"
+    return camera.edges if isinstance(camera, EquirectangularCamera) else "border"
 
 
 def nearest_pixel(camera: Camera, pixels: Float[Tensor, "*batch 2"]) -> Int[Tensor, "*batch"]:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The equirectangular grid: rows of equal latitude, columns of equal longitude, up to the poles or less far."""
+"""The equirectangular grid: rows of equal latitude, columns of equal longitude, over all of the sphere or a part."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
@@ -17,6 +18,14 @@ from sphericalvision.geometry import (
 )
 from sphericalvision.geometry.directions import check_directions
 from sphericalvision.geometry.interpolation import wrap_panorama
+from sphericalvision.geometry.panorama import (
+    ALL_LATITUDES,
+    ALL_LONGITUDES,
+    checked_limits,
+    goes_around,
+    limits_in_words,
+    longitude_within,
+)
 from sphericalvision.sphere.grids.base import GridModule
 from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
 
@@ -30,18 +39,22 @@ class Equirectangular(GridModule):
         Forward (+z) is the middle of the picture, longitude grows to the right (+x), latitude is ``max_latitude``
         at the upper edge of the top row: +π/2 (up, -y), or less for a panorama without the poles. Pixel centre i of
         width W has longitude (i + 0.5)·2π/W - π, and row j of height H latitude L - (j + 0.5)·2L/H with
-        L = ``max_latitude``. Interpolation continues across the left and right edges and over the poles; beyond the
-        latitudes of a panorama without them its outermost rows are repeated, see ``contains``.
+        L = ``max_latitude``. With other limits a row is (upper - lower)/H high and a column (right - left)/W wide.
+        Interpolation continues across the left and right edges where these meet, and over the poles if there are both;
+        beyond other limits the outermost rows and columns are repeated, see ``contains``.
 
     Args:
-        height: number of rows, from ``max_latitude`` to ``-max_latitude``.
-        width: number of columns, over 360° of longitude.
+        height: number of rows, from the highest latitude to the lowest.
+        width: number of columns, over 360° of longitude or as many as ``longitudes`` says.
         dtype: of the directions; the default dtype of torch when not given.
         device: of all tables.
-        max_latitude: in radians, of the upper edge; π/2, the whole sphere, if not given.
+        max_latitude: in radians, of the upper edge, and of the lower one below the horizon; π/2 if not given.
+        latitudes: (lower, upper) edge in radians, in place of ``max_latitude``.
+        longitudes: (left, right) edge in radians, at most 2π apart; right of π is behind, from the left.
 
     Raises:
-        ArgumentError: if a size is not a positive integer or too large, or the latitude is not in (0, π/2].
+        ArgumentError: if a size is not a positive integer or too large, the latitude is not in (0, π/2], or limits are
+            beyond a pole, of more than a turn, or in the wrong order.
 
     Examples:
         >>> grid = Equirectangular(3, 5)
@@ -52,6 +65,8 @@ class Equirectangular(GridModule):
         >>> horizon = Equirectangular(160, 640, max_latitude=math.pi / 4)
         >>> round(horizon.solid_angles.sum().item() / (4 * math.pi), 3)  # of the sphere
         0.707
+        >>> Equirectangular(80, 80, latitudes=(0, math.pi / 2), longitudes=(0, math.pi / 2))
+        Equirectangular(height=80, width=80, latitudes 0.0° to 90.0°, longitudes 0.0° to 90.0°)
     """
 
     def __init__(
@@ -61,6 +76,8 @@ class Equirectangular(GridModule):
         dtype: torch.dtype | None = None,
         device: torch.device | str | None = None,
         max_latitude: float = math.pi / 2,
+        latitudes: Sequence[float] | None = None,
+        longitudes: Sequence[float] = ALL_LONGITUDES,
     ) -> None:
         super().__init__()
         check_positive(height=height, width=width)
@@ -68,7 +85,9 @@ class Equirectangular(GridModule):
         if not 0 < max_latitude <= math.pi / 2 + 1e-9:
             raise ArgumentError(f"max_latitude: expected radians in (0, π/2], got {max_latitude!r}")
         self.height, self.width = height, width
-        self.max_latitude = min(float(max_latitude), math.pi / 2)
+        self.latitudes, self.longitudes = checked_limits(
+            latitudes or (-max_latitude, max_latitude), longitudes
+        )
         self._make_directions(dtype, device)
 
     @classmethod
@@ -103,22 +122,32 @@ class Equirectangular(GridModule):
 
     @property
     def whole_sphere(self) -> bool:
-        """Whether the panorama reaches up to the poles."""
-        return self.max_latitude > math.pi / 2 - 1e-9
+        """Whether the panorama goes all the way around and reaches up to the poles."""
+        return self.image_edges == "sphere"
+
+    @property
+    def max_latitude(self) -> float:
+        """The latitude that is farthest from the horizon, in radians, above or below."""
+        return max(map(abs, self.latitudes))
+
+    @property
+    def _pixel(self) -> tuple[float, float]:
+        """(height, width) of a pixel in radians, along its meridian and along the equator."""
+        (bottom, top), (left, right) = self.latitudes, self.longitudes
+        return (top - bottom) / self.height, (right - left) / self.width
 
     @property
     def solid_angles(self) -> Float[Tensor, "h w"]:
         """Exact solid angle of each pixel ``(height, width)`` in steradians."""
-        top = self.max_latitude
-        edges = torch.linspace(top, -top, self.height + 1, dtype=torch.float64)
-        rows = (edges[:-1].sin() - edges[1:].sin()) * (2 * math.pi / self.width)
+        bottom, top = self.latitudes
+        edges = torch.linspace(top, bottom, self.height + 1, dtype=torch.float64)
+        rows = (edges[:-1].sin() - edges[1:].sin()) * self._pixel[1]
         return rows.to(self.directions)[:, None].expand(self.shape)
 
     @property
     def cell_widths(self) -> Float[Tensor, "h w"]:
         """Width ``(height, width)`` in radians at the equator: near the poles a row has more pixels than content."""
-        width = math.sqrt(2 * math.pi / self.width * 2 * self.max_latitude / self.height)
-        return self.directions.new_full(self.shape, width)
+        return self.directions.new_full(self.shape, math.sqrt(math.prod(self._pixel)))
 
     def cell_samples(
         self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
@@ -127,9 +156,10 @@ class Equirectangular(GridModule):
         height, width = self.height * samples, self.width * samples
         column = torch.arange(width, dtype=torch.float64, device=device)
         row = torch.arange(height, dtype=torch.float64, device=device)
+        (bottom, top), (left, right) = self.latitudes, self.longitudes
         # (2i + 1 - W) / W keeps the middle column of an odd width at longitude zero to the last bit.
-        longitude = (2 * column + 1 - width) * (math.pi / width)
-        latitude = (height - 1 - 2 * row) * (self.max_latitude / height)
+        longitude = (2 * column + 1 - width) * ((right - left) / 2 / width) + (left + right) / 2
+        latitude = (height - 1 - 2 * row) * ((top - bottom) / 2 / height) + (bottom + top) / 2
         directions = directions_from_longitude_latitude(longitude, latitude[:, None])
         directions = directions.view(self.height, samples, self.width, samples, 3).transpose(1, 2)
         shares = latitude.cos().view(-1, 1, samples, 1).expand(-1, self.width, -1, samples)
@@ -148,12 +178,14 @@ class Equirectangular(GridModule):
             tensor([1.5000, 0.5000])
         """
         longitude, latitude = longitude_latitude_from_directions(directions)
-        u = longitude * (self.width / (2 * math.pi)) + (self.width - 1) / 2
-        v = (self.height - 1) / 2 - latitude * (self.height / (2 * self.max_latitude))
+        (bottom, top), (left, right) = self.latitudes, self.longitudes
+        east = longitude_within(longitude, self.longitudes) - (left + right) / 2
+        u = east * (self.width / (right - left)) + (self.width - 1) / 2
+        v = (self.height - 1) / 2 - (latitude - (bottom + top) / 2) * (self.height / (top - bottom))
         return torch.stack((u, v), -1)
 
     def contains(self, directions: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
-        """Whether directions ``(*, 3)`` are within the panorama's latitudes, its edges included ``(*)``.
+        """Whether directions ``(*, 3)`` are within the panorama's limits, its edges included ``(*)``.
 
         Examples:
             >>> up_and_forward = torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -163,8 +195,14 @@ class Equirectangular(GridModule):
         check_last_dim("directions", directions, 3)
         if self.whole_sphere:
             return torch.ones_like(directions[..., 0], dtype=torch.bool)
-        latitude = longitude_latitude_from_directions(directions.double())[1]
-        return latitude.abs() <= self.max_latitude + 4 * torch.finfo(directions.dtype).eps
+        slack = 4 * torch.finfo(directions.dtype).eps
+        longitude, latitude = longitude_latitude_from_directions(directions.double())
+        (bottom, top), (left, right) = self.latitudes, self.longitudes
+        inside = (latitude >= bottom - slack) & (latitude <= top + slack)
+        if not goes_around(self.longitudes):
+            east = longitude_within(longitude, self.longitudes)
+            inside = inside & (east >= left - slack) & (east <= right + slack)
+        return inside
 
     def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the index ``(*)``, ``row * width + column``, of the pixel that contains each direction ``(*, 3)``.
@@ -194,19 +232,22 @@ class Equirectangular(GridModule):
             >>> grid.rows_of(torch.arange(4)[:, None].expand(4, 8))[:, 0]
             tensor([1, 2])
         """
-        whole = round(self.height * math.pi / 2 / self.max_latitude)
+        whole = round(math.pi / self._pixel[0])
         if tuple(panorama.shape[-2:]) not in (self.shape, (whole, self.width)):
             larger = "" if self.whole_sphere else f" or {(whole, self.width)} for the whole sphere"
             raise ShapeError(
                 f"panorama: expected height and width {self.shape}{larger}, got {tuple(panorama.shape[-2:])}"
             )
-        first = (panorama.shape[-2] - self.height) // 2
+        own = panorama.shape[-2] == self.height
+        first = 0 if own else round((math.pi / 2 - self.latitudes[1]) / self._pixel[0])
         return panorama[..., first : first + self.height, :]
 
     @property
     def image_edges(self) -> str:
-        """How ``image`` goes on beyond its edges: ``"sphere"``, or ``"around"`` without the poles."""
-        return "sphere" if self.whole_sphere else "around"
+        """How ``image`` goes on beyond its edges: ``"sphere"``, ``"around"`` without the poles, or ``"border"``."""
+        if not goes_around(self.longitudes):
+            return "border"
+        return "sphere" if self.latitudes == ALL_LATITUDES else "around"
 
     def image(self, values: Float[Tensor, "*batch c h w"]) -> Float[Tensor, "*batch c h w"]:
         """The panorama ``(*b, c, height, width)`` itself, in which ``image_pixels`` are meant."""
@@ -221,16 +262,19 @@ class Equirectangular(GridModule):
         check_floating("directions", directions)
         x, y, z = directions.unbind(-1)
         # At a pole the longitude turns without end, though the picture hardly does: there its derivative is left out.
-        at_pole = torch.hypot(x, z).detach() < (2e-3 * self.max_latitude / self.height) * y.detach().abs()
+        at_pole = torch.hypot(x, z).detach() < (1e-3 * self._pixel[0]) * y.detach().abs()
         x, z = (torch.where(at_pole, side.detach(), side) for side in (x, z))
         u = self.pixels(torch.stack((x, y, z), -1))[..., 0]
         v = self.pixels(directions)[..., 1]
-        return torch.stack((torch.remainder(u + 0.5, self.width) - 0.5, v), -1)
+        if goes_around(self.longitudes):
+            u = torch.remainder(u + 0.5, self.width) - 0.5
+        return torch.stack((u, v), -1)
 
     def _interpolated(self, values: Tensor, directions: Tensor) -> Tensor:
+        if not goes_around(self.longitudes):
+            return super()._interpolated(values, directions)
         image = wrap_panorama(values, poles=self.whole_sphere)
         return bilinear_sample(image, self.image_pixels(directions) + 1)
 
     def extra_repr(self) -> str:
-        latitudes = "" if self.whole_sphere else f", latitudes within {math.degrees(self.max_latitude):.1f}°"
-        return f"height={self.height}, width={self.width}{latitudes}"
+        return f"height={self.height}, width={self.width}{limits_in_words(self.latitudes, self.longitudes)}"

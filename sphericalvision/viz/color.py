@@ -7,12 +7,12 @@ import math
 from functools import lru_cache
 from typing import Any
 
-import matplotlib
+import cv2
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_choice
 
 __all__ = [
     "DEPTH_MAP",
@@ -51,7 +51,7 @@ def depth_to_color(depth: Values, min_depth: float, max_depth: float = math.inf)
 
     Examples:
         >>> depth_to_color(torch.tensor([0.5, torch.inf, torch.nan]), min_depth=0.5).tolist()
-        [[122, 4, 2], [48, 18, 59], [128, 128, 128]]
+        [[122, 4, 3], [48, 18, 59], [128, 128, 128]]
     """
     _check_depth_range(min_depth, max_depth)
     values = _to_numpy(depth)
@@ -75,7 +75,7 @@ def error_to_color(error: Values, max_error: float) -> Picture:
 
     Examples:
         >>> error_to_color(torch.tensor([0.0, -9.0, torch.nan]), max_error=5.0).tolist()
-        [[0, 0, 3], [252, 254, 164], [128, 128, 128]]
+        [[0, 0, 4], [252, 255, 164], [128, 128, 128]]
     """
     if not 0 < max_error < math.inf:
         raise ArgumentError(f"max_error: expected a positive number, got {max_error!r}")
@@ -162,7 +162,7 @@ def _to_numpy(values: Values) -> npt.NDArray[np.float64]:
 
 
 def colorize(scaled: npt.NDArray[np.float64], color_map: str) -> Picture:
-    """Map values (*) in [0, 1] through a matplotlib colour map to uint8 (*, 3); NaN becomes grey."""
+    """Map values (*) in [0, 1] through a map of OpenCV's, named in small letters, to uint8 (*, 3); NaN becomes grey."""
     table = _table(color_map)
     unknown = np.isnan(scaled)
     places = (np.clip(np.where(unknown, 0, scaled), 0, 1) * (len(table) - 1)).astype(np.int64)
@@ -172,7 +172,8 @@ def colorize(scaled: npt.NDArray[np.float64], color_map: str) -> Picture:
 
 @lru_cache(maxsize=8)
 def _table(color_map: str) -> Picture:
-    """The colours of a map, as matplotlib has them, and the grey of what is unknown after them."""
-    colors = matplotlib.colormaps[color_map]
-    shades = colors(np.arange(colors.N), bytes=True)[:, :3]
+    """The colours of a map, as OpenCV has them, and the grey of what is unknown after them."""
+    known = {name[9:].lower(): code for name, code in vars(cv2).items() if name.startswith("COLORMAP_")}
+    check_choice("color_map", color_map, tuple(known))
+    shades = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], known[color_map])[0, :, ::-1]
     return np.concatenate((shades, np.full((1, 3), UNKNOWN_GREY, np.uint8)))

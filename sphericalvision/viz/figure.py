@@ -5,22 +5,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import cv2
-import matplotlib
 import numpy as np
 import numpy.typing as npt
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.viz.color import fade
+from sphericalvision.viz.color import colorize, fade
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["add_scale_bar", "figure_pixels", "sheet", "strip"]
 
 Picture = npt.NDArray[np.uint8]
 
-_DPI = 100
 _BORDER = 10  # pixels left around a trimmed figure
 _LEAST_WIDTH = 640  # titles and ticks fit; narrower pictures are enlarged by a whole factor
 
@@ -37,7 +37,7 @@ def add_scale_bar(
 
     Args:
         picture: uint8 ``(h, w, 3)``; narrow ones are enlarged by a whole factor, without smoothing.
-        color_map: name of a matplotlib colour map.
+        color_map: name of a colour map; see ``colorize``.
         ticks: position in [0, 1] along the colour map, and text.
         label: quantity and unit.
         title: text above the picture.
@@ -58,19 +58,25 @@ def add_scale_bar(
 def _bar(
     width: int, color_map: str, ticks: tuple[tuple[float, str], ...], label: str, faded: bool
 ) -> Picture:
-    figure = Figure(figsize=((width + 0.5) / _DPI, 0.64), dpi=_DPI, facecolor="white")
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.03, 0.72, 0.94, 0.22))
-    gradient = matplotlib.colormaps[color_map](np.linspace(0, 1, 512), bytes=True)[None, :, :3]
+    left, right = round(0.03 * width), round(0.97 * width)
+    bar = np.full((64, width, 3), 255, np.uint8)
+    colors = colorize(np.linspace(0, 1, right - left), color_map)[None].repeat(14, axis=0)
     if faded:
-        strength = np.repeat(np.linspace(1, 0, 14)[:, None], 512, axis=1)
-        gradient = fade(gradient.repeat(14, axis=0), strength)
-    axes.imshow(gradient, extent=(0, 1, 0, 1), aspect="auto", interpolation="nearest")
-    axes.set_yticks([])
-    axes.set_xticks([position for position, _ in ticks], [text for _, text in ticks], fontsize=9)
-    axes.set_xlabel(label, fontsize=9, labelpad=1)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[:, :width, :3].copy()
+        colors = fade(colors, np.linspace(1, 0, 14)[:, None].repeat(right - left, axis=1))
+    bar[4:18, left:right] = colors
+    for position, text in ticks:
+        column = left + round(position * (right - left - 1))
+        bar[18:22, column] = 0
+        _write(bar, text.replace("∞", "inf"), column, 35)
+    _write(bar, label, width // 2, 54)
+    return bar
+
+
+def _write(picture: Picture, text: str, middle: int, bottom: int) -> None:
+    """Put small black text centred about a column."""
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.45
+    extent = cv2.getTextSize(text, font, scale, 1)[0][0]
+    cv2.putText(picture, text, (middle - extent // 2, bottom), font, scale, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def sheet(pictures: Mapping[str, Picture] | Sequence[Picture], columns: int = 1, gap: int = 12) -> Picture:
@@ -158,6 +164,8 @@ def strip(pictures: Sequence[Picture], width: int, gap: int = 12, most: int = 6)
 
 def figure_pixels(figure: Figure) -> Picture:
     """The figure as uint8 (h, w, 3), without most of its empty border."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = np.asarray(canvas.buffer_rgba())[..., :3]

@@ -78,7 +78,7 @@ def sphere_mesh(
         values: ``(V,)``, coloured by a map from the smallest to the largest finite one, or colours ``(3, V)`` in
             [0, 1].
         radius: of the sphere.
-        color_map: name of a map of matplotlib.
+        color_map: name of a map of OpenCV's, in small letters.
 
     Returns:
         A mesh whose vertices are in the order of the icosphere; ``.export("sphere.ply")`` writes it.

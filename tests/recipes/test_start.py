@@ -16,7 +16,7 @@ from sphericalvision.recipes.app.rigs import make_ring
 LIGHTNING = ("pytorch_lightning", "lightning_fabric", "tensorboard", "torch._inductor")
 SCENES = ("skimage", "kornia", "scipy")
 COMMANDS = {
-    "predict": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "torch._dynamo"),
+    "predict": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "torch._dynamo", "matplotlib"),
     "export": ("pytorch_lightning", "tensorboard", "sklearn", "trimesh", "onnx"),
     "convert": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "matplotlib"),
     "calibrate": (*LIGHTNING, *SCENES, "sklearn", "trimesh", "matplotlib"),

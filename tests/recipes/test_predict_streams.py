@@ -171,14 +171,14 @@ def test_a_video_that_was_cut_or_is_shorter_than_another_is_told(
     failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
 ) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (FRAMES, 32, 160, 3), np.uint8)
-    write_video(capture / "row.avi", list(noise))
-    whole = (capture / "row.avi").read_bytes()
-    (capture / "row.avi").write_bytes(whole[: len(whole) // 2])
-    source = open_source(str(capture / "row.avi"), RIG)
-    frames = list(source.frames(Selection(), lambda _: True))
-    there = sum(frame.images is not None for frame in frames)
-    assert 0 < there < FRAMES == len(frames)
-    assert f"ends after {there} of the 7 frames" in str(frames[-1].error)
+    for name in ("row.mkv", "row.avi"):
+        write_video(capture / name, list(noise))
+        whole = (capture / name).read_bytes()
+        (capture / name).write_bytes(whole[: len(whole) // 2])
+        frames = list(open_source(str(capture / name), RIG).frames(Selection(), lambda _: True))
+        there = sum(frame.images is not None for frame in frames)
+        assert 0 < there < FRAMES == len(frames)
+        assert f"ends after {there} of the 7 frames" in str(frames[-1].error)
     words = [
         f"calibration={capture / 'rig.yaml'}",
         f"checkpoint={weights}",
@@ -192,6 +192,19 @@ def test_a_video_that_was_cut_or_is_shorter_than_another_is_told(
     with pytest.warns(UserWarning, match=r"cam2 5.* 2 that not all cameras have are left out"):
         shorter = open_source(str(capture / "videos"), RIG)
     assert len(list(shorter.frames(Selection(), lambda _: True))) == 5
+
+
+def test_a_whole_video_whose_header_is_off_about_its_length_is_whole(tmp_path: Path) -> None:
+    """Matroska tells how long it lasts, here ten times as long, and no number of frames."""
+    write_video(tmp_path / "row.mkv", [np.concatenate([picture(0, 0)] * 4, 1)] * FRAMES)
+    content = (tmp_path / "row.mkv").read_bytes()
+    duration = struct.pack(">d", 1000.0 * FRAMES / 5)
+    assert content.count(duration) == 1
+    (tmp_path / "row.mkv").write_bytes(content.replace(duration, struct.pack(">d", 10000.0 * FRAMES / 5)))
+    source = open_source(str(tmp_path / "row.mkv"), RIG)
+    frames = list(source.frames(Selection(), lambda _: True))
+    assert (len(frames), source.num_frames) == (FRAMES, 10 * FRAMES)
+    assert all(frame.images is not None for frame in frames)
 
 
 def test_a_video_gets_its_name_when_its_frames_can_be_read_back(tmp_path: Path) -> None:

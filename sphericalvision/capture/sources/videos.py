@@ -116,12 +116,13 @@ class Videos:
     ) -> Iterator[Frame]:
         """Frames after the end of a video that its header promises, chosen and wanted; each says why it is not there.
 
-        Containers whose headers count no frames tell how long they last, of which OpenCV makes a number: these may end
-        a second early.
+        Containers whose headers count no frames tell how long they last, of which OpenCV makes a number. Matroska's
+        tell their size as well: only what is shorter was cut. Of others the number may be off by a second.
         """
         promised = self.num_frames or 0
-        if not str(file).lower().endswith(COUNTED) and promised - number <= self.rate:
-            return
+        if promised > number and not str(file).lower().endswith(COUNTED):
+            cut = _is_cut(Path(str(file)))
+            promised = promised if cut or (cut is None and promised - number > self.rate) else number
         error = FileFormatError(
             f"{file}: ends after {number} of the {promised} frames that its header promises; copy it again, or "
             f"predict what is there with stop={number}"
@@ -193,3 +194,20 @@ def views_layout(size: Sequence[int], rig: CameraRig) -> tuple[int, int]:
 
 def _name(number: int) -> str:
     return f"{number:06d}"
+
+
+def _is_cut(file: Path) -> bool | None:
+    """Whether a Matroska file is shorter than its segment; None of other files and of segments of unknown size.
+
+    References:
+        RFC 8794, 4 (sizes: as many bytes as the first has leading zeros, and one) and RFC 9559, 5.1 (the segment).
+    """
+    with file.open("rb") as stream:
+        head = stream.read(4096)
+    at = head.find(b"\x18\x53\x80\x67") + 4
+    if not head.startswith(b"\x1a\x45\xdf\xa3") or at < 4 or at >= len(head) or not head[at]:
+        return None
+    length = 9 - head[at].bit_length()
+    unknown = (1 << 7 * length) - 1
+    size = int.from_bytes(head[at : at + length], "big") & unknown
+    return None if size == unknown else file.stat().st_size < at + length + size

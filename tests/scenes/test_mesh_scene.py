@@ -196,7 +196,7 @@ def test_buffers_come_from_the_folder_of_the_mesh_alone(uri: str, tmp_path: Path
         read_mesh_scene(tmp_path / "mesh/scene.gltf")
 
 
-def instances(folder: Path, count: int) -> dict[str, Any]:
+def instances(folder: Path, count: int, specular: bool = False) -> dict[str, Any]:
     """``scene.gltf``: the same textured square in many places; returns what it holds."""
     folder.mkdir(exist_ok=True)
     textured = quad(trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]], image=RED))
@@ -204,16 +204,22 @@ def instances(folder: Path, count: int) -> dict[str, Any]:
     tree: dict[str, Any] = json.loads(files.pop("model.gltf"))
     for name, content in files.items():
         (folder / name).write_bytes(content)
+    if specular:
+        (material,) = tree["materials"]
+        colours = {"diffuseTexture": material.pop("pbrMetallicRoughness")["baseColorTexture"]}
+        material["extensions"] = {"KHR_materials_pbrSpecularGlossiness": colours}
     tree["nodes"] = [{"mesh": 0, "name": str(k), "translation": [0.0, 0.0, -k]} for k in range(count)]
     tree["scenes"] = [{"nodes": list(range(count))}]
     (folder / "scene.gltf").write_text(json.dumps(tree))
     return tree
 
 
+@pytest.mark.parametrize("specular", [False, True])
 def test_a_piece_in_many_places_is_kept_once_and_counted_often(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    specular: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    instances(tmp_path, 30)
+    monkeypatch.setattr("trimesh.visual.gloss.specular_to_pbr", None)  # unpacks textures of any size
+    instances(tmp_path, 30, specular)
     scene = read_mesh_scene(tmp_path / "scene.gltf")
     assert (len(scene.textures), len(scene.faces)) == (1, 60)
     assert in_front(scene) == pytest.approx([1.0, 0.0, 0.0])

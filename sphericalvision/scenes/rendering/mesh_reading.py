@@ -8,14 +8,18 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import trimesh
+from trimesh.exchange.gltf.extensions import _handlers as handlers
 from trimesh.util import log
 
 from sphericalvision.core import FileFormatError, MissingFileError
 
 __all__ = ["load_mesh"]
+
+SPECULAR = "KHR_materials_pbrSpecularGlossiness"
 
 
 def load_mesh(path: Path) -> trimesh.Scene:
@@ -74,8 +78,12 @@ class Beside(Mapping[str, bytes]):
 
 @contextmanager
 def _complaints(found: list[str]) -> Iterator[None]:
-    """Add to ``found`` what trimesh cannot load meanwhile: it goes on without, and tells only its log."""
+    """Add to ``found`` what trimesh cannot load meanwhile: it goes on without, and tells only its log.
+
+    Textures of the extension `SPECULAR` stay packed meanwhile: trimesh would unpack and mix them, of whatever size.
+    """
     before, shown = log.level, log.getEffectiveLevel()
+    specular = handlers["material"][SPECULAR]
 
     def keep(record: logging.LogRecord) -> bool:
         if record.exc_info and record.exc_info[1] is not None:
@@ -83,9 +91,18 @@ def _complaints(found: list[str]) -> Iterator[None]:
         return record.levelno >= shown
 
     log.addFilter(keep)
+    handlers["material"][SPECULAR] = _colours_only
     log.setLevel(logging.DEBUG)
     try:
         yield
     finally:
         log.setLevel(before)
         log.removeFilter(keep)
+        handlers["material"][SPECULAR] = specular
+
+
+def _colours_only(context: Mapping[str, Any]) -> dict[str, Any]:
+    """What is drawn of a material with `SPECULAR`, as trimesh names it."""
+    found = context["parse_textures"](data=context["data"])
+    names = {"diffuseTexture": "baseColorTexture", "diffuseFactor": "baseColorFactor"}
+    return {names[name]: value for name, value in found.items() if name in names}

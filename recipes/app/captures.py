@@ -50,8 +50,8 @@ def open_capture(keys: Mapping[str, Any]) -> Source:
     try:
         rig = rig_from_file(calibration, *said, keys["image_size"])
     except ArgumentError as error:
-        size = size_of_images(keys["images"]) if str(error).startswith("image_size: ") else None
-        if size is None:
+        size = None if keys["image_size"] else size_of_images(keys["images"])
+        if size is None or not str(error).startswith("image_size: "):
             raise
         rig = rig_from_file(calibration, *said, size)
     if keys["cameras"] is not None:

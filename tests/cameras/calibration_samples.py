@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import torch
 import yaml
 
 from sphericalvision.cameras import Camera
+from sphericalvision.core import ArgumentError
 
 HALF = 0.5**0.5
 QUARTER_TURN = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
@@ -25,6 +27,16 @@ def dump(path: Path, content: Any) -> Path:
         json.dumps(content) if path.suffix == ".json" else yaml.safe_dump(content, sort_keys=False)
     )
     return path
+
+
+def with_size(read: Callable[..., Any], path: Path, **known: Any) -> Any:
+    """What ``read`` reads, with a size of the images only where the file does not tell one."""
+    try:
+        return read(path, **known)
+    except ArgumentError as error:
+        if "does not tell" not in str(error) or not str(error).startswith("image_size"):
+            raise
+        return read(path, image_size=(240, 320), **known)
 
 
 def directions(max_degrees: float = 60.0, rings: int = 7, spokes: int = 12) -> np.ndarray:

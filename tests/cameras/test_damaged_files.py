@@ -53,6 +53,7 @@ from tests.cameras.calibration_samples import (
     svo,
     svo_of_one,
     transforms,
+    with_size,
     woodscape,
 )
 
@@ -120,7 +121,7 @@ TEXTS: dict[str, str] = {
 
 def read_everything(path: Path) -> None:
     """As a camera and, where the file has poses, as a rig."""
-    read_cameras(path, max_angle=1.0, image_size=(240, 320))
+    with_size(read_cameras, path, max_angle=1.0)
     if path.name not in (
         "cameras.txt",
         "plain.yml",
@@ -135,7 +136,7 @@ def read_everything(path: Path) -> None:
     ):
         unit = "mm" if path.stem in ("stereo", "mc_calib") else None
         if path.name != "image_02.yaml":
-            read_rig(path, max_angle=1.0, translation_unit=unit, image_size=(240, 320))
+            with_size(read_rig, path, max_angle=1.0, translation_unit=unit)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -42,6 +42,7 @@ from tests.cameras.calibration_samples import (
     kannala_brandt,
     svo_of_one,
     transforms,
+    with_size,
 )
 from tests.cameras.test_damaged_files import CONTENTS, TEXTS, places
 from tests.cameras.test_survey_files import CALIBRATION, CHUNK
@@ -51,14 +52,15 @@ Found = dict[str, Any] | str
 
 def read(path: Path) -> Found:
     """The cameras, and the rig if the file has one; or what is said against it."""
-    known: dict[str, Any] = {"max_angle": 1.0, "image_size": (240, 320)}
     unit = "mm" if path.stem in ("stereo", "mc_calib") else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            return {"rig": read_rig(path, translation_unit=unit, **known)}
+            return {"rig": with_size(read_rig, path, translation_unit=unit, max_angle=1.0)}
         except SphericalVisionError as error:
-            return read_cameras(path, **known) if "without poses" in str(error) else str(error)
+            if "without poses" not in str(error):
+                return str(error)
+            return cast(Found, with_size(read_cameras, path, max_angle=1.0))
 
 
 def same(first: Any, second: Any) -> bool:
@@ -405,6 +407,15 @@ def test_a_principal_point_far_from_the_middle_is_told(
     )
     with pytest.warns(UserWarning, match=said):
         read_camera(path, image_size=size)
+
+
+def test_another_size_than_that_of_the_file_is_refused(tmp_path: Path) -> None:
+    for name in ("sensor.yaml", "plain.yml", "FV.json", "transforms.json"):
+        (tmp_path / name).write_text(TEXTS[name])
+        size = next(iter(read_cameras(tmp_path / name).values())).image_size
+        assert read_cameras(tmp_path / name, image_size=size)
+        with pytest.raises(ArgumentError, match=rf"image_size: .*{name} says itself"):
+            read_cameras(tmp_path / name, image_size=(size[0] // 2, size[1] // 2))
 
 
 SCALE = "<transform><scale>12.5</scale></transform>"

@@ -121,3 +121,6 @@ def test_sizes_that_a_calibration_lacks_are_the_images_or_given(
         message = failing(command, "calibration=c/transforms.json", f"output={command}.out")
         assert "pass image_size=[height,width]" in message
         run(command, "calibration=c/transforms.json", "image_size=[24,32]", f"output={command}.out")
+    make_ring(2, image_size=(24, 32)).to_yaml(tmp_path / "c/rig.yaml")
+    with pytest.raises(ArgumentError, match=r"image_size: .*rig\.yaml says itself"):
+        open_capture(keys | {"calibration": f"{tmp_path}/c/rig.yaml", "image_size": [48, 64]})

@@ -36,7 +36,8 @@ def read_rig(
             state it. All other formats are in metres.
         max_angle: half the field of view in radians, for all cameras. By default that of the file or, if it states
             none, the angle at the farthest pixel of the image.
-        image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF).
+        image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF); any
+            other size than that of a file that does is refused.
         dtype: of intrinsics and poses, by default torch's default, float32; files are read in float64, which
             ``dtype=torch.float64`` keeps.
 
@@ -122,11 +123,18 @@ def _contents(path: Path, options: Options) -> tuple[Path, Contents]:
     """The file that was read, and what it holds."""
     path, *others = _calibration_files(path)
     if others and path.is_dir():
-        return path, joined([(part, _read(part, options)) for part in others])
-    found = _read(path, options)
-    for twin in others:
-        if not found.is_like(_read(twin, options)):
-            raise ArgumentError(f"path: {path} and {twin.name} hold different cameras or poses; name one")
+        found = joined([(part, _read(part, options)) for part in others])
+    else:
+        found = _read(path, options)
+        for twin in others:
+            if not found.is_like(_read(twin, options)):
+                raise ArgumentError(f"path: {path} and {twin.name} hold different cameras or poses; name one")
+    for name, camera in found.cameras.items():
+        if options.image_size is not None and tuple(options.image_size) != camera.image_size:
+            raise ArgumentError(
+                f"image_size: {path} says itself that images of {name:.80} are {camera.image_size} (height, width), got "
+                f"{tuple(options.image_size)}; leave it out, or bring the camera to that size with camera.resized"
+            )
     return path, found
 
 

@@ -90,16 +90,16 @@ def holds(condition: Bool[Tensor, " ..."]) -> bool:
 
 
 def check_directions(directions: Float[Tensor, "*batch 3"]) -> None:
-    """Raise unless ``directions`` are ``(*, 3)``, floating point and without NaN, which lies in no cell of a grid.
+    """Raise unless ``directions`` are ``(*, 3)``, floating point and finite: all others lie in no cell of a grid.
 
     Examples:
         >>> check_directions(torch.eye(3))
     """
     check_last_dim("directions", directions, 3)
     check_floating("directions", directions)
-    if not holds(directions == directions):
+    if not holds(directions.isfinite()):
         raise ArgumentError(
-            "directions: expected numbers, got NaN; leave these out, no value is nearest to them"
+            "directions: expected numbers, got NaN or infinity; leave these out, no value is nearest to them"
         )
 
 

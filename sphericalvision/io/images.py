@@ -131,7 +131,8 @@ def read_mask(
 
     Raises:
         MissingFileError: there is no such file.
-        FileFormatError: the file is not readable, is no 8- or 16-bit image, has another size, or leaves nothing.
+        FileFormatError: the file is not readable, is no 8- or 16-bit image, has another size, leaves nothing, or is
+            neither black nor white.
 
     Examples:
         >>> write_pages("mask.png", [np.array([[0, 1, 1]], np.uint8)])
@@ -146,9 +147,10 @@ def read_mask(
         page = cv2.cvtColor(_to_rgb(page), cv2.COLOR_RGB2GRAY)
     white = next(level for level in (1, 255, 65535) if page.max(initial=0) <= level)
     kept = (page > white // 2) == (usable == "white")
-    if not kept.any():
+    if not kept.any() or 0 < page.max(initial=0) <= white // 2:
         raise FileFormatError(
-            f"{path}: the mask leaves nothing of the image; {what} has to be {usable} where images are usable"
+            f"{path}: the mask leaves nothing of the image, or has no white; {what} has to be {usable} where images "
+            "are usable"
         )
     return torch.from_numpy(kept)
 

@@ -126,7 +126,7 @@ def test_masks_come_back_and_are_true_from_half_white(tmp_path: Path) -> None:
             assert read_mask(tmp_path / "levels.png", usable="black").tolist() == [[True, False]]
     cv2.imwrite(str(tmp_path / "alpha.png"), np.array([[[0, 0, 0, 255], [255, 255, 255, 0]]], np.uint8))
     assert read_mask(tmp_path / "alpha.png").tolist() == [[True, False]]
-    for level, usable in ((0, "white"), (100, "white"), (255, "black")):
+    for level, usable in ((0, "white"), (100, "white"), (255, "black"), (100, "black")):
         cv2.imwrite(str(tmp_path / "nothing.png"), np.full((2, 2), level, np.uint8))
         with pytest.raises(FileFormatError, match=rf"nothing\.png: the mask leaves nothing .* {usable}"):
             read_mask(tmp_path / "nothing.png", usable=usable)  # type: ignore[arg-type]

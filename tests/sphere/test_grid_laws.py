@@ -94,8 +94,9 @@ def test_nan_is_nan_or_refused(name: str, kind: torch.dtype) -> None:
         assert weights.isnan().all(-1).tolist() == [True] * 3 + [False] * 2
         assert ids.min() >= 0
         assert ids.max() < math.prod(grid.shape)
-    with pytest.raises(ArgumentError, match=r"directions: .* NaN"):
-        grid.nearest(directions)
+    for wrong in (directions, directions[3:] / 0.0):
+        with pytest.raises(ArgumentError, match=r"directions: .* NaN"):
+            grid.nearest(wrong)
 
 
 @pytest.mark.parametrize("mode", ["bilinear", "nearest", "area"])

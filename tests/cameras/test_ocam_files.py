@@ -19,6 +19,7 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
+from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 
 
@@ -47,6 +48,14 @@ def test_text_has_the_row_first_and_five_lines_of_data(tmp_path: Path) -> None:
     assert lines[0].split()[0] == "4"
     assert lines[2] == "119.3 160.1"
     assert lines[4] == "240 320"
+
+
+def test_polynomials_of_two_lenses_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lens.txt"
+    save_camera(lens(), path, format="ocamcalib")
+    path.write_text(path.read_text().replace("157.1", "197.1"))
+    with pytest.raises(FileFormatError, match=r"lens\.txt: the direct and the inverse polynomial contradict"):
+        read_camera(path)
 
 
 @pytest.mark.parametrize("names", [["cam1", "cam3"], ["front", "right"]])

@@ -28,7 +28,8 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import load_keys
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import check_understood
+from sphericalvision.cameras.calibration.keys import SETTINGS, check_understood
+from sphericalvision.cameras.calibration.ocam_text import check_inverse
 from sphericalvision.cameras.calibration.parsing import errors_of_file, number, size_from_width_height
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.ocam import OCamCamera
@@ -38,7 +39,7 @@ from sphericalvision.geometry import transform_from_quaternion
 __all__ = ["MULTICOL_POSES", "contents", "recognizes"]
 
 MULTICOL_POSES = "MultiCamSys_Calibration.yaml"
-_IGNORED = r"(?!Camera).*|Camera\.(fps|RGB|mirrorMask)"
+_IGNORED = SETTINGS + r"(?!Camera).*|Camera\.(fps|RGB|mirrorMask)"
 _CAMERA_FILE = "InteriorOrientationFisheye{index}.yaml"
 
 
@@ -103,7 +104,7 @@ def _camera(content: dict[str, Any], where: str) -> OCamCamera:
     image_size = size_from_width_height(size, f"{where}, Camera.Iw and Camera.Ih")
     powers = torch.arange(len(direct), dtype=torch.float64)
     with errors_of_file(where):
-        return OCamCamera(
+        camera = OCamCamera(
             polynomial=direct * c ** (1 - powers),
             inverse_polynomial=inverse * c,
             principal_point=[u0, v0],
@@ -111,6 +112,7 @@ def _camera(content: dict[str, Any], where: str) -> OCamCamera:
             image_size=image_size,
             max_angle=torch.pi,
         )
+    return check_inverse(camera, where)
 
 
 register_format(

@@ -326,6 +326,9 @@ def test_other_encodings_are_named(tmp_path: Path, encoding: str, named: str) ->
         ("camera.txt", "0.53 0.67 0.49 0.5 0.89\n1280 1024\ncrop\n640 480\n", "DSO"),
         ("camera.txt", "EquiDistant 190.9 190.9 254.9 256.8 0.003 0.0 0.0 0.0\n512 512\ncrop\n512 512\n", "DSO"),
         ("chain.yaml", "cam0: {resolution: [640, 480]}\n", "Kalibr"),
+        ("report.txt", "Camera-system parameters:\n\tcam0 (/cam0/image_raw):\n", "Kalibr"),
+        ("ost.txt", "# oST\n[image]\nwidth\n640\n", "ROS"),
+        ("SN1.conf", "[LEFT_CAM_HD]\nfx=700\n", "ZED"),
         ("sfm_data.json", '{"sfm_data_version": "0.3", "views": []}', "OpenMVG"),
     ],
 )  # fmt: skip
@@ -379,6 +382,7 @@ def test_names_of_views_are_kept_whole(tmp_path: Path) -> None:
         (["./train/rig.000", "./train/rig.001"], ["train/rig.000", "train/rig.001"]),
         ([r".\images\a.png", r".\images\b.PNG"], ["images/a", "images/b"]),
         (["c.front.jpg", "c.back.jpg"], ["c.front", "c.back"]),
+        (["a.1.insp", "a.2.HEIF"], ["a.1", "a.2"]),
     ):
         content = transforms()
         for frame, file in zip(content["frames"], files, strict=True):
@@ -505,8 +509,41 @@ def test_lenses_of_other_programs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("camchain.yaml", "  rostopic: /cam0", "  rostopic: /cam0\n  line_delay: 1.0e-05"),
+        ("camchain.yaml", "cam0:", "T_imu_body: [[1.0]]\ncam0:"),
+        ("calibration.json", '"T_imu_cam"', '"T_imu_marker": {"px": 0}, "T_imu_cam"'),
+        ("settings.yaml", "Camera.fps: 20", "Camera.fps: 20\nCamera.bFishEye: 1\nORBextractor.scaleFactor: 1.2"),
+        ("transforms.json", '"w": 512', '"auto_scale_poses_override": false, "offset": [0.5], "w": 512'),
+        ("transforms.json", '"file_path"', '"is_bad": false, "normal_path": "n", "fl_x": 190.98, "file_path"'),
+        ("transforms.json", '"w": 512', '"camera_angle_x": 1.4, "w": 512'),  # of a fisheye, where it may mean the view
+        ("svo.yaml", "cameras:", "scale: 1.0\ncameras:"),
+        ("lens.json", '"fps"', '"use_opencv_standard": false, "digital_lens": null, "fps"'),
+        ("reconstruction.json", '"rotation"', '"is_calibrated": true, "merge_cc": 0, "rotation"'),
+        ("pinhole.yaml", "model_type", "fisheye: 0\nfisheye_mask: x.jpg\nmin_dist: 30\nmodel_type"),
+        ("plain.yml", "image_width", "marker_size: 12.0\nframesCount: 3\nused_imgs: [0]\nimage_width"),
+        ("chunk.xml", "</sensor>", "<photo_params>b1</photo_params><antenna/></sensor>"),
+    ],
+)  # fmt: skip
+def test_what_producers_write_beside_changes_nothing(tmp_path: Path, name: str, old: str, new: str) -> None:
+    text = (TEXTS | OTHER_TEXTS)[name]
+    assert old in text
+    (tmp_path / name).write_text(text)
+    intact = read(tmp_path / name)
+    (tmp_path / name).write_text(text.replace(old, new))
+    assert same(intact, read(tmp_path / name)), read(tmp_path / name)
+
+
+@pytest.mark.parametrize(
     ("name", "old", "new", "message"),
     [
+        ("svo.yaml", "cameras:", "scale: 0.5\ncameras:", "scale: expected 1"),
+        ("atan.yaml", "cam_width", "crop: 1\ncam_width", "'crop' is not understood"),
+        ("okvis.yaml", "cameras:", "binning: 2\ncameras:", "'binning' is not understood"),
+        ("settings.yaml", "Camera.fps", "resize: 2\nCamera.fps", "'resize' is not understood"),
+        ("lens.json", '"fps"', '"use_opencv_standard": true, "fps"', "use_opencv_standard: expected none"),
+        ("transforms.json", '"camera_model": "OPENCV_FISHEYE"', '"camera_angle_x": 1.4', "fl_x and camera_angle_x"),
         ("front.cameramodel", "OPENCV5", "SPLINED_STEREOGRAPHIC_order=3", "lensmodel: expected one of"),
         ("front.cameramodel", "extrinsics'", "extrinsic'", "'extrinsics' is missing"),
         ("front.cameramodel", "icam_", "roi_", "'roi_intrinsics' is not understood"),

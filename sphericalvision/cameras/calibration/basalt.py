@@ -160,7 +160,7 @@ register_format(
         "Basalt json",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
-        ignored=r"value0/(\w*(accel|gyro|imu_update|mocap|vignette)\w*|cam_time_offset_ns|view_offset)|value\d/cereal\w*",
+        ignored=r"value0/(\w*(accel|gyro|imu_update|mocap|marker|vignette)\w*|cam_time_offset_ns|view_offset)|value\d/cereal\w*",
         usual_names=("calibration.json",),
         models=models_of(_LENSES),
         write_camera=write_basalt,

@@ -22,7 +22,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, load_keys
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import check_understood
+from sphericalvision.cameras.calibration.keys import SETTINGS, check_understood
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.cameras.calibration.parsing import (
     chosen_model,
@@ -47,7 +47,7 @@ _KINDS = tuple(lens.name for lens in _LENSES)
 _SECTIONS = ("mirror_parameters", "projection_parameters", "distortion_parameters")
 
 
-IGNORED = "(?!image|camera|model|mirror|distortion|projection|lens|roi|binning|fisheye)[^/]*"
+IGNORED = SETTINGS + "(?!image|camera|model|mirror|distortion|projection|lens|fisheye(?!_mask$|$))[^/]*"
 """Settings of the programs that have cameras in their own file; not keys of a lens."""
 
 

@@ -179,9 +179,9 @@ def rigs_in(path: Path) -> list[RigRecord]:
                 raise FileFormatError(f"{where}: expected {' or '.join(_SENSOR_TYPES)}, got {type!r}")
             sensor = SensorRecord(type, _ids([id], where)[0], pose)
             reference, sensors = (reference, [*sensors, sensor]) if place else (sensor, sensors)
-        if count < 1 or len(sensors) + 1 < count:
+        if count < 1 or len(sensors) + 1 < count or words:
             raise FileFormatError(
-                f"{where}: announces {count} sensors and has {len(sensors)}; is it cut off?"
+                f"{where}: announces {count} sensors and has {len(sensors)} and {len(words)} words more; is it cut off?"
             )
         found.append(RigRecord(where, rig, reference, sensors))
     return found

@@ -36,8 +36,8 @@ def read_rig(
             state it. All other formats are in metres.
         max_angle: half the field of view in radians, for all cameras. By default that of the file or, if it states
             none, the angle at the farthest pixel of the image.
-        image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF); any
-            other size than that of a file that does is refused.
+        image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF);
+            another size than that of a file that does is refused.
         dtype: of intrinsics and poses, by default torch's default, float32; files are read in float64, which
             ``dtype=torch.float64`` keeps.
 
@@ -132,8 +132,8 @@ def _contents(path: Path, options: Options) -> tuple[Path, Contents]:
     for name, camera in found.cameras.items():
         if options.image_size is not None and tuple(options.image_size) != camera.image_size:
             raise ArgumentError(
-                f"image_size: {path} says itself that images of {name:.80} are {camera.image_size} (height, width), got "
-                f"{tuple(options.image_size)}; leave it out, or bring the camera to that size with camera.resized"
+                f"image_size: {path} says itself that images of {name:.80} are {camera.image_size} (height, width), "
+                f"got {tuple(options.image_size)}; leave it out, or bring the camera to that size: camera.resized"
             )
     return path, found
 
@@ -162,6 +162,9 @@ def _read(path: Path, options: Options) -> Contents:
 
 _OTHERS = (
     ("Facebook Surround 360's rig", r"\bforward\b[\s\S]*\borigin\b|\borigin\b[\s\S]*\bforward\b"),
+    ("Kalibr's report, beside which its camchain is", r"(?m)^Camera-system parameters:"),
+    ("ROS's ost.txt, beside which its ost.yaml is", r"(?m)^\[(image|narrow_stereo)"),
+    ("ZED's camera file", r"(?m)^\[LEFT_CAM_"),
     ("OpenMVG's sfm_data", r"\bsfm_data_version\b"),
     ("AliceVision's or Meshroom's sfm", r"\bfeaturesFolders\b|\bposeId\b"),
     ("a Kalibr camchain whose cameras have neither camera_model nor intrinsics", r"(?m)^cam\d+:"),

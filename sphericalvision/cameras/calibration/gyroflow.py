@@ -44,7 +44,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     for key in ("input_horizontal_stretch", "input_vertical_stretch"):
         if content.get(key) and number(content, key, where) != 1:
             raise FileFormatError(f"{where}, {key}: expected 1, got {content[key]!r:.80}")
-    for key in ("digital_lens", "interpolations"):
+    for key in ("digital_lens", "interpolations", "use_opencv_standard"):
         if content.get(key):
             raise FileFormatError(f"{where}, {key}: expected none, got {content[key]!r:.80}")
     dimension, lens = content["calib_dimension"], content["fisheye_params"]

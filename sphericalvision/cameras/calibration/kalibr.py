@@ -204,7 +204,7 @@ register_format(
         "Kalibr camchain",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
-        ignored=r"imu\d*|.*/(rostopic|cam_overlaps|timeshift_cam_imu)",
+        ignored=r"imu\d*|T_imu_body|.*/(rostopic|cam_overlaps|timeshift_cam_imu|line_delay\w*)",
         usual_names=("camchain.yaml",),
         models=models_of(_LENSES),
         write_camera=write_kalibr,

@@ -14,10 +14,10 @@ from typing import Any
 
 from sphericalvision.core import FileFormatError, short_repr
 
-__all__ = ["Keys", "check_understood", "noted"]
+__all__ = ["SETTINGS", "Keys", "check_understood", "noted"]
 
 _NEVER_MATTER = re.compile(
-    "(time|date|stamp|timestamp|comment|note|description|author|error|rms|residual|board|square|chessboard|charuco|aruco"
+    "(time|date|stamp|timestamp|comment|note|description|author|error|rms|residual|board|square|marker|chessboard|charuco|aruco"
     "|covariance|std|deviation|uncertainty|header|seq|dt)s?"
 )
 """One of these words in a key is enough."""
@@ -30,6 +30,9 @@ _MATTER = re.compile(
 )
 """With one of these words a key may matter for all the others, except ``camera_name`` and the like."""
 _NAMES = re.compile(r"(?i)(camera|cam|lens)_?(name|id|label|serial(_?(no|number))?)|type_id")
+
+SETTINGS = "(?!(?i:crop|roi|binning|scale|resiz|downs|flip|rotat|undist))"
+"""In front of the pattern of a program's settings, whatever they are called: none crops, scales or turns the image."""
 
 
 class Keys(dict[Any, Any]):

@@ -34,6 +34,7 @@ from sphericalvision.cameras.calibration.parsing import (
     mapping,
     numbers,
     size_from_width_height,
+    view_name,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
@@ -55,7 +56,7 @@ _FISHEYE = Lens(
 _EQUISOLID = Lens("equisolid", "fisheye", "f+b1=fx f=fy cx cy", options={"projection": "equisolid"})
 _IGNORED = (
     r"document/(version|chunk/[^/]+)|.*/next_(group_)?id|.*/active_id|.*/(enabled|class|label|locked)|.*/transform/(rotation"
-    r"|translation)|.*/sensor/(property|bands|data_type|pixel_\w+|focal_length|layer_index|black_level|sensitivity|fixed\w*"
+    r"|translation)|.*/sensor/(property|bands|data_type|pixel_\w+|focal_length|layer_index|black_level|sensitivity|fixed\w*|photo_params|antenna"
     r"|normalize_\w+|vignetting|rolling_shutter(_mode)?|reference|meta|master_id)|.*/component/(region|partition)"
     r"|.*/group/\w+|.*/camera/(reference|vignetting|meta|layer_index|used|selected|component_id)"
 )
@@ -116,7 +117,7 @@ def _of_cameras(
     cameras: dict[str, Camera] = {}
     poses, used = [], set()
     for camera in elements.values():
-        sensor, name = str(camera.get("sensor_id")), str(camera.get("label") or camera.get("id"))
+        sensor, name = str(camera.get("sensor_id")), view_name(camera.get("label") or camera.get("id"))
         where = f"{path}, camera {name!r:.80}"
         master = elements.get(str(camera.get("master_id", camera.get("id"))))
         if master is None:

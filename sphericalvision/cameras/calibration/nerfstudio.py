@@ -76,8 +76,10 @@ _OWN = {
 _OWN |= {"k1", "k2", "k3", "k4", "p1", "p2"}
 """Keys by which a frame has a lens of its own."""
 _IGNORED = (
-    r"aabb_scale|applied_transform|ply_file_path|\w*filenames|sharpness\w*|render_aabb|n_extra_learnable_dims"
-    r"|orientation_override|frames/(sharpness|colmap_im_id|depth_file_path|rotation|time|bbox)|(frames/)?(camera_angle_[xy]|fl_[xy]|c[xy]|k[1-4]|p[12])"
+    r"aabb\w*|offset|up|from_na|applied_transform|\w*filenames|sharpness\w*|render_aabb|n_extra_learnable_dims|n_frames"
+    r"|(orientation|auto_scale_poses)_override|(white|black)_transparent|(integer_depth|depth_unit)_scale\w*|has_mask"
+    r"|enable_depth_loading|test_frames|(frames/)?(w|h|\w+_path|camera_angle_[xy]|fl_[xy]|c[xy]|k[1-4]|p[12])"
+    r"|frames/(sharpness|colmap_im_id|rotation|time|bbox|is_bad)"
 )
 
 
@@ -139,7 +141,7 @@ def _unbounded_camera(values: Mapping[str, Any], where: str, options: Options) -
     height, width = size
     is_fisheye = values.get("is_fisheye", False)
     kind = values.get("camera_model") or ("OPENCV_FISHEYE" if is_fisheye else "OPENCV")
-    kind = chosen(kind, _KINDS, f"{where}, camera_model")
+    kind = "OPENCV" if kind in ("SIMPLE_RADIAL", "RADIAL") else chosen(kind, _KINDS, f"{where}, camera_model")
     if is_fisheye and kind != "OPENCV_FISHEYE":
         raise FileFormatError(
             f"{where}, is_fisheye and camera_model: tell different models; keep the right one"
@@ -148,7 +150,7 @@ def _unbounded_camera(values: Mapping[str, Any], where: str, options: Options) -
         return EquirectangularCamera(size)
     middle = {"cx": width / 2, "cy": height / 2}
     center = [(number(values, key, where) if key in values else middle[key]) - 0.5 for key in middle]
-    plane = [*_focal_lengths(values, width, height, where), *center]
+    plane = [*_focal_lengths(values, width, height, kind == "OPENCV_FISHEYE", where), *center]
 
     def get(*keys: str) -> list[float]:
         return [number(values, key, where) if values.get(key) is not None else 0.0 for key in keys]
@@ -182,17 +184,27 @@ def _image_size(values: Mapping[str, Any], where: str, options: Options) -> tupl
     return options.given_size(where, "w and h")
 
 
-def _focal_lengths(values: Mapping[str, Any], width: int, height: int, where: str) -> list[float]:
-    """Along u and v, each as a focal length, else from the angle of view, else as the other one."""
-    found = []
+def _focal_lengths(
+    values: Mapping[str, Any], width: int, height: int, is_fisheye: bool, where: str
+) -> list[float]:
+    """Along u and v, each as a focal length, else from the angle of view, else as the other one.
+
+    What a frame says in one of these ways counts before what the top says in the other. Files say both; they have to
+    agree, but for fisheyes, of which programs mean several things by the angle.
+    """
+    levels = values.maps if isinstance(values, ChainMap) else [values]
+    found: list[float] = []
     for key, angle, side in (("fl_x", "camera_angle_x", width), ("fl_y", "camera_angle_y", height)):
-        if key in values:
-            found.append(number(values, key, where))
-        elif angle in values:
-            half = number(values, angle, where) / 2
+        level = next((part for part in levels if key in part or angle in part), {})
+        half = number(level, angle, where) / 2 if angle in level else None
+        if key in level:
+            found.append(number(level, key, where))
+        if half is not None and not (key in level and is_fisheye):
             if not 0 < half < math.pi / 2:
                 raise FileFormatError(f"{where}, {angle}: expected radians between 0 and π, got {2 * half:g}")
             found.append(side / 2 / math.tan(half))
+            if key in level and abs(found.pop() - found[-1]) > 0.01 * found[-1]:
+                raise FileFormatError(f"{where}: {key} and {angle} tell different lenses; keep the right one")
     if not found:
         entry(values, "fl_x", where)
     return focal_lengths([found[0], found[-1]], where)

@@ -19,6 +19,7 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import SETTINGS
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.opencv_keys import matrix
 from sphericalvision.cameras.calibration.parsing import (
@@ -71,6 +72,6 @@ register_format(
         "OKVIS configuration",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
-        ignored=r"[^/]+|cameras/(camera_type|slam_use)",
+        ignored=SETTINGS + r"[^/]+|cameras/(camera_type|slam_use)",
     )
 )

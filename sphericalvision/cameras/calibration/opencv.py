@@ -62,7 +62,7 @@ _PAIRS = {"intrinsics": "extrinsics", "extrinsics": "intrinsics"}
 _IGNORED = (
     r"(?i)[rtpqef]_?[12]?|r_?vecs?|t_?vecs?|om|translation|rotation(_?matrix)?|extrinsic(_?parameter)?s|map[xy12]*|flag.*"
     r"|(rectification|projection)(_?matrix)?(_?[12]|_?left|_?right)?|(new|optimal)_?camera_?(matrix|mtx)|valid_?pix_?roi.*"
-    r"|(n|nr|nr_?of|num)_?[a-z]+s|(fix_?)?aspect_?ratio|(image|grid|object)_?points|per_?view_?.*"
+    r"|(n|nr|nr_?of|num)_?[a-z]+s|frames_?count|used_?im\w+|(rotation|translation)_?vectors|(fix_?)?aspect_?ratio|(image|grid|object)_?points|per_?view_?.*"
 )
 """What belongs to rectified images, to views of the board, and to the calibration as a work; R and T of one camera."""
 
@@ -72,7 +72,7 @@ def recognizes(content: dict[str, Any]) -> bool:
     keys = [key for index in ("", "1") if (key := find(content, MATRIX, index))]
     if any(len(key) > 2 or isinstance(content[key], Mapping | list) for key in keys):
         return True
-    return bool(find(content, ROTATION) and find(content, TRANSLATION))
+    return bool(find(content, ("r",)) and find(content, ("t",)) and find(content, ("q", "e", "f", "r1")))
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:

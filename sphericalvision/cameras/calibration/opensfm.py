@@ -109,6 +109,6 @@ register_format(
         contents_of_keys=contents,
         usual_names=("reconstruction.json", "camera_models.json"),
         ignored=r"points|shots|biases|rig_\w+|reference_lla|reference|.*/\w+_prior|shots/.*/(gps_\w+|capture_time|vertices"
-        r"|faces|scale|covariance|merge_cc|is_interpolated|compass|skey|gravity_\w+)",
+        r"|faces|scale|covariance|merge_cc|is_\w+|compass|skey|gravity_\w+)",
     )
 )

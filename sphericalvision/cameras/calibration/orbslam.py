@@ -21,6 +21,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import SETTINGS
 from sphericalvision.cameras.calibration.lenses import Lens, lens_of, models_of, numbers_of
 from sphericalvision.cameras.calibration.opencv_keys import matrix
 from sphericalvision.cameras.calibration.parsing import (
@@ -134,8 +135,8 @@ register_format(
         "ORB-SLAM3 settings",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
-        ignored=r"(?!Camera|Stereo|IMU\.T|LEFT|RIGHT|T).*|ThDepth"
-        r"|Camera\d?\.(fps|RGB|bf|newWidth|newHeight|imageScale|(overl|l)apping(Begin|End))|Stereo\.(ThDepth|b)",
+        ignored=SETTINGS + r"(?!Camera|Stereo|IMU\.T|LEFT|RIGHT|T).*|ThDepth"
+        r"|Camera\d?\.(fps|RGB|bf|b[Ff]ish[Ee]ye|newWidth|newHeight|imageScale|(overl|l)apping(Begin|End))|Stereo\.(ThDepth|b)",
         models=models_of(_LENSES),
         write_camera=write_orbslam,
         write_rig=write_orbslam,

@@ -155,7 +155,9 @@ def entry(values: Any, key: str, where: str) -> Any:
     return values[key]
 
 
-_IMAGE = re.compile(r"(?i)\.(png|jpe?g|tiff?|bmp|webp|exr|hdr|p[gnp]m|jp2|gif|dng|raw|heic|avif)$")
+_IMAGE = re.compile(
+    r"(?i)\.(png|jpe?g|tiff?|bmp|webp|exr|hdr|p[gnp]m|jp2|jxl|gif|hei[cf]|avif|dng|raw|insp|cr[23]|nef|arw|orf|rw2)$"
+)
 
 
 def view_name(file: Any) -> str:

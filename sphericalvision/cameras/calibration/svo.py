@@ -21,11 +21,13 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import SETTINGS
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.opencv_keys import matrix
 from sphericalvision.cameras.calibration.parsing import chosen, entry, mapping, number, size_from_width_height
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "recognizes"]
 
@@ -43,15 +45,24 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     """Cameras, called by their labels, and poses of a parsed file."""
+    if "scale" in content and number(content, "scale", str(path)) != 1:
+        raise FileFormatError(
+            f"{path}, scale: expected 1, got {content['scale']}; the numbers are those of images before the program "
+            "makes them smaller: leave it out to read these"
+        )
     if "cam_model" in content:
         return Contents({path.stem: bounded(_first_age(content, str(path)), options.max_angle, str(path))})
     cameras: dict[str, Camera] = {}
     poses = []
-    for index, values in enumerate(content["cameras"]):
-        where = f"{path}, cameras[{index}]"
-        lens = mapping(entry(values, "camera", where), f"{where}, camera")
-        name = str(lens.get("label") or f"cam{index}")
-        name = name if name not in cameras else f"cam{index}"
+    wheres = [f"{path}, cameras[{index}]" for index in range(len(content["cameras"]))]
+    lenses = [
+        mapping(entry(values, "camera", where), f"{where}, camera")
+        for values, where in zip(content["cameras"], wheres, strict=True)
+    ]
+    names = [str(lens.get("label") or f"cam{index}") for index, lens in enumerate(lenses)]
+    if len(set(names)) < len(names):
+        names = [f"cam{index}" for index in range(len(names))]
+    for name, lens, values, where in zip(names, lenses, content["cameras"], wheres, strict=True):
         cameras[name] = bounded(_camera(lens, where), options.max_angle, where)
         pose = matrix(entry(values, "T_B_C", where), f"{where}, T_B_C", 16)
         poses.append(transform_from_rows(pose, f"{where}, T_B_C"))
@@ -80,7 +91,10 @@ def _first_age(content: Any, where: str) -> Camera:
     if kind == "ATAN":
         plane = [fx * width, fy * height, cx * width - 0.5, cy * height - 0.5]
         return distorted("fov", [*plane, number(content, "cam_d0", where)], size, where)
-    more = [number(content, f"cam_d{index}", where) for index in range(4)]
+    keys = [f"cam_d{index}" for index in range(4)]
+    if not any(key in content for key in keys):
+        return distorted("none", [fx, fy, cx, cy], size, where)
+    more = [number(content, key, where) for key in keys]
     return distorted("radtan", [fx, fy, cx, cy, *more], size, where)
 
 
@@ -90,6 +104,6 @@ register_format(
         "SVO and SVO Pro cameras",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
-        ignored=r"(?!cam)[^/]+|cameras/camera/line-delay-nanoseconds",
+        ignored=SETTINGS + r"(?!cam)[^/]+|cameras/camera/line-delay-nanoseconds",
     )
 )

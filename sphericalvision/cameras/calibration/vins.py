@@ -20,6 +20,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration import camodocal
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import SETTINGS
 from sphericalvision.cameras.calibration.opencv_keys import matrix
 from sphericalvision.cameras.calibration.parsing import entry, number, size_from_width_height
 from sphericalvision.cameras.calibration.poses import transform_from_rows
@@ -73,6 +74,7 @@ register_format(
         "VINS-Fusion estimator yaml",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
-        ignored="(?!image_|cam|body|num_of_cam|extrinsic|distortion|projection|model|roi|binning).*|image\\d?_topic",
+        ignored=SETTINGS
+        + "(?!image_|cam|body|num_of_cam|extrinsic|distortion|projection|model).*|image\\d?_topic",
     )
 )

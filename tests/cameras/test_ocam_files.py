@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,10 @@ def test_rig_is_read_back_as_written(tmp_path: Path, names: list[str]) -> None:
         assert restored.with_max_angle(camera.max_angle).equals(camera)
         assert (name in again.masks) == (name == again.names[1])
     assert torch.equal(again.masks[again.names[1]], mask)
+    text = (tmp_path / "config.yaml").read_text()
+    (tmp_path / "config.yaml").write_text(re.sub("max_fov: .*", "max_fov: 3.49", text))
+    with pytest.raises(FileFormatError, match="max_fov: expected degrees"):
+        read_rig(tmp_path)
 
 
 def test_exact_camera_needs_an_inverse_polynomial_first(tmp_path: Path) -> None:

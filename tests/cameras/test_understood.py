@@ -206,6 +206,33 @@ def test_each_name_of_other_files_is_understood_or_refused(tmp_path: Path, name:
     assert tried > 10
 
 
+COLMAP_MODEL = {
+    "cameras.txt": "# a\n1 OPENCV_FISHEYE 640 480 300 301 320 240 0.01 0.02 0.03 0.04\n2 PINHOLE 64 48 30 31 32 24\n",
+    "images.txt": "1 1 0 0 0 0.1 0.2 0.3 1 a.png\n1.5 2.5 -1 3.5 4.5 7\n2 0.6 0 0.8 0 0.4 0.5 0.6 2 b.png\n\n",
+    "rigs.txt": "1 3 CAMERA 1 CAMERA 2 1 0.6 0 0.8 0 0.4 0.5 0.6 IMU 1 1 1 0 0 0 0 0 0\n",
+}
+
+
+@pytest.mark.parametrize("name", COLMAP_MODEL)
+def test_each_word_of_colmap_is_understood_or_refused(tmp_path: Path, name: str) -> None:
+    """A word or a line that is missing or stands twice is refused, unless it is of an IMU, a point or a name."""
+    for other, text in COLMAP_MODEL.items():
+        if not (name == "images.txt" and other == "rigs.txt"):
+            (tmp_path / other).write_text(text)
+    intact, text = read(tmp_path), COLMAP_MODEL[name]
+    assert not isinstance(intact, str), intact
+    for place in re.finditer(r"\S+ ?", text):
+        for new in ("", f"{place[0].strip()} {place[0]}"):
+            (tmp_path / name).write_text(text[: place.start()] + new + text[place.end() :])
+            found = read(tmp_path)
+            told = f"{place[0]!r} at {place.start()} became {new!r}: {found}"
+            assert (
+                isinstance(found, str)
+                or same(intact, found)
+                or ".png" in text[place.start() : place.end() + 5]
+            ), told
+
+
 @pytest.mark.parametrize("name", CONTENTS)
 def test_a_key_that_stands_twice_is_refused(tmp_path: Path, name: str) -> None:
     content = CONTENTS[name]()
@@ -523,6 +550,7 @@ def test_lenses_of_other_programs(tmp_path: Path) -> None:
         ("reconstruction.json", '"rotation"', '"is_calibrated": true, "merge_cc": 0, "rotation"'),
         ("pinhole.yaml", "model_type", "fisheye: 0\nfisheye_mask: x.jpg\nmin_dist: 30\nmodel_type"),
         ("plain.yml", "image_width", "marker_size: 12.0\nframesCount: 3\nused_imgs: [0]\nimage_width"),
+        ("image001.xmp", "xcr:Skew", 'xcr:latitude="48.1" xcr:version="2.2" xcr:Skew'),
         ("chunk.xml", "</sensor>", "<photo_params>b1</photo_params><antenna/></sensor>"),
     ],
 )  # fmt: skip
@@ -544,6 +572,8 @@ def test_what_producers_write_beside_changes_nothing(tmp_path: Path, name: str, 
         ("settings.yaml", "Camera.fps", "resize: 2\nCamera.fps", "'resize' is not understood"),
         ("lens.json", '"fps"', '"use_opencv_standard": true, "fps"', "use_opencv_standard: expected none"),
         ("transforms.json", '"camera_model": "OPENCV_FISHEYE"', '"camera_angle_x": 1.4', "fl_x and camera_angle_x"),
+        ("camchain.yaml", "cam1:", "cam7:", "cam2: cam0 is not the camera before"),
+        ("stereo.yaml", "\nR:\n", "\ntranslation_unit: m\nR:\n", "translation_unit: "),
         ("front.cameramodel", "OPENCV5", "SPLINED_STEREOGRAPHIC_order=3", "lensmodel: expected one of"),
         ("front.cameramodel", "extrinsics'", "extrinsic'", "'extrinsics' is missing"),
         ("front.cameramodel", "icam_", "roi_", "'roi_intrinsics' is not understood"),

@@ -115,19 +115,21 @@ def _poses(content: dict[str, Any], names: list[str], path: Path) -> Tensor | No
             f"{path}, {names[0]}, T_cn_cnm1: expected none of the first camera; is cam0 missing?"
         )
     known = [pose for pose in to_imu if pose is not None]
-    for name, step, before, pose in zip(names[1:], steps[1:], to_imu, to_imu[1:], strict=False):
-        if step is not None and before is not None and pose is not None:
+    for last, name, step, before, pose in zip(names, names[1:], steps[1:], to_imu, to_imu[1:], strict=False):
+        follows = int(name[3:]) == int(last[3:]) + 1
+        if follows and step is not None and before is not None and pose is not None:
             _compare(step, before, pose, f"{path}, {name}")
     if len(known) == len(names):
         return torch.stack(known)
     if len(names) == 1:
         return None
     poses = [torch.eye(4, dtype=torch.float64)]
-    for name, step in zip(names[1:], steps[1:], strict=True):
-        if step is None:
-            raise FileFormatError(
-                f"{path}, {name}: the key 'T_cn_cnm1' is missing, and not all have T_cam_imu"
+    for before, name, step in zip(names, names[1:], steps[1:], strict=False):
+        if step is None or int(name[3:]) != int(before[3:]) + 1:
+            problem = (
+                f"{before} is not the camera before" if step is not None else "the key 'T_cn_cnm1' is missing"
             )
+            raise FileFormatError(f"{path}, {name}: {problem}, and not all have T_cam_imu")
         poses.append(poses[-1] @ invert_transform(step))
     return torch.stack(poses)
 

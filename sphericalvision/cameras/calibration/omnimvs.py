@@ -70,6 +70,10 @@ def _camera(values: Any, where: str, max_angle: float | None) -> OCamCamera:
     chosen(values.get("model", "ocam"), ("ocam",), f"{where}, model")
     if (view := values.get("max_fov")) is not None and max_angle is None:
         max_angle = math.radians(numbers(view, f"{where}, max_fov", 1)[0]) / 2
+        if not math.radians(2 * math.pi) < 2 * max_angle <= 2 * math.pi:
+            raise FileFormatError(
+                f"{where}, max_fov: expected degrees up to 360, got {view}; are these radians?"
+            )
     inverse = numbers(values["inv_poly"], f"{where}, inv_poly") if values.get("inv_poly") else None
     return make_ocam(
         numbers(entry(values, "poly", where), f"{where}, poly"),

@@ -96,6 +96,10 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
     if rotation_key is None or translation_key is None:
         return Contents(cameras)
     unit = content.get("translation_unit") or options.translation_unit
+    if options.rig and options.translation_unit not in (None, unit):
+        raise ArgumentError(
+            f"translation_unit: {path} says {unit!r:.80} itself, got {options.translation_unit!r}; leave it out"
+        )
     if unit is None:
         raise ArgumentError(
             f"translation_unit: {path} does not tell the unit of {translation_key}, which is that of the calibration "

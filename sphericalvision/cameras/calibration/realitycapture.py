@@ -37,7 +37,7 @@ __all__ = ["contents", "files_of_rig", "recognizes"]
 _XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 _PERSPECTIVE = Lens("perspective", "pinhole", "FocalLength35mm=fx AspectRatio=fy cx cy")
 _BROWN = Lens("brown3t2", "brown_conrady", "FocalLength35mm=fx AspectRatio=fy cx cy k1 k2 k3 t1=p2 t2=p1")
-_IGNORED = r"\w*(Version|Prior|Group|Coordinates|In(Texturing|Meshing|Coloring)|Id|Enabled)"
+_IGNORED = r"\w*(Version|Prior|Group|Coordinates|In(Texturing|Meshing|Coloring)|Id|Enabled)|(lat|long|alt)itude|version"
 _MODELS = ("perspective", "brown3", "brown4", "brown3t2", "brown4t2")
 
 

@@ -143,6 +143,8 @@ def test_image_size_can_be_given_where_the_file_does_not_tell(tmp_path: Path) ->
     ):
         read_camera(path)
     assert read_camera(path, image_size=(240, 320)).image_size == (240, 320)
+    path = path.rename(tmp_path / "no_suffix")
+    assert read_camera(path, image_size=(240, 320)).image_size == (240, 320)
 
 
 @pytest.mark.parametrize("suffix", [".yaml", ".yml", ".xml", ".json"])

@@ -166,6 +166,13 @@ class _Loader(_SafeLoader):
                 None, None, f"expected at most {MOST_KEYS} keys", node.start_mark
             )
 
+    def construct_decimal(self, node: yaml.ScalarNode) -> Any:
+        """A number as everybody means it: to YAML 1:30 is 90, and 010 is 8."""
+        if re.search(r":|^[-+]?0[\d_]", node.value):
+            return node.value
+        is_whole = node.tag.endswith("int")
+        return self.construct_yaml_int(node) if is_whole else self.construct_yaml_float(node)
+
     def construct_matrix(self, node: yaml.Node) -> Any:
         if not isinstance(node, yaml.MappingNode):
             raise yaml.constructor.ConstructorError(
@@ -174,6 +181,8 @@ class _Loader(_SafeLoader):
         return self.construct_mapping(node, deep=True)
 
 
+for _name in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_name}", _Loader.construct_decimal)
 for _name in ("opencv-matrix", "opencv-nd-matrix"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_name}", _Loader.construct_matrix)
 

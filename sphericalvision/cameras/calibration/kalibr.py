@@ -124,10 +124,12 @@ def _poses(content: dict[str, Any], names: list[str], path: Path) -> Tensor | No
     if len(names) == 1:
         return None
     poses = [torch.eye(4, dtype=torch.float64)]
-    for before, name, step in zip(names, names[1:], steps[1:], strict=False):
-        if step is None or int(name[3:]) != int(before[3:]) + 1:
+    for last, name, step in zip(names, names[1:], steps[1:], strict=False):
+        if step is None or int(last[3:]) != int(name[3:]) - 1:
             problem = (
-                f"{before} is not the camera before" if step is not None else "the key 'T_cn_cnm1' is missing"
+                "the key 'T_cn_cnm1' is missing"
+                if step is None
+                else f"cam{int(name[3:]) - 1}, the camera before, is missing"
             )
             raise FileFormatError(f"{path}, {name}: {problem}, and not all have T_cam_imu")
         poses.append(poses[-1] @ invert_transform(step))

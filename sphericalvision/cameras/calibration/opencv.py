@@ -118,7 +118,7 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 def _add_other_half(content: dict[str, Any], path: Path) -> None:
     """OpenCV's stereo sample writes intrinsics and extrinsics into two files side by side."""
-    other = path.with_name(f"{_PAIRS.get(path.stem, '')}{path.suffix}")
+    other = path.with_name(f"{_PAIRS.get(path.stem, path.stem)}{path.suffix}")
     if path.stem in _PAIRS and other.is_file():
         more = load(other)
         for key, value in more.items() if isinstance(more, dict) else ():

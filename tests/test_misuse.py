@@ -316,6 +316,140 @@ sees({'cam1': torch.zeros(3, 24, 24)}) -> images: cam2
 sees(pictures(torch.zeros(3, 5, 24))) -> cam1: 24 x 24
 sees(pictures(torch.full((3, 24, 24), 200.0))) -> cam1: 200
 sees(pictures(torch.full((3, 24, 24), NAN))) -> cam1: nan|NaN|finite
+# sphere: cubemap
+cube_to_layout(torch.zeros(5, 4, 4)) -> values: expected a cube map \(\*, 6, s, s\), got \(5, 4, 4\)
+cube_to_layout(torch.zeros(6, 4, 4), 'cross') -> layout: expected one of 'dice', 'strip', 'list', 'dict'
+cube_from_layout(torch.zeros(3, 10, 12), 'dice') -> faces: expected one picture .* got \(3, 10, 12\)
+cube_from_layout({'front': torch.zeros(4, 4)}, 'dict') -> faces: keys front, right
+Cubemap(0) -> size: expected a positive number of pixels, got 0
+# sphere: equirectangular
+Equirectangular(4, 0) -> width: expected a positive number of pixels, got 0
+# sphere: healpix
+Healpix(3, nested=True) -> nside: nested order needs a power of two
+Healpix(0) -> nside: expected a positive number of pixels, got 0
+Healpix(2).sample(torch.zeros(1, 50), torch.ones(1, 3)) -> values: expected shape \(\*b, c, 48\), got \(1, 50\)
+Healpix(2).locate(torch.ones(1, 3), 'rings') -> interpolation: expected one of 'healpy', 'chords'
+healpix_pool(torch.ones(108)) -> values: pixels nest for nside 1, 2, 4, 8, \.\.\., got nside 3
+healpix_pool(torch.ones(12)) -> values: expected nside 2 or more to pool, got 1
+healpix_upsample(torch.ones(13)) -> values: expected shape \(\*, 12 \* nside\*\*2\), got \(13,\)
+# sphere: latitudes
+Equirectangular.with_square_pixels(5, 8) -> height, width: at most half the width
+Equirectangular(4, 8, max_latitude=45.0) -> max_latitude: expected radians
+EquirectangularCamera((4, 8), 1.0, latitudes=(0, 0.5)) -> vertical_field_of_view, latitudes: expected one
+# sphere: padding
+equirectangular_pad(torch.zeros(2, 4), 3) -> padding: expected at most the size 2 x 4
+EquirectangularPad2d(-1) -> padding: expected pixels on all sides
+equirectangular_pad(torch.zeros(4), 1) -> images: expected
+cube_pad(torch.zeros(5, 3, 4, 4), 1) -> faces: expected shape \(B, C, 6, S, S\)
+CubePad2d(5)(torch.zeros(6, 3, 4, 4)) -> padding: expected at most the size 4
+# sphere: resample
+resample(torch.zeros(1, 43), Icosphere(1), Equirectangular(4, 8)) -> values: expected shape \(\*b, c, 42\)
+resample(torch.zeros(1, 42), Icosphere(1), 'panorama') -> target: expected a SphereGrid .* or a Camera, got str
+resample(torch.zeros(1, 42), Icosphere(1), Equirectangular(4, 8), torch.eye(4)) -> rotation: expected shape \(3, 3\)
+# sphere: resample module
+Resample(Cubemap(4), Healpix(1), mode='bicubic') -> mode: expected one of 'bilinear', 'nearest', 'area'
+Resample(Cubemap(4), 'cube') -> target: expected a SphereGrid
+# sphere: sphere conv
+SphereConv2d(3, 8, 4) -> kernel_size: expected odd sizes
+SphereConv2d(3, 8, 5)(torch.zeros(1, 3, 4, 8)) -> kernel_size: reaches 90°
+sphere_taps((8, 16), stride=(0, 1)) -> stride: expected positive
+# sphere: tangent
+TangentImages(0, 5, margin=2) -> size: expected more than 5 pixels for a face and its margin of 2
+TangentImages(-1, 5) -> level: expected an integer from 0
+# icosphere: adjacency
+icosphere_within(torch.ones(3), -0.1, 2) -> angle: expected 0 to π
+icosphere_rings(1, 1, torch.tensor([42])) -> centers: 0 to 41
+# icosphere: areas
+icosphere_normals(torch.ones(43, 3)) -> number of vertices: got 43
+# icosphere: levels
+icosphere_pool(torch.ones(42), 'median') -> mode: 'mean', 'max'
+icosphere_pool(torch.ones(12)) -> level: no coarser level
+icosphere_upsample(torch.ones(43)) -> number of vertices: got 43
+IcospherePool(2)(torch.ones(1, 42)) -> values: level 2, got \(1, 42\)
+# icosphere: locate
+Icosphere(1).locate(torch.zeros(4, 2)) -> directions: expected shape \(\*, 3\)
+Icosphere(1).locate(torch.zeros(4, 3, dtype=torch.long)) -> directions: floating point
+Icosphere(1).sample(torch.zeros(1, 12), torch.ones(4, 3)) -> values: expected shape \(\*b, c, 42\).*level 1
+Icosphere(1).sample(torch.zeros(1, 42), torch.ones(3)) -> directions: \(\*b, n, 3\)
+# icosphere: topology
+Icosphere(0).coarser() -> Icosphere\.coarser: level 0
+# crown: hexconv
+HexConv2d(4, 5)(torch.zeros(1, 3, 42)) -> values: expected 4 channels
+hex_conv2d(torch.zeros(1, 3, 42), torch.zeros(5, 3, 9)) -> weight: expected shape \(out, in, 7\)
+HexConv3d(3, 5)(torch.zeros(1, 3, 42)) -> values: expected shape \(B, C, N, V\)
+HexConv2d(3, 5, orientation='north', level=2)(torch.zeros(1, 3, 42)) -> north: expected north_fraction\(1\)
+HexConv2d(3, 5, orientation='north') -> level: expected the level
+HexConv2d(3, 5, orientation='south') -> orientation: expected one of 'chart', 'north'
+HexConv2d(3, 5, stride=3) -> stride: expected 1
+HexConv2d(3, 5, stride=2)(torch.zeros(1, 3, 12)) -> stride: at level 0
+# crown: layers
+CrownConv2d(4, 5)(to_crown(torch.zeros(1, 3, 42))) -> crown: expected 4 channels
+crown_conv2d(to_crown(torch.zeros(1, 3, 42)), torch.zeros(5, 3, 9)) -> weight: expected shape \(out, in, 7\)
+CrownConv3d(3, 5)(to_crown(torch.zeros(1, 3, 42))) -> crown: \(B, 5, C, N, 2n \+ 1, n \+ 1\)
+CrownConv2d(3, 5, stride=3) -> stride: expected 1
+CrownConv2d(3, 5, stride=2)(to_crown(torch.zeros(1, 3, 12))) -> stride: at level 0
+CrownBatchNorm2d(4)(to_crown(torch.zeros(1, 3, 42))) -> crown: expected 4 channels
+CrownAvgPool2d()(to_crown(torch.zeros(1, 3, 12))) -> stride: at level 0
+# crown: layout
+to_crown(torch.zeros(1, 1, 13)) -> number of vertices: 2 \+ 10 \* 4\*\*level.*got 13
+to_crown(torch.zeros(12)) -> values: \(B, C, V\) or \(B, C, N, V\), got \(12,\)
+# crown: sequential
+CrownMaxPool2d()(to_crown(torch.zeros(1, 3, 12))) -> stride: at level 0
+CrownMaxPool2d()(to_crown(torch.zeros(1, 3, 4, 42))) -> crown: expected
+# sweep: photo consistency
+photo_consistency(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, level=4) -> level: level
+# sweep: semi global
+semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, cost_level=4) -> level, cost_level: cost_level
+# sweep: smoothing
+semi_global_smoothing(torch.zeros(1, 4, 42), 0.5, 0.1) -> small_penalty, large_penalty: P1 <= P2
+# sweep: sphere sweep
+SphereSweep(2, 4, 0.5)(torch.zeros(1, 4, 2, 642), ring_rig(4)) -> features: level 2
+SphereSweep(2, 4, 0.5)(torch.zeros(1, 3, 2, 162), ring_rig(4)) -> features: 3 cameras.*rig has 4
+# metrics: evaluation masks
+seen_by(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), torch.zeros(2)) -> inverse_depth: expected \(\*b, 1\)
+seen_by(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), -torch.ones(1)) -> inverse_depth: 0 or more, got -1
+seam_mask(torch.tensor([[0.0, -1.0, 0.0]]), seams='cube') -> seams: 'charts', 'panorama', got 'cube'
+omnimvs_error(torch.zeros(1, 8, 24), torch.zeros(1, 8, 24)) -> prediction: w = 4h
+# metrics: sphere metrics
+SolidAngleMean(Equirectangular(4, 8)).update(torch.zeros(1, 8, 4)) -> values: expected shape \(B, 4, 8\)
+solid_angle_mean(torch.zeros(8, 4), Equirectangular(4, 8).solid_angles) -> values: expected
+solid_angle_mean(torch.zeros(4, 8), Equirectangular(4, 8).solid_angles, torch.ones(3, 8)) -> mask: expected
+# models: network aggregation
+IcoSweepNet(3, feature_coarsening=3) -> coarsening: expected 1 or 2
+# models: refinedsweepnet
+RefinedSweepNet(level=4) -> level: level
+# models: weights
+pretrained('nonesuch') -> name: 'nonesuch'
+# data: collate
+collate_samples([{'a': 1}, {'b': 2}]) -> samples: same keys
+collate_samples([]) -> samples: at least one
+# data: sphere transforms
+RandomYaw(Icosphere(1), p=2.0) -> p: expected a probability
+RandomYaw(Icosphere(1), angles='exact') -> angles: 'grid', 'any'
+RandomYaw(Icosphere(1))({'colour': torch.rand(1, 42)}) -> sample: one of image
+RandomYaw(Icosphere(1)).inverse(torch.rand(1, 3, 42)) -> params: nothing was turned yet
+# viz: cameras picture
+angle_map(PinholeCamera([200.0, 200.0], [99.5, 99.5], (200, 200)), torch.zeros(3, 100, 200)) -> image: 200 x 200
+# viz: color
+error_to_color(torch.ones(2), 0.0) -> max_error: expected a positive number
+# viz: crown picture
+crown_picture(to_crown(torch.rand(2, 3, 42))) -> crown: expected rectangles \(1, 5, 1 or 3, h, w\)
+crown_picture(to_crown(torch.rand(1, 3, 4, 42))) -> crown: expected rectangles
+# viz: figure
+sheet([np.zeros((2, 2, 3))]) -> picture: uint8 \(h, w, 3\), got float64
+sheet([]) -> sheet: at least one column
+# viz: mesh
+sphere_mesh(torch.ones(2, 42)) -> values: colours \(3, V\)
+icosphere_mesh(torch.ones(42), max_jump=0.9) -> max_jump: above 1
+icosphere_mesh(torch.ones(42), torch.ones(42, 3)) -> colors: expected \(3, 42\)
+# geometry: interpolation
+bilinear_sample(torch.zeros(1, 2, 2, dtype=torch.uint8), torch.zeros(1, 2)) -> image: uint8.*convert
+# cameras: coverage
+coverage(ring_rig(3), torch.ones(2, 2, 3), [1.0]) -> directions: flatten the grid
+# cameras: kornia
+to_kornia(PinholeCamera([500.0, 510.0], [319.5, 239.5], (480, 640), skew=2.5)) -> camera: PINHOLE has no skew
+# cameras: models
+PinholeCamera([1.0, 1.0], [0.0, 0.0], (10.5, 20)) -> image_size: expected \(height, width\)
 """
 """The call -> the argument that the message names: a further word of it, both as regular expressions."""
 

@@ -65,12 +65,6 @@ def test_against_opencv_and_back(distortion: list[float], generator: torch.Gener
     torch.testing.assert_close(directions, expected, rtol=0, atol=2e-14)
 
 
-def test_tilt_against_numbers_of_opencv() -> None:
-    """From ``cv2.projectPoints(np.array([[[0.3, -0.2, 1.0]]]), zero, zero, MATRIX, np.array(COEFFICIENTS))``."""
-    pixels = lens(COEFFICIENTS).project(torch.tensor([0.3, -0.2, 1.0], dtype=torch.float64)).pixels
-    np.testing.assert_allclose(pixels, [463.749921445295, 142.45174737252583], rtol=0, atol=1e-9)
-
-
 def test_without_distortion_it_is_a_pinhole(generator: torch.Generator) -> None:
     points = points_before(generator)
     points[::3, 2] *= -1
@@ -167,32 +161,6 @@ def test_behind_and_beside_the_camera_is_not_valid_and_finite() -> None:
         pixels, valid = camera.project(points.to(dtype))
         assert not valid.any()
         assert pixels.isfinite().all()
-
-
-def test_second_derivatives_are_right() -> None:
-    """Of the iterative inverse, with respect to pixels and all coefficients, from the centre to the corner."""
-    camera = lens(COEFFICIENTS)
-    pixels = torch.tensor([CENTER, [350.0, 200.0], [600.0, 30.0]], dtype=torch.float64, requires_grad=True)
-    points = torch.tensor([[0.0, 0.0, 1.0], [0.3, -0.2, 1.5]], dtype=torch.float64, requires_grad=True)
-    change = torch.zeros(14, dtype=torch.float64, requires_grad=True)
-    focal, center = camera.focal_length / 500, camera.principal_point / 500
-
-    def unproject(pixels: Tensor, change: Tensor) -> Tensor:
-        return unproject_brown_conrady(pixels / 500, focal, center, camera.distortion + change).directions
-
-    def project(points: Tensor, change: Tensor) -> Tensor:
-        return project_brown_conrady(points, focal, center, camera.distortion + change).pixels
-
-    assert torch.autograd.gradcheck(unproject, (pixels, change))
-    assert torch.autograd.gradgradcheck(unproject, (pixels, change), atol=1e-4)
-    assert torch.autograd.gradgradcheck(project, (points, change), atol=1e-4)
-
-
-def test_intrinsics_broadcast_over_a_batch() -> None:
-    camera = BrownConradyCamera(torch.full((3, 2), 500.0), CENTER, [-0.2, 0.0, 0.0, 0.0], SIZE)
-    assert camera.batch_shape == (3,)
-    assert camera.distortion.shape == (3, 4)
-    assert camera.project(torch.zeros(3, 7, 3)).pixels.shape == (3, 7, 2)
 
 
 def test_other_numbers_of_coefficients_are_refused() -> None:

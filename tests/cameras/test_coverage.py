@@ -75,8 +75,6 @@ def test_wrong_arguments_of_coverage_are_named() -> None:
     rig = ring_rig(3)
     with pytest.raises(ArgumentError, match="depths"):
         coverage(rig, torch.eye(3), [1.0, 0.0])
-    with pytest.raises(ShapeError, match="flatten the grid"):
-        coverage(rig, torch.ones(2, 2, 3), [1.0])
     with pytest.raises(ShapeError, match="solid_angles"):
         overlap(torch.ones(2, 4), torch.ones(3))
 

@@ -8,7 +8,6 @@ import math
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -101,17 +100,6 @@ def test_ends_exactly_where_the_radius_stops_growing(alpha: float, beta: float) 
     )
 
 
-def test_tum_vi_by_its_formula() -> None:
-    """Numbers of plain Python: ``TUM_FOCAL[0] * x / (a * math.sqrt(b * (x*x + y*y) + z*z) + (1 - a) * z) + ...``."""
-    points = torch.tensor([[0.1, -0.2, 1.0], [2.0, 1.0, 1.0], [-3.0, 0.5, -0.2]], dtype=torch.float64)
-    expected = [
-        [273.76907616881414, 219.2637936710888],
-        [452.1712368258492, 355.479370356739],
-        [-49.6099807873552, 307.638594019834],
-    ]
-    np.testing.assert_allclose(lens().project(points).pixels, expected, rtol=0, atol=1e-10)
-
-
 def test_tum_vi_file() -> None:
     """The numbers above are those of the file."""
     first = json.loads(published("tumvi_512_basalt_eucm.json").read_text())["value0"]["intrinsics"][0]
@@ -128,28 +116,6 @@ def test_pixels_beyond_the_model_are_reported() -> None:
     directions, valid = unproject_extended_unified(pixels, *camera._aligned(pixels))
     assert valid.tolist() == [True, False, False]
     torch.testing.assert_close(directions.norm(dim=-1), torch.ones(3, dtype=torch.float64))
-
-
-def test_second_derivatives_are_right() -> None:
-    """On the axis, at 90°, past 100° and next to the end."""
-    angle = torch.tensor([0.0, 0.5, math.pi / 2, 1.8, 2.1], dtype=torch.float64)
-    change = torch.zeros(3, dtype=torch.float64, requires_grad=True)
-    focal, center, alpha, beta = double([1.3, 1.4], [0.1, 0.2], TUM_ALPHA, TUM_BETA)
-
-    def project(points: Tensor, change: Tensor) -> Tensor:
-        return project_extended_unified(
-            points, focal + change[2], center, alpha + change[0], beta + change[1]
-        ).pixels
-
-    def unproject(pixels: Tensor, change: Tensor) -> Tensor:
-        intrinsics = focal + change[2], center, alpha + change[0], beta + change[1]
-        return unproject_extended_unified(pixels, *intrinsics).directions
-
-    points = circle(angle).requires_grad_()
-    pixels = project(points, change).detach().requires_grad_()
-    for call, values in ((project, points), (unproject, pixels)):
-        assert torch.autograd.gradcheck(call, (values, change), rtol=1e-3, atol=1e-4)
-        assert torch.autograd.gradgradcheck(call, (values, change), rtol=1e-3, atol=1e-3)
 
 
 def test_impossible_intrinsics_are_refused() -> None:

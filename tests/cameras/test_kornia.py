@@ -78,8 +78,6 @@ def test_what_kornia_does_not_have_is_refused() -> None:
     six = KannalaBrandtCamera([300.0, 310.0], [319.5, 239.5], [0.01] * 6, SIZE, 1.2)
     with pytest.raises(ArgumentError, match="KANNALA_BRANDT_K3 has 4 coefficients"):
         to_kornia(six)
-    with pytest.raises(ArgumentError, match="PINHOLE has no skew"):
-        to_kornia(PinholeCamera([500.0, 510.0], [319.5, 239.5], SIZE, skew=2.5))
     flat = CameraModel(
         ImageSize(480, 640), CameraModelType.ORTHOGRAPHIC, torch.tensor([328.0, 328.0, 320.0, 240.0])
     )

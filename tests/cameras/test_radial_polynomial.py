@@ -101,27 +101,6 @@ def test_ends_where_the_radius_stops_growing() -> None:
     torch.testing.assert_close(directions.norm(dim=-1), torch.ones(3, dtype=torch.float64))
 
 
-def test_second_derivatives_are_right() -> None:
-    """On the axis, at 90°, past 100° and far behind."""
-    angle = torch.tensor([0.0, 0.5, math.pi / 2, 1.85, 2.8], dtype=torch.float64)
-    coefficients, center, aspect = double([3.4, 0.0, 0.48, -0.07], [6.4, 4.8], ASPECT)
-    changes = [torch.zeros_like(t, requires_grad=True) for t in (coefficients, center, aspect)]
-
-    def project(points: Tensor, *changes: Tensor) -> Tensor:
-        intrinsics = (a + b for a, b in zip((coefficients, center, aspect), changes, strict=True))
-        return project_radial_polynomial(points, *intrinsics).pixels
-
-    def unproject(pixels: Tensor, *changes: Tensor) -> Tensor:
-        intrinsics = (a + b for a, b in zip((coefficients, center, aspect), changes, strict=True))
-        return unproject_radial_polynomial(pixels, *intrinsics).directions
-
-    points = circle(angle).requires_grad_()
-    pixels = project(points, *changes).detach().requires_grad_()
-    for call, values in ((project, points), (unproject, pixels)):
-        assert torch.autograd.gradcheck(call, (values, *changes), atol=1e-4)
-        assert torch.autograd.gradgradcheck(call, (values, *changes), atol=1e-3)
-
-
 def test_resized_and_cropped_keep_rays() -> None:
     camera, pixel = lens(), torch.tensor([900.0, 200.0], dtype=torch.float64)
     resized = camera.resized((483, 320))

@@ -104,17 +104,6 @@ def test_past_90_degrees_against_bisection(degrees: float) -> None:
     torch.testing.assert_close(kitti().unproject(full).directions, point, rtol=0, atol=1e-13)
 
 
-def test_kitti_360_by_numbers_of_opencv() -> None:
-    """From ``cv2.omnidir.projectPoints`` of the points with KITTI-360's numbers."""
-    points = torch.tensor([[0.1, -0.2, 1.0], [2.0, 1.0, 1.0], [-3.0, 0.5, 0.2]], dtype=torch.float64)
-    expected = [
-        [757.8398555621574, 624.0123629091863],
-        [1144.3381659574097, 919.4110943789792],
-        [103.13772416741267, 808.1512882305607],
-    ]
-    np.testing.assert_allclose(kitti().project(points).pixels, expected, rtol=0, atol=1e-9)
-
-
 def test_kitti_360_file() -> None:
     """The numbers above are those of the file."""
     text = published("kitti360_mei.yaml").read_text().split("image_03")[0]
@@ -160,40 +149,6 @@ def test_pixels_beyond_the_model_are_reported() -> None:
     assert folding.max_angle.item() == pytest.approx(math.pi / 2, abs=1e-3)
     points = circle(torch.tensor([1.56, 1.58], dtype=torch.float64))
     assert project_unified(points, *folding._aligned(points)[:4]).valid.tolist() == [True, False]
-
-
-def test_second_derivatives_are_right() -> None:
-    """On the axis, at 90°, past 100° and next to the end, with and without distortion."""
-    angle = torch.tensor([0.0, 0.5, math.pi / 2, 1.85, 1.98], dtype=torch.float64)
-    change = torch.zeros(7, dtype=torch.float64, requires_grad=True)
-    parts = double([1.3, 1.4], [0.1, 0.2], KITTI_XI, [*KITTI_DISTORTION, 0.0])
-    for distorted in (False, True):
-
-        def intrinsics(change: Tensor, distorted: bool = distorted) -> list[Tensor]:
-            tail = [parts[3] + change[1:6]] if distorted else []
-            return [parts[0] + change[6], parts[1], parts[2] + change[0], *tail]
-
-        def project(points: Tensor, change: Tensor) -> Tensor:
-            return project_unified(points, *intrinsics(change)).pixels
-
-        def unproject(pixels: Tensor, change: Tensor) -> Tensor:
-            return unproject_unified(pixels, *intrinsics(change)).directions
-
-        points = circle(angle).requires_grad_()
-        pixels = project(points, change).detach().requires_grad_()
-        for call, values in ((project, points), (unproject, pixels)):
-            assert torch.autograd.gradcheck(call, (values, change), rtol=1e-3, atol=1e-4)
-            assert torch.autograd.gradgradcheck(call, (values, change), rtol=1e-3, atol=1e-3)
-
-
-def test_batches_with_and_without_distortion() -> None:
-    camera = UnifiedCamera(FOCAL, CENTER, torch.tensor([0.5, 1.5]), DISTORTION, (640, 640))
-    assert camera.batch_shape == (2,)
-    assert camera.distortion is not None
-    assert camera.distortion.shape == (2, 4)
-    plain = UnifiedCamera.stack([UnifiedCamera(FOCAL, CENTER, xi, None, (640, 640)) for xi in (0.5, 1.5)])
-    assert plain.distortion is None
-    assert plain.project(torch.rand(2, 5, 3)).pixels.shape == (2, 5, 2)
 
 
 def test_impossible_intrinsics_are_refused() -> None:

@@ -140,10 +140,6 @@ def test_addition_and_relu() -> None:
 
 
 def test_errors_name_the_shapes() -> None:
-    with pytest.raises(ShapeError, match=r"2 \+ 10 \* 4\*\*level.*got 13"):
-        to_crown(torch.zeros(1, 1, 13))
-    with pytest.raises(ShapeError, match=r"\(B, C, V\) or \(B, C, N, V\), got \(12,\)"):
-        to_crown(torch.zeros(12))
     crown = to_crown(torch.zeros(1, 1, 42))
     with pytest.raises(ShapeError, match="make it with to_crown"):
         from_crown(Crown(crown.row, crown.col))

@@ -99,8 +99,3 @@ def test_no_pixels_have_no_values(batch: tuple[int, ...], number: int) -> None:
     assert found.shape == (*batch, 3, number)
     found.sum().backward()
     assert not image.grad.any()  # type: ignore[union-attr]
-
-
-def test_integer_images_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"uint8.*convert"):
-        bilinear_sample(torch.zeros(1, 2, 2, dtype=torch.uint8), torch.zeros(1, 2))

@@ -140,14 +140,10 @@ def test_the_smallest_discs_in_float32_hold_their_center() -> None:
 
 
 def test_bad_arguments_are_named() -> None:
-    with pytest.raises(ArgumentError, match="angle: expected 0 to π"):
-        icosphere_within(torch.ones(3), -0.1, 2)
     with pytest.raises(ShapeError, match="directions"):
         icosphere_within(torch.ones(2), 0.1, 2)
     with pytest.raises(ArgumentError, match="num_rings"):
         icosphere_rings(1, -1)
-    with pytest.raises(ArgumentError, match="0 to 41"):
-        icosphere_rings(1, 1, torch.tensor([42]))
     with pytest.raises(ArgumentError, match="level"):
         icosphere_edges(-1)
 

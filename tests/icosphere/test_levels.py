@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import (
     Icosphere,
     IcospherePool,
@@ -171,14 +171,6 @@ def test_modules_compile_and_export_whole(make: Callable[[int], torch.nn.Module]
 
 
 def test_bad_arguments_are_named() -> None:
-    with pytest.raises(ArgumentError, match="'mean', 'max'"):
-        icosphere_pool(torch.ones(42), "median")
-    with pytest.raises(ArgumentError, match="no coarser level"):
-        icosphere_pool(torch.ones(12))
-    with pytest.raises(ShapeError, match="got 43"):
-        icosphere_upsample(torch.ones(43))
-    with pytest.raises(ShapeError, match=r"level 2, got \(1, 42\)"):
-        IcospherePool(2)(torch.ones(1, 42))
     for function in (icosphere_vertex_parents, icosphere_face_parents):
         with pytest.raises(ArgumentError, match="no coarser level"):
             function(0)

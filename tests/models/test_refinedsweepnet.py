@@ -281,8 +281,6 @@ def test_unet_keeps_levels_apart_at_first():
 
 
 def test_refuses_levels_without_room_for_its_widths():
-    with pytest.raises(ArgumentError, match="level"):
-        RefinedSweepNet(level=4)
     with pytest.raises(ArgumentError, match="prior"):
         RefinedSweepNet.around(torch.nn.Identity())
 

@@ -283,8 +283,3 @@ def test_half_precision_is_half_the_size_and_read_as_float32(tmp_path: Path) -> 
     assert {x.dtype for x in again.state_dict().values() if x.is_floating_point()} == {torch.float32}
     for name, tensor in net.state_dict().items():
         torch.testing.assert_close(again.state_dict()[name], tensor, rtol=2**-11, atol=2**-24)
-
-
-def test_unknown_shipped_weights_list_the_known_ones() -> None:
-    with pytest.raises(ArgumentError, match="'nonesuch'"):
-        pretrained("nonesuch")

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sphericalvision.cameras import PinholeCamera
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ShapeError
 from sphericalvision.sphere import Cubemap, Equirectangular, cube_from_layout, cube_to_layout, resample
 from sphericalvision.sphere.grids.cube_layouts import CUBE_LAYOUTS, world_from_cube_face
 from tests.laws.grid_laws import DOUBLE, some_rotation, spread_directions
@@ -84,16 +84,6 @@ def test_the_dice_has_no_breaks() -> None:
 
 
 def test_errors_say_what_is_expected() -> None:
-    with pytest.raises(ShapeError, match=r"values: expected a cube map \(\*, 6, s, s\), got \(5, 4, 4\)"):
-        cube_to_layout(torch.zeros(5, 4, 4))
-    with pytest.raises(ArgumentError, match="layout: expected one of 'dice', 'strip', 'list', 'dict'"):
-        cube_to_layout(torch.zeros(6, 4, 4), "cross")
-    with pytest.raises(ShapeError, match=r"faces: expected one picture .* got \(3, 10, 12\)"):
-        cube_from_layout(torch.zeros(3, 10, 12), "dice")
-    with pytest.raises(ArgumentError, match="keys front, right"):
-        cube_from_layout({"front": torch.zeros(4, 4)}, "dict")
-    with pytest.raises(ArgumentError, match="size: expected a positive number of pixels, got 0"):
-        Cubemap(0)
     with pytest.raises(ShapeError, match=r"values: expected shape \(\*b, c, 6, 4, 4\), got \(6, 4, 4\)"):
         Cubemap(4).sample(torch.zeros(6, 4, 4), torch.ones(1, 3))
 

@@ -177,10 +177,6 @@ def test_same_samples_as_the_published_implementation(golden: Path) -> None:
 
 
 def test_wrong_sizes_are_named() -> None:
-    with pytest.raises(ArgumentError, match="at most half the width"):
-        square(5, 8)
-    with pytest.raises(ArgumentError, match="max_latitude: expected radians"):
-        Equirectangular(4, 8, max_latitude=45.0)
     for make in (Equirectangular, lambda h, w, **limits: EquirectangularCamera((h, w), **limits)):
         for limits in (
             {"latitudes": (0.5, -0.5)},
@@ -190,8 +186,6 @@ def test_wrong_sizes_are_named() -> None:
         ):
             with pytest.raises(ArgumentError, match=next(iter(limits))):
                 make(4, 8, **limits)
-    with pytest.raises(ArgumentError, match="vertical_field_of_view, latitudes: expected one"):
-        EquirectangularCamera((4, 8), 1.0, latitudes=(0, 0.5))
     with pytest.raises(ShapeError, match=r"\(2, 8\) or \(4, 8\) for the whole sphere, got \(3, 8\)"):
         square(2, 8).rows_of(torch.zeros(3, 8))
     with pytest.raises(ShapeError, match=r"values: expected shape \(\*b, c, 2, 8\)"):

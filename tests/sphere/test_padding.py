@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import directions_from_longitude_latitude
 from sphericalvision.sphere import (
     Cubemap,
@@ -190,16 +190,6 @@ def test_gradients() -> None:
 
 
 def test_errors_name_the_argument() -> None:
-    with pytest.raises(ArgumentError, match="padding: expected at most the size 2 x 4"):
-        equirectangular_pad(torch.zeros(2, 4), 3)
-    with pytest.raises(ArgumentError, match="padding: expected pixels on all sides"):
-        EquirectangularPad2d(-1)
-    with pytest.raises(ShapeError, match="images: expected"):
-        equirectangular_pad(torch.zeros(4), 1)
-    with pytest.raises(ShapeError, match=r"faces: expected shape \(B, C, 6, S, S\)"):
-        cube_pad(torch.zeros(5, 3, 4, 4), 1)
-    with pytest.raises(ArgumentError, match="padding: expected at most the size 4"):
-        CubePad2d(5)(torch.zeros(6, 3, 4, 4))
     with pytest.raises(ArgumentError, match="1 is ConvTranspose2d"):
         make_seamless(nn.Sequential(nn.Conv2d(1, 1, 3, padding=1), nn.ConvTranspose2d(1, 1, 3)))
     with pytest.raises(ArgumentError, match="Upsample"):

@@ -285,7 +285,3 @@ def test_errors_name_the_argument() -> None:
         ShapeError, match=r"mask: expected shape \(\*b, 6, 4, 4\) as the source, got \(4, 4\)"
     ):
         resample(torch.zeros(1, 6, 4, 4), grid, Healpix(1), mask=torch.ones(4, 4))
-    with pytest.raises(ArgumentError, match="mode: expected one of 'bilinear', 'nearest', 'area'"):
-        Resample(grid, Healpix(1), mode="bicubic")
-    with pytest.raises(ArgumentError, match="target: expected a SphereGrid"):
-        Resample(grid, "cube")  # type: ignore[arg-type]

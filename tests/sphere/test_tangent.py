@@ -8,7 +8,6 @@ import math
 import pytest
 import torch
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices
 from sphericalvision.sphere import Equirectangular, TangentImages, resample
 from tests.laws.grid_laws import DOUBLE, spread_directions
@@ -67,12 +66,3 @@ def test_to_patches_and_back() -> None:
     image = torch.stack((x * y, z + 0.3 * x))
     again = resample(resample(image, panorama, patches), patches, panorama)
     assert (again - image).abs().max() < 4e-3
-
-
-def test_errors_say_what_is_expected() -> None:
-    with pytest.raises(
-        ArgumentError, match="size: expected more than 5 pixels for a face and its margin of 2"
-    ):
-        TangentImages(0, 5, margin=2)
-    with pytest.raises(ArgumentError, match="level: expected an integer from 0"):
-        TangentImages(-1, 5)

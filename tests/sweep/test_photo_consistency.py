@@ -140,7 +140,5 @@ def test_errors_name_the_argument() -> None:
     rig = ring_rig(2)
     with pytest.raises(ShapeError, match="sphere_images"):
         photo_consistency(torch.zeros(2, 3, 642), rig, 8, 0.5)
-    with pytest.raises(ArgumentError, match="level"):
-        photo_consistency(torch.zeros(1, 2, 3, 642), rig, 8, 0.5, level=4)
     with pytest.raises(ArgumentError, match="aggregation"):
         photo_consistency(torch.zeros(1, 2, 3, 642), rig, 8, 0.5, aggregation=-1)

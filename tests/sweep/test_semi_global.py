@@ -265,8 +265,6 @@ def test_errors_name_the_argument() -> None:
     rig, images = ring_rig(2), torch.zeros(1, 2, 3, 642)
     with pytest.raises(ShapeError, match="sphere_images"):
         semi_global_sweep(images[0], rig, 8, 0.5)
-    with pytest.raises(ArgumentError, match="cost_level"):
-        semi_global_sweep(images, rig, 8, 0.5, cost_level=4)
     with pytest.raises(ArgumentError, match="substeps"):
         semi_global_sweep(images, rig, 8, 0.5, substeps=0)
     with pytest.raises(ArgumentError, match="P1 <= P2"):

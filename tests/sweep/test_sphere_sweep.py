@@ -187,10 +187,6 @@ def smooth(directions: Tensor) -> Tensor:
 def test_errors_name_the_argument() -> None:
     rig = ring_rig(4)
     sweep = SphereSweep(2, 4, 0.5)
-    with pytest.raises(ShapeError, match="level 2"):
-        sweep(torch.zeros(1, 4, 2, 642), rig)
-    with pytest.raises(ShapeError, match=r"3 cameras.*rig has 4"):
-        sweep(torch.zeros(1, 3, 2, 162), rig)
     with pytest.raises(ShapeError, match=r"one rig for each of 3 samples.*got 2"):
         sweep(torch.zeros(3, 4, 2, 162), CameraRig.stack([rig, rig]))
     with pytest.raises(ArgumentError, match="level"):

@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 
-from sphericalvision.core import ShapeError
 from sphericalvision.crown import to_crown
 from sphericalvision.viz import crown_picture
 
@@ -33,10 +31,3 @@ def test_all_ten_rectangles_are_on_the_sheet() -> None:
         lefts = [windows[direction, k][1] for k in range(5)]
         assert len(tops) == 1  # in a line
         assert lefts == sorted(lefts)  # in their order
-
-
-def test_volumes_and_batches_are_refused() -> None:
-    with pytest.raises(ShapeError, match=r"crown: expected rectangles \(1, 5, 1 or 3, h, w\)"):
-        crown_picture(to_crown(torch.rand(2, 3, 42)))
-    with pytest.raises(ShapeError, match="crown: expected rectangles"):
-        crown_picture(to_crown(torch.rand(1, 3, 4, 42)))

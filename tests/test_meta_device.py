@@ -345,7 +345,7 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("Scene", "MeshScene", "make_scene", "ray_depth"), SCENE),
     **dict.fromkeys(("render_camera", "render_directions", "render_rig", "ray_labels"), SCENE),
     "SURFACE_LABELS": CLASS,
-    **dict.fromkeys(("SceneDataset", "FisheyeSceneDataset"), SCENE),
+    "SceneDataset": SCENE,
     **dict.fromkeys(("PhotometricAugmentation", "RandomShift", "RandomSphereRotation", "RandomYaw"), DRAWN),
     **dict.fromkeys(("RotateFivefold", "ShuffleCameras"), DRAWN),
     **dict.fromkeys(("RotateFisheye", "ToSphere"), "keeps tables of a rig, which it recognises by its numbers"),

@@ -11,7 +11,6 @@ __all__ += ["read_image", "write_image"]
 
 _MOVED = dict.fromkeys(("read_image", "write_image"), "sphericalvision.io.images") | dict.fromkeys(
     (
-        "FisheyeSceneDataset",
         "MeshScene",
         "SURFACE_LABELS",
         "Scene",

@@ -20,5 +20,4 @@ from .recipes import (
 from .rendering.mesh_scene import MeshScene as MeshScene
 from .rendering.mesh_scene import read_mesh_scene as read_mesh_scene
 from .rendering.render import ray_labels as ray_labels
-from .scene_dataset import FisheyeSceneDataset as FisheyeSceneDataset
 from .scene_dataset import SceneDataset as SceneDataset

@@ -26,7 +26,7 @@ from sphericalvision.scenes.world import GENERATION, NATURAL_MIN_DEPTH, World, W
 from sphericalvision.sphere import Equirectangular, SphereGrid
 from sphericalvision.sphere.intake import pixels_seen, signed
 
-__all__ = ["ENTRIES", "FisheyeSceneDataset", "SceneDataset"]
+__all__ = ["ENTRIES", "SceneDataset"]
 
 ENTRIES = ("sphere", "depth", "fisheye", "panorama")
 """What a sample may be asked to hold."""
@@ -237,33 +237,6 @@ class SceneDataset(Dataset[dict[str, Any]]):
         if self.world.carrier is not None:
             name += f"-{rig_fingerprint(self.rig)}"
         return ArrayCache(_below(root, name), {"inverse_depth": (shape, torch.float32)})
-
-
-class FisheyeSceneDataset(SceneDataset):
-    """``SceneDataset`` whose samples hold images of the cameras, too, unless ``entries`` says otherwise.
-
-    Images of the cameras are what is stored, so that networks on the icosphere and on panoramas share them.
-
-    Examples:
-        >>> from sphericalvision.cameras import ring_rig
-        >>> scenes = FisheyeSceneDataset(1, ring_rig(2, image_size=(24, 24)), level=3, panorama=(8, 16))
-        >>> [key for key, value in scenes[0].items() if isinstance(value, torch.Tensor)]
-        ... # doctest: +NORMALIZE_WHITESPACE
-        ['images', 'seen', 'inverse_depth', 'valid', 'fisheye', 'fisheye_seen',
-         'panorama_inverse_depth', 'panorama_valid']
-    """
-
-    def __init__(
-        self,
-        num_scenes: int,
-        rig: CameraRig,
-        level: int = 5,
-        panorama: Sequence[int] = (80, 160),
-        entries: Iterable[str] = ("sphere", "fisheye", "panorama"),
-        **options: Any,
-    ) -> None:
-        options = {"stored": "camera", **options}
-        super().__init__(num_scenes, rig, level, panorama=panorama, entries=entries, **options)
 
 
 def _checked_entries(entries: Iterable[str], rig: CameraRig) -> tuple[str, ...]:

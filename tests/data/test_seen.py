@@ -29,7 +29,7 @@ from sphericalvision.data import (
 )
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.scenes import FisheyeSceneDataset, SceneDataset
+from sphericalvision.scenes import SceneDataset
 from sphericalvision.sphere.intake import pixels_seen
 
 LEVEL = 4
@@ -172,8 +172,8 @@ def test_rendered_scenes_say_what_was_seen(masked: CameraRig, tmp_path: Path) ->
     vertices = Icosphere(LEVEL).vertices
     for data in (
         SceneDataset(1, masked, LEVEL),
-        FisheyeSceneDataset(1, masked, LEVEL, entries=("sphere", "fisheye"), cache_dir=tmp_path),
-        FisheyeSceneDataset(1, masked, LEVEL, entries=("sphere", "fisheye"), cache_dir=tmp_path),
+        SceneDataset(1, masked, LEVEL, entries=("sphere", "fisheye"), cache_dir=tmp_path),
+        SceneDataset(1, masked, LEVEL, entries=("sphere", "fisheye"), cache_dir=tmp_path),
     ):
         sample = data[0]
         assert torch.equal(sample["seen"], ToSphere(LEVEL).seen(masked))

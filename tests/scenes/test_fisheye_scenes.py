@@ -16,7 +16,6 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import PhotometricAugmentation, RotateFivefold, collate_samples
 from sphericalvision.data.augmentation.sphere_rotation import yaw_rotation
 from sphericalvision.scenes import (
-    FisheyeSceneDataset,
     SceneDataset,
     make_scene,
     ray_depth,
@@ -34,8 +33,12 @@ KEYS = {
 }
 
 
-def scenes(rig: CameraRig, **options: Any) -> FisheyeSceneDataset:
-    return FisheyeSceneDataset(2, rig, **({"level": 3, "panorama": (10, 20)} | options))
+EVERYTHING = ("sphere", "fisheye", "panorama")
+
+
+def scenes(rig: CameraRig, **options: Any) -> SceneDataset:
+    usual = {"level": 3, "panorama": (10, 20), "entries": EVERYTHING, "stored": "camera"}
+    return SceneDataset(2, rig, **(usual | options))
 
 
 def same(first: Sample, second: Sample) -> bool:
@@ -47,9 +50,7 @@ def test_the_scenes_are_those_of_scene_dataset(make_rig: Callable[..., CameraRig
     """Bytes are kept before they are looked up here, and after it there: half a level apart, twice."""
     rig = make_rig(image_size=(64, 64))
     for options in ({}, {"samples_per_pixel": 2, "antialias": True, "min_depth": 0.6}):
-        ours = FisheyeSceneDataset(
-            2, rig, level=3, kind="mixed", first_seed=4, entries=("sphere",), **options
-        )
+        ours = SceneDataset(2, rig, level=3, kind="mixed", first_seed=4, stored="camera", **options)
         others = SceneDataset(2, rig, level=3, kind="mixed", first_seed=4, **options)
         for index in range(2):
             sample, other = ours[index], others[index]
@@ -61,7 +62,7 @@ def test_the_scenes_are_those_of_scene_dataset(make_rig: Callable[..., CameraRig
 
 def test_fisheye_images_are_renderings_and_zero_out_of_view(make_rig: Callable[..., CameraRig]) -> None:
     rig = make_rig(image_size=(40, 48))
-    sample = FisheyeSceneDataset(1, rig, first_seed=3, entries=("fisheye",))[0]
+    sample = SceneDataset(1, rig, first_seed=3, entries=("fisheye",))[0]
     pictures = torch.stack(list(render_rig(make_scene("room", 3, center=rig.center), rig).values()))
     down, across = torch.meshgrid(torch.arange(40) - 19.5, torch.arange(48) - 23.5, indexing="ij")
     radius = torch.hypot(down, across)  # the image circle fills the shorter side
@@ -71,13 +72,13 @@ def test_fisheye_images_are_renderings_and_zero_out_of_view(make_rig: Callable[.
 
 
 def test_panoramas_are_exact(rig: CameraRig) -> None:
-    sample = FisheyeSceneDataset(1, rig, panorama=(16, 32), first_seed=3, entries=("panorama",))[0]
+    sample = SceneDataset(1, rig, panorama=(16, 32), first_seed=3, entries=("panorama",))[0]
     depth = ray_depth(
         make_scene("room", 3, center=rig.center), rig.center, Equirectangular(16, 32).directions
     )
     torch.testing.assert_close(sample["panorama_inverse_depth"], 1 / depth)
     assert torch.equal(sample["panorama_valid"], sample["panorama_inverse_depth"] <= 1 / 0.55)
-    band = FisheyeSceneDataset(1, rig, panorama=(8, 32), first_seed=3, entries=("panorama",))[0]
+    band = SceneDataset(1, rig, panorama=(8, 32), first_seed=3, entries=("panorama",))[0]
     torch.testing.assert_close(band["panorama_inverse_depth"], sample["panorama_inverse_depth"][4:12])
 
 
@@ -187,7 +188,7 @@ def test_batches_and_panoramic_cameras(make_rig: Callable[..., CameraRig]) -> No
     lenses = make_rig(image_size=(96, 96))
     panoramas = CameraRig([EquirectangularCamera((64, 128))] * 4, lenses.world_from_camera)
     through_lenses, around = (
-        collate_samples([FisheyeSceneDataset(2, rig, level=3, samples_per_pixel=2)[k] for k in range(2)])
+        collate_samples([scenes(rig, samples_per_pixel=2)[k] for k in range(2)])
         for rig in (lenses, panoramas)
     )
     assert around["fisheye"].shape == (2, 4, 3, 64, 128)

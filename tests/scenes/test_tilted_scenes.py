@@ -11,7 +11,7 @@ import torch
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.scenes import FisheyeSceneDataset, SceneDataset, make_scene, render_rig
+from sphericalvision.scenes import SceneDataset, make_scene, render_rig
 
 TILTS = (math.radians(-15), math.radians(45))
 
@@ -31,7 +31,7 @@ def test_each_scene_has_a_tilt_of_its_own_and_the_same_depth(rig: CameraRig) -> 
 
 def test_images_are_taken_by_the_tilted_cameras(tmp_path: Path, rig: CameraRig) -> None:
     """From the cache, too, where each scene has another rig; cameras' images and those on the sphere alike."""
-    scenes = FisheyeSceneDataset(2, rig, level=3, panorama=(8, 16), tilts=TILTS, cache_dir=tmp_path)
+    scenes = SceneDataset(2, rig, level=3, entries=("sphere", "fisheye"), tilts=TILTS, cache_dir=tmp_path)
     for _ in range(2):
         sample = scenes[1]
         pictures = render_rig(make_scene("room", 1, center=rig.center), sample["rig"])
@@ -39,7 +39,7 @@ def test_images_are_taken_by_the_tilted_cameras(tmp_path: Path, rig: CameraRig) 
         seen = sample["fisheye_seen"][:, None]
         assert ((sample["fisheye"] - expected) * seen).abs().max() <= 0.51 / 127
     assert len(list(tmp_path.glob("fisheye-*"))) == 1
-    other = FisheyeSceneDataset(2, rig, level=3, panorama=(8, 16), cache_dir=tmp_path)
+    other = SceneDataset(2, rig, level=3, entries=("sphere", "fisheye"), cache_dir=tmp_path)
     assert not torch.equal(other[1]["fisheye"], sample["fisheye"])
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import SphereGrid
-from sphericalvision.viz.point_colors import point_colors
+from sphericalvision.viz.pointcloud import point_colors
 
 __all__ = ["SurfacePoints", "grid_faces", "hangs_between", "surface_normals", "surface_points", "voxel_means"]
 

@@ -28,10 +28,10 @@ from .norm import CrownBatchNorm2d as CrownBatchNorm2d
 from .norm import CrownBatchNorm3d as CrownBatchNorm3d
 from .norm import CrownInstanceNorm2d as CrownInstanceNorm2d
 from .norm import CrownInstanceNorm3d as CrownInstanceNorm3d
-from .options import set_kernel_options as set_kernel_options
 from .pool import CrownAvgPool2d as CrownAvgPool2d
 from .pool import CrownMaxPool2d as CrownMaxPool2d
 from .pool import CrownUpsample as CrownUpsample
 from .pool import crown_avg_pool2d as crown_avg_pool2d
 from .pool import crown_max_pool2d as crown_max_pool2d
 from .pool import crown_upsample as crown_upsample
+from .recompute import set_kernel_options as set_kernel_options

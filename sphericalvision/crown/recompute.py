@@ -11,10 +11,10 @@ from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
 
-from sphericalvision.core import kernels
+from sphericalvision.core import ArgumentError, kernels
 from sphericalvision.crown.fast import settled_way
 
-__all__ = ["RecomputedModule"]
+__all__ = ["RecomputedModule", "recomputes", "set_kernel_options"]
 
 
 class RecomputedModule(nn.Module):
@@ -71,3 +71,32 @@ class _Again(AbstractContextManager[None]):
         block.__exit__(*error)
         for buffer, value in zip(self.buffers, before, strict=True):
             buffer.copy_(value)
+
+
+def set_kernel_options(module: nn.Module, *, recompute: bool) -> None:
+    """Choose how the layers inside a network are computed, at any time; the results stay the same.
+
+    Args:
+        module: the network, or a part of it.
+        recompute: whether training saves memory by computing the inside of blocks twice, for a third more work.
+
+    Raises:
+        ArgumentError: if no layer offers that choice.
+
+    Examples:
+        >>> from sphericalvision.crown import CrownBlock3d
+        >>> block = CrownBlock3d(2, 2, 2)
+        >>> set_kernel_options(block, recompute=True)
+        >>> recomputes(block)
+        True
+    """
+    parts = [part for part in module.modules() if isinstance(part, RecomputedModule)]
+    if recompute and not parts:
+        raise ArgumentError(f"recompute: {type(module).__name__} has nothing to choose there; leave it out")
+    for part in parts:
+        part.recompute = recompute
+
+
+def recomputes(module: nn.Module) -> bool:
+    """Return whether the inside of any block of a network is computed twice in training."""
+    return any(part.recompute for part in module.modules() if isinstance(part, RecomputedModule))

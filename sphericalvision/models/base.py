@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_dtype, check_floating, check_tensor
 from sphericalvision.crown import set_kernel_options
-from sphericalvision.crown.options import recomputes
+from sphericalvision.crown.recompute import recomputes
 from sphericalvision.icosphere import Icosphere, num_icosphere_vertices
 from sphericalvision.models.arguments import RemembersArguments
 from sphericalvision.sphere.intake import Intake

@@ -12,8 +12,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.models.features import FeatureExtractor
-from sphericalvision.models.per_camera import camera_by_camera
+from sphericalvision.models.features import FeatureExtractor, camera_by_camera
 from sphericalvision.models.regularization import CostRegularizer
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (

@@ -19,7 +19,7 @@ from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color, fade
 from sphericalvision.viz.figure import add_scale_bar, sheet
-from sphericalvision.viz.point_colors import point_colors
+from sphericalvision.viz.pointcloud import point_colors
 
 __all__ = [
     "confidence_strength",

@@ -17,10 +17,8 @@ from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import (
-    IcoSweepNet,
     OmniMVS,
     load_weights,
-    save_weights,
 )
 from sphericalvision.models.omnimvs_layers import SphereConv, VolumeConv, VolumeUpConv
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
@@ -66,22 +64,6 @@ def test_the_published_size() -> None:
     convolutions = [m for m in net.features.modules() if isinstance(m, torch.nn.Conv2d)]
     assert [c.dilation[0] for c in convolutions] == [1] * 11 + [2, 2, 3, 3, 4, 4, 1]
     assert net.hourglass.across[-1][0].conv.in_channels == 256
-
-
-@pytest.mark.parametrize("aggregation", ["concatenation", "variance"])
-@pytest.mark.parametrize("circular", [False, True])
-@pytest.mark.parametrize("size", [(8, 16), (6, 24), (10, 24)])
-def test_index_is_in_range_on_the_grid(
-    generator: torch.Generator, aggregation: str, circular: bool, size: tuple[int, int]
-) -> None:
-    net = small_net(aggregation=aggregation, circular=circular, output_size=size, norm="instance").eval()
-    index, confidence, seen = net.predict(images(generator), small_rig())
-    assert index.shape == confidence.shape == seen.shape == (2, *size) == (2, *net.grid.shape)
-    assert index.min() >= 0
-    assert index.max() <= 7
-    assert confidence.max() <= 1 + 1e-5
-    torch.testing.assert_close(net.depth(index)[index == 0], torch.full_like(index[index == 0], 2.0**23))
-    assert torch.equal(net(images(generator.manual_seed(0)), small_rig()), index)
 
 
 @pytest.mark.parametrize("num_hypotheses", [4, 6, 10, 16])
@@ -167,17 +149,6 @@ def test_with_circular_padding_a_turned_rig_turns_the_panorama(
         )
         changes.append((after - logits.roll(8, -1)).abs().max())
     assert changes[0] < 1e-4 < changes[1]
-
-
-@torch.no_grad()
-def test_a_batch_equals_its_samples_and_tables_the_rig(generator: torch.Generator) -> None:
-    net = small_net().eval()
-    batch, rig = images(generator), small_rig()
-    rigs = CameraRig.stack([rig, turned(rig, 1, 16)])
-    together = net(batch, rigs)
-    for sample in range(2):
-        alone = net(batch[sample : sample + 1], net.sweep.tables(rigs.select(sample)))
-        torch.testing.assert_close(together[sample], alone[0], rtol=0, atol=1e-4)
 
 
 @torch.no_grad()
@@ -287,21 +258,6 @@ def test_index_at_other_directions(generator: torch.Generator) -> None:
     values, inside = net.index_at(index, directions.flatten(0, 1))
     assert torch.equal(inside.view(16, 32).all(1), (torch.arange(16) >= 4) & (torch.arange(16) < 12))
     torch.testing.assert_close(values[:, inside].view(2, 8, 32), index, rtol=0, atol=1e-4)
-
-
-def test_save_and_load(tmp_path: Path, generator: torch.Generator) -> None:
-    net = small_net(aggregation="variance", circular=True)
-    net.train()(images(generator), small_rig())  # statistics other than those it starts with
-    again = load_weights(save_weights(net, tmp_path / "net.safetensors"))
-    assert isinstance(again, OmniMVS)
-    assert again.hyperparameters == net.hyperparameters
-    with torch.no_grad():
-        assert torch.equal(
-            again(images(generator.manual_seed(1)), small_rig()),
-            net.eval()(images(generator.manual_seed(1)), small_rig()),
-        )
-    other = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2)
-    assert isinstance(load_weights(save_weights(other, tmp_path / "other.safetensors")), IcoSweepNet)
 
 
 def test_a_file_of_another_network_is_told_by_its_format(tmp_path: Path) -> None:

@@ -126,7 +126,7 @@ def find_own_body(
     if margin < 0:
         raise ArgumentError(f"margin: expected 0 or more pixels, got {margin}")
     small = rig.resized({name: _small_size(camera.image_size) for name, camera in rig.cameras.items()})
-    cameras = {name: _View(small, name) for name in rig.names}
+    cameras = {name: _CameraEdges(small, name) for name in rig.names}
     kept = _keep(rig, cameras, frames)
     views = _different(kept, cameras, OTHER_VIEW)
     if len(views) < FEWEST:
@@ -155,7 +155,7 @@ def find_own_body(
     return OwnBody(masks, shares, len(views), "" if covered else "no body was seen")
 
 
-class _View:
+class _CameraEdges:
     """One camera, in the small size; after ``look`` its edges that stand still, and where things move."""
 
     median: Floats
@@ -256,7 +256,7 @@ class _View:
         return _dilated(self.continued(body.astype(np.uint8)) > 0, margin) & self.seen
 
 
-def _far(rig: CameraRig, cameras: Mapping[str, _View], name: str) -> Bools:
+def _far(rig: CameraRig, cameras: Mapping[str, _CameraEdges], name: str) -> Bools:
     """Where another camera shows the same at one of the distances of what is no part of the rig."""
     camera, far = rig.cameras[name], np.zeros(cameras[name].size, bool)
     here, place = cameras[name].median, rig.names.index(name)
@@ -290,7 +290,7 @@ def _likeness(one: Floats, other: Floats) -> Floats:
 
 
 def _keep(
-    rig: CameraRig, cameras: Mapping[str, _View], frames: Iterable[Mapping[str, Tensor]]
+    rig: CameraRig, cameras: Mapping[str, _CameraEdges], frames: Iterable[Mapping[str, Tensor]]
 ) -> list[dict[str, Floats]]:
     """Small grey images of up to ``MOST`` frames: every one, then every second one, every fourth, and so on."""
     kept: list[dict[str, Floats]] = []
@@ -308,7 +308,7 @@ def _keep(
 
 
 def _different(
-    kept: list[dict[str, Floats]], cameras: Mapping[str, _View], share: float
+    kept: list[dict[str, Floats]], cameras: Mapping[str, _CameraEdges], share: float
 ) -> list[dict[str, Floats]]:
     """The frames of which such a share of pixels has changed since the last one of them."""
     views: list[dict[str, Floats]] = []

@@ -159,6 +159,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "undistort": lambda: cameras.undistort(m(3, *SIZE), camera(), 1.5),
     "undistorted_camera": lambda: cameras.undistorted_camera(camera(), 1.5).focal_length,
     "perspective_views": lambda: cameras.perspective_views(m(3, 16, 32), m(2, 3), image_size=(8, 8)),
+    "rotation_from_yaw_pitch_roll": lambda: cameras.rotation_from_yaw_pitch_roll(m(2, 3)),
     # crown
     "Crown": flat,
     "to_crown": flat,
@@ -284,6 +285,8 @@ CALLS: dict[str, Callable[[], Any]] = {
         sphere.resample(m(3, *SIZE), camera(), ico(), rotation()),
         sphere.resample(values(), ico(), panorama(), mode="area"),
     ),
+    "views": lambda: sphere.views(m(3, 16, 32)).map(lambda x: x).merge(),
+    "Views": lambda: sphere.Views([m(1, 1, 24, 24)] * 4, rig()).merge(panorama(), quantity="z"),
     "resample_mask": lambda: sphere.resample_mask(camera(), ico()),
     "Resample": lambda: sphere.Resample(camera(), ico())(m(3, *SIZE)),
     "SphereConv2d": lambda: run(sphere.SphereConv2d(3, 4), m(1, 3, 8, 16)),

@@ -124,7 +124,7 @@ camera().sample(ARRAY, DIRECTIONS) -> image: channels before height
 camera().sample(BYTES, DIRECTIONS) -> image: uint8
 camera().sample(torch.zeros(32, 40, 3), DIRECTIONS) -> image: movedim
 camera().with_intrinsics(focal_length=200.0) -> focal_length: float
-PinholeCamera.from_field_of_view((8, 8), (1.0, 1.0)) -> field_of_view: radians
+PinholeCamera.from_field_of_view((8, 8), (1.0,)) -> field_of_view: radians
 undistorted_camera(camera(), (1.0, 1.0)) -> field_of_view: radians
 perspective_views(torch.zeros(3, 32, 40), [(0, 0, 0)]) -> image: source=
 ico().nearest(torch.tensor([NAN, 0.0, 1.0])) -> directions: NaN

@@ -73,6 +73,7 @@ from .remapping.remap import remap_mask as remap_mask
 from .remapping.undistort import undistort as undistort
 from .remapping.undistort import undistorted_camera as undistorted_camera
 from .remapping.views import perspective_views as perspective_views
+from .remapping.views import rotation_from_yaw_pitch_roll as rotation_from_yaw_pitch_roll
 from .rig import CameraRig as CameraRig
 from .rig import ring_rig as ring_rig
 from .trajectory import Trajectory as Trajectory

@@ -20,3 +20,5 @@ from .grids.tangent import TangentImages as TangentImages
 from .resampling.resample import Resample as Resample
 from .resampling.resample import resample as resample
 from .resampling.resample import resample_mask as resample_mask
+from .resampling.views import Views as Views
+from .resampling.views import views as views

@@ -153,6 +153,10 @@ def test_views_look_where_they_are_told() -> None:
     torch.testing.assert_close(batch[1], views)
     lens = PinholeCamera.from_field_of_view((41, 41), 1.0)
     torch.testing.assert_close(views[0], remap(panorama, source, lens))
+    wide = perspective_views(panorama, angles, (1.2, 0.8), (41, 61))[0]
+    across, down = (torch.atan2(wide[axis], wide[2]) for axis in (0, 1))
+    assert across[20, -1].item() == pytest.approx(math.atan(60 / 61 * math.tan(0.6)), abs=2e-3)
+    assert down[-1, 30].item() == pytest.approx(math.atan(40 / 41 * math.tan(0.4)), abs=2e-3)
     with pytest.raises(ShapeError, match=r"views: expected \(n, 3\)"):
         perspective_views(panorama, [(0.0, 0.0)])
     with pytest.raises(ArgumentError, match=r"field_of_view: expected radians in \(0, π\)"):

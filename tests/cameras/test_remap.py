@@ -448,6 +448,37 @@ def test_undistort_keeps_the_scale_of_the_middle() -> None:
     assert remap_mask(batch, undistorted_camera(batch, focal_length=40.0)).all()
     with pytest.raises(ArgumentError, match="give one of them"):
         undistorted_camera(FISHEYE, 1.0, 40.0)
+    with pytest.raises(ArgumentError, match=r"balance: expected 0 .* to 1"):
+        undistorted_camera(FISHEYE, balance=1.5)
+
+
+@pytest.mark.parametrize("size", [(72, 96), (120, 60)])
+@pytest.mark.parametrize("view", [110, 200])
+def test_balance_goes_from_all_valid_to_all_kept(size: tuple[int, int], view: int) -> None:
+    """Of a lens whose axis is not in the middle; each end is the limit: a hundredth beyond, it does not hold."""
+    lens = FisheyeCamera("equidistant", [24.0, 24.0], [44.5, 37.0], (72, 96), math.radians(view / 2)).to(
+        torch.float64
+    )
+    valid, middle, kept = (undistorted_camera(lens, balance=share, image_size=size) for share in (0, 0.5, 1))
+    assert remap_mask(lens, valid).all()
+    wider = undistorted_camera(lens, focal_length=0.98 * valid.focal_length[0], image_size=size)
+    assert view == 200 or not remap_mask(lens, wider).all()
+    angle = torch.linspace(0, math.radians(min(view / 2, 80)) * 0.999, 200, dtype=torch.float64)[:, None]
+    azimuth = torch.linspace(0, 2 * math.pi, 360, dtype=torch.float64)
+    directions = torch.stack(
+        torch.broadcast_tensors(angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1
+    )
+    asked = directions[lens.project(directions).valid]
+    assert kept.project(asked).valid.all()
+    narrower = undistorted_camera(lens, focal_length=1.03 * kept.focal_length[0], image_size=size)
+    assert not narrower.project(asked).valid.all()
+    expected = (valid.focal_length + kept.focal_length) / 2
+    torch.testing.assert_close(middle.focal_length, expected)
+    assert kept.focal_length[0] < valid.focal_length[0]
+    image = noise(1, 3, 72, 96)
+    torch.testing.assert_close(
+        undistort(image, lens, balance=0.5, image_size=size), remap(image, lens, middle)
+    )
     with pytest.raises(ArgumentError, match=r"field_of_view: expected radians in \(0, π\)"):
         undistorted_camera(FISHEYE, math.radians(200))
     with pytest.raises(ArgumentError, match="focal_length: expected positive"):

@@ -86,26 +86,39 @@ class PinholeCamera(PlaneCamera):
 
     @classmethod
     def from_field_of_view(
-        cls, image_size: Sequence[int], field_of_view: float, dtype: torch.dtype | None = None
+        cls,
+        image_size: Sequence[int],
+        field_of_view: float | Sequence[float],
+        dtype: torch.dtype | None = None,
     ) -> PinholeCamera:
         """The camera that sees ``field_of_view`` radians across the shorter side of the image, edge to edge.
 
+        Two angles are the horizontal and the vertical one.
+
         Raises:
-            ArgumentError: the field of view is not between 0 and π.
+            ArgumentError: a field of view is not between 0 and π.
 
         Examples:
             >>> PinholeCamera.from_field_of_view((480, 640), math.pi / 2).focal_length.tolist()
             [240.0, 240.0]
+            >>> PinholeCamera.from_field_of_view((480, 640), (math.pi / 2, math.pi / 3)).focal_length.round().tolist()
+            [320.0, 416.0]
         """
-        check_type("field_of_view", field_of_view, (int, float), "radians across the shorter side")
-        if not 0 < field_of_view < math.pi:
-            raise ArgumentError(
-                f"field_of_view: expected radians in (0, π) for a pinhole, got {field_of_view}"
-            )
         height, width = image_size
-        focal_length = min(height, width) / 2 / math.tan(field_of_view / 2)
+        if isinstance(field_of_view, tuple | list) and len(field_of_view) == 2:
+            angles, sides = list(field_of_view), [width, height]
+        else:
+            angles, sides = [field_of_view] * 2, [min(height, width)] * 2
+        focal_length = []
+        for angle, side in zip(angles, sides, strict=True):
+            check_type("field_of_view", angle, (int, float), "radians across the shorter side, or a pair")
+            if not 0 < angle < math.pi:
+                raise ArgumentError(
+                    f"field_of_view: expected radians in (0, π) for a pinhole, got {field_of_view}"
+                )
+            focal_length.append(side / 2 / math.tan(angle / 2))
         center = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=dtype)
-        return cls([focal_length, focal_length], center, image_size)
+        return cls(focal_length, center, image_size)
 
 
 fitted(PinholeCamera, shape_grid(), reach=PLANE_REACH)

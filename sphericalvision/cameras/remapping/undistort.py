@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import checked_size
-from sphericalvision.cameras.field_of_view import focal_length_on_axis
+from sphericalvision.cameras.field_of_view import focal_length_on_axis, visible_angle
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
 from sphericalvision.core import ArgumentError, check_type
@@ -20,6 +20,8 @@ from sphericalvision.geometry.broadcasting import broadcast_shapes
 from sphericalvision.geometry.directions import holds
 
 __all__ = ["undistort", "undistorted_camera"]
+
+_WIDEST = math.radians(80)  # from the axis, of what a perspective picture is asked to show
 
 
 def undistort(
@@ -32,6 +34,7 @@ def undistort(
     mode: str = "bilinear",
     fill: float = 0.0,
     mask: Shaped[Tensor, "*masks h w"] | None = None,
+    balance: float | None = None,
 ) -> Shaped[Tensor, "*batch C h_out w_out"]:
     """A perspective view from a wide image: ``remap`` to ``undistorted_camera``.
 
@@ -47,13 +50,16 @@ def undistort(
         mode: see ``remap``; ``"area"`` if the picture is smaller than the image.
         fill: value where the image shows nothing.
         mask: ``(*b, h, w)``, usable pixels of the image.
+        balance: instead of a field of view, from 0, the widest view of which the image shows every pixel, to 1, the
+            narrowest that shows all of the image (OpenCV's ``balance``); what is more than 80° off the axis, where
+            perspective ends, is not asked for.
 
     Returns:
         ``(*b, c, h', w')``. ``remap_mask(camera, undistorted_camera(...), rotation)`` says where the image shows
         something.
 
     Raises:
-        ArgumentError: both field of view and focal length are given, or one of them is out of range.
+        ArgumentError: more than one of field of view, focal length and balance is given, or it is out of range.
         ShapeError: see ``remap``.
 
     Examples:
@@ -63,7 +69,7 @@ def undistort(
         >>> picture.shape
         torch.Size([3, 48, 64])
     """
-    target = undistorted_camera(camera, field_of_view, focal_length, image_size)
+    target = undistorted_camera(camera, field_of_view, focal_length, image_size, balance)
     return remap(image, camera, target, rotation, mode, fill, mask)
 
 
@@ -72,6 +78,7 @@ def undistorted_camera(
     field_of_view: float | None = None,
     focal_length: float | Float[Tensor, " ..."] | None = None,
     image_size: Sequence[int] | None = None,
+    balance: float | None = None,
 ) -> PinholeCamera:
     """The pinhole camera of the picture that ``undistort`` makes with the same arguments.
 
@@ -85,13 +92,21 @@ def undistorted_camera(
         >>> fisheye = FisheyeCamera.from_field_of_view((64, 64), math.radians(220))
         >>> undistorted_camera(fisheye, math.radians(90), image_size=(48, 64)).focal_length
         tensor([32., 32.])
+        >>> [round(undistorted_camera(fisheye, balance=share).focal_length[0].item(), 1) for share in (0, 1)]
+        [8.0, 5.6]
     """
     check_type("camera", camera, Camera)
     height, width = camera.image_size if image_size is None else checked_size(image_size)
-    if field_of_view is not None and focal_length is not None:
+    if sum(given is not None for given in (field_of_view, focal_length, balance)) > 1:
         raise ArgumentError(
-            "field_of_view and focal_length: give one of them, the other follows from the width"
+            "field_of_view, focal_length, balance: give one of them, the others follow from the width"
         )
+    if balance is not None:
+        check_type("balance", balance, (int, float), "from 0, all valid, to 1, all kept")
+        if not 0 <= balance <= 1:
+            raise ArgumentError(f"balance: expected 0 (every pixel valid) to 1 (all kept), got {balance}")
+        valid, kept = _focal_lengths_at_limits(camera, (height, width))
+        focal_length = (1 - balance) * valid + balance * kept
     if field_of_view is not None:
         check_type("field_of_view", field_of_view, (int, float), "radians from the left to the right edge")
         if not 0 < field_of_view < math.pi:
@@ -112,6 +127,22 @@ def undistorted_camera(
     return PinholeCamera(
         focal.expand(batch).unsqueeze(-1).repeat_interleave(2, -1), middle.expand(*batch, 2), (height, width)
     )
+
+
+def _focal_lengths_at_limits(camera: Camera, image_size: tuple[int, int]) -> tuple[float, float]:
+    """Focal length of the widest picture that is valid everywhere, and of the narrowest that shows all of the image."""
+    half_height, half_width = image_size[0] / 2, image_size[1] / 2
+    height, width = camera.image_size
+    corners = torch.tensor([(u, v) for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)])
+    directions = camera.unproject(corners.to(camera.device, torch.float64)).directions
+    azimuth = torch.atan2(directions[:, 1], directions[:, 0])
+    corner = torch.tensor([(y, x) for y in (-half_height, half_height) for x in (-half_width, half_width)])
+    even = torch.arange(720, dtype=torch.float64) * (math.pi / 360)
+    azimuth = torch.cat((azimuth, torch.atan2(*corner.double().T).to(azimuth), even.to(azimuth)))
+    radius = visible_angle(camera, azimuth).clamp_max(_WIDEST).tan()
+    to_border = (half_width / azimuth.cos().abs()).minimum(half_height / azimuth.sin().abs())
+    focal = to_border / radius.clamp_min(1e-9)  # with which the picture's border is the image's, there
+    return float(focal.max()), float(focal.min())
 
 
 def _scale_on_axis(camera: Camera) -> Tensor:

@@ -16,7 +16,7 @@ from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
 from sphericalvision.core import ShapeError, check_tensor, full_precision
 
-__all__ = ["perspective_views", "rotation_from_yaw_pitch_roll"]
+__all__ = ["checked_angles", "perspective_views", "rotation_from_yaw_pitch_roll"]
 
 
 @full_precision
@@ -43,10 +43,25 @@ def _turn(angle: Tensor, plane: tuple[int, int]) -> Tensor:
     return rows
 
 
+def checked_angles(
+    name: str, views: Float[Tensor, "n 3"] | Sequence[Sequence[float]]
+) -> Float[Tensor, "n 3"]:
+    """Yaw, pitch and roll (n, 3) in float64.
+
+    Examples:
+        >>> checked_angles("views", [(0.0, 0.5, 0.0)]).shape
+        torch.Size([1, 3])
+    """
+    angles = torch.as_tensor(views, dtype=torch.float64)
+    if angles.ndim != 2 or angles.shape[-1] != 3:
+        raise ShapeError(f"{name}: expected (n, 3) as yaw, pitch and roll, got shape {tuple(angles.shape)}")
+    return angles
+
+
 def perspective_views(
     image: Shaped[Tensor, "*images c h w"],
     views: Float[Tensor, "n 3"] | Sequence[Sequence[float]],
-    field_of_view: float = math.pi / 2,
+    field_of_view: float | Sequence[float] = math.pi / 2,
     image_size: Sequence[int] = (512, 512),
     *,
     source: Camera | None = None,
@@ -54,10 +69,12 @@ def perspective_views(
 ) -> Shaped[Tensor, "*batch n c rows columns"]:
     """What pinhole cameras see (*b, n, c, h', w') that look into a panorama (*b, c, h, w) in n directions.
 
+    ``sphere.views`` keeps their cameras, and brings what is made of the views back together.
+
     Args:
         image: (*b, c, h, w), a whole panorama, twice as wide as high, or whatever ``source`` takes.
         views: (n, 3), yaw to the right, pitch upwards and roll clockwise, in radians.
-        field_of_view: of a view's shorter side, in radians, below π.
+        field_of_view: of a view's shorter side, or (horizontal, vertical), in radians, below π.
         image_size: (height, width) of the views.
         source: camera that took the image: any lens, or a panorama of another size, ``EquirectangularCamera(...)``.
         mode: as in ``remap``; ``"area"`` where the views are coarser than the image.
@@ -72,9 +89,7 @@ def perspective_views(
         >>> right_and_up[:, :, 15, 15].round(decimals=3).tolist()
         [[95.5, 31.5], [63.5, 15.5]]
     """
-    angles = torch.as_tensor(views, dtype=torch.float64)
-    if angles.ndim != 2 or angles.shape[-1] != 3:
-        raise ShapeError(f"views: expected (n, 3) as yaw, pitch and roll, got shape {tuple(angles.shape)}")
+    angles = checked_angles("views", views)
     if source is None:
         check_tensor("image", image, "(*b, c, h, w)")
         if image.ndim < 3 or image.shape[-1] != 2 * image.shape[-2]:

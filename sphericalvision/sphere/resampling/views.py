@@ -1,0 +1,349 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Perspective views of a panorama or a rig, any function of them, and the way back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Shaped
+from torch import Tensor
+
+from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, PinholeCamera, depth_from_z
+from sphericalvision.cameras.checks import check_image
+from sphericalvision.cameras.remapping.views import checked_angles, rotation_from_yaw_pitch_roll
+from sphericalvision.cameras.resolution import pixels_a_radian
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
+from sphericalvision.geometry import angle_from_axis
+from sphericalvision.geometry.directions import holds
+from sphericalvision.sphere.grids.base import SphereGrid
+from sphericalvision.sphere.grids.checks import check_values
+from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
+from sphericalvision.sphere.grids.tangent import TangentImages
+from sphericalvision.sphere.resampling.supersampling import cell_widths, grid_shape
+from sphericalvision.sphere.resampling.tables import resample_tables
+
+__all__ = ["Merged", "Views", "views"]
+
+QUANTITIES = ("values", "range", "z")
+_ROUNDS = 10  # of weighting by agreement
+_FAINTEST = 1e-4  # weight at the border of a view, of that in its middle
+
+
+class Merged(NamedTuple):
+    """What several views say together."""
+
+    values: Float[Tensor, "*values"]
+    """``(*b, c, *target_shape)``, 0 where not valid."""
+    valid: Bool[Tensor, "*target"]
+    """``(*b, *target_shape)``, where a view shows something."""
+    spread: Float[Tensor, "*target"]
+    """``(*b, *target_shape)``: weighted deviation of the views from the merged values; relative for depth."""
+
+
+class Views:
+    """Images of several cameras that look from one place, such as ``views`` cuts: photographs of a rig are views, too.
+
+    Args:
+        images: ``(*b, c, h, w)`` of each camera, by name or in the rig's order; floating point.
+        rig: cameras, their orientations and masks; where the cameras stand does not matter here.
+        target: of ``merge`` if it is told none; a panorama as fine as the cameras in their middle if not given.
+
+    Raises:
+        ArgumentError: the number or the names of the images are not those of the rig, or the rig is a batch.
+        ShapeError: an image is not of its camera's size.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> photographs = Views([torch.rand(3, 64, 64) for _ in range(4)], ring_rig(4, image_size=(64, 64)))
+        >>> photographs.merge(EquirectangularCamera((32, 64))).values.shape
+        torch.Size([3, 32, 64])
+    """
+
+    def __init__(
+        self,
+        images: Mapping[str, Float[Tensor, "*#b c _ _"]] | Sequence[Float[Tensor, "*#b c _ _"]],
+        rig: CameraRig,
+        target: SphereGrid | Camera | None = None,
+    ) -> None:
+        named = images if isinstance(images, Mapping) else dict(zip(rig.names, images, strict=False))
+        if len(images) != len(rig) or set(named) != set(rig.names) or rig.batch_shape:
+            raise ArgumentError(
+                f"images: expected one for each camera of a single rig, {', '.join(rig.names)}, got {len(images)} for "
+                f"{', '.join(map(str, named))}"
+            )
+        for name, camera in rig.cameras.items():
+            check_image(f"images[{name!r}]", named[name], camera.image_size)
+        self.images = [named[name] for name in rig.names]
+        self.rig = rig
+        self._target = target
+
+    @property
+    def target(self) -> SphereGrid | Camera:
+        """The grid or camera onto which ``merge`` goes if it is told none."""
+        if self._target is not None:
+            return self._target
+        rows = round(math.pi * _fineness(self.rig))
+        return EquirectangularCamera((rows, 2 * rows))
+
+    def map(self, function: Callable[[Tensor], Tensor], batch: int | None = None) -> Views:
+        """The views of what ``function`` makes of these.
+
+        Args:
+            function: of images ``(n, c, h, w)`` to ``(n, c', h', w')`` or ``(n, h', w')``, such as a network.
+            batch: most images at once; all of one size if not given.
+
+        Raises:
+            ShapeError: the function returns something else.
+        """
+        shapes = [image.shape for image in self.images]
+        results: list[Tensor] = []
+        while len(results) < len(shapes):  # neighbours of one shape go together
+            first = len(results)
+            last = first + 1
+            while last < len(shapes) and shapes[last] == shapes[first]:
+                last += 1
+            flat = torch.stack(self.images[first:last]).flatten(0, -4)
+            found = torch.cat(
+                [self._checked(function(part), part) for part in flat.split(batch or len(flat))]
+            )
+            results += found.unflatten(0, (last - first, *shapes[first][:-3]))
+        sizes = {name: tuple(image.shape[-2:]) for name, image in zip(self.rig.names, results, strict=True)}
+        return Views(results, self.rig.resized(sizes), self._target)
+
+    @staticmethod
+    def _checked(result: Tensor, images: Tensor) -> Tensor:
+        check_tensor("function", result, "(n, c, h, w)")
+        result = result.unsqueeze(1) if result.ndim == 3 else result
+        if result.ndim != 4 or len(result) != len(images):
+            raise ShapeError(
+                f"function: expected ({len(images)}, c, h, w), of images {tuple(images.shape)}, got "
+                f"{tuple(result.shape)}"
+            )
+        return result
+
+    def merge(
+        self,
+        target: SphereGrid | Camera | None = None,
+        rotation: Float[Tensor, "3 3"] | None = None,
+        *,
+        quantity: str = "values",
+        align: bool = True,
+        mode: str = "bilinear",
+    ) -> Merged:
+        """One image of all views, on any grid or in any camera.
+
+        Views count by the solid angle of their pixels, less towards their borders, and less where they disagree with
+        the others (Cauchy's weights, by the mean deviation of all).
+
+        Args:
+            target: grid or camera; where the views were cut from if not given.
+            rotation: ``(3, 3)``, target_from_world.
+            quantity: what the images hold. ``"values"`` of any kind: colours, features, scores of classes. ``"range"``:
+                metres along each pixel's ray. ``"z"``: metres along each camera's axis, as networks for perspective
+                images estimate; the result is along the rays. Of depth, what is not above 0 is not known.
+            align: whether each view's depth has a scale of its own; these are found where views overlap, and their
+                geometric mean is kept.
+            mode: as in ``resample``; ``"area"`` where the target is coarser.
+
+        Raises:
+            ArgumentError: an unknown quantity, or depth of several channels.
+        """
+        check_choice("quantity", quantity, QUANTITIES)
+        is_depth = quantity != "values"
+        target = self.target if target is None else target
+        found = [self._seen_in(target, rotation, name, quantity, mode) for name in self.rig.names]
+        values, weights = (torch.stack(torch.broadcast_tensors(*part)) for part in zip(*found, strict=True))
+        dims = len(grid_shape(target, "target"))
+        if is_depth:
+            values = torch.where(weights > 0, values, 1.0).log()
+            if align:
+                values = values + _log_scales(values, weights, dims)
+        merged, spread = _agreed(values, weights, dims)
+        valid = (weights > 0).any(0)
+        merged = torch.where(valid, merged.exp() if is_depth else merged, 0.0)
+        return Merged(merged, valid.squeeze(-1 - dims), spread.squeeze(-1 - dims))
+
+    def _seen_in(
+        self, target: SphereGrid | Camera, rotation: Tensor | None, name: str, quantity: str, mode: str
+    ) -> tuple[Tensor, Tensor]:
+        """What a view shows in the target ``(*b, c, *target_shape)``, and its weight, 0 where it shows nothing."""
+        index = self.rig.names.index(name)
+        camera, image = self.rig.cameras[name].to(self.images[index].device), self.images[index]
+        turn = self.rig.world_from_camera[index, :3, :3].to(image.device)
+        turn = turn if rotation is None else rotation.to(turn) @ turn
+        mask = self.rig.masks.get(name)
+        usable = (
+            torch.ones(camera.image_size, dtype=torch.bool, device=image.device) if mask is None else mask
+        )
+        usable = usable.to(image.device)
+        if quantity != "values":
+            if image.shape[-3] != 1:
+                raise ArgumentError(f"quantity: depth has one channel, got {image.shape[-3]}")
+            depth = image.squeeze(-3)
+            if quantity == "z":
+                depth, in_front = depth_from_z(depth, camera)
+                usable = usable & in_front
+            usable = usable & (depth > 0) & depth.isfinite()
+            image = (1 / torch.where(usable, depth, 1.0)).unsqueeze(-3)  # planes stay planes
+        weight = _weights(camera).to(image).expand_as(image[..., :1, :, :])
+        tables = resample_tables(camera, target, turn, mode, 0.0, usable, image.device)
+        dims = len(tables.target_shape)
+        found, seen = tables(torch.cat((image, weight), -3)), tables.mask().unsqueeze(-1 - dims)
+        shown, weight = found.split((image.shape[-3], 1), -1 - dims)
+        if quantity != "values":
+            shown = 1 / torch.where(seen, shown, 1.0)
+        return shown, torch.where(seen, weight, 0.0)
+
+
+def views(
+    image: Shaped[Tensor, "*images c h w"] | Mapping[str, Tensor] | Sequence[Tensor],
+    source: SphereGrid | Camera | CameraRig | None = None,
+    layout: str | Float[Tensor, "n 3"] | Sequence[Sequence[float]] = "cube",
+    field_of_view: float | Sequence[float] = math.radians(100),
+    image_size: Sequence[int] | None = None,
+    mode: str = "bilinear",
+) -> Views:
+    """Perspective views that cover the sphere, for functions of ordinary images: ``views(panorama).map(f).merge()``.
+
+    Args:
+        image: ``(*b, c, h, w)`` of a panorama or another camera, or one for each camera of a rig.
+        source: what took it: camera, grid or rig (seen from its middle as if all were far away). A whole panorama if
+            not given.
+        layout: ``"cube"``, 6 views; ``"tangent"``, 20 views, one at each face of an icosahedron (75° and more); or
+            yaw, pitch and roll ``(n, 3)`` in radians, as in ``perspective_views``.
+        field_of_view: across the shorter side, or (horizontal, vertical), in radians. What overlaps aligns the views.
+        image_size: (height, width); as fine as the source in the middle of a view if not given.
+        mode: as in ``resample``.
+
+    Raises:
+        ArgumentError: an unknown layout, or a field of view that no pinhole has.
+        ShapeError: the image is not of the source's size, or angles are not (n, 3).
+
+    References:
+        M. Eder et al. (2020), "Tangent images for mitigating spherical distortion", CVPR.
+        M. Rey-Area et al. (2022), "360MonoDepth: high-resolution 360° monocular depth estimation", CVPR, for depth of
+        tangent images aligned where they overlap.
+
+    Examples:
+        >>> panorama = torch.rand(3, 64, 128)
+        >>> brighter = views(panorama).map(lambda images: images + 1).merge()
+        >>> brighter.values.shape, bool(brighter.valid.all())
+        (torch.Size([3, 64, 128]), True)
+    """
+    if isinstance(source, CameraRig):
+        photographs = Views(image.unbind(-4) if isinstance(image, Tensor) else image, source)
+        whole: SphereGrid | Camera = photographs.target
+    else:
+        check_tensor("image", image, "(*b, c, h, w)")
+        assert isinstance(image, Tensor)
+        whole = EquirectangularCamera(tuple(image.shape[-2:])) if source is None else source
+        check_values(image, grid_shape(whole, "source"))
+        panorama: Tensor = image
+
+    def cut(camera: Camera, turn: Tensor) -> tuple[Tensor, Tensor]:
+        if isinstance(source, CameraRig):
+            return photographs.merge(camera, turn, mode=mode)[:2]
+        device = panorama.device
+        tables = resample_tables(whole, camera, turn.to(device), mode, 0.0, None, device)
+        return tables(panorama), tables.mask()
+
+    turns = _rotations(layout)
+    if image_size is None:
+        pair = field_of_view if isinstance(field_of_view, Sequence) else (field_of_view,) * 2
+        fineness = _fineness(source if isinstance(source, CameraRig) else whole)
+        across, down = (math.ceil(2 * math.tan(angle / 2) * fineness) for angle in pair)
+        image_size = (down, across)
+    lens = PinholeCamera.from_field_of_view(image_size, field_of_view)
+    images, seen = zip(*(cut(lens, turn.mT) for turn in turns), strict=True)
+    poses = torch.eye(4).repeat(len(turns), 1, 1)
+    poses[:, :3, :3] = turns
+    rig = CameraRig([lens] * len(turns), poses)
+    masks = {name: mask for name, mask in zip(rig.names, seen, strict=True) if not holds(mask)}
+    return Views(images, CameraRig(rig.cameras, poses, masks), whole)
+
+
+def _fineness(source: SphereGrid | Camera | CameraRig) -> float:
+    """Values a radian; of cameras in their middle, the finest of a rig."""
+    if isinstance(source, Camera):
+        return pixels_a_radian(source)
+    if isinstance(source, CameraRig):
+        return max(map(pixels_a_radian, source.cameras.values()))
+    return 1 / float(cell_widths(source).min())
+
+
+def _rotations(layout: str | Tensor | Sequence[Sequence[float]]) -> Tensor:
+    """Rotations (n, 3, 3), world_from_view."""
+    if isinstance(layout, str):
+        check_choice("layout", layout, ("cube", "tangent"))
+        return world_from_cube_face() if layout == "cube" else TangentImages(0, 2).world_from_patch
+    return rotation_from_yaw_pitch_roll(checked_angles("layout", layout)).float()
+
+
+def _weights(camera: Camera) -> Tensor:
+    """How much each pixel counts (h, w): its solid angle, and how far it is from the border of what is seen."""
+    pixels = camera.pixel_grid(torch.float64)
+    directions, valid = camera.unproject(pixels)
+    solid = torch.where(valid, cell_widths(camera).view(camera.image_size).square(), 0.0)
+    if isinstance(camera, EquirectangularCamera):
+        inside = torch.ones_like(solid)
+    else:
+        height, width = camera.image_size
+        middle = pixels.new_tensor([(width - 1) / 2, (height - 1) / 2])
+        inside = (1 - (pixels - middle).abs() / (middle + 0.5)).amin(-1)
+        inside = inside.minimum(1 - angle_from_axis(directions) / camera.max_angle)
+    return (solid / solid.max() * inside).clamp_min(_FAINTEST)
+
+
+def _agreed(values: Tensor, weights: Tensor, dims: int) -> tuple[Tensor, Tensor]:
+    """Mean over views (n, *b, c, *target), those that disagree counting less, and the deviation from it."""
+    trust = weights
+    for _ in range(2):
+        mean, squared = _mean_and_squares(values, trust, dims)
+        trust = weights * _cauchy(squared, weights, dims)
+    mean, squared = _mean_and_squares(values, trust, dims)
+    return mean, _mean(squared, trust).detach().sqrt()
+
+
+def _mean(values: Tensor, weights: Tensor) -> Tensor:
+    total = weights.sum(0)
+    return (values * weights).sum(0) / torch.where(total > 0, total, 1.0)
+
+
+def _mean_and_squares(values: Tensor, weights: Tensor, dims: int) -> tuple[Tensor, Tensor]:
+    """The mean over views, and squared deviations (n, *b, 1, *target) from it, of all channels."""
+    mean = _mean(values, weights)
+    return mean, (values - mean).detach().square().mean(-1 - dims, keepdim=True)
+
+
+def _cauchy(squared: Tensor, weights: Tensor, dims: int) -> Tensor:
+    """1 / (1 + r² / s²) with the mean s of deviations r where views overlap, of each in the batch."""
+    overlaps = weights * ((weights > 0).sum(0) > 1)
+    across = (0, *range(-1 - dims, 0))
+    deviation = (squared.sqrt() * overlaps).sum(across, keepdim=True)
+    scale = deviation / overlaps.sum(across, keepdim=True).clamp_min(torch.finfo(squared.dtype).tiny)
+    return 1 / (1 + squared / scale.square().clamp_min(torch.finfo(squared.dtype).tiny))
+
+
+def _log_scales(values: Tensor, weights: Tensor, dims: int) -> Tensor:
+    """What to add to each view's logarithms (n, *b, 1, *target) so that they agree, (n, *b, 1, ...); 0 on average.
+
+    Minimises the weighted squares of deviations from the mean of all views, of which a view's share of each place is
+    a graph Laplacian; its weights are those of Cauchy from the second round on, as views see other things at edges.
+    """
+    flat, given = (
+        part.flatten(-1 - dims).movedim(0, -2).double() for part in (values, weights)
+    )  # (*b, n, V)
+    scales, trust = torch.zeros_like(flat[..., :1]), given
+    for _ in range(_ROUNDS):
+        total = trust.sum(-2, keepdim=True)
+        shares = trust / torch.where(total > 0, total, 1.0)
+        laplacian = torch.diag_embed(trust.sum(-1)) - trust @ shares.mT
+        difference = (trust * ((shares * flat).sum(-2, keepdim=True) - flat)).sum(-1, keepdim=True)
+        scales = torch.linalg.pinv(laplacian, rtol=1e-9, hermitian=True) @ difference
+        aligned = (flat + scales).detach().movedim(-2, 0)
+        _, squared = _mean_and_squares(aligned.unsqueeze(-2), trust.movedim(-2, 0).unsqueeze(-2), 1)
+        trust = given * _cauchy(squared, given.movedim(-2, 0).unsqueeze(-2), 1).squeeze(-2).movedim(0, -2)
+    return scales.movedim(-2, 0).to(values)[(..., *(None,) * dims)]

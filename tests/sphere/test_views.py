@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Views of a panorama or a rig, functions of them, and the way back."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import (
+    Camera,
+    CameraRig,
+    EquirectangularCamera,
+    FisheyeCamera,
+    PinholeCamera,
+    depth_from_z,
+    perspective_views,
+    remap,
+    ring_rig,
+    z_from_depth,
+)
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes import make_scene, ray_depth
+from sphericalvision.sphere import Equirectangular, Views, views
+
+DOUBLE = torch.float64
+PANORAMA = EquirectangularCamera((48, 96))
+LAYOUTS = pytest.mark.parametrize("layout", ["cube", "tangent", [(0.4, 0.3, 1.0), (3.0, 0.0, 0.0)]])
+
+
+def smooth(directions: Tensor) -> Tensor:
+    """Three channels (3, ...) of a function of directions without structure below a tenth of a radian."""
+    return torch.stack(
+        ((2 * directions[..., 0]).sin(), directions[..., 1] * directions[..., 2], directions.sum(-1))
+    )
+
+
+def pixels(camera: Camera) -> Tensor:
+    return camera.unproject(camera.pixel_grid()).directions
+
+
+@LAYOUTS
+def test_constants_stay_constant(layout: str) -> None:
+    cut = views(torch.full((2, 1, 48, 96), 3.5), layout=layout, image_size=(40, 40))
+    for quantity in ("values", "range"):
+        values, valid, spread = cut.merge(quantity=quantity)
+        assert values.shape == (2, 1, 48, 96)
+        assert valid.shape == spread.shape == (2, 48, 96)
+        assert valid.all() or not isinstance(layout, str)
+        torch.testing.assert_close(values, torch.where(valid, 3.5, 0.0)[:, None], atol=1e-5, rtol=0)
+        assert spread.max() < 1e-5
+    ico = cut.merge(Icosphere(3))
+    torch.testing.assert_close(ico.values[ico.valid[:, None]], torch.tensor(3.5).expand(int(ico.valid.sum())))
+
+
+@pytest.mark.parametrize("layout", ["cube", "tangent"])
+def test_there_and_back_is_the_panorama_within_interpolation(layout: str) -> None:
+    """The error falls with the square of the pixels, and is no more than thrice that of one interpolation each way."""
+    errors = []
+    for height in (24, 48):
+        camera = EquirectangularCamera((height, 2 * height)).to(DOUBLE)
+        panorama = smooth(pixels(camera))
+        back = views(panorama, camera, layout).merge()
+        assert back.valid.all()
+        errors.append((back.values - panorama).abs().max().item())
+    assert errors[1] < 0.35 * errors[0]
+    assert errors[1] < 3 * 2 * (2 * math.pi / 96) ** 2 / 8 * 4  # second derivatives are 4 at most
+
+
+def test_any_function_of_images_is_mapped() -> None:
+    """Of another size or without channels, in parts; what is no image is refused."""
+    cut = views(smooth(pixels(PANORAMA)).expand(2, -1, -1, -1), image_size=(40, 40))
+    asked: list[int] = []
+
+    def half(images: Tensor) -> Tensor:
+        asked.append(len(images))
+        return torch.nn.functional.avg_pool2d(images, 2).sum(1)
+
+    merged = cut.map(half, batch=5).merge()
+    assert asked == [5, 5, 2]
+    assert merged.values.shape == (2, 1, 48, 96)
+    expected = smooth(pixels(PANORAMA)).sum(0)
+    torch.testing.assert_close(merged.values[1, 0], expected, atol=0.03, rtol=0)
+    for wrong in (lambda x: x[:1], lambda x: x.flatten(1)):
+        with pytest.raises(ShapeError, match="function: expected"):
+            cut.map(wrong)
+
+
+@pytest.mark.parametrize(("layout", "quantity"), [("cube", "z"), ("tangent", "range")])
+def test_depth_of_a_rendered_room_is_merged_to_the_truth(layout: str, quantity: str) -> None:
+    """Each view with a scale of its own: they agree again, and the geometric mean of all scales is kept."""
+    scene, origin = make_scene("room", 4), torch.zeros(3)
+    truth = ray_depth(scene, origin, pixels(PANORAMA))
+    cut = views(torch.zeros(1, 48, 96), layout=layout, image_size=(64, 64))
+    scales = torch.rand(len(cut.rig), generator=torch.Generator().manual_seed(0)) + 0.5
+    images = []
+    for scale, (name, lens) in zip(scales, cut.rig.cameras.items(), strict=True):
+        turn = cut.rig.world_from_camera[cut.rig.names.index(name), :3, :3]
+        depth = ray_depth(scene, origin, pixels(lens) @ turn.T)
+        images.append(scale * (z_from_depth(depth, lens)[0] if quantity == "z" else depth)[None])
+    estimated = Views(images, cut.rig, cut.target)
+    found = estimated.merge(quantity=quantity)
+    error = (found.values[0] / scales.log().mean().exp() / truth - 1).abs()
+    assert found.valid.all()
+    assert error.median() < 2e-3
+    assert error.quantile(0.95) < 0.03, "but for what is at edges of things"
+    apart = (estimated.merge(quantity=quantity, align=False).values[0] / truth).log()
+    assert apart.std() > 0.1
+    images[0][..., 10:20, 10:20] = 0.0  # which is unknown, and asked of the others
+    images[0][..., 30:40, 10:20] = torch.inf
+    holed = Views(images, cut.rig, cut.target).merge(quantity=quantity)
+    torch.testing.assert_close(
+        holed.values[holed.valid[None]], found.values[holed.valid[None]], rtol=0.1, atol=0
+    )
+    with pytest.raises(ArgumentError, match="quantity: depth has one channel, got 3"):
+        views(smooth(pixels(PANORAMA))).merge(quantity="range")
+
+
+def test_a_view_that_disagrees_counts_little() -> None:
+    """Where three or more views overlap, of which one sees something else; and the spread tells."""
+    panorama = smooth(pixels(PANORAMA))
+    cut = views(panorama, layout="tangent", field_of_view=math.radians(110), image_size=(40, 40))
+    plain = cut.merge()
+    cut.images[3] = cut.images[3] + 1
+    off = cut.merge()
+    seen = Views(
+        [torch.ones(1, 40, 40)],
+        CameraRig([cut.rig.cameras["cam4"]], cut.rig.world_from_camera[3:4]),
+        PANORAMA,
+    )
+    there = seen.merge().valid
+    assert (off.values - plain.values)[:, there].abs().mean() < 0.1
+    assert off.spread[there].mean() > 2 * plain.spread[there].mean()
+
+
+def test_photographs_of_a_rig_merge_into_the_panorama_that_they_show() -> None:
+    """Two fisheyes back to back and a pinhole; and perspective views are cut from all of them together."""
+    panorama = smooth(pixels(PANORAMA))
+    fisheye = FisheyeCamera.from_field_of_view((60, 64), math.radians(200))
+    cameras = {"front": fisheye, "back": fisheye, "detail": PinholeCamera.from_field_of_view((40, 50), 1.0)}
+    poses = torch.eye(4).repeat(3, 1, 1)
+    poses[1, 0, 0] = poses[1, 2, 2] = -1
+    rig = CameraRig(cameras, poses, {"front": torch.arange(64).expand(60, 64) > 1})
+    images = {
+        name: remap(panorama, PANORAMA, lens, poses[k, :3, :3].T)
+        for k, (name, lens) in enumerate(cameras.items())
+    }
+    whole = Views(images, rig).merge(PANORAMA)
+    assert whole.valid.all()
+    torch.testing.assert_close(whole.values, panorama, atol=0.02, rtol=0)
+    cut = views(images, rig, [(1.5, 0.2, 0.1)], 1.0, (30, 30))
+    direct = perspective_views(panorama, [(1.5, 0.2, 0.1)], 1.0, (30, 30))
+    torch.testing.assert_close(cut.images[0], direct[0], atol=0.02, rtol=0)
+    assert repr(Views(images, rig).target) == repr(cut.target)
+    alone = views(images["front"], fisheye, "cube", image_size=(20, 20))
+    assert set(alone.rig.masks) == {"cam2", "cam3", "cam4", "cam5", "cam6"}  # all but the view ahead
+    with pytest.raises(ArgumentError, match="images: expected one for each camera"):
+        Views(list(images.values())[:2], rig)
+
+
+def test_parts_of_panoramas_and_grids_are_cut_too() -> None:
+    part = Equirectangular(24, 60, latitudes=(-0.6, 0.9), longitudes=(-1.5, 1.6))
+    values = smooth(part.directions)
+    back = views(values, part, "tangent").merge()
+    inside = back.valid
+    assert inside.double().mean() > 0.9
+    torch.testing.assert_close(back.values[:, inside], values[:, inside], atol=0.03, rtol=0)
+    outside = views(values, part, "tangent").merge(PANORAMA).valid
+    assert 0.2 < outside.double().mean() < 0.3
+
+
+@pytest.mark.parametrize("quantity", ["values", "range"])
+def test_gradients_go_through_views(quantity: str) -> None:
+    """Merging twice the values gives twice the result: by Euler, so say the derivatives, of pixels and parameters."""
+    camera = EquirectangularCamera((12, 24)).to(DOUBLE)
+    panorama = (smooth(pixels(camera))[:1] + 3).requires_grad_()
+    factor = torch.tensor(1.5, dtype=DOUBLE, requires_grad=True)
+    merged = (
+        views(panorama, camera, image_size=(9, 9)).map(lambda x: factor * x).merge(quantity=quantity).values
+    )
+    weights = torch.rand(12, 24, dtype=DOUBLE)
+    by_pixel, by_factor = torch.autograd.grad((weights * merged).sum(), (panorama, factor))
+    torch.testing.assert_close((by_pixel * panorama).sum(), (weights * merged).sum())
+    torch.testing.assert_close(by_factor * factor, (weights * merged).sum())
+    assert (by_pixel != 0).double().mean() > 0.5  # at a pole some are not read
+
+
+def test_z_is_along_each_views_own_axis() -> None:
+    """A wall two metres ahead: its z is 2 everywhere, its range grows to the side."""
+    cut = views(torch.zeros(1, 48, 96), layout=[(0.0, 0.0, 0.0)], field_of_view=1.5, image_size=(40, 40))
+    wall = cut.map(lambda images: torch.full_like(images, 2.0)).merge(quantity="z")
+    expected, _ = depth_from_z(torch.full((40, 40), 2.0), cut.rig.cameras["cam1"])
+    there = wall.valid
+    torch.testing.assert_close(wall.values[0][there], 2 / pixels(PANORAMA)[there][:, 2], atol=0.03, rtol=0)
+    assert wall.values[0][there].max() > 0.95 * expected.max()
+    with pytest.raises(ArgumentError, match="quantity"):
+        cut.merge(quantity="depth")
+    with pytest.raises(ArgumentError, match="layout"):
+        views(torch.zeros(1, 48, 96), layout="dodecahedron")
+    own = Views([torch.zeros(1, 64, 64)] * 4, ring_rig(4, image_size=(64, 64))).target
+    assert isinstance(own, Camera)
+    assert own.image_size[0] > 32

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Bool, Float, Shaped
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.cameras.remapping.tables import REMAP_MODES, remap_tables
 from sphericalvision.core import check_type
+from sphericalvision.geometry.lookup_module import LookupModule
 
 __all__ = ["REMAP_MODES", "Remap", "remap", "remap_mask"]
 
@@ -96,7 +97,7 @@ def remap_mask(
     return remap_tables(source, target, rotation, mode, 0.0, mask, device).mask()
 
 
-class Remap(nn.Module):
+class Remap(LookupModule):
     """``remap`` between two fixed cameras, with tables that are computed once.
 
     The tables are computed in float64 and kept in ``dtype`` as buffers that are not part of the state dict; they move
@@ -164,11 +165,3 @@ class Remap(nn.Module):
         check_image("image", image, self.tables.source_shape)
         result: Tensor = self.tables(image, mask)
         return result
-
-    def mask(self, mask: Shaped[Tensor, "*masks h w"] | None = None) -> Bool[Tensor, "*batch rows columns"]:
-        """Where results are valid, bool ``(*b, h', w')``; ``mask`` as in ``forward``."""
-        return self.tables.mask(mask)
-
-    def __repr__(self) -> str:
-        sizes = f"{self.tables.source_shape} -> {self.tables.target_shape}"
-        return f"{type(self).__name__}({sizes}, mode={self.tables.mode!r})"

@@ -3,14 +3,14 @@
 
 The modules follow Kornia's: what is drawn at random is a dictionary of tensors, made by ``forward_parameters`` and kept
 in ``_params``; given back as ``params`` it does the same again, to other data if wanted, and ``inverse`` undoes it;
-``p`` and ``same_on_batch`` mean what they mean there.
+``p`` and ``same_on_batch`` mean what they mean there, and ``data_keys`` what they mean to ``AugmentationSequential``.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -91,23 +91,48 @@ class _SphereAugmentation(nn.Module):
         chosen = torch.rand(batch_shape[0], generator=self.generator) < self.p
         return {**params, "batch_prob": chosen}
 
-    def forward(self, data: Any, params: Parameters | None = None) -> Any:
-        """Turn a tensor, an image, or the entries of a sample; draw how unless ``params`` tell it."""
-        if params is None:
-            params = self.forward_parameters((self._batch_size(data),))
-        self._params = params
-        return self._applied(data, params)
+    def forward(
+        self, *data: Any, params: Parameters | None = None, data_keys: Sequence[str] | None = None
+    ) -> Any:
+        """Turn a tensor, an image, or the entries of a sample; draw how unless ``params`` tell it.
 
-    def inverse(self, data: Any, params: Parameters | None = None) -> Any:
-        """Turn back what these parameters, or else the last ones, have turned."""
+        Several entries are turned alike and come back as a list: ``data_keys`` says what each is, by the names that
+        entries of samples have ("input" is an image, too).
+
+        Raises:
+            ArgumentError: as many keys as entries are needed, of known names.
+        """
+        if params is None:
+            params = self.forward_parameters((self._batch_size(data[0]),))
+        self._params = params
+        return self._all_applied(data, params, data_keys)
+
+    def inverse(
+        self, *data: Any, params: Parameters | None = None, data_keys: Sequence[str] | None = None
+    ) -> Any:
+        """Turn back what these parameters, or else the last ones, have turned; ``data_keys`` as in ``forward``."""
         params = self._params if params is None else params
         if not params:
             raise ArgumentError("params: nothing was turned yet; call the module first or pass parameters")
         turn = {"steps": -params["steps"]} if "steps" in params else {"rotation": params["rotation"].mT}
-        return self._applied(data, {**params, **turn})
+        return self._all_applied(data, {**params, **turn}, data_keys)
 
     def extra_repr(self) -> str:
         return f"p={self.p}, same_on_batch={self.same_on_batch}"
+
+    def _all_applied(self, data: tuple[Any, ...], params: Parameters, data_keys: Sequence[str] | None) -> Any:
+        if data_keys is None and len(data) == 1:
+            return self._applied(data[0], params)
+        kinds = {"input": "image", **USUAL_KINDS, **self.kinds}
+        if len(data_keys or ()) != len(data) or not set(data_keys or ()) <= set(kinds):
+            raise ArgumentError(
+                f"data_keys: expected one for each of {len(data)} entries, among {', '.join(kinds)}, got {data_keys}"
+            )
+        turned = [
+            self._entry(key, value, kinds[key], params)
+            for key, value in zip(data_keys or (), data, strict=True)
+        ]
+        return turned if len(turned) > 1 else turned[0]
 
     def _applied(self, data: Any, params: Parameters) -> Any:
         if isinstance(data, Tensor):
@@ -187,6 +212,7 @@ class RandomSphereRotation(_SphereAugmentation):
         >>> turned = augment(image)
         >>> torch.equal(turned, augment(image, params=augment._params))
         True
+        >>> image, depth = augment(image, torch.rand(2, 642), data_keys=["image", "depth"])
     """
 
     def __init__(

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
+from sphericalvision.geometry.lookup_module import LookupModule
 from sphericalvision.sphere.grids.base import SphereGrid
 from sphericalvision.sphere.grids.checks import check_values
 from sphericalvision.sphere.resampling.supersampling import grid_shape
@@ -95,7 +96,7 @@ def resample_mask(
     return resample_tables(source, target, rotation, mode, 0.0, mask, device).mask()
 
 
-class Resample(nn.Module):
+class Resample(LookupModule):
     """``resample`` between two fixed grids or cameras, with tables that are computed once.
 
     The tables are buffers that move with the module and are not saved. They have no gradients with respect to rotation
@@ -158,14 +159,6 @@ class Resample(nn.Module):
         check_values(values, self.tables.source_shape)
         result: Tensor = self.tables(values, mask)
         return result
-
-    def mask(self, mask: Shaped[Tensor, "*mask"] | None = None) -> Bool[Tensor, "*results"]:
-        """Where results are valid, bool ``(*b, *target_shape)``; ``mask`` as in ``forward``."""
-        return self.tables.mask(mask)
-
-    def __repr__(self) -> str:
-        tables = self.tables
-        return f"Resample({tables.source_shape} -> {tables.target_shape}, mode={tables.mode!r})"
 
 
 def _like(grid: SphereGrid | Camera) -> Tensor:

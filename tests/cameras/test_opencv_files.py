@@ -143,8 +143,12 @@ def test_image_size_can_be_given_where_the_file_does_not_tell(tmp_path: Path) ->
     ):
         read_camera(path)
     assert read_camera(path, image_size=(240, 320)).image_size == (240, 320)
-    path = path.rename(tmp_path / "no_suffix")
-    assert read_camera(path, image_size=(240, 320)).image_size == (240, 320)
+    for start in ("", "# a comment\n\n---\n"):
+        text = f"{start}image_size: [320, 240]\ncamera_matrix: [[300, 0, 159], [0, 300, 119], [0, 0, 1]]\n"
+        (tmp_path / "no_suffix").write_text(text)
+        assert read_camera(tmp_path / "no_suffix").image_size == (240, 320)
+    with pytest.raises(ArgumentError, match=r"max_angle: expected radians .* 110"):
+        read_camera(tmp_path / "no_suffix", max_angle=110)
 
 
 @pytest.mark.parametrize("suffix", [".yaml", ".yml", ".xml", ".json"])

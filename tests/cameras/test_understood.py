@@ -165,6 +165,8 @@ OTHER_TEXTS = {
     },
     "lens.xml": CALIBRATION,
     "chunk.xml": CHUNK,
+    "panorama.xml": "<calibration><projection>spherical</projection><width>5760</width><height>2880</height>"
+    "</calibration>",
 }
 MAY_BE_REMOVED = {  # Metashape leaves out what it did not estimate, and a chunk may have no scale
     "image001.xmp": "xcr:AspectRatio",
@@ -356,6 +358,7 @@ def test_other_encodings_are_named(tmp_path: Path, encoding: str, named: str) ->
         ("report.txt", "Camera-system parameters:\n\tcam0 (/cam0/image_raw):\n", "Kalibr"),
         ("ost.txt", "# oST\n[image]\nwidth\n640\n", "ROS"),
         ("SN1.conf", "[LEFT_CAM_HD]\nfx=700\n", "ZED"),
+        ("meta.json", '{"frames": [{"rgb_path": "a.png"}], "sfm_data_version": 1}', "OpenMVG"),
         ("sfm_data.json", '{"sfm_data_version": "0.3", "views": []}', "OpenMVG"),
     ],
 )  # fmt: skip
@@ -552,6 +555,7 @@ def test_lenses_of_other_programs(tmp_path: Path) -> None:
         ("pinhole.yaml", "model_type", "fisheye: 0\nfisheye_mask: x.jpg\nmin_dist: 30\nmodel_type"),
         ("plain.yml", "image_width", "marker_size: 12.0\nframesCount: 3\nused_imgs: [0]\nimage_width"),
         ("image001.xmp", "xcr:Skew", 'xcr:latitude="48.1" xcr:version="2.2" xcr:Skew'),
+        ("panorama.xml", "</height>", "</height><f>916.7324722</f>"),
         ("chunk.xml", "</sensor>", "<photo_params>b1</photo_params><antenna/></sensor>"),
     ],
 )  # fmt: skip

@@ -121,6 +121,10 @@ def read_camera(
 
 def _contents(path: Path, options: Options) -> tuple[Path, Contents]:
     """The file that was read, and what it holds."""
+    if options.max_angle is not None and not 0 < float(options.max_angle) < 3.1416:
+        raise ArgumentError(
+            f"max_angle: expected radians above 0 up to π, got {options.max_angle}; are these degrees?"
+        )
     path, *others = _calibration_files(path)
     if others and path.is_dir():
         found = joined([(part, _read(part, options)) for part in others])

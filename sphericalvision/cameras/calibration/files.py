@@ -65,7 +65,11 @@ def read_text(path: Path) -> str:
 
 def looks_structured(path: Path) -> bool:
     """Whether a file holds keys with values, by its suffix or its first characters."""
-    return path.suffix.lower() in STRUCTURED or read_text(path).lstrip().startswith(("%YAML", "<?xml", "{"))
+    if path.suffix.lower() in STRUCTURED:
+        return True
+    text = read_text(path).lstrip()
+    is_yaml = path.suffix != ".txt" and re.match(r"(\s*(#.*\n|---\s))*\s*[A-Za-z][\w.]*:(\s|$)", text)
+    return bool(is_yaml) or text.startswith(("%YAML", "<?xml", "{"))
 
 
 def data_lines(path: Path) -> list[tuple[int, list[str]]]:

@@ -9,7 +9,8 @@ Convention:
 
     A camera's ``transform`` takes its coordinates (x right, y down, z forward) to those of its component, or of the
     chunk, in the unit of which ``scale`` is the metres. A camera with a ``master_id`` has the pose of that camera times
-    the one of its own sensor, which is ``rotation`` and ``location`` in the master's coordinates.
+    the one of its own sensor, which is ``rotation`` and ``location`` in the master's coordinates
+    and in the same unit.
 
 References:
     Agisoft Metashape User Manual, Professional Edition, appendix "Camera models".
@@ -17,6 +18,7 @@ References:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -189,6 +191,10 @@ def _camera(values: Any, sensor: Any, where: str, options: Options) -> Camera:
     if others:
         raise FileFormatError(f"{where}, resolution: {size} and {others[0]} are told; keep the right one")
     if kind == "spherical":
+        if "f" in values and abs(get("f") * 2 * math.pi / size[1] - 1) > 0.01:
+            raise FileFormatError(
+                f"{where}, f: expected the width over 2π of a {kind} camera, got {get('f'):g}"
+            )
         return EquirectangularCamera(size)
     f, cx, cy, k1, k2, k3, k4, p1, p2, p3, p4, b1, b2 = (get(key) for key in _KEYS)
     if (kind != "frame" and b2) or (kind == "frame" and k4) or p3 or p4:

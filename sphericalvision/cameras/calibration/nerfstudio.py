@@ -84,8 +84,10 @@ _IGNORED = (
 
 
 def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has frames, and no cameras apart from them."""
-    return "frames" in content and "cameras" not in content
+    """Whether a parsed file has frames with a pose or a file, and no cameras apart from them."""
+    frames, keys = content.get("frames"), {"transform_matrix", "file_path"}
+    is_other = isinstance(frames, list) and all(isinstance(f, dict) and not keys & set(f) for f in frames)
+    return "frames" in content and "cameras" not in content and not (frames and is_other)
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:

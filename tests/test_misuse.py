@@ -450,6 +450,68 @@ coverage(ring_rig(3), torch.ones(2, 2, 3), [1.0]) -> directions: flatten the gri
 to_kornia(PinholeCamera([500.0, 510.0], [319.5, 239.5], (480, 640), skew=2.5)) -> camera: PINHOLE has no skew
 # cameras: models
 PinholeCamera([1.0, 1.0], [0.0, 0.0], (10.5, 20)) -> image_size: expected \(height, width\)
+# sphere: sphere conv
+SphereConv2d(3, 8)(torch.zeros(1, 4, 8, 16)) -> images and weight: got \(1, 4, 8, 16\)
+# icosphere: adjacency
+icosphere_within(torch.ones(2), 0.1, 2) -> directions: got \(2,\)
+icosphere_rings(1, -1) -> num_rings: got -1
+icosphere_edges(-1) -> level: got -1
+# icosphere: areas
+icosphere_normals(torch.ones(42, 2)) -> points: got \(42, 2\)
+# crown: hexconv
+HexConv2d(3, 5)(torch.zeros(1, 3, 43)) -> number of vertices: got 43
+# sweep: photo consistency
+photo_consistency(torch.zeros(2, 3, 642), ring_rig(2), 8, 0.5) -> sphere_images: got \(2, 3, 642\)
+photo_consistency(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, aggregation=-1) -> aggregation: got -1
+# sweep: regression
+soft_argmax(torch.zeros(8)) -> logits: got \(8,\)
+# sweep: semi global
+semi_global_sweep(torch.zeros(1, 2, 3, 642)[0], ring_rig(2), 8, 0.5) -> sphere_images: got \(2, 3, 642\)
+semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, substeps=0) -> substeps: got 0
+semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, level=11) -> level: got 11
+# sweep: smoothing
+semi_global_smoothing(torch.zeros(1, 4, 42)[0], 0.1, 0.5) -> cost: got \(4, 42\)
+semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, torch.zeros(1, 3, 162)) -> guide: got \(1, 3, 162\)
+semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, contrast=0.0) -> contrast: got 0\.0
+semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, lead=5.0) -> lead: got 5\.0
+# sweep: sphere sweep
+SphereSweep(-1, 4, 0.5) -> level: got -1
+# metrics: depth errors
+DepthIndexError(0) -> num_hypotheses: got 0
+DepthError(max_depth=0.0) -> max_depth: got 0\.0
+DepthIndexError(8).update(torch.zeros(1, 5), torch.zeros(1, 6)) -> target: got \(1, 6\)
+DepthIndexError(8).update(torch.zeros(1, 5), torch.zeros(1, 5), torch.ones(5, dtype=torch.bool)) -> mask: got \(5,\)
+DepthIndexError(8).update(torch.zeros(1, 5), torch.zeros(1, 5), weights=torch.ones(4)) -> weights: got \(4,\)
+# metrics: evaluation masks
+evaluation_mask(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), torch.zeros(1)) -> inverse_depth: got \(1,\)
+seam_mask(torch.tensor([[0.0, -1.0, 0.0]]), 0.0) -> angle: got 0\.0
+omnimvs_error(torch.zeros(1, 8, 16), torch.zeros(1, 8)) -> target: got \(1, 8\)
+OmniMVSError(min_depth=0.0) -> min_depth, num_hypotheses: got 0\.0
+ByRegion(DepthIndexError(8), {}) -> regions: got none
+# metrics: sphere metrics
+SolidAngleMean(Equirectangular(4, 8)).update(torch.zeros(2, 4, 8), torch.ones(1, 4, 8)) -> mask: got \(1, 4, 8\)
+depth_index_huber(torch.zeros(1, 5), torch.zeros(1, 5), weights=torch.ones(4)) -> weights: got \(4,\)
+# losses: losses
+depth_index_huber(torch.zeros(2, 5), torch.zeros(2, 1, 5)) -> target_index: got \(2, 1, 5\)
+depth_index_huber(torch.zeros(2, 5), torch.zeros(2, 5), torch.ones(5, dtype=torch.bool)) -> mask: got \(5,\)
+# models: network aggregation
+IcoSweepNet(3, volume_channels=0) -> feature_channels, volume_channels: got 32
+# models: refinedsweepnet
+RefinedSweepNet.around(torch.nn.Identity()) -> prior: got Identity
+# data: sphere transforms
+RandomSphereRotation(Icosphere(1), max_angle=0.0) -> max_angle: got 0\.0
+# scenes: scenes
+make_scene(scale=0.0) -> scale: got 0\.0
+make_scene(clear_radius=2.0) -> clear_radius: got 2\.0
+# geometry: directions
+angle_from_axis(torch.zeros(3, 2)) -> points: got \(3, 2\)
+# geometry: transforms
+invert_transform(torch.eye(3)) -> a_from_b: got \(3, 3\)
+# cameras: coverage
+coverage(ring_rig(3), torch.eye(3), [1.0, 0.0]) -> depths: expected
+overlap(torch.ones(2, 4), torch.ones(3)) -> solid_angles: got shape \(3,\)
+# capture: preparation
+Preparation.from_keys({'photometric': 'yes'}) -> photometric: expected
 """
 """The call -> the argument that the message names: a further word of it, both as regular expressions."""
 

@@ -9,7 +9,6 @@ from hydra import compose, initialize_config_module
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
-from sphericalvision.core import ArgumentError
 
 
 @pytest.mark.parametrize(
@@ -42,8 +41,3 @@ def test_images_are_left_alone_where_nothing_is_asked_for() -> None:
     assert AS_IT_IS.images(rig, images) == images
     even = Preparation().images(rig, images)
     assert abs(float(even["cam1"].mean() - even["cam2"].mean())) < 0.02
-
-
-def test_what_is_neither_true_nor_false_is_refused() -> None:
-    with pytest.raises(ArgumentError, match="photometric"):
-        Preparation.from_keys({"photometric": "yes"})

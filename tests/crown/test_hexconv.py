@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import ShapeError
 from sphericalvision.crown import (
     CrownConv2d,
     HexConv2d,
@@ -283,8 +282,3 @@ def test_modules() -> None:
     CrownConv2d(3, 5, bias=True).load_state_dict(layer.state_dict())
     bound = (3 * 7) ** -0.5
     assert HexConv2d(3, 500).weight.abs().max().item() == pytest.approx(bound, rel=0.01)
-
-
-def test_errors_name_the_argument() -> None:
-    with pytest.raises(ShapeError, match="number of vertices"):
-        HexConv2d(3, 5)(torch.zeros(1, 3, 43))

@@ -307,8 +307,6 @@ def test_gradients_reach_values_and_rotation(generator: torch.Generator) -> None
 
 def test_bad_arguments_are_named() -> None:
     grid = Icosphere(1)
-    with pytest.raises(ArgumentError, match="max_angle"):
-        RandomSphereRotation(grid, max_angle=0.0)
     with pytest.raises(ArgumentError, match="'image', 'depth', 'normals', 'labels', 'seen', 'rig'"):
         RandomYaw(grid, kinds={"flow": "vectors"})
     with pytest.raises(ShapeError, match=r"depth: values: expected .*same_on_batch"):

@@ -65,8 +65,3 @@ def test_safe_functions_have_finite_gradients_at_zero() -> None:
         (gradient,) = torch.autograd.grad(value.sum(), zero)
         assert value.tolist() == [0, 0, 0]
         assert torch.isfinite(gradient).all()
-
-
-def test_wrong_shape_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match="points"):
-        angle_from_axis(torch.zeros(3, 2))

@@ -10,7 +10,6 @@ import pytest
 import torch
 import trimesh
 
-from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import (
     Icosphere,
     icosphere_faces,
@@ -106,8 +105,3 @@ def test_gradients_of_normals(generator: torch.Generator) -> None:
         12, 3, generator=generator, dtype=torch.float64
     )
     assert torch.autograd.gradcheck(icosphere_normals, points.requires_grad_())
-
-
-def test_shapes_are_checked() -> None:
-    with pytest.raises(ShapeError, match="points"):
-        icosphere_normals(torch.ones(42, 2))

@@ -130,8 +130,6 @@ def test_an_aggregation_of_ones_own(generator: torch.Generator, tmp_path: Path, 
 def test_errors_name_argument_and_choices() -> None:
     with pytest.raises(ArgumentError, match=r"aggregation.*variance"):
         IcoSweepNet(3, aggregation="median")
-    with pytest.raises(ArgumentError, match="volume_channels"):
-        IcoSweepNet(3, volume_channels=0)
 
 
 def test_a_class_defined_anew_keeps_its_name(strongest: str) -> None:

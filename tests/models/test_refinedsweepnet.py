@@ -10,7 +10,6 @@ import torch
 from torch import nn
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.icosphere import Icosphere
@@ -278,11 +277,6 @@ def test_unet_keeps_levels_apart_at_first():
     values = torch.rand(2, 4, 162)
     assert torch.equal(HexUNet((4,), blocks=2)(values), values)
     assert HexUNet((4, 6, 8))(values).shape == values.shape
-
-
-def test_refuses_levels_without_room_for_its_widths():
-    with pytest.raises(ArgumentError, match="prior"):
-        RefinedSweepNet.around(torch.nn.Identity())
 
 
 def test_weights_without_a_sky_find_none(net, frame, tmp_path):

@@ -254,10 +254,6 @@ def test_convention_down_is_the_floor() -> None:
 def test_bad_arguments_are_named() -> None:
     with pytest.raises(ArgumentError, match=r"kind.*'room', 'floating'"):
         make_scene("street")
-    with pytest.raises(ArgumentError, match="scale"):
-        make_scene(scale=0.0)
-    with pytest.raises(ArgumentError, match="clear_radius"):
-        make_scene(clear_radius=2.0)
     with pytest.raises(ArgumentError, match="samples_per_pixel"):
         render_camera(make_scene(), EquirectangularCamera((4, 8)), torch.eye(4), samples_per_pixel=0)
     with pytest.raises(ArgumentError, match="name"):

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sweep import depth_from_index, photo_consistency
 from sphericalvision.sweep.appearance import local_appearance
@@ -134,11 +133,3 @@ def test_local_appearance_gradient_points_uphill() -> None:
 def test_winner_takes_all_leaves_out_infinite_costs() -> None:
     cost = torch.tensor([[[torch.inf, torch.inf], [2.0, torch.inf], [1.0, torch.inf]]])
     assert winner_takes_all(cost, subhypothesis=True).tolist() == [[2.0, 0.0]]
-
-
-def test_errors_name_the_argument() -> None:
-    rig = ring_rig(2)
-    with pytest.raises(ShapeError, match="sphere_images"):
-        photo_consistency(torch.zeros(2, 3, 642), rig, 8, 0.5)
-    with pytest.raises(ArgumentError, match="aggregation"):
-        photo_consistency(torch.zeros(1, 2, 3, 642), rig, 8, 0.5, aggregation=-1)

@@ -8,7 +8,6 @@ import math
 import pytest
 import torch
 
-from sphericalvision.core import ShapeError
 from sphericalvision.sweep import depth_estimate, soft_argmax, soft_argmax_confidence
 from sphericalvision.sweep.winner import at_nearest_hypothesis
 
@@ -76,11 +75,6 @@ def test_an_estimate_is_seen_where_two_cameras_see_it(generator: torch.Generator
     for b, v in torch.cartesian_prod(torch.arange(2), torch.arange(40)).tolist():
         nearest = round(float(estimate.index[b, v]))
         assert estimate.seen[b, v] == (seen[b, :, nearest, v].sum() >= 2)
-
-
-def test_one_dimension_is_refused() -> None:
-    with pytest.raises(ShapeError, match="logits"):
-        soft_argmax(torch.zeros(8))
 
 
 def test_what_is_not_a_number_stays_so() -> None:

@@ -263,14 +263,8 @@ def test_has_no_gradient_and_follows_the_dtype() -> None:
 
 def test_errors_name_the_argument() -> None:
     rig, images = ring_rig(2), torch.zeros(1, 2, 3, 642)
-    with pytest.raises(ShapeError, match="sphere_images"):
-        semi_global_sweep(images[0], rig, 8, 0.5)
-    with pytest.raises(ArgumentError, match="substeps"):
-        semi_global_sweep(images, rig, 8, 0.5, substeps=0)
     with pytest.raises(ArgumentError, match="P1 <= P2"):
         semi_global_sweep(images, rig, 8, 0.5, small_penalty=5.0)
-    with pytest.raises(ArgumentError, match="level"):
-        semi_global_sweep(images, rig, 8, 0.5, level=11)
     with pytest.raises(ShapeError, match="seen"):
         semi_global_sweep(images, rig, 8, 0.5, seen=torch.ones(3, 642, dtype=torch.bool))
     with pytest.raises(ArgumentError, match="tables for 8 hypotheses"):

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import functools
+import re
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +13,7 @@ import torch
 from matplotlib.axes import Axes
 from torch import Tensor
 
-from figures import MARK, bare_axes, new_figure, to_html
+from figures import FAINT, MARK, bare_axes, new_figure, to_html
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
@@ -21,7 +23,7 @@ from sphericalvision.sphere import Equirectangular, resample
 from sphericalvision.sweep import index_from_depth
 from sphericalvision.viz import rgb_panorama
 
-__all__ = ["Result", "confidence", "failures", "hero", "result", "scene_images"]
+__all__ = ["Result", "confidence", "failures", "hero", "reliability", "result", "scene_images"]
 
 PANORAMA = Equirectangular(180, 360)
 #: Scenes in which the network errs most, and why.
@@ -145,6 +147,29 @@ def confidence() -> str:
         "Error and confidence as panoramas, and the mean error of the surest share of all points",
         "The confidence is low (dark) where the error is large (bright). Without the fifth of lowest "
         "confidence, the mean error is smaller.",
+    )
+
+
+def reliability() -> str:
+    """Expected against real errors by kind of scene, from the table in the guide."""
+    page = Path(__file__).parent.parent.joinpath("guide", "refinedsweepnet.md").read_text()
+    figure = new_figure(4.2, 3.4)
+    axes = figure.add_axes((0.15, 0.15, 0.8, 0.82))
+    axes.plot((0, 2), (0, 2), color=FAINT, linestyle="--")
+    for kind, cells in re.findall(r"^\| (\w+) \|(.*\(.*)\|$", page, re.MULTILINE):
+        points = [(float(so), float(said)) for so, said in re.findall(r"([\d.]+) \(([\d.]+)\)", cells)]
+        so, said = zip(*points, strict=True)
+        marks = {"color": MARK, "linewidth": 2.5} if kind == "meshes" else {"linewidth": 1.0}
+        axes.plot(said, so, marker="o", markersize=3, label=kind, **marks)
+    axes.set(
+        xlabel="error that the confidence says, hypotheses", ylabel="mean error", xlim=(0, 2), ylim=(0, 2)
+    )
+    axes.legend(fontsize=8, frameon=False, ncols=2)
+    return to_html(
+        figure,
+        "Mean error against the error that the confidence says, a line for each kind of scene",
+        "A point on the dashed line keeps its word; below it errors are smaller than it says. Meshes are of a kind "
+        "that no training has seen.",
     )
 
 

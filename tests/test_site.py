@@ -71,7 +71,7 @@ def test_pages_are_clean(site: Path, browser: Any, scheme: str, width: int) -> N
     assert not wrong
 
 
-@pytest.mark.parametrize("word", ["CrownConv", "wandb", "video"])
+@pytest.mark.parametrize("word", ["CrownConv", "wandb", "video", "TensorRT", "splatting"])
 def test_search_finds(site: Path, browser: Any, word: str) -> None:
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.goto((site / "index.html").as_uri())

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -98,18 +99,12 @@ class Views:
         Raises:
             ShapeError: the function returns something else.
         """
-        shapes = [image.shape for image in self.images]
         results: list[Tensor] = []
-        while len(results) < len(shapes):  # neighbours of one shape go together
-            first = len(results)
-            last = first + 1
-            while last < len(shapes) and shapes[last] == shapes[first]:
-                last += 1
-            flat = torch.stack(self.images[first:last]).flatten(0, -4)
-            found = torch.cat(
-                [self._checked(function(part), part) for part in flat.split(batch or len(flat))]
-            )
-            results += found.unflatten(0, (last - first, *shapes[first][:-3]))
+        for _, alike in itertools.groupby(self.images, lambda image: image.shape):
+            images = torch.stack(list(alike))
+            parts = images.flatten(0, -4).split(batch or images.shape[:-3].numel())
+            found = torch.cat([self._checked(function(part), part) for part in parts])
+            results += found.unflatten(0, images.shape[:-3])
         sizes = {name: tuple(image.shape[-2:]) for name, image in zip(self.rig.names, results, strict=True)}
         return Views(results, self.rig.resized(sizes), self._target)
 

@@ -25,7 +25,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_type
+from sphericalvision.core import ArgumentError, check_type, full_precision
 from sphericalvision.scenes.registry import scene_recipe, under_other_skies
 from sphericalvision.scenes.rendering.render import ray_depth, render_camera, render_directions, render_rig
 from sphericalvision.scenes.rendering.scene import Scene
@@ -34,6 +34,7 @@ from sphericalvision.scenes.skies import under_another_sky
 __all__ = ["Scene", "exposed", "make_scene", "ray_depth", "render_camera", "render_directions", "render_rig"]
 
 
+@full_precision
 def make_scene(
     kind: str = "room",
     seed: int = 0,

@@ -160,6 +160,16 @@ def test_a_rig_takes_the_pictures_of_its_cameras(make_rig: Callable[..., CameraR
     assert torch.equal(pictures[rig.names[2]], render_camera(scene, rig.cameras[rig.names[2]], pose))
 
 
+def test_autocast_around_it_changes_no_picture(make_rig: Callable[..., CameraRig]) -> None:
+    rig, found = make_rig(image_size=(8, 8)), []
+    for mixed in (False, True):
+        with torch.autocast("cpu", torch.bfloat16, enabled=mixed):
+            scene = make_scene("skies", seed=3)
+            found.append([*render_rig(scene, rig).values(), ray_depth(scene, ORIGIN, rig.axes)])
+    for alone, inside in zip(*found, strict=True):
+        torch.testing.assert_close(inside, alone, rtol=0, atol=0)
+
+
 def test_more_samples_approach_the_mean_over_a_pixel() -> None:
     """Anti-aliasing: a finer picture, averaged over 8 x 8 pixels, is the reference."""
     scene = make_scene("floating", 4)

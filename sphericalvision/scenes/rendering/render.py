@@ -16,7 +16,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.cameras.base import check_single
-from sphericalvision.core import ArgumentError, check_last_dim, check_tensor, check_type
+from sphericalvision.core import ArgumentError, check_last_dim, check_tensor, check_type, full_precision
 from sphericalvision.scenes.rendering.mesh_scene import MeshScene
 from sphericalvision.scenes.rendering.ray_packets import RAYS, RayPackets, packed
 from sphericalvision.scenes.rendering.raycast import chunk_size, trace
@@ -26,6 +26,7 @@ from sphericalvision.scenes.rendering.shading import SurfaceTable, radiance
 __all__ = ["ray_depth", "ray_labels", "render_camera", "render_directions", "render_rig"]
 
 
+@full_precision
 @torch.no_grad()
 def ray_depth(
     scene: Scene | MeshScene, origin: Float[Tensor, " 3"], directions: Float[Tensor, "*rays 3"]
@@ -53,6 +54,7 @@ def ray_depth(
     return trace(scene.primitives, origin.to(directions), directions).distance
 
 
+@full_precision
 @torch.no_grad()
 def ray_labels(
     scene: Scene, origin: Float[Tensor, " 3"], directions: Float[Tensor, "*rays 3"]
@@ -84,6 +86,7 @@ def ray_labels(
     return torch.where(hit < 0, -1, scene.primitives.label[hit.clamp(min=0)])
 
 
+@full_precision
 @torch.no_grad()
 def render_directions(
     scene: Scene | MeshScene,
@@ -122,6 +125,7 @@ def render_directions(
     return _develop(light.flatten(1)[:, : rays.shape[1]]).view(3, *shape)
 
 
+@full_precision
 @torch.no_grad()
 def render_camera(
     scene: Scene | MeshScene,

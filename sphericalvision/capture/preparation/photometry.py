@@ -203,7 +203,6 @@ class Photometer:
         for name, camera in fine.cameras.items():
             directions, inside = camera.unproject(camera.pixel_grid())
             edges.append(angle_from_axis(directions).where(inside, 0.0).amax())
-            inside = inside & fine.masks[name].bool() if name in fine.masks else inside
             self._inside[name] = resized_mask(inside, self._small.cameras[name].image_size)
         self._edge = torch.stack(edges)
         radius = float(rig.radius)
@@ -262,10 +261,10 @@ class _Points:
     def compared(self, images: list[Tensor]) -> _Solution:
         """Exposure and falloff that explain images ``(b, c, h, w)``, a camera each."""
         values: list[Tensor] = []  # logarithms (c, b V)
-        usable: list[Tensor] = []  # whether they are not at the border of the view (b V,)
+        usable: list[Tensor] = []  # whether they are seen, and not at the border of the view (b V,)
         for look, share, frames in zip(self.lookups, self.shares, images, strict=True):
             found = look(frames, 0) / share.to(frames).clamp(min=0.5)
-            good = look.seen & (share[0] > 0.99) & (found.amin(1) > _DARKEST) & (found.amax(1) < _BRIGHTEST)
+            good = (share[0] > 0.99) & (found.amin(1) > _DARKEST) & (found.amax(1) < _BRIGHTEST)
             values.append(found.clamp(min=_DARKEST).log().movedim(1, 0).flatten(1))
             usable.append(good.flatten())
         return _solve(torch.stack(values), torch.stack(usable), self.basis, self.parts)

@@ -320,6 +320,16 @@ def test_depth_is_finite_and_positive_wherever_it_is_asked_for(level: int, dtype
     assert nearest == pytest.approx(0.55, rel=1e-3)
 
 
+@pytest.mark.parametrize(("frames", "looked"), [(1, [0]), (2, [0, 1]), (5, [0, 2, 4])])
+def test_of_a_batch_the_first_the_middle_and_the_last_frame_are_looked_at(
+    frames: int, looked: list[int]
+) -> None:
+    batch = torch.arange(frames).view(-1, 1, 1, 1).expand(-1, 3, 2, 2)
+    chosen = predictor_module.frames_of({"cam1": batch, "cam2": -batch})
+    assert [int(frame["cam1"][0, 0, 0]) for frame in chosen] == looked
+    assert [int(frame["cam2"][0, 0, 0]) for frame in chosen] == [-frame for frame in looked]
+
+
 def test_autocast_around_a_predictor_leaves_geometry_in_full_precision(
     rig: CameraRig, images: Images
 ) -> None:

@@ -200,6 +200,17 @@ def test_candidates_at_an_edge_are_both_sides():
     assert undecided.spread.min() > 3
 
 
+def test_an_answer_goes_no_farther_than_to_neighbours():
+    """Not to the other vertices of five neighbours either, whose tables have a place that is empty."""
+    grid, parents = Icosphere(2), icosphere_vertex_parents(3)
+    logits = torch.full((1, 31, grid.num_vertices), -20.0)
+    logits[0, 4, 1:] = logits[0, 20, 0] = 20.0
+    nearest = candidates_of(FusedLogits(logits, torch.zeros(1, 1, grid.num_vertices))).index[0, 1]
+    around = torch.zeros(grid.num_vertices, dtype=torch.bool)
+    around[[0, *(vertex for vertex in grid.neighbors[0].tolist() if vertex >= 0)]] = True
+    assert torch.equal(nearest > 3, around[parents].any(-1))
+
+
 def test_a_vertex_between_two_takes_the_second_answer_of_the_first_one():
     grid, parents = Icosphere(2), icosphere_vertex_parents(3)
     logits = torch.full((1, 31, grid.num_vertices), -20.0)

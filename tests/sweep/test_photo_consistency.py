@@ -12,7 +12,8 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sweep import depth_from_index, photo_consistency
 from sphericalvision.sweep.appearance import local_appearance
-from sphericalvision.sweep.photo_consistency import deviation_cost
+from sphericalvision.sweep.photo_consistency import _neighborhood_mean, deviation_cost
+from sphericalvision.sweep.ring_mean import ring_mean
 from sphericalvision.sweep.winner import winner_takes_all
 from tests.sweep.textured_sphere import textured_sphere
 
@@ -133,3 +134,12 @@ def test_local_appearance_gradient_points_uphill() -> None:
 def test_winner_takes_all_leaves_out_infinite_costs() -> None:
     cost = torch.tensor([[[torch.inf, torch.inf], [2.0, torch.inf], [1.0, torch.inf]]])
     assert winner_takes_all(cost, subhypothesis=True).tolist() == [[2.0, 0.0]]
+
+
+def test_the_mean_around_a_vertex_is_that_of_its_ring() -> None:
+    """Vertices of five neighbours have no sixth; of the ring that is seen in part, that part."""
+    grid, cost = Icosphere(2), torch.rand(1, 3, 162)
+    mean = ring_mean(cost.movedim(-1, 0)).movedim(0, -1)
+    torch.testing.assert_close(_neighborhood_mean(cost, grid.neighbors), mean)
+    cost[:, :, grid.vertices[:, 0] > 0] = torch.inf
+    assert torch.equal(_neighborhood_mean(cost, grid.neighbors).isfinite(), cost.isfinite())

@@ -11,10 +11,18 @@ import io
 import os
 import re
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 from sphericalvision.cameras import ring_rig, save_rig
+from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.opening import open_source
 from sphericalvision.core import SphericalVisionError
+from sphericalvision.models import RefinedSweepNet, load_weights, save_weights
+from sphericalvision.scenes import read_mesh_scene
 from tests.recipes.conftest import run_recipe
 from tests.recipes.test_faults import FAULTS
 from tests.test_misuse import misuse, misuses
@@ -45,6 +53,12 @@ MIDDLE = """
 | mistake | message |
 |---|---|
 """
+LAST = """
+## In files
+
+| what is wrong | message |
+|---|---|
+"""
 
 
 def page() -> str:
@@ -55,6 +69,8 @@ def page() -> str:
     lines += [
         f"| `{call.replace('|', chr(92) + '|')}` | {text(message)} |\n" for call, message in said_in_python()
     ]
+    lines.append(LAST)
+    lines += [f"| {what} | {text(message)} |\n" for what, message in said_of_files()]
     return "".join(lines)
 
 
@@ -87,6 +103,47 @@ def said_in_python() -> list[tuple[str, str]]:
             except SphericalVisionError as error:
                 found.append((call, str(error)))
     return found
+
+
+def said_of_files() -> list[tuple[str, str]]:
+    """What is wrong with files, and the messages of the errors."""
+    found = []
+    for what, read in FILES.items():
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                read(Path(folder))
+            except SphericalVisionError as error:
+                found.append((what, str(error).replace(f"{folder}/", "").replace(folder, "its folder")))
+    return found
+
+
+def _cut_video(folder: Path) -> None:
+    writer = cv2.VideoWriter(str(folder / "row.mkv"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (128, 32))
+    for frame in range(12):
+        writer.write(np.random.default_rng(frame).integers(0, 255, (32, 128, 3), np.uint8))
+    writer.release()
+    os.truncate(folder / "row.mkv", (folder / "row.mkv").stat().st_size // 2)
+    *_, last = open_source(str(folder / "row.mkv"), ring_rig(4, 0.2, (32, 32))).frames(Selection(), bool)
+    assert last.error is not None
+    raise last.error
+
+
+def _mesh(folder: Path, uri: str) -> None:
+    (folder / "room.gltf").write_text(f'{{"asset": {{}}, "buffers": [{{"uri": "{uri}", "byteLength": 4}}]}}')
+    read_mesh_scene(folder / "room.gltf")
+
+
+def _endless_weights(folder: Path) -> None:
+    path = save_weights(RefinedSweepNet(3, 5, widths=[2, 2], blocks=1), folder / "net.safetensors")
+    path.write_bytes(path.read_bytes().replace(b'\\"blocks\\": 1,', b'\\"blocks\\":99,'))
+    load_weights(path)
+
+
+FILES: dict[str, Callable[[Path], None]] = {
+    "a video that was cut": _cut_video,
+    "a mesh that names a file outside of its folder": lambda folder: _mesh(folder, "../secret.bin"),
+    "weights that ask for more layers than they have": _endless_weights,
+}
 
 
 def text(message: str) -> str:

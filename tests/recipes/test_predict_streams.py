@@ -161,6 +161,8 @@ def test_what_cannot_be_opened_or_cut_is_named(capture: Path, tmp_path: Path) ->
         open_source(str(capture), RIG)
     with pytest.raises(ArgumentError, match="4 views of the shape 40 x 32"):
         views_layout((32, 41), RIG)
+    with pytest.raises(ArgumentError, match="4 views of the shape 40 x 32"):
+        views_layout((641, 800), RIG)  # no two rows of whole pixels
     with pytest.raises(ArgumentError, match="start="):
         open_source(str(capture / "row.avi"), RIG, frames=[1])
     with pytest.raises(ArgumentError, match="of 7 frame"):
@@ -225,6 +227,9 @@ def test_a_video_gets_its_name_when_its_frames_can_be_read_back(tmp_path: Path) 
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert [path.relative_to(tmp_path) for path in tmp_path.rglob("*.*")] == [Path("4/depth.mp4")]
+    picture = cv2.VideoCapture(str(tmp_path / "4/depth.mp4")).read()[1]
+    middle = picture.shape[1] // 2
+    assert 50 < picture[:64, middle - 60 : middle + 60].mean() < 200  # above, the colours of the images
 
 
 def test_a_resized_capture_has_a_resized_rig() -> None:

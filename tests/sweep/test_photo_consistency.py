@@ -95,6 +95,8 @@ def test_more_cameras_do_not_disagree_more(cameras: int, generator: torch.Genera
     # Of independent noise, whatever the number of cameras: else two would always seem to agree better.
     ratio = deviation_cost(values, many).mean() / deviation_cost(values, few).mean()
     assert ratio == pytest.approx(1, abs=0.02)
+    channels = deviation_cost(torch.cat((values, 3 * values), 2), many)
+    torch.testing.assert_close(channels, 2 * deviation_cost(values, many))  # the mean of both
 
 
 def test_a_rig_a_sample() -> None:

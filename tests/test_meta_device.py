@@ -334,6 +334,8 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("OmniStereoDataset", "available_weights", "pretrained", "load_weights"), FILES),
     **dict.fromkeys(("load_reference_checkpoint", "save_weights", "save_point_cloud"), FILES),
     "load_romnistereo_checkpoint": FILES,
+    "read_points": FILES,
+    "truth_from_points": "searches neighbours by scipy, on the CPU",
     **dict.fromkeys(("field_of_view", "overlap", "level_from_num_vertices", "num_icosphere_vertices"), NUMBERS),
     **dict.fromkeys(("calibrate_camera", "convert", "fit_inverse_polynomial", "refine", "refine_rig"), FIT),
     **dict.fromkeys(("Trajectory", "read_trajectory"), "features and files"),

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth of scanned points: against the exact depth of rendered scenes, and the files that points are read from."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from torch import Tensor
+
+from sphericalvision.cameras import FisheyeCamera
+from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
+from sphericalvision.data import read_points, truth_from_points
+from sphericalvision.data.truth import _pixels_of, _rays_of
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes import Scene, make_scene, ray_depth
+from sphericalvision.sphere import Equirectangular
+
+SCANNER = torch.tensor([0.15, -0.35, -0.1])
+"""Where the LiDAR stands, beside and above the rig's centre."""
+
+
+def lidar(lines: int = 128, columns: int = 1024, reach: float = 45.0) -> Tensor:
+    """Rays of a spinning LiDAR: so many lines of latitude, up to ``reach`` degrees up and down."""
+    elevation = torch.linspace(-math.radians(reach), math.radians(reach), lines)[:, None]
+    azimuth = (torch.arange(columns) * 2 * math.pi / columns)[None]
+    rays = (
+        elevation.cos() * azimuth.sin(),
+        -elevation.sin().expand(-1, columns),
+        elevation.cos() * azimuth.cos(),
+    )
+    return torch.stack(rays, -1).reshape(-1, 3)
+
+
+def scan(scene: Scene, where: Tensor = SCANNER, most: float = 80.0, rays: Tensor | None = None) -> Tensor:
+    """Points of what a LiDAR sees."""
+    rays = lidar() if rays is None else rays
+    depth = ray_depth(scene, where, rays)
+    hit = depth.isfinite() & (depth < most)
+    return where + rays[hit] * depth[hit, None]
+
+
+@pytest.mark.parametrize("kind", ["room", "outdoors", "hall"])
+@pytest.mark.parametrize(
+    "onto", [Equirectangular(160, 320), FisheyeCamera.from_field_of_view((200, 200), math.radians(200))]
+)
+def test_what_is_kept_is_right_and_most_of_what_is_seen_is_kept(kind: str, onto: object) -> None:
+    scene = make_scene(kind, seed=3)
+    points = scan(scene)
+    truth = truth_from_points(points, onto)
+    depth, valid = truth.depth.flatten(), truth.valid.flatten()
+    exact = ray_depth(scene, torch.zeros(3), _rays_of(onto)[0].float())
+    assert ((depth / exact - 1).abs() < 0.01)[valid].float().mean() >= 0.995
+
+    distance = points.norm(dim=-1)
+    visible = (ray_depth(scene, torch.zeros(3), points / distance[:, None]) / distance - 1).abs() < 0.005
+    assert 1 - visible.float().mean() > 0.01  # there is something to remove
+    pixels = _pixels_of(onto, points.double() / distance[:, None])
+    seen = torch.zeros(len(valid), dtype=torch.bool)
+    seen[pixels[visible & (pixels >= 0)]] = True
+    assert (valid & seen).sum() / seen.sum() >= 0.8
+
+
+def test_a_wall_behind_a_wall_is_hidden_and_a_slanted_floor_is_not() -> None:
+    u, v = torch.meshgrid(torch.linspace(-1, 1, 200), torch.linspace(-1, 1, 200), indexing="ij")
+    near = torch.stack((0.5 * u, 0.5 * v, 0 * u + 1.0), -1).reshape(-1, 3)
+    far = torch.stack((3 * u, 3 * v, 0 * u + 3.0), -1).reshape(-1, 3) * 1.001
+    camera = FisheyeCamera.from_field_of_view((61, 61), math.radians(80))
+    both, alone = truth_from_points(torch.cat((near, far)), camera), truth_from_points(far, camera)
+    assert abs(both.depth[30, 30] - 1) < 1e-3
+    assert abs(alone.depth[30, 30] - 3.003) < 1e-3
+    z = both.depth * camera.unproject(camera.pixel_grid()).directions[..., 2]
+    assert ((z - 1).abs() < 0.01)[both.valid & (z < 2)].all()
+
+    x, z = torch.meshgrid(torch.linspace(-4, 4, 400), torch.linspace(1, 8, 400), indexing="ij")
+    floor = truth_from_points(torch.stack((x, 0 * x + 0.5, z), -1).reshape(-1, 3), camera)
+    down = floor.depth * camera.unproject(camera.pixel_grid()).directions[..., 1]
+    assert floor.valid[35:45, 30].all()
+    assert (down[floor.valid] - 0.5).abs().max() < 0.005
+
+
+def test_truth_is_as_the_centre_says_and_refuses_what_are_no_points() -> None:
+    grid, center = Icosphere(3), torch.tensor([1.0, 2.0, 3.0])
+    around = 2.0 * Icosphere(5).vertices + center
+    assert torch.allclose(truth_from_points(around, grid, center).depth, torch.tensor(2.0), atol=0.02)
+    with pytest.raises(ShapeError, match="points"):
+        truth_from_points(torch.ones(4), grid)
+    with pytest.raises(ArgumentError, match="points"):
+        truth_from_points(torch.full((3, 3), torch.nan), grid)
+    with pytest.raises(ArgumentError, match="gap"):
+        truth_from_points(around, grid, gap=-1.0)
+
+
+def write_pcd(path: Path, points: np.ndarray, kind: str) -> None:
+    """A file as PCL writes it, with more fields than are wanted."""
+    head = (
+        "# .PCD\nVERSION 0.7\nFIELDS intensity x y z ring\nSIZE 4 4 4 4 2\nTYPE F F F F U\nCOUNT 1 1 1 1 1\n"
+    )
+    head += f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA {kind}\n"
+    fields = [(name, "<f4") for name in "ixyz"] + [("ring", "<u2")]
+    table = np.zeros(len(points), fields)
+    table["x"], table["y"], table["z"] = points.T
+    body = (
+        table.tobytes() if kind != "ascii" else "".join(f"0.5 {x} {y} {z} 3\n" for x, y, z in points).encode()
+    )
+    path.write_bytes(head.encode() + body)
+
+
+def test_points_are_read_from_every_format(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(size=(7, 3)).astype(np.float32)
+    write_pcd(tmp_path / "a.pcd", points, "ascii")
+    write_pcd(tmp_path / "b.pcd", points, "binary")
+    np.hstack((points, points[:, :1])).tofile(tmp_path / "c.bin")
+    np.save(tmp_path / "d.npy", np.vstack((points, np.full((1, 3), np.nan))))
+    trimesh.PointCloud(points).export(tmp_path / "e.ply")
+    for name in ("a.pcd", "b.pcd", "c.bin", "d.npy", "e.ply"):
+        assert np.allclose(read_points(tmp_path / name), points, atol=1e-6), name
+
+
+def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:
+    write_pcd(tmp_path / "packed.pcd", np.ones((2, 3)), "binary_compressed")
+    with pytest.raises(FileFormatError, match="binary_compressed"):
+        read_points(tmp_path / "packed.pcd")
+    whole = tmp_path / "whole.pcd"
+    write_pcd(whole, np.ones((2, 3)), "binary")
+    for name, content in {
+        "cut.pcd": whole.read_bytes()[:-5],
+        "head.pcd": b"VERSION 0.7\n",
+        "odd.bin": b"12345",
+        "flat.npy": b"no array",
+        "x.las": b"",
+    }.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(FileFormatError, match=name):
+            read_points(tmp_path / name)

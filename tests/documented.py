@@ -26,6 +26,7 @@ from sphericalvision.recipes.app.words import first_values, read_words
 from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.board_pictures import write_boards
 from tests.recipes.knocked_capture import write_knocked_capture
+from tests.recipes.scanned_sets import write_helvipad, write_kitti360, write_omnipus, write_own, write_spires
 
 __all__ = ["PAGES", "ROOT", "Command", "blocks", "commands_of", "furnish", "mentioned_in", "run_command"]
 
@@ -122,6 +123,9 @@ def furnish(folder: Path) -> None:
     ):
         rendered = RenderedFrames(rig, frames, samples_per_pixel=1, height=20)
         write_omnistereo(folder / "data" / name, rendered, rig)
+    for write in (write_helvipad, write_kitti360, write_omnipus, write_spires):
+        write(folder / "data" / write.__name__.removeprefix("write_"))
+    write_own(folder / "place", rig, ("00001", "00002"))
 
 
 def write_files_of(page: Path, folder: Path) -> None:
@@ -206,6 +210,8 @@ def data_words(data: DictConfig, cache: Path) -> list[str]:
         words += [f"data.cache_dir={cache}", "data.batch_size=1"]
     elif target.endswith("DigitsDataModule"):
         words += ["data.num_val=8", "data.num_test=8", "data.batch_size=4"]
+    elif "truth_height" in data:
+        words += ["data.truth_height=32", *(["data.spacing=0.1"] if "spacing" in data else [])]
     else:
         words += ["data.batch_size=1", *(["data.missing=skip"] if "missing" in data else [])]
     return words

@@ -30,6 +30,7 @@ from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.measures import VertexErrors, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale, photographs_of
+from sphericalvision.recipes.evaluation.strips import StripErrors, table_beside_published
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 
 __all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
@@ -117,7 +118,8 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> Table:
     level, scale = config.model.level - 2, Scale(net.num_hypotheses, net.min_depth)
     nothing = torch.zeros(1, *net.grid.shape, device=net.device)
     within = net.index_at(nothing, Icosphere(level, device=net.device).vertices)[1]
-    measure = VertexErrors(scale, level, net.device, within)
+    published = getattr(data, "published", None)
+    measure = (StripErrors if published else VertexErrors)(scale, level, net.device, within)
     records = evaluate(methods, SampleFrames(data, frames), measure)
     if records[name].means["points"]["kept"] == 0:
         raise ArgumentError(
@@ -128,6 +130,10 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> Table:
         f"{config.split}, level {config.model.level}, percent of N = {net.num_hypotheses}",
         mean_errors_by_method(records),
     )
+    if published:
+        beside = table_beside_published(records, published)
+        beside.print()
+        beside.save(folder / "published", ".md", ".csv")
     for sentence in data.left_out():
         print(f"Warning: {sentence}")
     print(f"Saved in {folder}")

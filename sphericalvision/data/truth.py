@@ -20,7 +20,7 @@ __all__ = ["PointTruth", "truth_from_points"]
 NEIGHBOURS = 32
 STEPS = 6
 """Of the fit of a surface, which leaves out more and more what lies on another one."""
-ONE_SIDED = 0.5
+ONE_SIDED = 0.45
 """Distance of the mean of the surface's points from a ray, in their mean distance from it; 0.6 at a straight edge."""
 
 
@@ -36,7 +36,8 @@ def truth_from_points(
     onto: SphereGrid | Camera,
     center: Float[Tensor, " 3"] | None = None,
     gap: float | None = None,
-    tolerance: float = 0.02,
+    tolerance: float = 0.017,
+    noise: float = 0.0,
 ) -> PointTruth:
     """Depth along the rays of a grid or camera, of the points of a scanner that may stand beside it.
 
@@ -61,7 +62,8 @@ def truth_from_points(
         center: ``(3,)`` from which the grid looks, such as ``rig.center``; the origin when not given.
         gap: radians, about twice the angle between neighbouring lines of the scan as seen from the centre; measured
             when not given.
-        tolerance: relative; more than the noise of the scanner.
+        tolerance: relative, of the distances to a plane.
+        noise: standard deviation of the scanner's distances in metres; four times it is tolerated, too.
 
     Returns:
         ``depth`` and ``valid`` in the shape of the grid, or ``(h, w)``.
@@ -96,7 +98,7 @@ def truth_from_points(
         thinned = _nearest_of_each(_cells(rays, gap / 4), distance)
         around = rays[thinned], distance[thinned]
         depth[pixel], valid[pixel] = _on_planes(
-            rays[nearest], distance[nearest], middles[pixel], *around, gap, tolerance
+            rays[nearest], distance[nearest], middles[pixel], *around, gap, tolerance, noise
         )
     truth = depth.view(size).to(points), valid.view(size).to(points.device)
     return PointTruth(*truth)
@@ -185,6 +187,7 @@ def _on_planes(
     far: Tensor,
     gap: float,
     tolerance: float,
+    noise: float,
 ) -> tuple[Tensor, Tensor]:
     """Depth along the rays of pixels of the planes around points, and where the rule lets it stand."""
     from scipy.spatial import cKDTree
@@ -204,6 +207,8 @@ def _on_planes(
     u, v = ((others * axis[:, None]).sum(-1) for axis in frame)
     weights, apart = there / (1 + (rise / 0.05).square()), rise
     a = b = torch.zeros_like(distance)
+    blur = noise / distance[:, None]
+    limit = tolerance + 4 * blur
     for _ in range(STEPS):
         uu = (weights * u * u).sum(
             1
@@ -213,9 +218,9 @@ def _on_planes(
         determinant = uu * vv - uv * uv
         a, b = (vv * ur - uv * vr) / determinant, (uu * vr - uv * ur) / determinant
         apart = rise - a[:, None] * u - b[:, None] * v
-        weights = there / (1 + (apart / 0.01).square())
-    in_front = (there & (apart > tolerance)).any(1)
-    behind = (there & (angles < gap / 2) & (apart < -tolerance)).any(1)
+        weights = there / (1 + (apart / (0.01 + blur)).square())
+    in_front = (there & (apart > limit)).any(1)
+    behind = (there & (angles < gap / 2) & (apart < -limit)).any(1)
     mean = ((others - middles[:, None]) * weights[..., None]).sum(1).norm(dim=-1)
     spread = ((weights * angles.square()).sum(1) * weights.sum(1)).sqrt()
     changed = (middles * (rays + a[:, None] * frame[0] + b[:, None] * frame[1])).sum(-1)

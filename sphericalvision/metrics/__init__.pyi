@@ -10,3 +10,7 @@ from .regions import ByRegion as ByRegion
 from .sphere import SolidAngleIoU as SolidAngleIoU
 from .sphere import SolidAngleMean as SolidAngleMean
 from .sphere import angular_error as angular_error
+from .stereo import LeftRightError as LeftRightError
+from .stereo import StereoError as StereoError
+from .stereo import left_right_error as left_right_error
+from .stereo import stereo_error as stereo_error

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real captures with the points of a scanner as training, validation and test data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import torch
+from annotated_types import Ge, Gt, Le, Len
+from torch.utils.data import Dataset
+
+from sphericalvision.cameras import read_trajectory
+from sphericalvision.core import ArgumentError
+from sphericalvision.data import PhotometricAugmentation
+from sphericalvision.data.augmentation.transforms import Compose
+from sphericalvision.data.scanned.base import ScannedFrames
+from sphericalvision.data.scanned.helvipad import PUBLISHED, HelvipadDataset
+from sphericalvision.data.scanned.kitti360 import Kitti360Dataset
+from sphericalvision.data.scanned.omnipus import OmniPusDataset
+from sphericalvision.data.scanned.own import OwnScans
+from sphericalvision.data.scanned.spires import SpiresDataset
+from sphericalvision.recipes.app.captures import open_capture
+from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Positive, Share, Size, Text, Unit
+from sphericalvision.recipes.datamodules.base import Sample
+from sphericalvision.recipes.datamodules.entries import ChosenEntries, DepthDataModule, Entries
+
+__all__ = [
+    "HelvipadDataModule",
+    "Kitti360DataModule",
+    "OmniPusDataModule",
+    "OwnScansDataModule",
+    "ScannedDataModule",
+    "SpiresDataModule",
+]
+
+Transform = Callable[[Sample], Any]
+Sequences = Annotated[list[str], Len(1)] | None
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class ScannedDataModule(DepthDataModule):
+    """Frames with the points of a scanner; a set's own class says what a split is.
+
+    Args:
+        entries: what samples hold, some of "sphere", "fisheye" and "panorama"; what the network wants if null.
+        truth_height: rows of the panorama of truth; the network's where it is on panoramas.
+        photometric: vary colours in training.
+    """
+
+    entries: Entries = None
+    truth_height: Count = 160
+    photometric: bool = True
+
+    of_training = ("seed", "photometric")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._read: list[ScannedFrames] = []
+
+    def frames(self, split: str, height: int, transform: Transform) -> ScannedFrames:
+        """The frames of "train", "val" or "test". Every subclass implements it."""
+        raise NotImplementedError(f"{type(self).__name__}.frames")
+
+    def dataset(self, split: str) -> Dataset[Sample]:
+        """Frames of one split, with other colours in "train"."""
+        return self._made(split, split == "train" and self.photometric)
+
+    def plain_train_dataset(self) -> Dataset[Sample]:
+        """Training frames as they are on disk."""
+        return self._made("train", False)
+
+    def left_out(self) -> list[str]:
+        """Sentences about frames that lack something."""
+        return list(dict.fromkeys(sentence for frames in self._read for sentence in frames.left_out))
+
+    def _made(self, split: str, photometric: bool) -> ScannedFrames:
+        wanted = self.wanted
+        height = self.truth_height if wanted.panorama_size is None else wanted.panorama_size[1] // 2
+        entries = ChosenEntries(wanted.entries, wanted.level, wanted.depth_level)
+        stages = [PhotometricAugmentation()] if photometric else []
+        frames = self.frames(split, height, Compose(*stages, entries))
+        self._read.append(frames)
+        return frames
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class HelvipadDataModule(ScannedDataModule):
+    """Helvipad by its splits.
+
+    Args:
+        root: folder of the set, with train, val and test.
+        augmented: learn from the augmented maps of depth.
+    """
+
+    root: Text
+    augmented: bool = False
+
+    published: ClassVar[Mapping[str, tuple[float, ...]]] = PUBLISHED
+
+    def frames(self, split: str, height: int, transform: Transform) -> HelvipadDataset:
+        """Frames of a split."""
+        return HelvipadDataset(self.root, split, height, transform, self.augmented and split == "train")
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class _SequencesDataModule(ScannedDataModule):
+    """A set that has no splits of its own, whose sequences are told."""
+
+    root: Text
+    train: Sequences = None
+    val: Sequences = None
+    test: Sequences = None
+
+    def sequences(self, split: str) -> list[str]:
+        """The sequences of a split."""
+        chosen: list[str] | None = getattr(self, split)
+        if chosen is None:
+            raise ArgumentError(
+                f"data.{split}: this set has no splits of its own; name sequences, data.{split}=[a,b]"
+            )
+        return chosen
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Kitti360DataModule(_SequencesDataModule):
+    """Windows over time of KITTI-360.
+
+    Args:
+        root: folder with calibration, data_2d_raw, data_3d_raw and data_poses.
+        train: sequences that train.
+        val: sequences that validate.
+        test: sequences that sphericalvision-evaluate takes.
+        window: poses of a window.
+        spacing: metres between them.
+    """
+
+    window: Annotated[int, Ge(2)] = 3
+    spacing: Positive = 1.0
+
+    def frames(self, split: str, height: int, transform: Transform) -> Kitti360Dataset:
+        """Windows of a split."""
+        return Kitti360Dataset(self.root, self.sequences(split), self.window, self.spacing, height, transform)
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class SpiresDataModule(_SequencesDataModule):
+    """Oxford Spires.
+
+    Args:
+        root: folder with sensor.yaml and sequences.
+        train: sequences that train.
+        val: sequences that validate.
+        test: sequences that sphericalvision-evaluate takes.
+        tolerance: seconds between images and scan, at most.
+    """
+
+    tolerance: Positive = 0.02
+
+    def frames(self, split: str, height: int, transform: Transform) -> SpiresDataset:
+        """Frames of a split."""
+        return SpiresDataset(self.root, self.sequences(split), height, transform, self.tolerance)
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class OmniPusDataModule(ScannedDataModule):
+    """OmniPus; its test cases validate, too, as it has no others.
+
+    Args:
+        root: folder with calibration and omnipusa, omnipusb, omnipusc.
+        max_latitude_deg: of the upper edge of the truth, degrees.
+    """
+
+    root: Text
+    max_latitude_deg: Annotated[float, Gt(0), Le(90)] = 45.0
+
+    def frames(self, split: str, height: int, transform: Transform) -> OmniPusDataset:
+        """Frames of a split."""
+        part = "train" if split == "train" else "test"
+        return OmniPusDataset(self.root, part, height, transform, math.radians(self.max_latitude_deg))
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class OwnScansDataModule(ScannedDataModule):
+    """A capture of one's own with a scan for each frame: all frames for the test, a share at the end for validation.
+
+    Args:
+        images: pattern of images with {camera} and {frame}.
+        calibration: file, or folder.
+        points: folder of a scan for each frame.
+        lidar_pose: file with rig from scanner, 12 or 16 numbers or a line of TUM's; the rig's frame when not given.
+        tolerance: seconds between images and scan, at most, where names are times.
+        val_share: share of the frames, the last ones, that validate and are not learned from.
+        frames_named: names or numbers of frames.
+        cameras: names of the cameras to use, in order.
+        masks: pattern of masks, white where usable.
+        translation_unit: of ``poses.txt``.
+        max_angle_deg: half the field of view, where the calibration does not say it.
+        image_size: height and width, where neither the calibration nor image files say it.
+    """
+
+    images: Text
+    calibration: Text
+    points: Text
+    lidar_pose: Text | None = None
+    tolerance: Positive = 0.02
+    val_share: Share = 0.2
+    frames_named: list[int | str] | None = None
+    cameras: Names | None = None
+    masks: Text | None = None
+    translation_unit: Unit | None = None
+    max_angle_deg: HalfAngle | None = None
+    image_size: Size | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.source: Any = open_capture({**vars(self), "frames": self.frames_named})
+        if not hasattr(self.source, "files"):
+            raise ArgumentError(
+                "data.images: expected image files, one for each camera and frame, not videos"
+            )
+
+    def frames(self, split: str, height: int, transform: Transform) -> OwnScans:
+        """All frames, or those that train or validate.
+
+        Raises:
+            ArgumentError: too few frames for both.
+        """
+        pose = torch.eye(4)
+        if self.lidar_pose is not None:
+            pose = read_trajectory(self.lidar_pose).world_from_camera[0].float()
+        files = self.source.files
+        scans = OwnScans(files, self.source.rig, self.points, pose, height, transform, self.tolerance)
+        number = max(round(self.val_share * len(scans.names)), int(self.val_share > 0))
+        parts = {"train": scans.names[: len(scans) - number], "val": scans.names[len(scans) - number :]}
+        scans.names = parts.get(split, scans.names)
+        if not scans.names:
+            raise ArgumentError(
+                f"data.val_share: {self.val_share:g} of {len(files)} frames leaves none to {split}"
+            )
+        return scans

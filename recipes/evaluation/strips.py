@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The metrics of Helvipad beside its published table: errors along the rays of the camera that has the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from sphericalvision.data.scanned.helvipad import HELVIPAD_LATITUDES, disparity_from_depth
+from sphericalvision.metrics import left_right_error, stereo_error
+from sphericalvision.recipes.evaluation.frames import Batch
+from sphericalvision.recipes.evaluation.measures import VertexErrors
+from sphericalvision.recipes.evaluation.methods import Answer, Scale
+from sphericalvision.recipes.evaluation.records import Record
+from sphericalvision.recipes.evaluation.tables import Cell, Table
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.sweep import inverse_depth_from_index
+
+__all__ = ["StripErrors", "depth_beside", "table_beside_published"]
+
+MOST = 256.0
+"""Metres that maps of depth can hold; estimates beyond count as this."""
+STEPS = 4
+COLUMNS = (("depth", "MAE", "m"), ("depth", "RMSE", "m"), ("depth", "MARE", "1"), ("depth", "LRCE", "m"))
+MORE = (("disparity", "MAE", "°"), ("disparity", "RMSE", "°"), ("disparity", "MARE", "°/°"))
+
+
+class _Truth(NamedTuple):
+    at_vertices: tuple[Tensor, Tensor]
+    batch: Batch
+
+
+class StripErrors(VertexErrors):
+    """Errors at the vertices, and those of Helvipad along the rays of its bottom camera, the first of the rig."""
+
+    def truth(self, batch: Batch) -> Any:
+        """As of ``VertexErrors``, and the maps of depth."""
+        return _Truth(super().truth(batch), batch)
+
+    def errors(self, answer: Answer, truth: Any) -> dict[str, Any]:
+        """``errors`` and ``points`` as of ``VertexErrors``; ``depth`` in metres and ``disparity`` in degrees."""
+        found = super().errors(answer, truth.at_vertices)
+        rig, depth, augmented = (truth.batch[key] for key in ("rig", "strip_depth", "strip_depth_augmented"))
+        height, width = depth.shape[-2:]
+        grid = Equirectangular(height, width, latitudes=HELVIPAD_LATITUDES, device=depth.device)
+        estimate = torch.zeros_like(depth)
+        wanted = (depth > 0) | (augmented > 0)
+        for frame, pixels in enumerate(wanted):
+            offset = (rig.positions[frame, 0] - rig.center[frame]).to(depth)
+            estimate[frame, pixels] = depth_beside(
+                answer, frame, grid.directions[pixels], offset, self.scale
+            ).to(depth)
+        pairs = {"depth": (estimate, depth)}
+        pairs["disparity"] = tuple(disparity_from_depth(v, grid.directions) for v in pairs["depth"])  # type: ignore[assignment]
+        for name, (ours, right) in pairs.items():
+            found[name] = stereo_error(ours.flatten(1), right.flatten(1), (depth > 0).flatten(1))
+        found["depth"] |= left_right_error(estimate, augmented)
+        return found
+
+
+def depth_beside(answer: Answer, frame: int, rays: Tensor, offset: Tensor, scale: Scale) -> Tensor:
+    """Depth ``(V,)`` along rays from a place beside the rig's centre: where they meet the estimated surface.
+
+    Args:
+        answer: estimates around the centre.
+        frame: of the batch.
+        rays: ``(V, 3)``.
+        offset: ``(3,)`` of their origin from the centre, small beside the depths.
+        scale: of the estimate.
+    """
+    alone = Answer(answer.net, type(answer.estimate)(*(v[frame : frame + 1] for v in answer.estimate)))
+    along, towards, depth = rays @ offset, rays, rays.new_zeros(len(rays))
+    for _ in range(
+        STEPS
+    ):  # the estimate where the ray is, and where the ray is at that distance from the centre
+        index = alone.index_at(towards, scale)[0][0]
+        distance = 1 / inverse_depth_from_index(index, *scale).clamp(min=1 / MOST)
+        depth = (along.square() - offset.square().sum() + distance.square()).clamp(min=0).sqrt() - along
+        towards = F.normalize(offset + depth[:, None] * rays, dim=-1)
+    return depth
+
+
+def table_beside_published(
+    records: Mapping[str, Record], published: Mapping[str, tuple[float, ...]]
+) -> Table:
+    """What was measured, and below what was published of others."""
+
+    def cell(value: float | None) -> Cell | None:
+        return None if value is None else Cell(value, digits=3)
+
+    means = {name: record.means for name, record in records.items()}
+    ours = [
+        [name, *(cell(mean[what][error]) for what, error, _ in (*COLUMNS, *MORE))]
+        for name, mean in means.items()
+    ]
+    theirs = [[f"{name} *", *map(cell, row), *[None] * len(MORE)] for name, row in published.items()]
+    columns = ("", *(f"{error} ({unit})" for _, error, unit in (*COLUMNS, *MORE)))
+    title = "of depth, and of disparity (°); * published, of the whole test set and older maps of depth"
+    return Table(title, columns, [ours, theirs])

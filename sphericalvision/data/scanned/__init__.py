@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real captures with the points of a scanner: published sets, a file for each, and one's own."""

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ScannedFrames``: what captures with scanned points share, whatever their layout."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import FileFormatError, MissingFileError
+from sphericalvision.data.truth import truth_from_points
+from sphericalvision.io.images import read_image, read_pages
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.sphere.intake import pixels_seen
+
+__all__ = ["SAME_TIME", "ScannedFrames", "nearest_in_time", "read_raster", "seconds"]
+
+SAME_TIME = 0.02
+"""Seconds between what was taken at one time, at most."""
+
+NOISE = 0.02
+"""Metres: standard deviation of a LiDAR's distances, as those of these sets are specified."""
+
+Sample = dict[str, Any]
+
+
+class ScannedFrames(Dataset[Sample]):
+    """Frames with images of a rig and scanned points; the truth is what is seen of the points from the rig's centre.
+
+    Samples are those of ``OmniStereoDataset``, with the truth on a panorama of the whole sphere. A layout is a
+    subclass that finds ``names`` and ``images``, and tells the ``points`` of a frame and, where it is not the same for
+    all, its ``rig``.
+
+    Args:
+        root: folder of the set.
+        height: rows of the panorama of truth; it has twice as many columns.
+        transform: callable that gets each sample and returns what the data set shall return.
+
+    Attributes:
+        names: of the frames.
+        images: frame -> camera name -> file.
+        fixed_rig: of all frames, if it is the same.
+        left_out: sentences about frames that lack something.
+    """
+
+    root_name = "root"
+    """What the folder is called where it is given."""
+    names: list[str]
+    images: Mapping[str, Mapping[str, Path]]
+    fixed_rig: CameraRig
+
+    def __init__(
+        self, root: str | Path, height: int = 160, transform: Callable[[Sample], Any] | None = None
+    ) -> None:
+        self.root, self.transform = Path(root), transform
+        if not self.root.is_dir():
+            raise MissingFileError(f"{self.root_name}: {self.root.absolute()} is not a folder")
+        self.panorama = Equirectangular(height, 2 * height)
+        self.left_out: list[str] = []
+        self._warned = False
+
+    def rig(self, name: str) -> CameraRig:
+        """The rig of a frame, in whose world the points are."""
+        return self.fixed_rig
+
+    def points(self, name: str) -> Float[Tensor, "P 3"]:
+        """Points of a frame in the rig's world, metres."""
+        raise NotImplementedError
+
+    def more(self, name: str) -> Sample:
+        """Further entries of a sample, which metrics of the set's own want."""
+        return {}
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: int) -> Any:
+        name = self.names[index]
+        rig, points = self.rig(name), self.points(name)
+        self._warn_of_another_frame(rig, points, name)
+        depth, valid = truth_from_points(points, self.panorama, rig.center, noise=NOISE)
+        sample: Sample = {
+            "images": {
+                camera: read_image(file, rig.cameras[camera].image_size, f"{name} of {camera}")
+                for camera, file in self.images[name].items()
+            },
+            "seen": pixels_seen(rig),
+            "inverse_depth": torch.where(valid, 1 / depth.clamp(min=1e-3), 0.0),
+            "valid": valid,
+            "rig": rig,
+            "frame": name,
+            **self.more(name),
+        }
+        return sample if self.transform is None else self.transform(sample)
+
+    def _warn_of_another_frame(self, rig: CameraRig, points: Tensor, name: str) -> None:
+        share = float(rig.project(points).valid.any(0).float().mean()) if len(points) else 0.0
+        if share < 0.5 and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"{self.root}: cameras see {share:.0%} of the points of {name}; expected half of them or more. Are the "
+                "points in the frame of the rig (x right, y down, z forward, metres), and is the scanner's pose right?",
+                stacklevel=3,
+            )
+
+    def complete(self, wanted: Sequence[str], lacking: Mapping[str, str], where: str) -> list[str]:
+        """Those of the wanted frames that lack nothing; the others are counted in ``left_out``.
+
+        Raises:
+            MissingFileError: none is complete.
+        """
+        kept = [name for name in wanted if name not in lacking]
+        first = next(iter(lacking.items()), ("", ""))
+        if not kept:
+            why = f" The first, {first[0]}, lacks {first[1]}." if lacking else ""
+            raise MissingFileError(f"{self.root.absolute()}: no complete frame; expected {where}.{why}")
+        if lacking:
+            self.left_out.append(
+                f"{self.root}: {len(lacking)} of {len(wanted)} frames were left out; the first, {first[0]}, lacks "
+                f"{first[1]}"
+            )
+        return kept
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self.root)!r}, {len(self)} frames)"
+
+
+def seconds(stem: str) -> float:
+    """The time that a file's name tells: ``12.5``, ``12_500000000`` (sec, nsec) or 14 digits and more of nanoseconds.
+
+    Raises:
+        ValueError: it tells none.
+
+    Examples:
+        >>> seconds("cloud_1700000000_250000000"), seconds("1700000000.25"), seconds("1700000000250000000")
+        (1700000000.25, 1700000000.25, 1700000000.25)
+    """
+    whole, _, part = stem.removeprefix("cloud_").replace(".", "_").partition("_")
+    if len(whole) >= 14 and not part:
+        return int(whole) * 1e-9
+    return int(whole) + (float(f"0.{part}") if "." in stem else int(part or 0) * 1e-9)
+
+
+def nearest_in_time(
+    wanted: Mapping[str, float], others: Mapping[str, float], tolerance: float = SAME_TIME
+) -> dict[str, str]:
+    """For each wanted name the other one nearest in time; those that are farther away than ``tolerance`` are missing.
+
+    Examples:
+        >>> nearest_in_time({"a": 0.0, "b": 1.0}, {"x": 0.01, "y": 0.9})
+        {'a': 'x'}
+    """
+    names, times = list(others), np.array(list(others.values()))
+    found = {}
+    for name, time in wanted.items():
+        apart = np.abs(times - time)
+        if len(apart) and apart.min() <= tolerance:
+            found[name] = names[int(apart.argmin())]
+    return found
+
+
+def read_raster(path: str | Path, scale: float, size: tuple[int, int], what: str) -> Float[Tensor, "h w"]:
+    """A raster of truth ``(h, w)``: 16-bit values are divided by ``scale``, floating point ones are as they are.
+
+    Raises:
+        FileFormatError: another size, or another kind of file; 8-bit pictures are shown, not measured.
+    """
+    page = read_pages(path, what)[-1]
+    if page.ndim != 2 or page.dtype not in (np.uint16, np.float32, np.float64) or page.shape != tuple(size):
+        raise FileFormatError(
+            f"{path}: expected {what} of {size[0]} rows and {size[1]} columns, 16 bits or floating point, got "
+            f"{page.dtype} {page.shape}; truth and images have to be of one size"
+        )
+    return torch.from_numpy(page.astype(np.float32) / np.float32(scale if page.dtype == np.uint16 else 1.0))

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""KITTI-360: fisheyes to the left and to the right of a car, and a Velodyne; ``data=kitti360``.
+
+At one moment the two fisheyes see almost nothing twice, so a frame here is a window over time: both at several poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, read_camera, read_trajectory
+from sphericalvision.cameras.calibration.files import data_lines
+from sphericalvision.cameras.calibration.parsing import numbers
+from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.core import FileFormatError, MissingFileError, check_file
+from sphericalvision.data.point_files import read_points
+from sphericalvision.data.scanned.base import Sample, ScannedFrames
+from sphericalvision.geometry import invert_transform, transform_points
+
+__all__ = ["Kitti360Dataset"]
+
+FISHEYES = ("image_02", "image_03")
+
+
+class Kitti360Dataset(ScannedFrames):
+    """Windows of KITTI-360: both fisheyes at several poses, and the scan at the middle one.
+
+    A rig's cameras are called ``image_02-0``, ``image_03-0``, ``image_02-1``, ...; its world is the vehicle at the
+    middle pose, turned so that y points down. Points count as measured at one time: what the scanner's own motion
+    while it turns makes is left in them.
+
+    Args:
+        root: folder with ``calibration``, ``data_2d_raw``, ``data_3d_raw`` and ``data_poses``.
+        sequences: names such as ``2013_05_28_drive_0000_sync``.
+        window: poses of a window.
+        spacing: metres between them.
+        height: rows of the panorama of truth.
+        transform: of each sample.
+
+    Raises:
+        MissingFileError: files of the set are not there.
+
+    References:
+        Y. Liao, J. Xie, A. Geiger, "KITTI-360", PAMI 45 (2023).
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        sequences: Sequence[str],
+        window: int = 3,
+        spacing: float = 1.0,
+        height: int = 160,
+        transform: Callable[[Sample], Any] | None = None,
+    ) -> None:
+        super().__init__(root, height, transform)
+        folder = self.root / "calibration"
+        self.cameras = {name: read_camera(folder / f"{name}.yaml") for name in FISHEYES}
+        poses = _named_transforms(folder / "calib_cam_to_pose.txt")
+        if lacking := [name for name in ("image_00", *FISHEYES) if name not in poses]:
+            raise FileFormatError(f"{folder / 'calib_cam_to_pose.txt'}: no line begins with {lacking[0]}:")
+        _, words = data_lines(check_file(folder / "calib_cam_to_velo.txt", "KITTI-360's calibration"))[0]
+        velo_from_cam = transform_from_rows(numbers(words, str(folder / "calib_cam_to_velo.txt"), 12), "velo")
+        self.pose_from_cam = {name: poses[name] for name in FISHEYES}
+        self.pose_from_velo = poses["image_00"] @ invert_transform(velo_from_cam)
+        # The vehicle has x forward, y to the right and z down; ours is x right, y down, z forward.
+        axes = [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+        self.ours_from_pose = torch.tensor(axes, dtype=torch.float64)
+        self.images: dict[str, dict[str, Path]] = {}
+        self._poses: dict[str, Tensor] = {}
+        lacking_files: dict[str, str] = {}
+        for sequence in sequences:
+            self._add(sequence, window, spacing, lacking_files)
+        self.names = self.complete(
+            list(self.images), lacking_files, "images, scans and poses of one sequence or more"
+        )
+
+    def _add(self, sequence: str, window: int, spacing: float, lacking: dict[str, str]) -> None:
+        trajectory = read_trajectory(self.root / "data_poses" / sequence / "poses.txt")
+        numbers_of = [int(name) for name in trajectory.names]
+        for chosen in trajectory.windows(window, spacing):
+            frames = [numbers_of[k] for k in chosen]
+            middle = chosen[len(chosen) // 2]
+            name = f"{sequence}/{numbers_of[middle]:010d}"
+            world_from_pose = trajectory.world_from_camera[chosen].double()
+            middle_from_pose = (
+                invert_transform(trajectory.world_from_camera[middle].double()) @ world_from_pose
+            )
+            self._poses[name] = middle_from_pose
+            raw = self.root / "data_2d_raw" / sequence
+            self.images[name] = {
+                f"{camera}-{k}": raw / camera / "data_rgb" / f"{frame:010d}.png"
+                for k, frame in enumerate(frames)
+                for camera in FISHEYES
+            }
+            for file in (*self.images[name].values(), self._scan(name)):
+                if not file.is_file():
+                    lacking[name] = str(file.relative_to(self.root))
+
+    def rig(self, name: str) -> CameraRig:
+        """Both fisheyes at all poses of the window."""
+        middle_from_pose = self._poses[name]
+        poses = [
+            self.ours_from_pose @ pose @ p for pose in middle_from_pose for p in self.pose_from_cam.values()
+        ]
+        cameras = {
+            f"{c}-{k}": camera for k in range(len(middle_from_pose)) for c, camera in self.cameras.items()
+        }
+        return CameraRig(cameras, torch.stack(poses).float())
+
+    def points(self, name: str) -> Tensor:
+        """Of the middle pose."""
+        return transform_points(
+            (self.ours_from_pose @ self.pose_from_velo).float(), read_points(self._scan(name))
+        )
+
+    def _scan(self, name: str) -> Path:
+        sequence, frame = name.split("/")
+        return self.root / "data_3d_raw" / sequence / "velodyne_points" / "data" / f"{frame}.bin"
+
+
+def _named_transforms(path: Path) -> dict[str, Tensor]:
+    found = {}
+    for line, (label, *words) in data_lines(check_file(path, "KITTI-360's calibration")):
+        where = f"{path}, line {line}"
+        found[label.rstrip(":")] = transform_from_rows(numbers(words, where, 12), where)
+    if not found:
+        raise MissingFileError(f"{path}: no transform in it")
+    return found

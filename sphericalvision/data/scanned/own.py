@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A capture of one's own with a scan for each frame: ``sphericalvision-evaluate data=scanned``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import MissingFileError
+from sphericalvision.data.point_files import POINT_SUFFIXES, read_points
+from sphericalvision.data.scanned.base import (
+    SAME_TIME,
+    Sample,
+    ScannedFrames,
+    nearest_in_time,
+    seconds,
+)
+from sphericalvision.geometry import transform_points
+
+__all__ = ["OwnScans"]
+
+
+class OwnScans(ScannedFrames):
+    """Frames of image files, and a file of points for each.
+
+    A frame's scan is the file of its name; or, where both names are times, the one nearest in time, at most
+    ``tolerance`` away. Frames without one are left out and counted.
+
+    Args:
+        images: frame -> camera name -> file.
+        rig: of the cameras.
+        folder: of the scans, ``.pcd``, ``.bin``, ``.ply`` or ``.npy``.
+        rig_from_scanner: ``(4, 4)`` takes points of the scanner to the rig's world.
+        height: rows of the panorama of truth.
+        transform: of each sample.
+        tolerance: seconds.
+
+    Raises:
+        MissingFileError: no scan, or none that belongs to a frame.
+    """
+
+    root_name = "points"
+
+    def __init__(
+        self,
+        images: Mapping[str, Mapping[str, Path]],
+        rig: CameraRig,
+        folder: str | Path,
+        rig_from_scanner: Float[Tensor, "4 4"] | None = None,
+        height: int = 160,
+        transform: Callable[[Sample], Any] | None = None,
+        tolerance: float = SAME_TIME,
+    ) -> None:
+        super().__init__(folder, height, transform)
+        self.images, self.fixed_rig = images, rig
+        self.rig_from_scanner = torch.eye(4) if rig_from_scanner is None else rig_from_scanner
+        scans = {path.stem: path for path in sorted(self.root.iterdir()) if path.suffix in POINT_SUFFIXES}
+        if not scans:
+            raise MissingFileError(
+                f"points: {self.root.absolute()} holds no {', '.join(POINT_SUFFIXES)}; expected a scan for each frame"
+            )
+        by_name = {name: name for name in images if name in scans}
+        found = by_name or nearest_in_time(_times(images), _times(scans), tolerance)
+        lacking = {name: "a scan of its name or time" for name in images if name not in found}
+        where = f"a scan for each frame, called as it, or at a time at most {tolerance:g} s away"
+        self.names = self.complete(list(images), lacking, where)
+        self.scans = {name: scans[scan] for name, scan in found.items()}
+
+    def points(self, name: str) -> Tensor:
+        """Those of the scan, in the rig's world."""
+        return transform_points(self.rig_from_scanner, read_points(self.scans[name]))
+
+
+def _times(names: Mapping[str, Any]) -> dict[str, float]:
+    times = {}
+    for name in names:
+        if name.replace(".", "").replace("_", "").removeprefix("cloud").isdecimal():
+            times[name] = seconds(name)
+    return times

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The metrics of Helvipad: errors of depth or disparity, and how well the two edges of a panorama meet."""
+
+from __future__ import annotations
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sphericalvision.core import ShapeError
+from sphericalvision.metrics.images import MeanOverImages, shares_of_points, weighted_mean
+
+__all__ = ["LeftRightError", "StereoError", "left_right_error", "stereo_error"]
+
+
+def stereo_error(
+    pred: Float[Tensor, "B V"], target: Float[Tensor, "B V"], mask: Bool[Tensor, "B V"] | None = None
+) -> dict[str, Float[Tensor, " B"]]:
+    """Return MAE, RMSE and MARE of depth or disparity for each image, in the unit of what is given.
+
+    With e = pred − target: the means of |e| and of |e| / target, and the root of the mean of e².
+
+    Args:
+        pred: ``(B, V)``.
+        target: ``(B, V)``, above 0 where it counts.
+        mask: ``(B, V)``, True where the truth counts; where it is above 0 when not given.
+
+    Returns:
+        The three errors ``(B,)``; NaN for an image without a valid point.
+
+    Raises:
+        ShapeError: if shapes do not agree.
+
+    References:
+        M. Zayene et al., "Helvipad: a real-world dataset for omnidirectional stereo depth estimation", CVPR 2025.
+
+    Examples:
+        >>> errors = stereo_error(torch.tensor([[2.0, 3.0]]), torch.tensor([[1.0, 3.0]]))
+        >>> {name: round(value.item(), 3) for name, value in errors.items()}
+        {'MAE': 0.5, 'RMSE': 0.707, 'MARE': 0.5}
+    """
+    counts = target > 0 if mask is None else mask & (target > 0)
+    shares = shares_of_points(pred, target, counts, None)
+    error = (pred.to(shares.dtype) - target.to(shares.dtype)).abs()
+    return {
+        "MAE": weighted_mean(error, shares),
+        "RMSE": weighted_mean(error.square(), shares).sqrt(),
+        "MARE": weighted_mean(error / target, shares),
+    }
+
+
+def left_right_error(
+    pred: Float[Tensor, "B h w"], target: Float[Tensor, "B h w"], mask: Bool[Tensor, "B h w"] | None = None
+) -> dict[str, Float[Tensor, " B"]]:
+    """Return LRCE, the left-right consistency error, for each image.
+
+    The mean over rows of |(target at the first column − at the last) − (the same of pred)|, of rows where the
+    target is known at both.
+
+    Args:
+        pred: ``(B, h, w)``.
+        target: ``(B, h, w)``, above 0 where it counts.
+        mask: ``(B, h, w)``, True where the truth counts; where it is above 0 when not given.
+
+    Returns:
+        ``{"LRCE": (B,)}``; NaN for an image without such a row.
+
+    Raises:
+        ShapeError: if these are no images of one shape.
+
+    References:
+        M. Zayene et al., "Helvipad: a real-world dataset for omnidirectional stereo depth estimation", CVPR 2025.
+
+    Examples:
+        >>> left_right_error(torch.tensor([[[1.0, 5.0, 3.0]]]), torch.tensor([[[1.0, 5.0, 2.0]]]))["LRCE"].item()
+        1.0
+    """
+    if pred.ndim != 3 or pred.shape != target.shape:
+        raise ShapeError(
+            f"pred, target: expected (B, h, w) both, got {tuple(pred.shape)} and {tuple(target.shape)}"
+        )
+    counts = target > 0 if mask is None else mask & (target > 0)
+    steps = [values.double()[..., 0] - values.double()[..., -1] for values in (target, pred)]
+    shares = shares_of_points(steps[1], steps[0], counts[..., 0] & counts[..., -1], None)
+    return {"LRCE": weighted_mean((steps[0] - steps[1]).abs(), shares)}
+
+
+class StereoError(MeanOverImages):
+    """``MAE``, ``RMSE`` and ``MARE`` of depth or disparity, per image and then averaged over images.
+
+    See ``stereo_error``; images without a valid point do not count.
+
+    Examples:
+        >>> metric = StereoError()
+        >>> metric.update(torch.tensor([[2.0, 3.0]]), torch.tensor([[1.0, 3.0]]))
+        >>> metric.compute()["MAE"]
+        tensor(0.5000)
+    """
+
+    error_names = ("MAE", "RMSE", "MARE")
+
+    def _errors(
+        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
+    ) -> dict[str, Tensor]:
+        return stereo_error(pred.flatten(1), target.flatten(1), None if mask is None else mask.flatten(1))
+
+
+class LeftRightError(MeanOverImages):
+    """``LRCE`` of panoramas ``(B, h, w)``, per image and then averaged over images; see ``left_right_error``.
+
+    Examples:
+        >>> metric = LeftRightError()
+        >>> metric.update(torch.tensor([[[1.0, 3.0]]]), torch.tensor([[[1.0, 2.0]]]))
+        >>> metric.compute()["LRCE"]
+        tensor(1.)
+    """
+
+    error_names = ("LRCE",)
+
+    def _errors(
+        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
+    ) -> dict[str, Tensor]:
+        return left_right_error(pred, target, mask)

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Small sets with scanned truth in the layouts of published ones, of a rendered room."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+import yaml
+from torch import Tensor
+
+from sphericalvision.cameras import (
+    CameraRig,
+    EquirectangularCamera,
+    KannalaBrandtCamera,
+    read_camera,
+    ring_rig,
+)
+from sphericalvision.data.scanned.helvipad import BASELINE, HELVIPAD_LATITUDES
+from sphericalvision.data.scanned.spires import OURS_FROM_LIDAR
+from sphericalvision.geometry import invert_transform, transform_points
+from sphericalvision.io.images import write_image, write_pages
+from sphericalvision.scenes import Scene, make_scene, ray_depth, render_camera, render_rig
+from sphericalvision.sphere import Equirectangular
+from tests.data.test_truth import lidar, scan, write_pcd
+
+SIZE = (64, 240)
+SCENE = make_scene("room", seed=3)
+SEQUENCE = "2013_05_28_drive_0000_sync"
+SITE = "2024-03-13-observatory-quarter-01"
+RAYS = lidar(lines=64, columns=360)
+
+
+def write_helvipad(root: Path, splits: tuple[str, ...] = ("train", "val", "test")) -> Path:
+    """A frame for each split, sixteen times smaller than the original."""
+    grid = Equirectangular(*SIZE, latitudes=HELVIPAD_LATITUDES)
+    camera = EquirectangularCamera(SIZE, latitudes=HELVIPAD_LATITUDES)
+    depth = ray_depth(SCENE, torch.zeros(3), grid.directions)
+    stored = (depth * 256).round().numpy().astype(np.uint16)
+    stored[:, ::7] = 0
+    for split in splits:
+        folder = root / split
+        for name, height in (("bottom", 0.0), ("top", -BASELINE)):
+            pose = torch.eye(4)
+            pose[1, 3] = height
+            path = folder / f"images_{name}" / "20240120_REC_06_IN" / "0042.jpg"
+            write_image(path, render_camera(SCENE, camera, pose, samples_per_pixel=1))
+        write_pages(folder / "depth_maps" / "20240120_REC_06_IN" / "0042.png", [stored])
+        augmented = (depth * 256).round().numpy().astype(np.uint16)
+        write_pages(folder / "depth_maps_augmented" / "20240120_REC_06_IN" / "0042.png", [augmented])
+    return root
+
+
+def in_lidar(where: Tensor, pose: Tensor, scene: Scene = SCENE) -> Tensor:
+    """What a LiDAR at a place sees, in its own frame, of which ``pose`` is world from LiDAR."""
+    return transform_points(invert_transform(pose), scan(scene, where, rays=RAYS))
+
+
+def write_spires(root: Path) -> Path:
+    """Two clouds and images of three fisheyes, of which one has no image at its time."""
+    pose = invert_transform(OURS_FROM_LIDAR)  # LiDAR from ours: the LiDAR stands at the world's origin
+    cameras, camera = [], KannalaBrandtCamera([24.0, 24.0], [29.5, 19.5], [0.0] * 4, (40, 60), max_angle=1.4)
+    rig = ring_rig(4, image_size=(8, 8)).world_from_camera[[0, 3, 1]]
+    for k, world_from_camera in enumerate(rig):
+        camera_from_lidar = invert_transform(pose @ world_from_camera)
+        q = quaternion(camera_from_lidar[:3, :3])
+        cameras.append(
+            {
+                "label": f"camera_{k}",
+                "image_width": 60,
+                "image_height": 40,
+                "intrinsics": [24.0, 24.0, 29.5, 19.5],
+                "extra_params": [0.0, 0.0, 0.0, 0.0],
+                "T_cam_lidar_t_xyz_q_xyzw": [*camera_from_lidar[:3, 3].tolist(), *q],
+            }
+        )
+        for stamp in ("1700000000.010000000", "1700000001.900000000"):
+            image = render_camera(SCENE, camera, world_from_camera, samples_per_pixel=1)
+            write_image(root / "sequences" / SITE / "raw" / f"cam{k}" / f"{stamp}.jpg", image)
+    sensor = {"sensor": {"camera_model": "OPENCV_FISHEYE", "camera_fov": 160, "cameras": cameras}}
+    (root / "sensor.yaml").write_text(yaml.safe_dump(sensor))
+    clouds = root / "sequences" / SITE / "processed" / "vilens-slam" / "undist-clouds"
+    clouds.mkdir(parents=True)
+    for stamp in ("1700000000_000000000", "1700000001_000000000"):
+        write_pcd(clouds / f"cloud_{stamp}.pcd", in_lidar(torch.zeros(3), OURS_FROM_LIDAR).numpy(), "binary")
+    return root
+
+
+def quaternion(rotation: Tensor) -> list[float]:
+    """(x, y, z, w) by OpenCV and half angles."""
+    vector = cv2.Rodrigues(rotation.double().numpy())[0][:, 0]
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle else vector
+    return [*(math.sin(angle / 2) * axis).tolist(), math.cos(angle / 2)]
+
+
+MEI = """%YAML:1.0
+---
+model_type: MEI
+camera_name: {name}
+image_width: 48
+image_height: 48
+mirror_parameters:
+   xi: 1.5
+distortion_parameters:
+   k1: 0.0
+   k2: 0.0
+   p1: 0.0
+   p2: 0.0
+projection_parameters:
+   gamma1: 60.0
+   gamma2: 60.0
+   u0: 23.5
+   v0: 23.5
+"""
+AXES = torch.tensor([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""Ours from the vehicle: x forward, y right, z down."""
+
+
+def write_kitti360(root: Path) -> Path:
+    """Three poses 20 cm apart, two fisheyes to the sides, a scanner above and behind."""
+    (root / "calibration").mkdir(parents=True)
+    for name in ("image_02", "image_03"):
+        (root / "calibration" / f"{name}.yaml").write_text(MEI.format(name=name))
+    camera = read_camera(root / "calibration" / "image_02.yaml")
+    left, right = ring_rig(4, radius=0.3, image_size=(8, 8)).world_from_camera[[3, 1]]
+    pose_from = {
+        f"image_0{k}": invert_transform(AXES) @ p for k, p in ((0, torch.eye(4)), (2, left), (3, right))
+    }
+    pose_from["image_01"] = pose_from["image_00"]
+    text = "".join(f"{name}: {row(pose_from[name])}\n" for name in sorted(pose_from))
+    (root / "calibration" / "calib_cam_to_pose.txt").write_text(text)
+    velo_from_pose = torch.tensor([[1.0, 0, 0, 0.1], [0, -1, 0, 0], [0, 0, -1, 0.2], [0, 0, 0, 1]])
+    (root / "calibration" / "calib_cam_to_velo.txt").write_text(
+        row(velo_from_pose @ pose_from["image_00"]) + "\n"
+    )
+    lines = []
+    for frame in (5, 6, 7):
+        ours = torch.eye(4)
+        ours[2, 3] = 0.2 * (frame - 6)  # forward
+        world_from_pose = ours @ AXES
+        lines.append(f"{frame} {row(world_from_pose)}\n")
+        for name in ("image_02", "image_03"):
+            path = root / "data_2d_raw" / SEQUENCE / name / "data_rgb" / f"{frame:010d}.png"
+            write_image(
+                path, render_camera(SCENE, camera, world_from_pose @ pose_from[name], samples_per_pixel=1)
+            )
+        velo = world_from_pose @ invert_transform(velo_from_pose)
+        points = in_lidar(velo[:3, 3], velo)
+        path = root / "data_3d_raw" / SEQUENCE / "velodyne_points" / "data" / f"{frame:010d}.bin"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        torch.cat((points, points[:, :1]), 1).numpy().astype("<f4").tofile(path)
+    (root / "data_poses" / SEQUENCE).mkdir(parents=True)
+    (root / "data_poses" / SEQUENCE / "poses.txt").write_text("".join(lines))
+    return root
+
+
+def row(pose: Tensor) -> str:
+    return " ".join(f"{value:.9g}" for value in pose[:3].flatten().tolist())
+
+
+def write_omnipus(root: Path) -> Path:
+    """A case for training and one for the test, of one frame each."""
+    camera = KannalaBrandtCamera([20.0, 20.0], [31.5, 17.5], [0.0] * 4, (36, 64), max_angle=math.pi / 2)
+    rig = CameraRig([camera] * 4, ring_rig(4, radius=0.1, image_size=(8, 8)).world_from_camera)
+    (root / "calibration").mkdir(parents=True)
+    for k, world_from_camera in enumerate(rig.world_from_camera, 1):
+        pose = invert_transform(OURS_FROM_LIDAR) @ world_from_camera
+        r = pose[:3, :3].double()
+        pitch = math.asin(-float(r[2, 0]))
+        roll, yaw = math.atan2(float(r[2, 1]), float(r[2, 2])), math.atan2(float(r[1, 0]), float(r[0, 0]))
+        values = dict(
+            zip(
+                ("roll", "pitch", "yaw", "x", "y", "z"),
+                (roll, pitch, yaw, *pose[:3, 3].tolist()),
+                strict=True,
+            )
+        )
+        content = {
+            "intrinsic_parameters": [{"fx": 20.0}, {"fy": 20.0}, {"cx": 31.5}, {"cy": 17.5}],
+            "distortion_parameters": [{f"k{i}": 0.0} for i in (1, 2, 3, 4)],
+            "extrinsic_parameters": [{key: value} for key, value in values.items()],
+            "image_height": 36,
+            "image_width": 64,
+        }
+        (root / "calibration" / f"cam{k}.yaml").write_text(yaml.safe_dump(content))
+    depth = ray_depth(SCENE, rig.center, Equirectangular(160, 640, max_latitude=math.pi / 4).directions)
+    images = render_rig(SCENE, rig, samples_per_pixel=1)
+    for case in (1, 2):
+        folder = root / "omnipusa" / f"omnipusA_case{case}"
+        for name, image in images.items():
+            write_image(folder / f"resize_{name}" / "000000.png", image)
+        write_pages(folder / "omnidepth_gt" / "000000.tiff", [(1 / depth).numpy()])
+    return root
+
+
+def write_own(root: Path, rig: CameraRig, frames: tuple[str, ...], scene: Scene = SCENE) -> Path:
+    """Images, a scan for each frame, the rig, and the pose of the scanner above it."""
+    pose = torch.tensor([[0.0, -1, 0, 0.1], [0, 0, -1, -0.3], [1, 0, 0, 0.0], [0, 0, 0, 1]])
+    rig.to_yaml(root / "rig.yaml")
+    (root / "lidar.txt").write_text(row(pose) + "\n")
+    (root / "scans").mkdir()
+    images = render_rig(scene, rig, samples_per_pixel=1)
+    for frame in frames:
+        for name, image in images.items():
+            write_image(root / name / f"{frame}.png", image)
+        np.save(root / "scans" / f"{frame}.npy", in_lidar(pose[:3, 3], pose).numpy())
+    return root

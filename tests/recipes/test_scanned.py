@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sets with scanned truth, on fixtures of their layouts that the renderer makes: read, evaluated, refused."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, read_trajectory, ring_rig
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.data.scanned.helvipad import (
+    BASELINE,
+    HELVIPAD_LATITUDES,
+    HelvipadDataset,
+    disparity_from_depth,
+)
+from sphericalvision.data.scanned.kitti360 import Kitti360Dataset
+from sphericalvision.data.scanned.omnipus import OmniPusDataset
+from sphericalvision.data.scanned.own import OwnScans
+from sphericalvision.data.scanned.spires import SpiresDataset
+from sphericalvision.io.images import write_pages
+from sphericalvision.scenes import ray_depth, render_rig
+from sphericalvision.sphere import Equirectangular
+from tests.recipes.scanned_sets import (
+    SCENE,
+    SEQUENCE,
+    SITE,
+    write_helvipad,
+    write_kitti360,
+    write_omnipus,
+    write_own,
+    write_spires,
+)
+from tests.recipes.tiny import Run
+
+NETWORK = ("checkpoint=refinedsweepnet", "model.level=5")
+
+
+def right_share(sample: dict[str, Any], center: Tensor) -> float:
+    """Share of what is valid on the panorama of a sample that is right within 2 %."""
+    depth = ray_depth(SCENE, center, Equirectangular(*sample["inverse_depth"].shape).directions)
+    right = (sample["inverse_depth"] * depth - 1).abs() < 0.02
+    assert sample["valid"].float().mean() > 0.05
+    return float(right[sample["valid"]].float().mean())
+
+
+def test_every_layout_gives_the_truth_that_was_rendered(tmp_path: Path) -> None:
+    helvipad = HelvipadDataset(write_helvipad(tmp_path / "h"), "test", height=32)
+    kitti = Kitti360Dataset(write_kitti360(tmp_path / "k"), [SEQUENCE], spacing=0.1, height=32)
+    spires = SpiresDataset(write_spires(tmp_path / "s"), [SITE], height=32)
+    omnipus = OmniPusDataset(write_omnipus(tmp_path / "o"), "test", height=64)
+    for frames in (helvipad, kitti, spires, omnipus):
+        assert len(frames) == 1, frames
+        sample = frames[0]
+        rig = sample["rig"]
+        assert list(sample["images"]) == rig.names
+        assert right_share(sample, rig.center) > 0.97, frames
+        rendered = render_rig(SCENE, rig, samples_per_pixel=1)
+        for name, image in sample["images"].items():
+            seen = sample["seen"][name]
+            assert (image - rendered[name]).abs().mean(0)[seen].median() < 0.03, (frames, name)
+    assert OmniPusDataset(omnipus.root, "train").names == ["omnipusa/omnipusA_case2/000000"]
+    assert "1 of 2 frames were left out" in spires.left_out[0]
+
+
+@pytest.mark.slow
+def test_published_sets_are_evaluated_and_trained_by_the_commands(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = write_helvipad(tmp_path / "h")
+    words = ("data=helvipad", f"data.root={root}", "data.truth_height=32", "data.num_workers=0")
+    run("evaluate", *NETWORK, *words, "output=out")
+    assert "* published" in capsys.readouterr().out
+    run(
+        "train",
+        "experiment=refinedsweepnet",
+        *words,
+        *("model.level=5", "trainer.max_steps=1", "trainer.val_check_interval=1", "trainer.accelerator=cpu"),
+        "output=trained",
+    )
+    assert (tmp_path / "trained" / "checkpoints" / "best.safetensors").is_file()
+    table = (tmp_path / "out" / "published.csv").read_text()
+    ours = [float(word) for word in table.splitlines()[1].split(",")[1:] if word]
+    assert len(ours) == 7
+    assert all(0 <= value < 300 for value in ours)
+    assert "PSMNet *,2.509" in table
+
+
+def test_a_scan_of_ones_own_beside_its_images_is_evaluated(
+    run: Run, weights: Path, tmp_path: Path, failing: Callable[..., str]
+) -> None:
+    rig = ring_rig(4, image_size=(32, 32))
+    write_own(tmp_path, rig, ("1", "2"))
+    pose = read_trajectory(tmp_path / "lidar.txt").world_from_camera[0].float()
+    words = (
+        "data=scanned",
+        f"data.images='{tmp_path}/{{camera}}/{{frame}}.png'",
+        f"data.calibration={tmp_path}/rig.yaml",
+        f"data.points={tmp_path}/scans",
+        "data.truth_height=32",
+        "data.num_workers=0",
+    )
+    run("evaluate", f"checkpoint={weights}", *words, f"data.lidar_pose={tmp_path}/lidar.txt", "output=out")
+    assert (tmp_path / "out" / "metrics.json").is_file()
+    files = {"1": {name: tmp_path / name / "1.png" for name in rig.names}}
+    good = OwnScans(files, rig, tmp_path / "scans", pose, height=32)
+    assert right_share(good[0], rig.center) > 0.97
+
+    far = torch.eye(4)
+    far[:3, 3] = 1000.0
+    narrow = CameraRig(
+        {"front": KannalaBrandtCamera([40.0, 40.0], [15.5, 15.5], [0.0] * 4, (32, 32))}, torch.eye(4)[None]
+    )
+    files["1"] = {"front": tmp_path / "cam1" / "1.png"}
+    with pytest.warns(UserWarning, match="of the points of 1; expected half"):
+        _ = OwnScans(files, narrow, tmp_path / "scans", far, height=32)[0]
+    shutil.rmtree(tmp_path / "scans")
+    assert "points: " in failing("evaluate", f"checkpoint={weights}", *words)
+
+
+def test_scans_belong_to_images_of_their_time(tmp_path: Path) -> None:
+    rig = ring_rig(2, image_size=(8, 8))
+    for stamp in ("1700000000.01", "1700000003.00"):
+        np.save(tmp_path / f"{stamp}.npy", np.ones((2, 3)))
+    images = {name: {} for name in ("1700000000.02", "1700000002.00")}
+    scans = OwnScans(images, rig, tmp_path)
+    assert scans.names == ["1700000000.02"]
+    assert "1 of 2 frames were left out; the first, 1700000002.00" in scans.left_out[0]
+    with pytest.raises(MissingFileError, match="no complete frame"):
+        OwnScans(images, rig, tmp_path, tolerance=0.001)
+
+
+def test_sets_without_their_splits_and_truth_of_another_size_are_refused(
+    tmp_path: Path, failing: Callable[..., str], weights: Path
+) -> None:
+    root = write_helvipad(tmp_path / "h", ("train",))
+    with pytest.raises(MissingFileError, match="splits"):
+        HelvipadDataset(root, "test")
+    with pytest.raises(ArgumentError, match="split"):
+        HelvipadDataset(root, "holdout")
+    write_pages(
+        root / "train" / "depth_maps" / "20240120_REC_06_IN" / "0042.png", [np.ones((9, 9), np.uint16)]
+    )
+    with pytest.raises(FileFormatError, match="of one size"):
+        _ = HelvipadDataset(root, "train")[0]
+    said = failing("evaluate", f"checkpoint={weights}", "data=kitti360", f"data.root={root}")
+    assert "data.test" in said
+
+
+def test_disparity_is_the_angle_between_both_cameras() -> None:
+    rays = Equirectangular(12, 24, torch.float64, latitudes=HELVIPAD_LATITUDES).directions
+    depth = torch.rand(12, 24, dtype=torch.float64) * 5 + 0.5
+    to_top = depth[..., None] * rays - torch.tensor([0.0, -BASELINE, 0.0])
+    cosine = (torch.nn.functional.normalize(to_top, dim=-1) * rays).sum(-1)
+    assert torch.allclose(disparity_from_depth(depth, rays), cosine.acos().rad2deg(), atol=1e-6)
+    theta = (1535 - 2 * torch.arange(512, dtype=torch.float64)) * math.pi / 1920
+    rows = Equirectangular(512, 4, torch.float64, latitudes=HELVIPAD_LATITUDES).directions[:, 0, 1]
+    assert torch.allclose(rows, theta.cos(), atol=1e-12)

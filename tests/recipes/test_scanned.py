@@ -94,6 +94,7 @@ def test_published_sets_are_evaluated_and_trained_by_the_commands(
     assert "PSMNet *,2.509" in table
 
 
+@pytest.mark.slow
 def test_a_scan_of_ones_own_beside_its_images_is_evaluated(
     run: Run, weights: Path, tmp_path: Path, failing: Callable[..., str]
 ) -> None:

@@ -139,7 +139,7 @@ KEYS: dict[str, Any] = {
     "convolution_settings": list[Size],
     "num_points": Count,
     "image_sides": Annotated[list[Count], MinLen(1)],
-    "presets": Annotated[list[Literal["default", "fast", "fine"]], MinLen(1)],
+    "presets": Annotated[list[Literal["default", "live", "fast", "fine"]], MinLen(1)],
 }
 """Key -> its type."""
 

@@ -30,6 +30,7 @@ GROUPS = {
     "data": "data",
     "predict": "predict",
     "fps": "predict",
+    "presets": "predict",
 }
 """Group -> the module beside this one that has a function of its name, of the configuration and the device; that
 yields the comparisons, each made when its turn comes."""

@@ -1,56 +1,104 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction as it is used: frames a second of a ``Predictor``, and from a video to a video."""
+"""Prediction as it is used: frames a second of a ``Predictor``, from video to video, and presets by cost and error."""
 
 from __future__ import annotations
 
+import statistics
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
 import cv2
 import torch
+from hydra import compose
 from omegaconf import DictConfig
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.capture import Predictor, Preparation
+from sphericalvision.capture import Predictor
 from sphericalvision.capture.outputs import Outputs, Settings
+from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.videos import Videos
-from sphericalvision.recipes.benchmark.measuring import Comparison
-from sphericalvision.recipes.commands.predict import run
+from sphericalvision.recipes.benchmark.measuring import Comparison, added_memory
+from sphericalvision.recipes.commands.predict import predictor_for, run
+from sphericalvision.recipes.study.comparison.frames import Size, TrackFrame, render_frame
+from sphericalvision.recipes.study.comparison.methods import SCALE
+from sphericalvision.recipes.study.comparison.places import FrameTruth
+from sphericalvision.recipes.study.comparison.tracks import TRACKS
 from sphericalvision.scenes import make_scene, render_rig
+from sphericalvision.sweep import index_from_inverse_depth
 
-__all__ = ["fps", "predict"]
+__all__ = ["fps", "predict", "presets"]
 
-PRESETS = {
-    "default": ("refinedsweepnet", 6, 320),
-    "fast": ("refinedsweepnet", 5, 160),
-    "fine": ("refinedsweepnet-fine", 7, 320),
+CONDITIONS = {
+    "clean": ("clean",),
+    "disturbed": ("together",),
+    "other worlds": ("patchwork", "rough", "glazed"),
 }
-"""Name of a preset of ``sphericalvision-predict`` -> its weights, level of the images, rows of the panoramas."""
+"""What presets are compared in -> tracks of the comparison of methods, in turns; no training uses their scenes."""
 
 THREADS = (1, 2)
+IMAGE_ROWS = 512
+"""Of the images that presets are compared with: what the finest of them is for."""
+FIRST = 56
+"""Of their scenes: those before had a part in the choice of weights that ship."""
 
 
 def fps(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
-    """A call of a ``Predictor`` by size of the images, preset, compensation of light, and threads."""
+    """A call of a ``Predictor`` by size of the images, preset, and threads."""
     for side in config.image_sides:
         rig = ring_rig(4, image_size=(side, side))
         images = render_rig(make_scene("room", seed=1), rig)
         runs = {}
         for preset in config.presets:
-            for light in (True, False):
-                weights, level, _ = PRESETS[preset]
-                preparation = Preparation(photometric=light)
-                predictor = Predictor(
-                    rig, weights, level=level, min_depth=0.55, device=device, preparation=preparation
-                )
-                for threads in THREADS if device.type == "cpu" else (1,):
-                    name = f"{preset}, level {level}, light {'compensated' if light else 'as it is'}"
-                    runs[f"{name}, {threads} threads"] = partial(_on_threads, predictor, images, threads)
+            predictor = predictor_for(rig, preset_config(preset, device))
+            for threads in THREADS if device.type == "cpu" else (1,):
+                runs[f"{preset}, {threads} threads"] = partial(_on_threads, predictor, images, threads)
         yield Comparison(f"Predictor: a frame of four images of {side} x {side}", runs)
+
+
+def presets(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """Speed against accuracy: presets on ``config.num_frames`` scenes of each condition, four images each."""
+    side = min(IMAGE_ROWS, max(config.image_sides))
+    size = Size(image_rows=side, preparation=AS_IT_IS)
+    frames = {
+        name: [
+            render_frame(TRACKS[tracks[i % len(tracks)]], FIRST + i, size) for i in range(config.num_frames)
+        ]
+        for name, tracks in CONDITIONS.items()
+    }
+    first = next(iter(frames.values()))[0]
+    runs = {}
+    for preset in config.presets:
+        predictor = predictor_for(first.rig, preset_config(preset, device))
+        errors = ", ".join(f"{name} {_error(predictor, each):.2f}" for name, each in frames.items())
+        run = partial(predictor, first.images)
+        run()  # tables of the rig, once
+        held = f"; {added_memory(run, device):.0f} MB" if config.memory else ""
+        runs[f"{preset}: {errors}{held}"] = partial(_on_threads, predictor, first.images, 1)
+    note = "Mean error at level 4 where two cameras see, % of N = 16; memory that a frame adds; one thread"
+    yield Comparison(f"presets, {config.num_frames} scenes a condition", runs, note)
+
+
+def _error(predictor: Predictor, frames: Sequence[TrackFrame]) -> float:
+    """Mean absolute error of the index, percent of N."""
+    found = []
+    for frame in frames:
+        truth = FrameTruth(frame)
+        ids = truth.coarse_ids[truth.regions["all"][truth.coarse_ids]]
+        depth = predictor.with_rig(frame.rig)(frame.images)
+        inverse_depth = depth.at(truth.fine.vertices[ids].to(depth.index))[0].cpu()
+        index = index_from_inverse_depth(inverse_depth, *SCALE)
+        found.append((index - truth.index[ids]).abs().mean().item() * 100 / SCALE.num_hypotheses)
+    return statistics.fmean(found)
+
+
+def preset_config(name: str, device: torch.device) -> DictConfig:
+    """The configuration of ``sphericalvision-predict`` under a preset, for scenes of natural size."""
+    words = ["calibration=rig.yaml", "images=images", f"device={device.type}", "min_depth=0.55"]
+    return compose("predict", words if name == "default" else [f"preset={name}", *words])
 
 
 def _on_threads(predictor: Predictor, images: Mapping[str, Tensor], threads: int) -> None:
@@ -67,16 +115,16 @@ def predict(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     rig = ring_rig(4, image_size=(config.image_sides[0], config.image_sides[0]))
     images = render_rig(make_scene("room", seed=1), rig)
     for preset in config.presets:
-        weights, level, height = PRESETS[preset]
-        predictor = Predictor(rig, weights, level=level, min_depth=0.55, device=device)
+        chosen = preset_config(preset, device)
+        predictor = predictor_for(rig, chosen)
         with tempfile.TemporaryDirectory() as folder:
             video = Path(folder, "views.avi")
             _write_video(video, images, config.num_frames)
             runs = {
                 "Predictor alone, frame after frame": partial(_alone, predictor, images, config.num_frames),
-                "video to video": partial(_end_to_end, predictor, rig, video, height),
+                "video to video": partial(_end_to_end, predictor, rig, video, chosen.height),
             }
-            yield Comparison(f"predict, {preset}: level {level}, {config.num_frames} frames", runs)
+            yield Comparison(f"predict, {preset}: {config.num_frames} frames", runs)
 
 
 def _alone(predictor: Predictor, images: Mapping[str, Tensor], number: int) -> None:

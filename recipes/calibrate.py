@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera from images of a checkerboard: ``sphericalvision-calibrate images=*.png board=9x6 square=0.03``."""
+"""Cameras from images of a board: ``sphericalvision-calibrate images=board/{camera}/*.png board=target.yaml``."""
 
 from sphericalvision.recipes.app.command import command
 

@@ -141,7 +141,12 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
     words = [re.sub(r"=\.\.\.$", "=/data/omnithings", word) for word in command.words]
     words = [re.sub(r"(?<==)/data/", f"{folder}/data/", word) for word in words]
     if command.recipe == "calibrate":
-        write_boards(folder / "board")
+        for name in ("board", "boards/front", "boards/back"):
+            write_boards(folder / name)
+        sides = "rowSpacingMeters: 0.05\ncolSpacingMeters: 0.05"
+        (folder / "target.yaml").write_text(
+            f"target_type: checkerboard\ntargetCols: 7\ntargetRows: 5\n{sides}\n"
+        )
     if command.recipe == "align":  # random images have nothing in common
         write_knocked_capture(folder / "knocked")
         words += ["calibration=knocked/rig.yaml", "images=knocked/{camera}/{frame:05d}.png"]

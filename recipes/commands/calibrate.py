@@ -1,117 +1,246 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera from pictures of a checkerboard: the work behind ``sphericalvision-calibrate``."""
+"""Cameras and rigs from pictures of a board: the work behind ``sphericalvision-calibrate``."""
 
 from __future__ import annotations
 
 import glob
 import math
 import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
-import cv2
-import numpy as np
 import torch
 from omegaconf import DictConfig
 from torch import Tensor
 
-from sphericalvision.cameras import field_of_view, save_camera
-from sphericalvision.cameras.calibration import CAMERA_FORMATS
+from sphericalvision.cameras import CameraRig, save_camera, save_rig
+from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
 from sphericalvision.cameras.registry import camera_model_names
-from sphericalvision.capture import calibrate_camera
-from sphericalvision.capture.calibrating.refine import RefinedCamera
+from sphericalvision.capture import calibrate_rig
+from sphericalvision.capture.calibrating.boards import Board, Charuco, Checkerboard, read_board
+from sphericalvision.capture.calibrating.refine import FEWEST, RefinedRig
 from sphericalvision.core import ArgumentError, MissingFileError, check_choice
+from sphericalvision.geometry import angle_from_axis
 from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.cli import console, print_table
+from sphericalvision.recipes.app.rigs import keys_named
 
-__all__ = ["board_corners", "calibrate", "find_corners"]
+__all__ = ["board_of", "calibrate"]
+
+LONE = "camera"
+"""Name of the camera of a pattern without ``{camera}``."""
+RING_DEG = 20
+SECTORS = ("right", "lower right", "down", "lower left", "left", "upper left", "up", "upper right")
+"""Parts of an image in the report: rings about the axis, and directions from it."""
+TOO_FAR = 1.0
+"""Pixels of RMS from which on something else is wrong than noise."""
+MOST_PICTURES = 5
+"""That are listed, those with the largest errors."""
 
 
-def calibrate(config: DictConfig) -> RefinedCamera:
-    """Find the corners in ``config.images``, calibrate, print how well that went, and write ``config.output``.
+class Pictures(NamedTuple):
+    """Corners on all pictures, by moment and camera."""
+
+    files: Mapping[str, Mapping[str, Path]]
+    """Moment -> camera -> file."""
+    sizes: dict[str, tuple[int, int]]
+    pixels: Tensor
+    """(n, cameras, m, 2)."""
+    seen: Tensor
+    """(n, cameras, m)."""
+
+
+def calibrate(config: DictConfig) -> RefinedRig:
+    """Find the board in ``config.images``, calibrate, print how well that went, and write ``config.output``.
 
     Raises:
-        ArgumentError: the board is found on less than three pictures, or a key makes no sense; the message names it.
+        ArgumentError: the board is found on less than three pictures of a camera, cameras never see it together, or a
+            key makes no sense; the message names it.
         MissingFileError: there are no such pictures.
     """
     check_choice("to", config.to, camera_model_names())
+    board = board_of(config)
+    files = _files(config.images)
+    names = sorted({name for cameras in files.values() for name in cameras})
     if config.format is not None:
-        check_choice("format", config.format, CAMERA_FORMATS)
-    columns, rows = _board_size(str(config.board))
-    paths = sorted(Path(path) for path in glob.glob(config.images, recursive=True))
-    if not paths:
-        raise MissingFileError(
-            f"images: no file like {config.images!r}; a pattern such as board/*.png is expected"
+        check_choice("format", config.format, CAMERA_FORMATS if names == [LONE] else RIG_FORMATS)
+    pictures = _read(files, names, board)
+    with keys_named(pixels="images"):
+        result = calibrate_rig(
+            board.points,
+            pictures.pixels,
+            pictures.sizes,
+            config.to,
+            pictures.seen,
+            field_of_view=math.radians(config.field_of_view_deg),
+            num_coefficients=config.num_coefficients,
+            projection=config.projection,
         )
-    found: dict[Path, Tensor] = {}
-    size: tuple[int, int] | None = None
-    for path in paths:
-        image = read_image(path, size, "a picture of the board, of the size of the first one")
-        size = (image.shape[-2], image.shape[-1])
-        corners = find_corners(image, columns, rows)
-        if corners is not None:
-            found[path] = corners
-    if size is None or len(found) < 3:
-        raise ArgumentError(
-            f"images: the board of {columns}x{rows} inner corners is found on {len(found)} of {len(paths)} pictures, "
-            "and three are needed, better twenty; count the corners between squares, not the squares, and leave a "
-            "white border around them"
-        )
-    points = board_corners(columns, rows, float(config.square))
-    pixels = torch.stack(list(found.values()))
-    options = {"num_coefficients": config.num_coefficients, "projection": config.projection}
-    angle = math.radians(config.field_of_view_deg)
-    result = calibrate_camera(points, pixels, size, config.to, field_of_view=angle, **options)
-    _print(config, result, found, len(paths))
-    save_camera(result.camera, config.output, config.format)
+    _report(result, pictures)
+    if names == [LONE]:
+        save_camera(result.rig.cameras[LONE], config.output, config.format)
+    else:
+        save_rig(result.rig, config.output, config.format)
+    console.print(f"written as {config.format or 'native'}")
     print(config.output)
     return result
 
 
-def board_corners(columns: int, rows: int, square: float) -> Tensor:
-    """Inner corners (columns · rows, 3) of a board, row by row, in metres; z = 0.
+def board_of(config: DictConfig) -> Board:
+    """The board that a configuration describes: a target file, or inner corners with the side of squares and markers.
 
-    Examples:
-        >>> board_corners(2, 2, 0.5).tolist()
-        [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.5, 0.5, 0.0]]
+    Raises:
+        ArgumentError: it does not.
     """
-    v, u = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
-    return torch.stack((u, v, torch.zeros_like(u)), -1).reshape(-1, 3).double() * square
-
-
-def find_corners(image: Tensor, columns: int, rows: int) -> Tensor | None:
-    """Pixels (columns · rows, 2) of a board's inner corners on an image (3, h, w) in [0, 1]; None without a board."""
-    grey = (image.mean(0) * 255).round().to(torch.uint8).numpy()
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    seen, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
-    if not seen:
-        return None
-    corners = corners.reshape(rows, columns, 2)
-    steps = np.concatenate([np.diff(corners, axis=axis).reshape(-1, 2) for axis in (0, 1)])
-    window = int(np.clip(np.linalg.norm(steps, axis=-1).min() * 0.35, 1, 11))  # no corner sees its neighbour
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
-    flat = np.ascontiguousarray(corners.reshape(-1, 1, 2), np.float32)
-    fine = cv2.cornerSubPix(grey, flat, (window, window), (-1, -1), criteria)
-    return torch.from_numpy(fine.reshape(-1, 2)).double()
-
-
-def _board_size(board: str) -> tuple[int, int]:
-    match = re.fullmatch(r"\s*(\d+)\s*x\s*(\d+)\s*", board)
+    name = str(config.board)
+    if name.lower().endswith((".yaml", ".yml")):
+        return read_board(name)
+    match = re.fullmatch(r"\s*(\d+)\s*x\s*(\d+)\s*", name)
     if not match or min(int(match[1]), int(match[2])) < 3:
         raise ArgumentError(
-            f"board: expected inner corners as COLUMNSxROWS, 3 or more, such as 9x6, got {board!r}"
+            "board: expected inner corners as COLUMNSxROWS, 3 or more, such as 9x6, or a target file of Kalibr, "
+            f"target.yaml, got {name!r}"
         )
-    return int(match[1]), int(match[2])
+    if config.square is None:
+        raise ArgumentError("square: expected the side of a square in metres, such as 0.03")
+    columns, rows = int(match[1]), int(match[2])
+    if config.marker is None:
+        return Checkerboard(columns, rows, float(config.square))
+    return Charuco(columns, rows, float(config.square), float(config.marker), str(config.dictionary).upper())
 
 
-def _print(config: DictConfig, result: RefinedCamera, found: dict[Path, Tensor], pictures: int) -> None:
-    rms = result.residuals.square().sum(-1).mean(-1).sqrt()
-    rows = [[path.name, f"{value:.3f}"] for path, value in zip(found, rms.tolist(), strict=True)]
-    print_table(f"boards on {len(found)} of {pictures} pictures", ["picture", "RMS (px)"], rows)
-    camera = result.camera
-    widest = math.degrees(field_of_view(camera).widest)
-    console.print(f"{type(camera).__name__}: RMS {result.rms_error:.3f} px, sees {widest:.1f}°")
-    for name in camera.intrinsic_names:
-        values = getattr(camera, name)
-        if values is not None:
-            console.print(f"  {name}: {', '.join(f'{value:.6g}' for value in values.flatten().tolist())}")
-    console.print(f"written as {config.format or 'native'}")
+def _files(pattern: str) -> dict[str, dict[str, Path]]:
+    """Moment -> camera -> file, for a pattern with ``*`` or ``{frame}`` and, of a rig, ``{camera}``."""
+    pattern = re.sub(r"\{frame[^}]*\}", "*", str(pattern))
+    expression = (
+        re.escape(pattern).replace(r"\*\*/", "(.*)").replace(r"\*", "([^/]*)").replace(r"\?", "([^/])")
+    )
+    expression = expression.replace(r"\{camera\}", "(?P<camera>[^/]+)", 1)
+    found: dict[str, dict[str, Path]] = {}
+    for path in sorted(glob.glob(pattern.replace("{camera}", "*"), recursive=True)):
+        match = re.fullmatch(expression, path)
+        camera, moment = LONE, path
+        if match is not None:
+            camera = match.groupdict().get("camera", LONE)
+            own = match.re.groupindex.get("camera")
+            moment = " ".join(text for number, text in enumerate(match.groups(), 1) if number != own)
+        found.setdefault(moment, {})[camera] = Path(path)
+    if not found:
+        raise MissingFileError(
+            f"images: no file like {pattern!r}; a pattern such as board/*.png or, of a rig, board/{{camera}}/*.png is "
+            "expected"
+        )
+    return found
+
+
+def _read(files: Mapping[str, Mapping[str, Path]], names: list[str], board: Board) -> Pictures:
+    sizes: dict[str, tuple[int, int]] = {}
+    shape = len(files), len(names), len(board.points)
+    pixels, seen = torch.zeros(*shape, 2).double(), torch.zeros(shape).bool()
+    with console.status("looking for the board"):
+        for moment, cameras in enumerate(files.values()):
+            for name, path in cameras.items():
+                what = "a picture of the board, of the size of the first one"
+                image = read_image(path, sizes.get(name), what)
+                sizes[name] = (image.shape[-2], image.shape[-1])
+                place = names.index(name)
+                pixels[moment, place], seen[moment, place] = board.find(image)
+    for place, name in enumerate(names):
+        there = sum(name in cameras for cameras in files.values())
+        boards = int((seen[:, place].sum(-1) >= FEWEST).sum())
+        if boards < 3:
+            raise ArgumentError(
+                f"images: the board is found on {boards} of {there} pictures of {name}, and three are needed, better "
+                "twenty; for squares board= counts the corners between them, not the squares; leave a white border "
+                "around the board"
+            )
+    return Pictures(files, {name: sizes[name] for name in names}, pixels, seen)
+
+
+def _report(result: RefinedRig, pictures: Pictures) -> None:
+    """Errors by picture and over each image, what is not covered, and where cameras are."""
+    used = result.residuals.abs().sum(-1) > 0
+    squares = result.residuals.square().sum(-1)
+    errors = (squares.sum(-1) / used.sum(-1)).sqrt()  # nan where there is no board
+    names = list(pictures.sizes)
+    rows = [
+        [str(pictures.files[moment][name]), f"{errors[number, place]:.3f}"]
+        for number, moment in enumerate(pictures.files)
+        for place, name in enumerate(names)
+        if bool(used[number, place].any())
+    ]
+    rows.sort(key=lambda row: -float(row[1]))
+    count = sum(map(len, pictures.files.values()))
+    print_table(
+        f"boards on {len(rows)} of {count} pictures; the worst", ["picture", "RMS (px)"], rows[:MOST_PICTURES]
+    )
+    for place, (name, camera) in enumerate(result.rig.cameras.items()):
+        rms = float((squares[:, place].sum() / used[:, place].sum()).sqrt())
+        console.print(
+            f"{name}: {type(camera).__name__}, RMS {rms:.3f} px of {int(used[:, place].sum())} corners, sees "
+            f"{2 * math.degrees(camera.max_angle):.1f}°"
+        )
+        for key in camera.intrinsic_names:
+            if (values := getattr(camera, key)) is not None:
+                console.print(f"  {key}: {', '.join(f'{value:.6g}' for value in values.flatten().tolist())}")
+        _print_image(
+            name,
+            result.rig,
+            place,
+            pictures.pixels[:, place][used[:, place]],
+            squares[:, place][used[:, place]],
+        )
+    if left_out := int((pictures.seen & ~used).sum()):
+        console.print(
+            f"{left_out} of {int(pictures.seen.sum())} corners left out: too far off, or too few on a picture"
+        )
+    for line in _poses(result.rig, used):
+        console.print(line)
+    console.print(f"RMS {result.rms_error:.3f} px")
+    if result.rms_error > TOO_FAR:
+        print(
+            f"Warning: RMS above {TOO_FAR:g} px: check board=, field_of_view_deg=, and that pictures are of one moment."
+        )
+
+
+def _print_image(name: str, rig: CameraRig, place: int, pixels: Tensor, squares: Tensor) -> None:
+    """A table of RMS by ring about the axis and direction in the image, and a line about what has no corners."""
+    camera = rig.cameras[name]
+    rays = camera.unproject(pixels.to(camera.max_angle)).directions
+    ring = (angle_from_axis(rays).rad2deg() / RING_DEG).long()
+    sector = ((torch.atan2(rays[:, 1], rays[:, 0]) / (2 * math.pi) * len(SECTORS)).round().long()) % len(
+        SECTORS
+    )
+    rows, bare = [], []
+    for step in range(int(ring.max()) + 1):
+        cells = [(ring == step) & (sector == number) for number in range(len(SECTORS))]
+        label = f"{RING_DEG * step}-{RING_DEG * (step + 1)}°"
+        rows.append([label, *(f"{squares[cell].mean().sqrt():.2f}" if cell.any() else "-" for cell in cells)])
+        bare += [f"{label} {SECTORS[number]}" for number, cell in enumerate(cells) if not cell.any()]
+    print_table(f"{name}: RMS (px) by angle from the axis and direction", ["", *SECTORS], rows)
+    if bare:
+        console.print(
+            f"no corners of {name} in {len(bare)} of {len(rows) * len(SECTORS)} parts: {', '.join(bare[:6])}"
+            f"{' ...' if len(bare) > 6 else ''}; nothing is known of the lens there"
+        )
+
+
+def _poses(rig: CameraRig, used: Tensor) -> Iterator[str]:
+    """A line for each camera but the first: where it is, and how often the board was seen by both."""
+    boards = used.sum(-1) >= FEWEST
+    axes = rig.world_from_camera[:, :3, 2].double()
+    for place, name in enumerate(rig.names[1:], start=1):
+        angle = math.degrees(
+            torch.atan2(torch.linalg.cross(axes[0], axes[place]).norm(), axes[0] @ axes[place])
+        )
+        away = float((rig.positions[place] - rig.positions[0]).norm())
+        ties = [
+            f"{int((boards[:, place] & boards[:, other]).sum())} with {rig.names[other]}"
+            for other in range(len(rig))
+            if other != place and bool((boards[:, place] & boards[:, other]).any())
+        ]
+        yield (
+            f"{name}: axis {angle:.2f}° from {rig.names[0]}'s, {away:.4f} m away; boards seen by both: "
+            f"{', '.join(ties)}"
+        )

@@ -1,4 +1,9 @@
+from .calibrating.boards import AprilGrid as AprilGrid
+from .calibrating.boards import Charuco as Charuco
+from .calibrating.boards import Checkerboard as Checkerboard
+from .calibrating.boards import read_board as read_board
 from .calibrating.calibrate import calibrate_camera as calibrate_camera
+from .calibrating.calibrate import calibrate_rig as calibrate_rig
 from .calibrating.direct_alignment import align_rig_direct as align_rig_direct
 from .calibrating.refine import refine as refine
 from .calibrating.refine import refine_rig as refine_rig

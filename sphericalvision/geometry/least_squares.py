@@ -76,8 +76,13 @@ def solve_least_squares(
         held = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)) | (low == high)
         length = torch.linalg.vector_norm(columns, dim=0)
         scale = torch.where(held | (length == 0), 0.0, 1 / torch.where(length == 0, 1.0, length))
-        u, s, vh = torch.linalg.svd(torch.nan_to_num(columns * scale), full_matrices=False)
-        along = u.mT @ residual
+        rows = torch.cat((torch.nan_to_num(columns * scale), residual[:, None]), -1)
+        if (
+            len(rows) > rows.shape[1]
+        ):  # many rows are turned into as many as columns, at a fifth of the singular values' cost
+            rows = torch.linalg.qr(rows, mode="r").R
+        u, s, vh = torch.linalg.svd(rows[:, :-1], full_matrices=False)
+        along = u.mT @ rows[:, -1]
         for _ in range(_PATIENCE):
             step = -scale * (vh.mT @ (s / (s * s + damping) * along))
             tried = (x + step).clamp(low, high)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera from rendered pictures of a checkerboard, whose truth is known, from the command line."""
+"""Cameras and rigs from rendered pictures of boards, whose truth is known, from the command line."""
 
 from __future__ import annotations
 
@@ -9,25 +9,80 @@ from pathlib import Path
 import pytest
 import torch
 
-from sphericalvision.cameras import KannalaBrandtCamera, read_camera
-from sphericalvision.geometry import transform_points
+from sphericalvision.cameras import FisheyeCamera, KannalaBrandtCamera, read_camera, read_rig
+from sphericalvision.capture import AprilGrid, Charuco
+from sphericalvision.geometry import angle_from_axis
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.commands.calibrate import board_corners, find_corners
-from tests.recipes.board_pictures import COLUMNS, ROWS, SQUARE, TRUTH, boards, picture, write_boards
+from tests.recipes.board_pictures import (
+    COLUMNS,
+    ROWS,
+    SQUARE,
+    TRUTH,
+    AnyBoard,
+    Drawing,
+    Eye,
+    around,
+    back_to_back,
+    write_boards,
+)
 from tests.recipes.tiny import Run
 
+TARGET = "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 6\ntagSize: 0.07\ntagSpacing: 0.3\n"
+GRID = AprilGrid(6, 6, 0.07, 0.3), ["board=target.yaml"]
+MARKERS = (
+    Charuco(10, 7, 0.052, 0.039, "5X5_100"),
+    ["board=10x7", "square=0.052", "marker=0.039", "dictionary=5X5_100"],
+)
 
-def test_corners_are_where_the_board_was_rendered() -> None:
-    pose = boards()[1]
-    image = picture(TRUTH, pose).movedim(-1, 0) / 255
-    found = find_corners(image, COLUMNS, ROWS)
-    expected = TRUTH.project(transform_points(pose, board_corners(COLUMNS, ROWS, SQUARE)).float()).pixels
-    assert found is not None
-    error = torch.minimum(
-        (found - expected).norm(dim=-1).max(), (found.flip(0) - expected).norm(dim=-1).max()
-    )
-    assert error < 0.3
-    assert find_corners(torch.full((3, 60, 80), 0.5), COLUMNS, ROWS) is None
+
+def photographed(folder: Path, board: AnyBoard, cameras: int, moments: int) -> None:
+    """Pictures ``{camera}/{moment}.png`` of a board all around fisheyes of 200° that look outwards, and its target."""
+    drawing, rig = Drawing(board), back_to_back(cameras, 560)
+    places = around(moments, drawing)
+    for name, camera, from_world in zip(rig.names, rig.cameras.values(), rig.camera_from_world, strict=True):
+        eye = Eye(camera)
+        for moment, place in enumerate(places):
+            picture = eye.picture(drawing, from_world @ place, noise=2.0, seed=moment)
+            write_image(folder / f"{name}/{moment:03}.png", picture)
+    (folder / "target.yaml").write_text(TARGET)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cameras", "board"), [(2, GRID), (2, MARKERS), (4, MARKERS)])
+def test_rigs_past_180_degrees_are_calibrated(
+    run: Run,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    cameras: int,
+    board: tuple[AnyBoard, list[str]],
+) -> None:
+    """Focal lengths within 0.1 %, axes within 0.02° of each other, 0.15 px RMS with noise of two grey values."""
+    photographed(tmp_path, board[0], cameras, 40)
+    pattern = "images={camera}/*.png"
+    run("calibrate", pattern, *board[1], "to=fisheye", "field_of_view_deg=200", "output=rig.yaml")
+    printed = capsys.readouterr().out
+    assert "cam1: axis 179" in printed or cameras == 4
+    found, truth = read_rig(tmp_path / "rig.yaml", dtype=torch.float64), back_to_back(cameras, 560)
+    assert float(printed.rsplit("RMS ", 1)[1].split()[0]) < 0.15
+    for one, other in zip(found.cameras.values(), truth.cameras.values(), strict=True):
+        assert isinstance(one, FisheyeCamera)
+        assert isinstance(other, FisheyeCamera)
+        torch.testing.assert_close(one.focal_length, other.focal_length, rtol=1e-3, atol=0)
+        assert 1.6 < one.max_angle < 1.05 * 1.75  # what corners reach, and 5 % more
+    axes = [rig.world_from_camera[:, :3, 2] @ rig.world_from_camera[0, :3, :3] for rig in (found, truth)]
+    between = [angle_from_axis(axis).rad2deg() for axis in axes]
+    torch.testing.assert_close(between[0], between[1], rtol=0, atol=0.02)
+
+
+def test_boards_that_two_cameras_never_share_are_told(failing: Callable[..., str], tmp_path: Path) -> None:
+    for name, moments in (("front", range(4)), ("back", range(4, 8))):
+        write_boards(tmp_path / name)
+        for path in (tmp_path / name).glob("*.png"):
+            if int(path.stem) not in moments:
+                path.unlink()
+    words = (f"board={COLUMNS}x{ROWS}", f"square={SQUARE}", "field_of_view_deg=130")
+    message = failing("calibrate", f"images={tmp_path}/{{camera}}/*.png", *words)
+    assert all(word in message for word in ("images: no view", "back", "front"))
 
 
 def test_a_lens_is_calibrated_from_pictures(
@@ -49,7 +104,11 @@ def test_a_lens_is_calibrated_from_pictures(
 def test_mistakes_are_named(failing: Callable[..., str], tmp_path: Path) -> None:
     words = ("square=0.03", "images=nothing/*.png")
     assert "nothing/*.png" in failing("calibrate", "board=9x6", *words)
-    assert "such as 9x6" in failing("calibrate", "board=nine", *words)
+    assert "such as 9x6" in failing("calibrate", "board=nine", "square=0.03", f"images={__file__}")
+    assert "square" in failing("calibrate", "board=9x6", f"images={__file__}")
+    assert "dictionary" in failing(
+        "calibrate", "board=9x6", "dictionary=5X5_50", f"images={__file__}", "square=0.03"
+    )
     write_image(tmp_path / "grey.png", torch.full((60, 80, 3), 128, dtype=torch.uint8).numpy())
     assert "no_model" in failing("calibrate", "board=9x6", "to=no_model", *words)
     message = failing("calibrate", "board=9x6", "square=0.03", f"images={tmp_path}/grey.png")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera from pictures of a known object alone, whatever its model: no calibration to start from."""
+"""A camera or a rig from pictures of a known object alone, whatever the model: no calibration to start from."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,10 +15,24 @@ from sphericalvision.cameras.conversion.convert import convert
 from sphericalvision.cameras.field_of_view import field_of_view as view_of
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
-from sphericalvision.capture.calibrating.refine import RefinedCamera, refine
-from sphericalvision.core import ArgumentError
+from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.capture.calibrating.refine import (
+    FEWEST,
+    RefinedCamera,
+    RefinedRig,
+    refinable_intrinsics,
+    refine,
+    refine_rig,
+)
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry import angle_from_axis, invert_transform
 
-__all__ = ["calibrate_camera"]
+__all__ = ["calibrate_camera", "calibrate_rig"]
+
+_WRONG = 4.5
+"""Times the median distance from the pixel at which a corner is none: one of 700,000 with noise alone."""
+_REACH = 1.05
+"""Times the largest angle from the axis of any point seen: where a lens ends."""
 
 
 def calibrate_camera(
@@ -76,6 +90,119 @@ def calibrate_camera(
     return refine(wanted, points, pixels, seen)
 
 
+def calibrate_rig(
+    points: Float[Tensor, "m 3"],
+    pixels: Float[Tensor, "n cameras m 2"],
+    image_sizes: Mapping[str, Sequence[int]],
+    model: type[Camera] | str = KannalaBrandtCamera,
+    seen: Bool[Tensor, "n cameras m"] | None = None,
+    *,
+    field_of_view: float = math.pi,
+    num_coefficients: int | None = None,
+    projection: str | None = None,
+) -> RefinedRig:
+    """The rig, with cameras of one model, that explains ``pixels`` of an object's ``points`` (m, 3) best.
+
+    Each camera alone by ``calibrate_camera``; then, along the pairs that saw the object together most often, the poses
+    from where both say that it stood; then everything together by ``refine_rig``, twice: points that miss by more than
+    4.5 times the median are left out the second time. The world is the first camera. What lies more than 5 % beyond the
+    outermost point that was seen counts as out of view: nothing is known of the lens there.
+
+    Args:
+        points: (m, 3) in the object's frame, metres; z = 0 for a board.
+        pixels: (n, cameras, m, 2) as (u, v), of n moments at each of which the object stood somewhere.
+        image_sizes: name of each camera, in order -> (height, width).
+        model: class of the cameras, or its name in files.
+        seen: (n, cameras, m), which were found; all by default. Cameras need not see the same points of the object.
+        field_of_view: roughly that of the shorter side of the images, in radians; within a third is enough.
+        num_coefficients: of the model, where it has a choice, as in ``convert``.
+        projection: of ``FisheyeCamera``, as in ``convert``.
+
+    Raises:
+        ArgumentError: a camera has no view with enough points, or no view ties it to the first camera.
+        ShapeError: the shapes do not fit.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.geometry import transform_from_axis_angle, transform_points
+        >>> truth = ring_rig(2, 0.03, (240, 240), 3.5).to(torch.float64)
+        >>> board = torch.cartesian_prod(torch.arange(9.0), torch.arange(7.0), torch.zeros(1)).double() * 0.05
+        >>> turns = torch.tensor([[0.0, angle, 0.3 * angle] for angle in (-2, -1.4, -1, -0.5, 0, 0.5, 1, 1.5, 2)])
+        >>> places = transform_from_axis_angle(turns, torch.zeros(9, 3)).double()
+        >>> away = transform_from_axis_angle(torch.tensor([0.3, 0.2, 0]), torch.tensor([-0.2, -0.2, 0.3])).double()
+        >>> places = torch.cat((places, truth.world_from_camera[:1] @ truth.world_from_camera[1:].inverse() @ places))
+        >>> at = truth.project(transform_points(places @ away, board).reshape(-1, 3))
+        >>> pixels = at.pixels.reshape(2, 18, -1, 2).movedim(0, 1)
+        >>> seen = at.valid.reshape(2, 18, -1).movedim(0, 1)
+        >>> sizes = {"front": (240, 240), "back": (240, 240)}
+        >>> found = calibrate_rig(board, pixels, sizes, FisheyeCamera, seen, projection="equidistant")
+        >>> found.rig.names, found.rms_error < 1e-3
+        (('front', 'back'), True)
+    """
+    names = list(image_sizes)
+    if pixels.ndim != 4 or pixels.shape[1] != len(names):
+        raise ShapeError(f"pixels: expected (n, {len(names)}, m, 2), got {tuple(pixels.shape)}")
+    seen = torch.ones(pixels.shape[:-1], dtype=torch.bool) if seen is None else seen
+    counts = seen.sum(-1)
+    alone = {}
+    for place, (name, size) in enumerate(image_sizes.items()):
+        views = (counts[:, place] >= FEWEST).nonzero().flatten()
+        if not len(views):
+            raise ArgumentError(f"pixels: camera {name} has no view with {FEWEST} points")
+        found = calibrate_camera(
+            points,
+            pixels[views, place],
+            size,
+            model,
+            seen[views, place],
+            field_of_view=field_of_view,
+            num_coefficients=num_coefficients,
+            projection=projection,
+        )
+        alone[name] = found.camera, dict(zip(views.tolist(), found.camera_from_points, strict=True))
+    rig = CameraRig({name: camera for name, (camera, _) in alone.items()}, _poses(names, alone))
+    free = sorted({name for camera in rig.cameras.values() for name in refinable_intrinsics(camera)})
+    refined = refine_rig(rig, points, pixels, seen, intrinsics=free)
+    misses = refined.residuals.norm(dim=-1)
+    typical = float(misses[misses > 0].median()) if bool((misses > 0).any()) else 0.0
+    wrong = misses > max(_WRONG * typical, 1e-6)
+    if bool(wrong.any()):
+        refined = refine_rig(refined.rig, points, pixels, seen & ~wrong, intrinsics=free)
+    cameras = {
+        name: camera.with_max_angle(min(_REACH * _farthest(refined, place, pixels), float(camera.max_angle)))
+        for place, (name, camera) in enumerate(refined.rig.cameras.items())
+    }
+    return refined._replace(rig=CameraRig(cameras, refined.rig.world_from_camera))
+
+
+def _farthest(found: RefinedRig, place: int, pixels: Tensor) -> float:
+    """The largest angle from the axis at which a camera was shown a point."""
+    used = found.residuals[:, place].abs().sum(-1) > 0
+    rays = list(found.rig.cameras.values())[place].unproject(pixels[:, place][used].double()).directions
+    return float(angle_from_axis(rays).max())
+
+
+def _poses(names: list[str], alone: Mapping[str, tuple[Camera, dict[int, Tensor]]]) -> Tensor:
+    """World from camera (n, 4, 4), the first being the world: along pairs with most views of the object in common."""
+    poses = {names[0]: torch.eye(4, dtype=torch.float64)}
+    while len(poses) < len(names):
+        pairs = [(known, other) for known in poses for other in names if other not in poses]
+        shared = {pair: sorted(alone[pair[0]][1].keys() & alone[pair[1]][1].keys()) for pair in pairs}
+        known, other = max(pairs, key=lambda pair: len(shared[pair]))
+        if not shared[known, other]:
+            raise ArgumentError(
+                f"pixels: no view of the object is shared by {', '.join(poses)} and "
+                f"{', '.join(name for name in names if name not in poses)}, so nothing ties them together; hold a "
+                "board where the edges of both images show a part of it at the same moment"
+            )
+        told = torch.stack(
+            [alone[known][1][view] @ invert_transform(alone[other][1][view]) for view in shared[known, other]]
+        )
+        apart = torch.cdist(told.flatten(1), told.flatten(1)).sum(-1)  # the one that the others agree with
+        poses[other] = poses[known] @ told[apart.argmin()]
+    return torch.stack([poses[name] for name in names])
+
+
 def _reached(found: RefinedCamera) -> float:
     """The largest angle from the axis at which the camera looks at all: the lens is not known beyond what was seen."""
-    return min(math.pi, 1.05 * float(found.camera.max_angle))
+    return min(math.pi, _REACH * float(found.camera.max_angle))

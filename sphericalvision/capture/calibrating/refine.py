@@ -26,9 +26,9 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import invert_transform, transform_points
 from sphericalvision.geometry.least_squares import solve_least_squares
 
-__all__ = ["RefinedCamera", "RefinedRig", "refine", "refine_rig"]
+__all__ = ["FEWEST", "RefinedCamera", "RefinedRig", "refinable_intrinsics", "refine", "refine_rig"]
 
-_FEWEST = 6
+FEWEST = 6
 """Seen points of the object at which a view counts."""
 
 
@@ -155,7 +155,7 @@ def refine_rig(
     """
     check_single(rig)
     names = [
-        [name for name in _intrinsics(_started(camera)) if name in intrinsics]
+        [name for name in refinable_intrinsics(camera) if name in intrinsics]
         for camera in rig.cameras.values()
     ]
     unknown = set(intrinsics) - {name for camera in names for name in camera}
@@ -173,6 +173,11 @@ def refine_rig(
 
 def _intrinsics(camera: Camera) -> list[str]:
     return [name for name in camera.intrinsic_names if getattr(camera, name) is not None]
+
+
+def refinable_intrinsics(camera: Camera) -> list[str]:
+    """Names of the intrinsics that ``refine`` changes: of two polynomials that must agree, the first alone."""
+    return _intrinsics(_started(camera))
 
 
 def _free_names(camera: Camera, fixed: Sequence[str]) -> list[str]:
@@ -229,13 +234,13 @@ class _Bundle:
         if visible.shape != expected[:-1]:
             raise ShapeError(f"seen: expected shape {expected[:-1]}, got {tuple(visible.shape)}")
         visible = visible & self.pixels.isfinite().all(-1)
-        self.seen = visible & (visible.sum(-1, keepdim=True) >= _FEWEST)
+        self.seen = visible & (visible.sum(-1, keepdim=True) >= FEWEST)
         self.free = free
         self.camera_from_world = rig.camera_from_world.detach().to("cpu", torch.float64)
         self.world_from_points, used = self._first_poses()
         if not bool(used.any()):
             raise ArgumentError(
-                f"pixels: no view has {_FEWEST} points that were seen, which it takes to find a pose"
+                f"pixels: no view has {FEWEST} points that were seen, which it takes to find a pose"
             )
         self.lengths = [
             [getattr(camera, name).numel() for name in names]
@@ -305,7 +310,7 @@ class _Bundle:
     def _predicted(
         self, index: int, intrinsics: Tensor, camera: Tensor, views: Tensor, view: Tensor
     ) -> Tensor:
-        """Pixels (k, 2) of the seen points of one camera; a row of intrinsics and moves for each point."""
+        """Pixels (k, 2) of the seen points of one camera; intrinsics and its move once, or a row for each point."""
         places = self.seen[:, index].nonzero()[:, 1]
         pose = self.camera_from_world[index] @ _moves(view) @ self.world_from_points[views]
         if index:
@@ -313,23 +318,18 @@ class _Bundle:
         local = transform_points(pose, self.points[places, None]).squeeze(-2)
         return self._with(index, intrinsics).project(local).pixels
 
-    def _rows(self, index: int, vector: Tensor) -> tuple[Tensor, ...]:
-        """The parts of the vector for each seen point of one camera, and which view each is of."""
+    def _parts_of(self, index: int, vector: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Intrinsics (p,) and move (6,) of one camera; for each of its seen points, which view, and its move (k, 6)."""
         views = self.seen[:, index].nonzero()[:, 0]
         moves = vector[self.num_intrinsics :].reshape(-1, 6)
         camera = moves[index - 1] if index else torch.zeros(6, dtype=torch.float64)
-        count = len(views)
-        return (
-            vector[self._intrinsic_places(index)].expand(count, -1),
-            camera.expand(count, -1),
-            views,
-            moves[self.num_moved + views],
-        )
+        return vector[self._intrinsic_places(index)], camera, views, moves[self.num_moved + views]
 
     def residuals(self, vector: Tensor) -> Tensor:
         """Projection minus pixel of all that was seen, camera by camera, (r,)."""
         parts = [
-            self._predicted(index, *self._rows(index, vector)) - self.pixels[:, index][self.seen[:, index]]
+            self._predicted(index, *self._parts_of(index, vector))
+            - self.pixels[:, index][self.seen[:, index]]
             for index in range(len(self.cameras))
         ]
         return torch.cat(parts).flatten()
@@ -339,8 +339,9 @@ class _Bundle:
         """Derivatives (r, p): every point has a copy of what it depends on, so two backward passes make all rows."""
         blocks = []
         for index in range(len(self.cameras)):
-            intrinsics, camera, views, view = self._rows(index, vector)
-            copies = [part.detach().clone().requires_grad_() for part in (intrinsics, camera, view)]
+            intrinsics, camera, views, view = self._parts_of(index, vector)
+            each = (intrinsics.expand(len(views), -1), camera.expand(len(views), -1), view)
+            copies = [part.detach().clone().requires_grad_() for part in each]
             pixels = self._predicted(index, copies[0], copies[1], views, copies[2])
             rows = pixels.new_zeros(len(views), 2, len(vector))
             for axis in range(2):

@@ -249,6 +249,11 @@ def _report(outputs: Outputs) -> None:
         print(
             f"photo-consistency: {mean:.3f} of what winner-takes-all reaches, mean of {len(shares)} frame(s)"
         )
+    if outputs.seam > 0:
+        print(
+            f"panorama: seams are at the depth estimated, {outputs.seam:.2f} m (median of the first frame, where two "
+            "cameras see); what is nearer or farther than its estimate is seen twice there, or cut off"
+        )
     for warning in outputs.warnings:
         print(f"Warning: {warning}")
     if outputs.shares and min(outputs.shares) < ENOUGH:

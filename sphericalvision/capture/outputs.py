@@ -37,6 +37,8 @@ from sphericalvision.viz.pointcloud import save_point_cloud
 __all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
 
 OUTPUTS = (
+    "panorama",
+    "panorama_video",
     "depth",
     "confidence",
     "cloud",
@@ -50,6 +52,7 @@ OUTPUTS = (
 )
 SHARES_HEADER = "frame,photo_consistency"
 FILES = {
+    "panorama": "panorama.png",
     "depth": "depth.png",
     "confidence": "confidence.png",
     "cloud": "points.ply",
@@ -105,8 +108,19 @@ class Views:
     @cached_property
     def colors(self) -> tuple[Tensor, Tensor]:
         """Colours ``(3, h, w)``, and where there are any."""
-        images = {name: image.cpu() for name, image in self.depth.images.items()}
-        return rgb_panorama(self.depth.rig.to("cpu"), images, self.height, self.panorama.depth)
+        return self._panorama_of(self.depth.images)
+
+    @cached_property
+    def stitched(self) -> npt.NDArray[Any]:
+        """Colours ``(h, w, 3)``, uint8, as of cameras with one exposure and lenses without vignetting."""
+        light = self.depth.compensations[0].light if self.depth.compensations else None
+        if light is None:
+            return _as_bytes(self.colors[0])
+        return _as_bytes(self._panorama_of(light.corrected(self.depth.rig, self.depth.images))[0])
+
+    def _panorama_of(self, images: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        there = {name: image.cpu() for name, image in images.items()}
+        return rgb_panorama(self.depth.rig.to("cpu"), there, self.height, self.panorama.depth)
 
     @cached_property
     def depth_picture(self) -> npt.NDArray[Any]:
@@ -131,6 +145,9 @@ def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> l
     """Write the files of one frame, their names after ``prefix``; returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
+    if "panorama" in settings.outputs:
+        write_image(folder / f"{prefix}panorama.png", views.stitched)
+        written.append(folder / f"{prefix}panorama.png")
     if "depth" in settings.outputs:
         write_image(folder / f"{prefix}color.png", views.colors[0])
         write_image(folder / f"{prefix}depth.png", views.depth_picture)
@@ -211,6 +228,8 @@ class Outputs:
         is_new: whether no frame came yet.
         shares: of the sphere that two cameras see, frame by frame.
         warnings: what is probably wrong, told from the first frame.
+        seam: metres, of the first frame: the median depth where two cameras see, for which panoramas of them are right;
+            nan where no panorama is written or no two cameras see.
         consistency: photo-consistency of each frame, for the output of that name.
 
     Raises:
@@ -225,7 +244,8 @@ class Outputs:
         self.shares: list[float] = []
         self.near = settings.near
         self.warnings: list[str] = []
-        self._video: _Video | None = None
+        self.seam = math.nan
+        self._videos: dict[str, _Video] = {}
         self._timeline: Timeline | None = None
         self._recording: RerunLog | None = None
         self._number = 0
@@ -254,12 +274,16 @@ class Outputs:
             views = Views(depth, self.settings.height, self.near)
             if not self.shares:
                 self._warn(depth)
+                if "panorama" in self.settings.outputs or "panorama_video" in self.settings.outputs:
+                    self.seam = float(depth.depth[depth.seen].nanmedian())
             self.shares.append(views.share_seen)
-            if "video" in self.settings.outputs:
-                if self._video is None:
-                    self._video = _Video(self.folder, self.settings.rate, self.settings.go_on)
-                    self.written.append(self._video.path)
-                self._video.write(views)
+            for output, (name, picture_of) in _VIDEOS.items():
+                if output in self.settings.outputs:
+                    if output not in self._videos:
+                        made = _Video(self.folder, self.settings.rate, self.settings.go_on, name)
+                        self._videos[output] = made
+                        self.written.append(made.path)
+                    self._videos[output].write(picture_of(views))
             if "timeline" in self.settings.outputs:
                 if self._timeline is None:
                     title = f"depth all around: {self.folder.name}"
@@ -284,8 +308,8 @@ class Outputs:
 
     def close(self) -> None:
         """Finish what is made of all frames."""
-        if self._video is not None:
-            self._video.close()
+        for video in self._videos.values():
+            video.close()
         if self._timeline is not None:
             self.written.append(self._timeline.save(self.folder / "timeline.html"))
         if self._recording is not None:
@@ -300,30 +324,23 @@ class Outputs:
 
 
 class _Video:
-    """A video of colours above depth, which is there once it is whole and its frames have been read back.
+    """A video, which is there once it is whole and its frames have been read back.
 
     It is called ``depth.mp4``, or by the first of ``depth_2.mp4``, ... that is free. With ``go_on`` it begins with the
     frames of the ``depth.mp4`` that is there, whose place it takes.
     """
 
-    def __init__(self, folder: Path, rate: float, go_on: bool = False) -> None:
+    def __init__(self, folder: Path, rate: float, go_on: bool = False, name: str = "depth") -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        names = ("depth.mp4" if number == 1 else f"depth_{number}.mp4" for number in range(1, 10**6))
+        names = (f"{name}.mp4" if number == 1 else f"{name}_{number}.mp4" for number in range(1, 10**6))
         self.path = next(folder / name for name in names if go_on or not (folder / name).exists())
         self.rate = rate
         self._whole = ExitStack()
         self._writer: cv2.VideoWriter | None = None
         self._number = 0
 
-    def write(self, views: Views) -> None:
-        """Add a frame."""
-        colors = (views.colors[0].clamp(0, 1) * 255).round().byte().movedim(0, -1).numpy()
-        depth = views.depth_picture
-        side = (depth.shape[1] - colors.shape[1]) // 2  # the scale may be wider than a small panorama
-        colors = np.pad(
-            colors, ((0, 0), (side, depth.shape[1] - colors.shape[1] - side), (0, 0)), constant_values=255
-        )
-        picture = np.concatenate((colors, depth))
+    def write(self, picture: npt.NDArray[Any]) -> None:
+        """Add a frame (h, w, 3), uint8."""
         picture = np.pad(picture, [(0, size % 2) for size in picture.shape[:2]] + [(0, 0)], mode="edge")
         picture = cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2BGR)
         if self._writer is None:
@@ -365,6 +382,26 @@ class _Video:
     def _add(self, writer: cv2.VideoWriter, picture: npt.NDArray[Any]) -> None:
         writer.write(picture)
         self._number += 1
+
+
+def _as_bytes(colors: Tensor) -> npt.NDArray[Any]:
+    return (colors.clamp(0, 1) * 255).round().byte().movedim(0, -1).numpy()
+
+
+def _colors_above_depth(views: Views) -> npt.NDArray[Any]:
+    colors, depth = _as_bytes(views.colors[0]), views.depth_picture
+    side = (depth.shape[1] - colors.shape[1]) // 2  # the scale may be wider than a small panorama
+    colors = np.pad(
+        colors, ((0, 0), (side, depth.shape[1] - colors.shape[1] - side), (0, 0)), constant_values=255
+    )
+    return np.concatenate((colors, depth))
+
+
+_VIDEOS = {
+    "video": ("depth", _colors_above_depth),
+    "panorama_video": ("panorama", lambda views: views.stitched),
+}
+"""Output -> name of the video, and what a frame of it shows."""
 
 
 def _frames_of(path: Path) -> Iterator[npt.NDArray[Any]]:

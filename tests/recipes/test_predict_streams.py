@@ -17,8 +17,9 @@ import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.capture import Depth
-from sphericalvision.capture.outputs import Outputs, Settings
+from sphericalvision.capture import Depth, calibrate_photometry
+from sphericalvision.capture.outputs import Outputs, Settings, Views
+from sphericalvision.capture.preparation.compensation import Compensation
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source, rig_for_images
 from sphericalvision.capture.sources.threads import Behind, ahead, side_by_side, threads_kept
@@ -230,6 +231,36 @@ def test_a_video_gets_its_name_when_its_frames_can_be_read_back(tmp_path: Path) 
     picture = cv2.VideoCapture(str(tmp_path / "4/depth.mp4")).read()[1]
     middle = picture.shape[1] // 2
     assert 50 < picture[:64, middle - 60 : middle + 60].mean() < 200  # above, the colours of the images
+
+
+def test_images_become_a_panorama_and_a_video_of_it(tmp_path: Path) -> None:
+    """Cameras of one colour each: so are pictures and video, in front and behind; seams are told at the depth there."""
+    net = SemiGlobalSweep(3, 8)
+    ones = torch.ones(net.grid.num_vertices)
+    shades = {name: (k + 1) / 5 for k, name in enumerate(RIG.names)}
+    images = {name: torch.full((3, *SIZE), shade) for name, shade in shades.items()}
+    outputs = Outputs(tmp_path, Settings(["panorama", "panorama_video"], height=32))
+    for frame in ("0", "1"):
+        outputs.write(frame, Depth(4 * ones, ones, ones > 0, net, RIG, images))
+    outputs.close()
+    names = ["0_panorama.png", "1_panorama.png", "panorama.mp4"]
+    assert sorted(path.name for path in outputs.written) == names
+    assert outputs.seam == pytest.approx(net.min_depth * 7 / 4, rel=1e-4)
+    picture = cv2.imread(str(tmp_path / "0_panorama.png"))
+    video = cv2.VideoCapture(str(tmp_path / "panorama.mp4"))
+    shown = [video.read()[1] for _ in range(2)]
+    assert picture.shape == shown[1].shape == (32, 64, 3)
+    assert np.abs(picture.astype(int) - shown[1])[8:24].mean() < 6
+    assert picture.min() >= 0.2 * 255 - 1
+    assert picture.max() <= 0.8 * 255 + 1
+    assert np.ptp(picture.astype(int)) > 60
+    dim = {name: torch.full((3, *SIZE), 0.4 + 0.05 * k) for k, name in enumerate(RIG.names)}
+    even = Compensation({}, calibrate_photometry(RIG, dim))
+    uneven, evened = (
+        Views(Depth(4 * ones, ones, ones > 0, net, RIG, dim, light), 32).stitched[8:24].std()
+        for light in ((), (even,))
+    )
+    assert evened < 0.3 * uneven
 
 
 def test_a_resized_capture_has_a_resized_rig() -> None:

@@ -18,7 +18,7 @@ from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 
 RIG = ring_rig(4, image_size=(192, 192))
-KINDS = ("room", "floating", "hall", "corridor", "bare", "polished", "outdoors", "rough", "glazed", "skies")
+KINDS = ("patchwork", "room", "skies", "floating", "outdoors", "bare", "rough", "hall", "glazed", "corridor")
 KNOCKS = (0.0, 0.2, 0.5, 1.5, 3.0)
 
 
@@ -28,8 +28,8 @@ def predictor() -> Predictor:
 
 
 @cache
-def frames(kind: str) -> list[dict[str, Tensor]]:
-    return [render_rig(make_scene(kind, seed=1000 + 100 * place), RIG, 2) for place in range(3)]
+def frames(kind: str, seed: int = 1000) -> list[dict[str, Tensor]]:
+    return [render_rig(make_scene(kind, seed=seed + 100 * place), RIG, 2) for place in range(3)]
 
 
 def knock(camera: int, degrees: float, seed: int = 0) -> Tensor:
@@ -40,9 +40,9 @@ def knock(camera: int, degrees: float, seed: int = 0) -> Tensor:
     return turns
 
 
-def judged(kind: str, turns: Tensor) -> RigTurns:
+def judged(kind: str, turns: Tensor, seed: int = 1000) -> RigTurns:
     """What is said of a calibration from which the cameras are turned."""
-    return predictor().with_rig(turned(RIG, -turns)).judge(frames(kind))
+    return predictor().with_rig(turned(RIG, -turns)).judge(frames(kind, seed))
 
 
 def is_right(found: RigTurns, turns: Tensor) -> bool:
@@ -77,18 +77,24 @@ def test_a_knocked_camera_is_named_and_others_are_not(kind: str, camera: int, de
         assert found.within < math.radians(0.2)
 
 
+def test_a_horizon_on_the_rows_of_coarse_images_turns_no_camera() -> None:
+    rig = ring_rig(4, image_size=(256, 256))
+    images = render_rig(make_scene("outdoors", seed=5007), rig, 2)
+    found = Predictor(rig, level=5, min_depth=0.55).judge([images])
+    assert "calibration right" in found.described()
+
+
 @pytest.mark.slow
 def test_of_fifty_verdicts_one_may_be_wrong() -> None:
+    """On scenes that no constant was chosen by; a turn of 0.2° need not be found if what is said leaves room for it."""
     cases = [(kind, degrees) for kind in KINDS for degrees in KNOCKS]
-    turns = [knock(number % 4, degrees, number) for number, (_, degrees) in enumerate(cases)]
-    verdicts = [judged(kind, turn) for (kind, _), turn in zip(cases, turns, strict=True)]
-    wrong = [
-        (case, verdict.described())
-        for case, turn, verdict in zip(cases, turns, verdicts, strict=True)
-        if not is_right(verdict, turn) or bool(verdict.turned) is not (case[1] > 0)
-    ]
-    assert len(wrong) <= 2, wrong  # a knock of a fifth of a degree may pass for a right calibration
-    assert sum(degrees != 0.2 for (_, degrees), _ in wrong) <= 1, wrong
+    wrong = []
+    for number, (kind, degrees) in enumerate(cases):
+        turns = knock((number + 1) % 4, degrees, 31000 + number)
+        verdict = judged(kind, turns, 31000)
+        if not is_right(verdict, turns) or (degrees > 0.2 and not verdict.turned):
+            wrong.append((kind, degrees, verdict.described()))
+    assert len(wrong) <= 1, wrong
 
 
 def test_depth_is_better_with_cameras_turned_back() -> None:

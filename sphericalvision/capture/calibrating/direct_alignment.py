@@ -39,7 +39,7 @@ _NEAREST = 0.9
 """Of the rig's radius over depth: nothing is sought within the rig."""
 _STIFFNESS = 20.0
 """An expected turn counts as many directions that disagree as they typically do: neighbours are not independent."""
-_HOLD = 0.005
+_HOLD = 0.05
 """Of the mean curvature in depth: holds depth to what it was said to be, where there is no texture."""
 _PARTS = 42
 """Of the sphere, each nearest to a vertex of the icosphere of level 1, that contradict each other by chance."""

@@ -24,21 +24,23 @@ from sphericalvision.icosphere import icosphere_vertices
 __all__ = ["RigTurns", "judged_rig", "untold"]
 
 LEVEL = 5
-"""Icosphere level of the directions that are compared."""
-STEPS = ((math.radians(0.9), 1.0, 4), (math.radians(0.9), 0.6, 3), (math.radians(0.45), 0.6, 3))
-"""Pixel in radians, blur in pixels and iterations, one after the other."""
-BIAS, BIAS_OF_TWO = 0.02, 0.08
-"""Pixels, at least of the first step, by which turns may be wrong beyond what parts of the sphere tell: depth was
-estimated with the rig as it is, and of two cameras no third one contradicts it."""
+"""Icosphere level of the directions that are compared first."""
+STEPS = (
+    (math.radians(0.9), 1.0, 4, LEVEL),
+    (math.radians(0.9), 0.6, 3, LEVEL),
+    (math.radians(0.45), 0.6, 3, LEVEL + 1),
+)
+"""Pixel in radians, blur in pixels, iterations and level, one after the other."""
+BIAS, BIAS_OF_TWO = 0.06, 0.16
+"""Pixels, at least of the first step, by which turns may be wrong beyond what parts of the sphere tell: a horizon on
+the rows of coarse images moves all cameras alike in every frame, and of two cameras no third one contradicts."""
 SURE = 2.5
-"""Standard deviations beyond which a camera is turned: one right camera in thousands."""
-LEAST = 0.14
-"""Pixels, at least of the first step: smaller turns are those that lenses are not known better for."""
+"""Standard deviations beyond which a camera is turned."""
 ENOUGH = math.radians(0.6)
 """A camera that may be turned by more, as far as can be told, is not called right."""
 DOUBT = math.radians(0.5)
 """Where turns are known no better, the images are too coarse or too bare for a verdict."""
-AGAIN, ROUNDS = math.radians(1), 4
+AGAIN, ROUNDS = math.radians(0.4), 4
 """Depth is estimated anew with cameras turned, and cameras turned by that, as long as they still turn by more."""
 LEAST_AGREEMENT = 0.75
 """Of images that show the same, before cameras turn: less is found where they have nothing in common."""
@@ -130,7 +132,7 @@ def judged_rig(
         turns = about_most(_between(rig, turned(latest.rig, latest.turns)))
         found = latest._replace(rig=rig, turns=turns, agreement=(found.agreement[0], latest.agreement[1]))
     sizes = found.turns.norm(dim=-1)
-    sure = (sizes > SURE * found.spread) & (sizes > LEAST * _pixel(rig))
+    sure = sizes > SURE * found.spread
     if len(rig) == 2:  # which of the two it was cannot be told
         sure = sure.any().expand(2)
     reason = _doubt(found, bool(sure.any()), 0.0 if estimate is None else _largest(latest))
@@ -178,14 +180,14 @@ def _between(one: CameraRig, other: CameraRig) -> Tensor:
 def _estimated(depths: Sequence[Depth]) -> RigTurns:
     """Turns from coarse to fine, and how well the coarse images agreed before and after."""
     rig = depths[0].rig
-    directions = icosphere_vertices(LEVEL, torch.float32, rig.world_from_camera.device)
     better = reduced_rig(rig, min(step[0] for step in STEPS))
-    frames = [averaged(better, _grey(depth)) for depth in depths]
+    frames = [averaged(better, _smooth(depth)) for depth in depths]
     images = {name: torch.stack([frame[name] for frame in frames]) for name in rig.names}
-    estimates = [_along(depth, directions) for depth in depths]
-    inverse_depth, weights = (torch.stack(values) for values in zip(*estimates, strict=True))
     agreements = []
-    for pixel, blur, iterations in STEPS:
+    for pixel, blur, iterations, level in STEPS:
+        directions = icosphere_vertices(level, torch.float32, rig.world_from_camera.device)
+        estimates = [_along(depth, directions) for depth in depths]
+        inverse_depth, weights = (torch.stack(values) for values in zip(*estimates, strict=True))
         found = align_rig_direct(
             better, images, directions, inverse_depth, weights, pixel=pixel, blur=blur, iterations=iterations
         )
@@ -196,11 +198,8 @@ def _estimated(depths: Sequence[Depth]) -> RigTurns:
     return RigTurns(rig, about_most(_between(rig, better)), spread, agreement=agreements[0])
 
 
-def _grey(depth: Depth) -> dict[str, Tensor]:
-    return {
-        name: denoised(image, depth.rig.masks.get(name)).mean(-3, keepdim=True)
-        for name, image in depth.images.items()
-    }
+def _smooth(depth: Depth) -> dict[str, Tensor]:
+    return {name: denoised(image, depth.rig.masks.get(name)) for name, image in depth.images.items()}
 
 
 def _along(depth: Depth, directions: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,6 +14,7 @@ def pixels_a_radian(camera: Camera) -> float:
     """Return pixels a radian on the optical axis, in the finer direction; of panoramas along the equator.
 
     Examples:
+        >>> import math
         >>> pixels_a_radian(EquirectangularCamera((180, 360))) * math.pi / 180  # a degree
         1.0
     """

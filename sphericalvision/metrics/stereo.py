@@ -34,6 +34,7 @@ def stereo_error(
         M. Zayene et al., "Helvipad: a real-world dataset for omnidirectional stereo depth estimation", CVPR 2025.
 
     Examples:
+        >>> import torch
         >>> errors = stereo_error(torch.tensor([[2.0, 3.0]]), torch.tensor([[1.0, 3.0]]))
         >>> {name: round(value.item(), 3) for name, value in errors.items()}
         {'MAE': 0.5, 'RMSE': 0.707, 'MARE': 0.5}
@@ -71,6 +72,7 @@ def left_right_error(
         M. Zayene et al., "Helvipad: a real-world dataset for omnidirectional stereo depth estimation", CVPR 2025.
 
     Examples:
+        >>> import torch
         >>> left_right_error(torch.tensor([[[1.0, 5.0, 3.0]]]), torch.tensor([[[1.0, 5.0, 2.0]]]))["LRCE"].item()
         1.0
     """
@@ -90,6 +92,7 @@ class StereoError(MeanOverImages):
     See ``stereo_error``; images without a valid point do not count.
 
     Examples:
+        >>> import torch
         >>> metric = StereoError()
         >>> metric.update(torch.tensor([[2.0, 3.0]]), torch.tensor([[1.0, 3.0]]))
         >>> metric.compute()["MAE"]
@@ -108,6 +111,7 @@ class LeftRightError(MeanOverImages):
     """``LRCE`` of panoramas ``(B, h, w)``, per image and then averaged over images; see ``left_right_error``.
 
     Examples:
+        >>> import torch
         >>> metric = LeftRightError()
         >>> metric.update(torch.tensor([[[1.0, 3.0]]]), torch.tensor([[[1.0, 2.0]]]))
         >>> metric.compute()["LRCE"]

@@ -72,7 +72,10 @@ def recognizes(content: dict[str, Any]) -> bool:
     keys = [key for index in ("", "1") if (key := find(content, MATRIX, index))]
     if any(len(key) > 2 or isinstance(content[key], Mapping | list) for key in keys):
         return True
-    return bool(find(content, ("r",)) and find(content, ("t",)) and find(content, ("q", "e", "f", "r1")))
+    alone = {str(key).lower() for key in content} == {"r", "t"}
+    return bool(
+        find(content, ("r",)) and find(content, ("t",)) and (alone or find(content, ("q", "e", "f", "r1")))
+    )
 
 
 def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:

@@ -137,7 +137,7 @@ def calibrate_rig(
         >>> sizes = {"front": (240, 240), "back": (240, 240)}
         >>> found = calibrate_rig(board, pixels, sizes, FisheyeCamera, seen, projection="equidistant")
         >>> found.rig.names, found.rms_error < 1e-3
-        (('front', 'back'), True)
+        (['front', 'back'], True)
     """
     names = list(image_sizes)
     if pixels.ndim != 4 or pixels.shape[1] != len(names):

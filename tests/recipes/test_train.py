@@ -9,6 +9,7 @@ import shlex
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,7 +18,7 @@ from omegaconf import OmegaConf
 
 from sphericalvision.models import load_weights
 from sphericalvision.recipes.app.checkpoints import load_network
-from sphericalvision.recipes.datamodules.base import TrainingStream
+from sphericalvision.recipes.datamodules.base import SampleDataModule, TrainingStream
 from sphericalvision.recipes.training.depth_module import METRICS, DepthModule
 from tests.recipes.tiny import Run
 
@@ -197,3 +198,10 @@ def test_a_training_stream_is_a_function_of_seed_and_position() -> None:
     assert [later[i] for i in range(8)] == whole[7:]
     other = TrainingStream(Noisy(), 15, seed=4)
     assert [other[i]["noise"] for i in range(5)] != [sample["noise"] for sample in whole[:5]]
+
+
+def test_samples_seen_are_those_of_all_processes() -> None:
+    module = SimpleNamespace(
+        batch_size=3, trainer=SimpleNamespace(global_step=5, accumulate_grad_batches=2, world_size=4)
+    )
+    assert SampleDataModule.state_dict(module) == {"samples_seen": 5 * 3 * 2 * 4}  # type: ignore[arg-type]

@@ -116,7 +116,7 @@ class _SequencesDataModule(ScannedDataModule):
 
     def sequences(self, split: str) -> list[str]:
         """The sequences of a split."""
-        chosen: list[str] | None = getattr(self, split)
+        chosen = {"train": self.train, "val": self.val, "test": self.test}[split]
         if chosen is None:
             raise ArgumentError(
                 f"data.{split}: this set has no splits of its own; name sequences, data.{split}=[a,b]"

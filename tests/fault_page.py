@@ -16,12 +16,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 
 from sphericalvision.cameras import ring_rig, save_rig
+from sphericalvision.capture import Depth
+from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source
 from sphericalvision.core import SphericalVisionError
-from sphericalvision.models import RefinedSweepNet, load_weights, save_weights
+from sphericalvision.models import RefinedSweepNet, SemiGlobalSweep, load_weights, save_weights
 from sphericalvision.scenes import read_mesh_scene
 from tests.recipes.conftest import run_recipe
 from tests.recipes.test_faults import FAULTS
@@ -112,7 +115,7 @@ def said_of_files() -> list[tuple[str, str]]:
         with tempfile.TemporaryDirectory() as folder:
             try:
                 read(Path(folder))
-            except SphericalVisionError as error:
+            except (SphericalVisionError, OSError) as error:
                 found.append((what, str(error).replace(f"{folder}/", "").replace(folder, "its folder")))
     return found
 
@@ -128,6 +131,24 @@ def _cut_video(folder: Path) -> None:
     raise last.error
 
 
+def _full_disk(folder: Path) -> None:
+    """A limit on the size of files is what a full disk is to OpenCV, which says nothing."""
+    import resource  # not on Windows
+
+    net, rig = SemiGlobalSweep(3, 8), ring_rig(4, 0.2, (16, 16))
+    ones = torch.ones(net.grid.num_vertices)
+    outputs = Outputs(folder, Settings(["video"], height=64))
+    for _ in range(4):
+        images = {name: torch.rand(3, 16, 16) for name in rig.names}
+        outputs.write("1", Depth(4 * ones, ones, ones > 0, net, rig, images))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    try:
+        outputs.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
 def _mesh(folder: Path, uri: str) -> None:
     (folder / "room.gltf").write_text(f'{{"asset": {{}}, "buffers": [{{"uri": "{uri}", "byteLength": 4}}]}}')
     read_mesh_scene(folder / "room.gltf")
@@ -141,6 +162,7 @@ def _endless_weights(folder: Path) -> None:
 
 FILES: dict[str, Callable[[Path], None]] = {
     "a video that was cut": _cut_video,
+    "a video on a full disk": _full_disk,
     "a mesh that names a file outside of its folder": lambda folder: _mesh(folder, "../secret.bin"),
     "weights that ask for more layers than they have": _endless_weights,
 }

@@ -411,6 +411,7 @@ class Predictor:
         return self._scaled
 
     @full_precision
+    @torch.inference_mode(False)  # what is kept must be usable where gradients are wanted
     def _made(self) -> _Ready:
         net = self._network()
         intake, angles = net.intake(self._rig, self._antialias), torch.empty(0)

@@ -202,6 +202,14 @@ def test_calls_run_side_by_side_where_there_are_cores_for_both(
     assert torch.equal(found[0].index, found[1].index)
 
 
+def test_what_a_first_call_makes_can_be_trained(rig: CameraRig, images: Images) -> None:
+    predictor = Predictor(rig, IcoSweepNet(3, 6, feature_channels=2), min_depth=0.4)
+    predictor(images)
+    net = predictor.network.train()
+    net(ToSphere(3).images(images, rig)[None], predictor.tables).sum().backward()
+    assert all(parameter.grad is not None for parameter in net.parameters())
+
+
 def test_the_nearest_depth_is_found_scaled_or_given(images: Images) -> None:
     small = ring_rig(4, radius=0.05, image_size=(96, 96))
     scene = make_scene("hall", seed=3)

@@ -47,6 +47,7 @@ def read_text(path: Path) -> str:
     """
     data = path.read_bytes()
     is_marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    bad = None
     try:
         text = data.decode("utf-16" if is_marked else "utf-8-sig")
     except UnicodeDecodeError as error:
@@ -55,7 +56,7 @@ def read_text(path: Path) -> str:
         is_wide = 0.4 * len(data) < data.count(b"\0") < 0.6 * len(data)
         kind = "UTF-16 without a byte order mark; save it as UTF-8" if is_wide else "binary data"
         raise FileFormatError(f"{path}: expected a text file, got {kind}")
-    if data and not text:
+    if bad is not None:
         raise FileFormatError(
             f"{path}, line {data[:bad].count(bytes([10])) + 1}: expected text in UTF-8, got the byte "
             f"0x{data[bad]:02x}, as in cp1252 or Latin-1 of Windows; save the file as UTF-8"

@@ -73,7 +73,7 @@ class ScannedFrames(Dataset[Sample]):
 
     def points(self, name: str) -> Float[Tensor, "P 3"]:
         """Points of a frame in the rig's world, metres."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__}.points")
 
     def more(self, name: str) -> Sample:
         """Further entries of a sample, which metrics of the set's own want."""

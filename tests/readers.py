@@ -107,7 +107,11 @@ READERS = {
     **{
         f"colmap/{part}.{suffix}": Reader(suffix, f"{part}.{suffix}", of_folder)
         for suffix in ("bin", "txt")
-        for part in ("cameras", "rigs", "images")
+        for part in ("cameras", "rigs")
+    },
+    **{
+        f"colmap/images.{suffix}": Reader(f"{suffix}_without_rigs", f"images.{suffix}", of_folder)
+        for suffix in ("bin", "txt")
     },
     "tum.txt": Reader("ways", "tum.txt", read_trajectory),
     "kitti.txt": Reader("ways", "kitti.txt", read_trajectory),
@@ -198,6 +202,19 @@ def write_bin(folder: Path) -> None:
 
 def write_txt(folder: Path) -> None:
     save_rig(colmap_rig(), folder / "cameras.txt", "colmap")
+
+
+def write_bin_without_rigs(folder: Path) -> None:
+    """As older versions write it; beside rigs nothing is read of images."""
+    write_bin(folder)
+    (folder / "rigs.bin").unlink()
+    (folder / "frames.bin").unlink()
+
+
+def write_txt_without_rigs(folder: Path) -> None:
+    write_txt(folder)
+    (folder / "rigs.txt").unlink()
+    (folder / "frames.txt").unlink()
 
 
 def write_ways(folder: Path) -> None:

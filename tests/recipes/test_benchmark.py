@@ -99,7 +99,8 @@ def test_memory_is_the_most_that_is_held_at_once() -> None:
         for _ in range(2):
             torch.zeros(10_000_000)
 
-    assert added_memory(run, CPU) == pytest.approx(40, abs=8)
+    # Threads of other tests may take memory meanwhile, which only adds.
+    assert min(added_memory(run, CPU) for _ in range(5)) == pytest.approx(40, abs=8)
 
 
 def small_preset(name: str, device: torch.device) -> DictConfig:

@@ -106,8 +106,9 @@ class _Sources:
         self.loader: Any = GlobalHydra.instance().config_loader()
 
     def options(self, group: str) -> list[str]:
-        """Names of the files of a group."""
-        return list(self.loader.get_group_options(group, ObjectType.CONFIG))
+        """Names of the files of a group, without those that others only inherit from."""
+        options = self.loader.get_group_options(group, ObjectType.CONFIG)
+        return [option for option in options if not option.startswith("_")]
 
     def text(self, name: str) -> str:
         """The text of the file ``name``, wherever the search path has it; empty if nowhere."""

@@ -53,6 +53,7 @@ def test_wrong_values_name_their_key(failing: Failing, weights: Path) -> None:
     assert "split: expected one of" in failing("evaluate", f"checkpoint={weights}", "split=trian")
     assert "device: " in failing("evaluate", f"checkpoint={weights}", "device=nonsense")
     assert "scheduler=linear: there is no such option" in failing("train", "scheduler=linear")
+    assert "_recorded" not in failing("train", "data=spirs")  # a base of files, not a set
     overlap = failing("train", "experiment=quickstart", "data.val_seed=10")
     assert "data.val_seed" in overlap
     assert "expected one of" in failing("train", "experiment=quickstart", *TINY_SCENES, "data.kind=garden")

@@ -39,8 +39,8 @@ from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.lenses import (
+    PANORAMA,
     Lens,
-    check_whole_panorama,
     lens_called,
     lens_of,
     models_of,
@@ -49,7 +49,6 @@ from sphericalvision.cameras.calibration.lenses import (
 from sphericalvision.cameras.calibration.parsing import size_from_width_height, view_name
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.geometry import invert_transform
@@ -87,6 +86,7 @@ _LENSES = (
         MODELS["RAD_TAN_THIN_PRISM_FISHEYE"][1],
         options={"composition": "sequential"},
     ),
+    PANORAMA,
 )
 """Of several for one class the first that holds a camera is written."""
 
@@ -137,9 +137,7 @@ def _cameras(path: Path, options: Options) -> dict[str, Camera]:
             raise FileFormatError(
                 f"{record.where}: expected a camera number of its own first, got {str(record.id)!r}"
             )
-        camera = _camera(record)
-        panorama = isinstance(camera, EquirectangularCamera)
-        cameras[name] = camera if panorama else bounded(camera, options.max_angle, record.where)
+        cameras[name] = bounded(_camera(record), options.max_angle, record.where)
     if not cameras:
         raise FileFormatError(f"{path}: no camera in it")
     return cameras
@@ -195,24 +193,14 @@ def _world_from(pose: list[float], where: str) -> Tensor:
 
 
 def _camera(record: CameraRecord) -> Camera:
-    where, model = record.where, record.model
+    where, numbers = record.where, record.parameters
     size = size_from_width_height(list(record.size), f"{where}, width and height")
-    if model == "EQUIRECTANGULAR":
-        if [size[1], size[0]] != record.parameters:
-            raise FileFormatError(
-                f"{where}, w and h: expected the image's width and height, got {record.parameters}"
-            )
-        return EquirectangularCamera(size)
-    lens = lens_called(_LENSES, model)
-    found = _shifted(lens, record.parameters, -0.5)
-    return lens.camera(found, size, where)
-
-
-def _shifted(lens: Lens, numbers: list[float], by: float) -> list[float]:
-    """The numbers with another principal point."""
-    return [
-        value + by if name in ("cx", "cy") else value for name, value in zip(lens.names, numbers, strict=True)
-    ]
+    lens = lens_called(_LENSES, record.model)
+    if lens is PANORAMA:
+        if [size[1], size[0]] != numbers:
+            raise FileFormatError(f"{where}, w and h: expected the image's width and height, got {numbers}")
+        numbers = []
+    return lens.camera(lens.shifted(numbers, -0.5), size, where)
 
 
 def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> None:
@@ -278,11 +266,9 @@ def _records(named: Mapping[str, Camera]) -> list[CameraRecord]:
 
 def _record(id: int, camera: Camera) -> CameraRecord:
     height, width = camera.image_size
-    if isinstance(camera, EquirectangularCamera):
-        check_whole_panorama(camera, "COLMAP")
-        return CameraRecord("", id, "EQUIRECTANGULAR", (width, height), [float(width), float(height)])
     lens, found = lens_of(camera, _LENSES, "colmap")
-    return CameraRecord("", id, lens.name, (width, height), _shifted(lens, found, 0.5))
+    numbers = [float(width), float(height)] if lens is PANORAMA else lens.shifted(found, 0.5)
+    return CameraRecord("", id, lens.name, (width, height), numbers)
 
 
 register_format(
@@ -292,7 +278,7 @@ register_format(
         recognizes_file=recognizes,
         contents_of_file=contents,
         usual_names=("cameras.bin", "cameras.txt"),
-        models=(*models_of(_LENSES), "equirectangular"),
+        models=models_of(_LENSES),
         write_camera=write_colmap,
         write_rig=write_colmap_rig,
     )

@@ -21,17 +21,16 @@ from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.formats import file_format, file_formats
 from sphericalvision.cameras.calibration.parsing import chosen_model, errors_of_file, focal_lengths
 from sphericalvision.cameras.declaration import Intrinsic
-from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.registry import camera_model
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry.panorama import ALL_LATITUDES, ALL_LONGITUDES
 
 __all__ = [
+    "PANORAMA",
     "Lens",
     "as_rig",
     "check_holds",
-    "check_whole_panorama",
     "distorted",
     "lens_called",
     "lens_of",
@@ -62,7 +61,7 @@ class Lens:
     model: str
     numbers: str
     zeros: str = ""
-    options: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def _class(self) -> type[Camera]:
@@ -93,6 +92,8 @@ class Lens:
         Raises:
             FileFormatError: the numbers make no sense.
         """
+        if not self.names:
+            return self._class(image_size=image_size, **self.options)
         if self.model == "atan" and numbers[self.names.index("omega")] == 0:  # which stands for no distortion
             return Lens(self.name, "pinhole", "fx fy cx cy").camera(numbers[:4], image_size, where, max_angle)
         given = dict.fromkeys(self.zeros.split(), 0.0) | dict(zip(self.names, numbers, strict=False))
@@ -113,6 +114,11 @@ class Lens:
         with errors_of_file(where):
             return self._class(image_size=image_size, **arguments)
 
+    def shifted(self, numbers: Sequence[float], by: float) -> list[float]:
+        """The numbers with another principal point, for files that count from a pixel's corner."""
+        pairs = zip(self.names, numbers, strict=True)
+        return [value + by if name in ("cx", "cy") else value for name, value in pairs]
+
     def split(self, camera: Camera) -> tuple[list[float], dict[str, Any]]:
         """The numbers of a camera of our class in the order of the file, and what it has that the lens has not."""
         beyond: dict[str, Any] = {
@@ -130,6 +136,15 @@ class Lens:
                 given |= zip(names, found * 2 if name == "focal_length" else found, strict=False)
         beyond |= {name: value for name, value in given.items() if value and name not in self.names}
         return [given.get(name, 0.0) for name in self.names], beyond
+
+
+PANORAMA = Lens(
+    "EQUIRECTANGULAR",
+    "equirectangular",
+    "",
+    options={"latitudes": ALL_LATITUDES, "longitudes": ALL_LONGITUDES},
+)
+"""A whole one, which is known by its size."""
 
 
 def _tensor(name: str, declared: Intrinsic, given: Mapping[str, float]) -> Tensor | None:
@@ -206,8 +221,8 @@ def lens_of(camera: Camera, lenses: Sequence[Lens], format: str) -> tuple[Lens, 
     lens, numbers, beyond = min(tried, key=lambda entry: len(entry[2]))  # the first of equals
     if beyond:
         raise ArgumentError(
-            f"camera: of {camera.model} the format {format!r} holds {' '.join(lens.names)}"
-            + "".join(f" with {name}={value!r}" for name, value in lens.options.items())
+            f"camera: of {camera.model} the format {format!r} holds "
+            + " ".join([*lens.names, *(f"with {name}={value!r}" for name, value in lens.options.items())])
             + f", and this one has {', '.join(f'{name}={value!r}' for name, value in beyond.items())}; write it as "
             "'native', or convert the camera first: camera.convert(to=...)"
         )
@@ -234,12 +249,6 @@ def check_holds(format: str, camera: Camera) -> None:
             f"camera: the format {format!r} has no skew; write it as {' or '.join(map(repr, formats))}, or convert "
             'the camera to OCam, whose affine map holds one: camera.convert(to="ocam")'
         )
-
-
-def check_whole_panorama(camera: EquirectangularCamera, program: str) -> None:
-    """Raise ``ArgumentError`` for a part of a panorama."""
-    if (camera.latitudes, camera.longitudes) != (ALL_LATITUDES, ALL_LONGITUDES):
-        raise ArgumentError(f"camera: {program}'s panoramas are whole, this one is a part; write 'native'")
 
 
 def numbers_of(tensor: Shaped[Tensor, " ..."]) -> list[float]:

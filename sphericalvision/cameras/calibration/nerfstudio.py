@@ -29,9 +29,9 @@ from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.files import write_json
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.lenses import (
+    PANORAMA,
     Lens,
     as_rig,
-    check_whole_panorama,
     lens_called,
     lens_of,
     models_of,
@@ -47,7 +47,6 @@ from sphericalvision.cameras.calibration.parsing import (
 )
 from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV, transform_from_rows
 from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 from sphericalvision.io.images import read_mask
@@ -59,8 +58,9 @@ _LENSES = (
     Lens("SIMPLE_PINHOLE", "pinhole", "fl_x=fx fl_y=fy cx cy"),
     Lens("OPENCV", "brown_conrady", "fl_x=fx fl_y=fy cx cy k1 k2 p1 p2 k3"),
     Lens("OPENCV_FISHEYE", "kannala_brandt", "fl_x=fx fl_y=fy cx cy k1 k2 k3 k4"),
+    PANORAMA,
 )
-_KINDS = (*(lens.name for lens in _LENSES), "EQUIRECTANGULAR")
+_KINDS = tuple(lens.name for lens in _LENSES)
 _OWN = {
     "fl_x",
     "fl_y",
@@ -132,13 +132,6 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
 
 def _camera(values: Mapping[str, Any], where: str, options: Options) -> Camera:
     """The lens of a frame, or of all: a frame's own keys stand for those at the top."""
-    camera = _unbounded_camera(values, where, options)
-    if isinstance(camera, EquirectangularCamera):
-        return camera
-    return bounded(camera, options.max_angle, where)
-
-
-def _unbounded_camera(values: Mapping[str, Any], where: str, options: Options) -> Camera:
     size = _image_size(values, where, options)
     height, width = size
     is_fisheye = values.get("is_fisheye", False)
@@ -148,8 +141,8 @@ def _unbounded_camera(values: Mapping[str, Any], where: str, options: Options) -
         raise FileFormatError(
             f"{where}, is_fisheye and camera_model: tell different models; keep the right one"
         )
-    if kind == "EQUIRECTANGULAR":
-        return EquirectangularCamera(size)
+    if kind == PANORAMA.name:
+        return PANORAMA.camera([], size, where)
     middle = {"cx": width / 2, "cy": height / 2}
     center = [(number(values, key, where) if key in values else middle[key]) - 0.5 for key in middle]
     plane = [*_focal_lengths(values, width, height, kind == "OPENCV_FISHEYE", where), *center]
@@ -177,7 +170,7 @@ def _unbounded_camera(values: Mapping[str, Any], where: str, options: Options) -
         if not more:
             kind = "PINHOLE"
     lens = lens_called(_LENSES, kind)
-    return lens.camera([*plane, *get(*lens.keys[4:])], size, where)
+    return bounded(lens.camera([*plane, *get(*lens.keys[4:])], size, where), options.max_angle, where)
 
 
 def _image_size(values: Mapping[str, Any], where: str, options: Options) -> tuple[int, int]:
@@ -239,12 +232,8 @@ def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
 def _values(camera: Camera) -> tuple[str, dict[str, Any]]:
     """Nerfstudio's name of the model, and the keys of its parameters."""
     height, width = camera.image_size
-    size = {"w": width, "h": height}
-    if isinstance(camera, EquirectangularCamera):
-        check_whole_panorama(camera, "nerfstudio")
-        return "EQUIRECTANGULAR", size
-    lens, (fx, fy, cx, cy, *more) = lens_of(camera, _LENSES, "nerfstudio")
-    return lens.name, {**size, **dict(zip(lens.keys, [fx, fy, cx + 0.5, cy + 0.5, *more], strict=True))}
+    lens, found = lens_of(camera, _LENSES, "nerfstudio")
+    return lens.name, {"w": width, "h": height, **dict(zip(lens.keys, lens.shifted(found, 0.5), strict=True))}
 
 
 register_format(
@@ -255,7 +244,7 @@ register_format(
         contents_of_keys=contents,
         ignored=_IGNORED,
         usual_names=("transforms.json",),
-        models=(*models_of(_LENSES), "equirectangular"),
+        models=models_of(_LENSES),
         write_camera=write_nerfstudio,
         write_rig=write_nerfstudio,
     )

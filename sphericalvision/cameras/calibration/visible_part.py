@@ -68,7 +68,9 @@ def _angles_at_the_edge(camera: Camera, border: Tensor) -> Tensor:
 def bounded(
     camera: AnyCamera, max_angle: float | None, where: str, mask: Bool[Tensor, "h w"] | None = None
 ) -> AnyCamera:
-    """``camera`` with ``max_angle``, or where that is ``None``, with as much as its image shows."""
+    """``camera`` with ``max_angle``, or where that is ``None``, as much as its image shows; a panorama as it is."""
+    if not camera.intrinsic_names:
+        return camera
     if max_angle is None:
         with errors_of_file(where):
             max_angle = widest_angle(camera, mask)

@@ -27,7 +27,7 @@ from sphericalvision.recipes.evaluation.records import Record, read_json, write_
 from sphericalvision.recipes.study.comparison.frames import NATURAL_SIZE, Size, TrackFrames, aligner
 from sphericalvision.recipes.study.comparison.methods import SCALE, frame_inputs, make_methods
 from sphericalvision.recipes.study.comparison.places import FrameTruth, PlaceErrors
-from sphericalvision.recipes.study.comparison.tables import Comparison, report
+from sphericalvision.recipes.study.comparison.tables import Results, report
 from sphericalvision.recipes.study.comparison.tracks import TRACKS, Track, chosen_tracks
 from sphericalvision.viz import sheet
 from sphericalvision.viz.panorama import icosphere_to_panorama
@@ -61,7 +61,7 @@ def compare(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
         }
         for frames in sets
     }
-    report(folder, Comparison(tracks, [method.name for method in methods], results, size.level))
+    report(folder, Results(tracks, [method.name for method in methods], results, size.level))
     print(f"Results are in {folder}: benchmark.md, benchmark.json, index.html, pages")
     return results
 

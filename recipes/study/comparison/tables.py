@@ -14,10 +14,10 @@ from sphericalvision.recipes.evaluation.tables import Cell, Row, Table, save_rep
 from sphericalvision.recipes.study.comparison.places import KEPT, REGIONS
 from sphericalvision.recipes.study.comparison.tracks import Track
 
-__all__ = ["Comparison", "all_tables", "report"]
+__all__ = ["Results", "all_tables", "report"]
 
 
-class Comparison(NamedTuple):
+class Results(NamedTuple):
     """All that was measured.
 
     Attributes:
@@ -47,32 +47,32 @@ class Comparison(NamedTuple):
         return math.fsum(known) / len(known) if known else math.nan
 
 
-def report(folder: Path, comparison: Comparison) -> None:
+def report(folder: Path, results: Results) -> None:
     """Write ``benchmark.md``, ``benchmark.json`` and ``index.html``, and print the first table."""
-    tables = all_tables(comparison)
-    pictures = {track.name: f"pages/{track.name}.png" for track in comparison.tracks}
+    tables = all_tables(results)
+    pictures = {track.name: f"pages/{track.name}.png" for track in results.tracks}
     save_report(folder, "benchmark", "Benchmark of depth methods", tables, pictures)
     write_json(
         folder / "benchmark.json",
         {
             track.name: {
                 method: {
-                    "frames": len(comparison.frames(track, method)),
-                    "means": comparison.records[track.name][method].means,
-                    "MAE": comparison.interval(track, method, "coarse", "all", "MAE")._asdict(),
-                    "cost": comparison.records[track.name][method].cost,
+                    "frames": len(results.frames(track, method)),
+                    "means": results.records[track.name][method].means,
+                    "MAE": results.interval(track, method, "coarse", "all", "MAE")._asdict(),
+                    "cost": results.records[track.name][method].cost,
                 }
-                for method in comparison.methods
+                for method in results.methods
             }
-            for track in comparison.tracks
+            for track in results.tracks
         },
     )
     next(iter(tables.values())).print()
 
 
-def all_tables(comparison: Comparison) -> dict[str, Table]:
+def all_tables(results: Results) -> dict[str, Table]:
     """The tables by their headings; the one of tilts only where there are such tracks."""
-    coarse, fine = f"level {comparison.level - 2}", f"level {comparison.level}"
+    coarse, fine = f"level {results.level - 2}", f"level {results.level}"
     means: dict[str, tuple[str, tuple[str, ...], int]] = {
         f"MAE at {coarse}": (f"MAE at {coarse}", ("coarse", "all", "MAE"), 2),
         f"MAE at {fine}": (f"MAE at {fine}", ("fine", "all", "MAE"), 2),
@@ -94,24 +94,24 @@ def all_tables(comparison: Comparison) -> dict[str, Table]:
             3,
         ),
     }
-    tables = {heading: _by_track(comparison, *spec) for heading, spec in means.items()}
-    tables["By kind of place"] = _by_region(comparison, fine)
-    if len([track for track in comparison.tracks if track.shared_tilts_deg]) > 1:
-        tables["Against tilt"] = _drift(comparison, coarse)
-    tables["Of the surest points"] = _confidence(comparison, coarse)
-    return {**tables, "Cost of a frame": _cost(comparison)}
+    tables = {heading: _by_track(results, *spec) for heading, spec in means.items()}
+    tables["By kind of place"] = _by_region(results, fine)
+    if len([track for track in results.tracks if track.shared_tilts_deg]) > 1:
+        tables["Against tilt"] = _drift(results, coarse)
+    tables["Of the surest points"] = _confidence(results, coarse)
+    return {**tables, "Cost of a frame": _cost(results)}
 
 
 def _by_track(
-    comparison: Comparison,
+    results: Results,
     title: str,
     path: tuple[str, ...],
     digits: int,
 ) -> Table:
     best = max if path[-1] == "d<1.25" else min
     rows: list[Row] = []
-    for track in comparison.tracks:
-        intervals = [comparison.interval(track, method, *path) for method in comparison.methods]
+    for track in results.tracks:
+        intervals = [results.interval(track, method, *path) for method in results.methods]
         means = [interval.mean for interval in intervals if not math.isnan(interval.mean)]
         winner = best(means) if len(means) > 1 else math.nan
         cells = [
@@ -119,26 +119,26 @@ def _by_track(
             for i in intervals
         ]
         rows.append([track.name, *cells])
-    scenes = max(len(comparison.frames(t, m)) for t in comparison.tracks for m in comparison.methods)
+    scenes = max(len(results.frames(t, m)) for t in results.tracks for m in results.methods)
     about = f"{title}: mean over {scenes} scenes, and in brackets 95 % of the bootstrap means over scenes."
-    return Table(about, ["track", *comparison.methods], [rows])
+    return Table(about, ["track", *results.methods], [rows])
 
 
-def _by_region(comparison: Comparison, level: str) -> Table:
+def _by_region(results: Results, level: str) -> Table:
     rows: list[Row] = []
     for region in REGIONS[:-1]:
-        share = comparison.mean(comparison.methods[0], "points", region)
-        errors = [comparison.mean(method, "fine", region, "MAE") for method in comparison.methods]
+        share = results.mean(results.methods[0], "points", region)
+        errors = [results.mean(method, "fine", region, "MAE") for method in results.methods]
         rows.append([region, _number(share, 1), *map(_number, errors)])
     title = f"MAE at {level} by kind of place: mean over the frames of all tracks that have such places."
-    return Table(title, ["place", "% of points", *comparison.methods], [rows])
+    return Table(title, ["place", "% of points", *results.methods], [rows])
 
 
-def _drift(comparison: Comparison, level: str) -> Table:
-    tracks = sorted((t for t in comparison.tracks if t.shared_tilts_deg), key=lambda t: t.rig.tilt_deg)
+def _drift(results: Results, level: str) -> Table:
+    tracks = sorted((t for t in results.tracks if t.shared_tilts_deg), key=lambda t: t.rig.tilt_deg)
     rows: list[Row] = []
-    for method in comparison.methods:
-        means = [comparison.interval(track, method, "coarse", "shared", "MAE").mean for track in tracks]
+    for method in results.methods:
+        means = [results.interval(track, method, "coarse", "shared", "MAE").mean for track in tracks]
         rows.append([method, *(f"{_number(mean)} (x{_number(mean / means[0])})" for mean in means)])
     title = (
         f"MAE at {level} of the same points, those that two cameras see at every tilt, and its ratio to the "
@@ -147,21 +147,21 @@ def _drift(comparison: Comparison, level: str) -> Table:
     return Table(title, ["method", *(f"{track.rig.tilt_deg:g}°" for track in tracks)], [rows])
 
 
-def _confidence(comparison: Comparison, level: str) -> Table:
+def _confidence(results: Results, level: str) -> Table:
     rows: list[Row] = []
-    for method in comparison.methods:
-        every = comparison.mean(method, "kept", "1")
-        kept = [comparison.mean(method, "kept", f"{share:g}") / every for share in KEPT[1:]]
+    for method in results.methods:
+        every = results.mean(method, "kept", "1")
+        kept = [results.mean(method, "kept", f"{share:g}") / every for share in KEPT[1:]]
         rows.append([method, *map(_number, (every, *kept))])
     columns = ["method", "MAE of all", *(f"surest {100 * share:g} %" for share in KEPT[1:])]
     title = f"MAE at {level} of the points of which a method is surest, as a ratio to that of all; mean over tracks."
     return Table(title, columns, [rows])
 
 
-def _cost(comparison: Comparison) -> Table:
+def _cost(results: Results) -> Table:
     rows: list[Row] = []
-    for method in comparison.methods:
-        records = [comparison.records[track.name][method] for track in comparison.tracks]
+    for method in results.methods:
+        records = [results.records[track.name][method] for track in results.tracks]
         cost = next((record.cost for record in records if record.cost is not None), None)
         seconds = sorted(v for record in records for v in values_of(record.frames, "seconds"))
         operations = None if cost is None else cost["gflop"]

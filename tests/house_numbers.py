@@ -145,10 +145,11 @@ def calls_of_frames(number: int) -> dict[str, int]:
     return {str(Path(file).relative_to(ROOT)): int(calls) for calls, file in counts if file.startswith(ours)}
 
 
-def files_with(word: str) -> int:
-    """Python and YAML files of product and configurations in which a word stands."""
+def files_with(option: str) -> int:
+    """Python and YAML files of product and configurations that state an option or ask for it."""
+    stated = rf"""(?<![-\w.]){option}\b["']?\s*[:=]|\.{option}\b(?![(.])"""
     listed = subprocess.run(
-        ["git", "grep", "-lwi", word, "--", "sphericalvision/**.py", "recipes/**.py", "conf/**.yaml"],
+        ["git", "grep", "-lP", stated, "--", "sphericalvision/**.py", "recipes/**.py", "conf/**.yaml"],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     return len(listed.stdout.split())
@@ -172,7 +173,7 @@ def main() -> None:
         "modules loaded with models.icosweepnet": loaded("sphericalvision.models.icosweepnet"),
         "modules loaded with sphericalvision-train": loaded(TRAIN),
         "files of a frame in predict": len(frame),
-        **{f"files with the word {word!r}": files_with(word) for word in ("photometric", "align", "native")},
+        **{f"files with the option {option!r}": files_with(option) for option in ("photometric", "align")},
         "wheel": newest_wheel(),
     }.items():
         print(f"{name:42} {value:>9}")

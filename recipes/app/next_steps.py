@@ -47,11 +47,12 @@ def evaluate_command(best: Path, config: DictConfig, of_training: Sequence[str])
     choices = HydraConfig.get().runtime.choices
     groups = [f"data={choices['data']}"] + ([f"rig={choices['rig']}"] if "rig" in config.data else [])
     usual = compose("evaluate", groups)
+    known = {group: set(usual[group]) for group in ("rig", "data")}  # "in" says no to keys that lack a value
     changes = [
         f"{group}.{key}={value}".replace(" ", "").replace("None", "null")
-        for group in ("rig", "data")
+        for group, keys in known.items()
         for key, value in config[group].items()
-        if key in usual[group] and key != "rig" and (group == "rig" or key not in of_training)
+        if key in keys and key != "rig" and (group == "rig" or key not in of_training)
         if group == "data" or "rig" in config.data
         if OmegaConf.is_missing(usual[group], key) or usual[group][key] != value
     ]

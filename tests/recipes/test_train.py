@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 import json
-import shlex
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -20,18 +19,13 @@ from sphericalvision.models import load_weights
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.datamodules.base import SampleDataModule, TrainingStream
 from sphericalvision.recipes.training.depth_module import METRICS, DepthModule
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, command_after
 
 Words = tuple[str, ...]
 
 
 def state(path: Path) -> dict[str, torch.Tensor]:
     return torch.load(path, weights_only=True)["state_dict"]
-
-
-def command_after(printed: str, label: str) -> list[str]:
-    (line,) = (line for line in printed.splitlines() if line.startswith(label))
-    return shlex.split(line.removeprefix(label))
 
 
 def test_resumed_training_equals_uninterrupted_training(

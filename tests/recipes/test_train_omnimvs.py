@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import OmniMVS, load_weights, pretrained, save_weights
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.rigs import make_ring
-from tests.recipes.tiny import TINY_SCENES, Run
+from tests.recipes.tiny import TINY_SCENES, Run, command_after
 
 WORDS = (
     "experiment=omnimvs_small",
@@ -62,8 +61,7 @@ def test_training_resumes_exactly_and_its_best_is_evaluated(
     panel = read_image(tmp_path / "run/panels/000001.png")
     assert panel.shape == (3, 3 * 128, 256)  # estimate, truth and error
 
-    (line,) = (line for line in printed.splitlines() if line.startswith("Evaluate: "))
-    run("evaluate", *shlex.split(line.removeprefix("Evaluate: "))[1:], "output=table", "device=cpu")
+    run("evaluate", *command_after(printed, "Evaluate: ")[1:], "output=table", "device=cpu")
     (row,) = json.loads((tmp_path / "table/metrics.json").read_text()).values()
     assert 0 < row["MAE"] < 100
 

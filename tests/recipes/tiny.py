@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 
 TINY_SCENES = (
@@ -26,3 +27,9 @@ TINY_TRAINING = (
 )
 
 Run = Callable[..., None]
+
+
+def command_after(printed: str, label: str) -> list[str]:
+    """The words of the command line that was printed behind a label."""
+    (line,) = (line for line in printed.splitlines() if line.startswith(label))
+    return shlex.split(line.removeprefix(label))

@@ -26,7 +26,14 @@ from sphericalvision.recipes.app.words import first_values, read_words
 from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.board_pictures import write_boards
 from tests.recipes.knocked_capture import write_knocked_capture
-from tests.recipes.scanned_sets import write_helvipad, write_kitti360, write_omnipus, write_own, write_spires
+from tests.recipes.scanned_sets import (
+    write_deep360,
+    write_helvipad,
+    write_kitti360,
+    write_omnipus,
+    write_own,
+    write_spires,
+)
 
 __all__ = ["PAGES", "ROOT", "Command", "blocks", "commands_of", "furnish", "mentioned_in", "run_command"]
 
@@ -123,7 +130,7 @@ def furnish(folder: Path) -> None:
     ):
         rendered = RenderedFrames(rig, frames, samples_per_pixel=1, height=20)
         write_omnistereo(folder / "data" / name, rendered, rig)
-    for write in (write_helvipad, write_kitti360, write_omnipus, write_spires):
+    for write in (write_deep360, write_helvipad, write_kitti360, write_omnipus, write_spires):
         write(folder / "data" / write.__name__.removeprefix("write_"))
     write_own(folder / "place", rig, ("00001", "00002"))
 

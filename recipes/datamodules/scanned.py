@@ -17,6 +17,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.data.scanned.base import ScannedFrames
+from sphericalvision.data.scanned.deep360 import Deep360Dataset
 from sphericalvision.data.scanned.helvipad import PUBLISHED, HelvipadDataset
 from sphericalvision.data.scanned.kitti360 import Kitti360Dataset
 from sphericalvision.data.scanned.omnipus import OmniPusDataset
@@ -28,6 +29,7 @@ from sphericalvision.recipes.datamodules.base import Sample
 from sphericalvision.recipes.datamodules.entries import ChosenEntries, DepthDataModule, Entries
 
 __all__ = [
+    "Deep360DataModule",
     "HelvipadDataModule",
     "Kitti360DataModule",
     "OmniPusDataModule",
@@ -103,6 +105,21 @@ class HelvipadDataModule(ScannedDataModule):
     def frames(self, split: str, height: int, transform: Transform) -> HelvipadDataset:
         """Frames of a split."""
         return HelvipadDataset(self.root, split, height, transform, self.augmented and split == "train")
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Deep360DataModule(ScannedDataModule):
+    """Deep360 by its splits.
+
+    Args:
+        root: folder of the set, with ep1_500frames and so on.
+    """
+
+    root: Text
+
+    def frames(self, split: str, height: int, transform: Transform) -> Deep360Dataset:
+        """Frames of a split."""
+        return Deep360Dataset(self.root, split, height, transform)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

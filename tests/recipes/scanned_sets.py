@@ -29,6 +29,7 @@ from tests.data.test_truth import lidar, scan, write_pcd
 
 SIZE = (64, 240)
 SCENE = make_scene("room", seed=3)
+ROAD = make_scene("outdoors", seed=4)
 SEQUENCE = "2013_05_28_drive_0000_sync"
 SITE = "2024-03-13-observatory-quarter-01"
 RAYS = lidar(lines=64, columns=360)
@@ -194,6 +195,30 @@ def write_omnipus(root: Path) -> Path:
         for name, image in images.items():
             write_image(folder / f"resize_{name}" / "000000.png", image)
         write_pages(folder / "omnidepth_gt" / "000000.tiff", [(1 / depth).numpy()])
+    return root
+
+
+def write_deep360(root: Path, splits: tuple[str, ...] = ("training", "validation", "testing")) -> Path:
+    """A frame for each split, eight times smaller, along the rays that the set's own formulas give."""
+    size = (128, 64)
+    theta = math.pi - (torch.arange(size[0]) + 0.5) * 2 * math.pi / size[0]
+    phi = math.pi / 2 - (torch.arange(size[1]) + 0.5) * math.pi / size[1]
+    theta, phi = torch.meshgrid(theta, phi, indexing="ij")
+    left, up, forward = phi.sin(), phi.cos() * theta.sin(), phi.cos() * theta.cos()
+    rays = torch.stack((-left, -up, forward), -1)
+    depth = ray_depth(ROAD, torch.zeros(3), rays).clamp(max=1000.0).numpy()
+    upright = EquirectangularCamera((256, 512))
+    folders = [root / "ep1_500frames" / split for split in splits]
+    for k, place in enumerate(((0.0, 0, 0), (1.0, 0, 0), (0.0, 0, -1), (1.0, 0, -1)), 1):
+        pose = torch.eye(4)
+        pose[:3, 3] = torch.tensor(place)
+        panorama = render_camera(ROAD, upright, pose, samples_per_pixel=1)
+        image = upright.sample(panorama, rays.view(-1, 3))[0].view(3, *size)
+        for folder in folders:
+            write_image(folder / "rgb" / f"002505_{12 if k < 3 else 34}_rgb{k}.png", image)
+    for folder in folders:
+        (folder / "depth").mkdir()
+        np.savez(folder / "depth" / "002505_depth.npz", depth)
     return root
 
 

@@ -16,6 +16,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, read_trajectory, ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.data.scanned.base import ScannedFrames
+from sphericalvision.data.scanned.deep360 import Deep360Dataset
 from sphericalvision.data.scanned.helvipad import (
     BASELINE,
     HELVIPAD_LATITUDES,
@@ -27,26 +29,28 @@ from sphericalvision.data.scanned.omnipus import OmniPusDataset
 from sphericalvision.data.scanned.own import OwnScans
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.io.images import write_pages
-from sphericalvision.scenes import ray_depth, render_rig
+from sphericalvision.scenes import Scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.scanned_sets import (
+    ROAD,
     SCENE,
     SEQUENCE,
     SITE,
+    write_deep360,
     write_helvipad,
     write_kitti360,
     write_omnipus,
     write_own,
     write_spires,
 )
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, command_after
 
-NETWORK = ("checkpoint=refinedsweepnet", "model.level=5")
+TINY_NETWORK = tuple(word for word in TINY_TRAINING if word not in TINY_SCENES)
 
 
-def right_share(sample: dict[str, Any], center: Tensor) -> float:
+def right_share(sample: dict[str, Any], center: Tensor, scene: Scene = SCENE) -> float:
     """Share of what is valid on the panorama of a sample that is right within 2 %."""
-    depth = ray_depth(SCENE, center, Equirectangular(*sample["inverse_depth"].shape).directions)
+    depth = ray_depth(scene, center, Equirectangular(*sample["inverse_depth"].shape).directions)
     right = (sample["inverse_depth"] * depth - 1).abs() < 0.02
     assert sample["valid"].float().mean() > 0.05
     return float(right[sample["valid"]].float().mean())
@@ -57,13 +61,15 @@ def test_every_layout_gives_the_truth_that_was_rendered(tmp_path: Path) -> None:
     kitti = Kitti360Dataset(write_kitti360(tmp_path / "k"), [SEQUENCE], spacing=0.1, height=32)
     spires = SpiresDataset(write_spires(tmp_path / "s"), [SITE], height=32)
     omnipus = OmniPusDataset(write_omnipus(tmp_path / "o"), "test", height=64)
-    for frames in (helvipad, kitti, spires, omnipus):
+    deep360 = Deep360Dataset(write_deep360(tmp_path / "d"), "test", height=64)
+    for frames in (helvipad, kitti, spires, omnipus, deep360):
         assert len(frames) == 1, frames
         sample = frames[0]
         rig = sample["rig"]
         assert list(sample["images"]) == rig.names
-        assert right_share(sample, rig.center) > 0.97, frames
-        rendered = render_rig(SCENE, rig, samples_per_pixel=1)
+        scene = ROAD if frames is deep360 else SCENE
+        assert right_share(sample, rig.center, scene) > 0.97, frames
+        rendered = render_rig(scene, rig, samples_per_pixel=1)
         for name, image in sample["images"].items():
             seen = sample["seen"][name]
             assert (image - rendered[name]).abs().mean(0)[seen].median() < 0.03, (frames, name)
@@ -71,27 +77,55 @@ def test_every_layout_gives_the_truth_that_was_rendered(tmp_path: Path) -> None:
     assert "1 of 2 frames were left out" in spires.left_out[0]
 
 
-@pytest.mark.slow
-def test_published_sets_are_evaluated_and_trained_by_the_commands(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("write", "splits"),
+    [
+        (write_helvipad, ()),
+        (write_kitti360, (f"[{SEQUENCE}]", "data.spacing=0.1")),
+        (write_spires, (f"[{SITE}]",)),
+        (write_omnipus, ()),
+        (write_deep360, ()),
+    ],
+)
+def test_published_sets_are_trained_and_evaluated_by_the_commands(
+    write: Callable[[Path], Path],
+    splits: tuple[str, ...],
+    run: Run,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    root = write_helvipad(tmp_path / "h")
-    words = ("data=helvipad", f"data.root={root}", "data.truth_height=32", "data.num_workers=0")
-    run("evaluate", *NETWORK, *words, "output=out")
-    assert "* published" in capsys.readouterr().out
+    root = write(tmp_path / "set")
+    name = write.__name__.removeprefix("write_")
+    named = [f"data.{split}={splits[0]}" for split in ("train", "val", "test") if splits]
+    words = (
+        f"data={name}",
+        f"data.root={root}",
+        *named,
+        *splits[1:],
+        "data.truth_height=24",
+        "data.num_workers=0",
+    )
     run(
         "train",
-        "experiment=refinedsweepnet",
+        *TINY_NETWORK,
         *words,
-        *("model.level=5", "trainer.max_steps=1", "trainer.val_check_interval=1", "trainer.accelerator=cpu"),
+        "trainer.max_steps=2",
+        "trainer.val_check_interval=2",
         "output=trained",
     )
+    printed = capsys.readouterr().out
     assert (tmp_path / "trained" / "checkpoints" / "best.safetensors").is_file()
-    table = (tmp_path / "out" / "published.csv").read_text()
-    ours = [float(word) for word in table.splitlines()[1].split(",")[1:] if word]
-    assert len(ours) == 7
-    assert all(0 <= value < 300 for value in ours)
-    assert "PSMNet *,2.509" in table
+    run("evaluate", *command_after(printed, "Evaluate: ")[1:], "output=out", "device=cpu")
+    printed = capsys.readouterr().out
+    assert (tmp_path / "out" / "metrics.json").is_file()
+    assert ("1 of 2 frames were left out" in printed) == (name == "spires")
+    assert ("* published" in printed) == (name == "helvipad")
+    if name == "helvipad":
+        table = (tmp_path / "out" / "published.csv").read_text()
+        ours = [float(word) for word in table.splitlines()[1].split(",")[1:] if word]
+        assert len(ours) == 7
+        assert all(0 <= value < 300 for value in ours)
+        assert "PSMNet *,2.509" in table
 
 
 @pytest.mark.slow
@@ -139,21 +173,37 @@ def test_scans_belong_to_images_of_their_time(tmp_path: Path) -> None:
         OwnScans(images, rig, tmp_path, tolerance=0.001)
 
 
+@pytest.mark.parametrize(
+    ("frames", "write", "split", "truth"),
+    [
+        (HelvipadDataset, write_helvipad, "train", "train/depth_maps/20240120_REC_06_IN/0042.png"),
+        (Deep360Dataset, write_deep360, "training", "ep1_500frames/training/depth/002505_depth.npz"),
+    ],
+)
 def test_sets_without_their_splits_and_truth_of_another_size_are_refused(
-    tmp_path: Path, failing: Callable[..., str], weights: Path
+    frames: Callable[..., ScannedFrames], write: Callable[..., Path], split: str, truth: str, tmp_path: Path
 ) -> None:
-    root = write_helvipad(tmp_path / "h", ("train",))
+    root = write(tmp_path / "set", (split,))
     with pytest.raises(MissingFileError, match="splits"):
-        HelvipadDataset(root, "test")
+        frames(root, "test")
     with pytest.raises(ArgumentError, match="split"):
-        HelvipadDataset(root, "holdout")
-    write_pages(
-        root / "train" / "depth_maps" / "20240120_REC_06_IN" / "0042.png", [np.ones((9, 9), np.uint16)]
-    )
+        frames(root, "holdout")
+    small = np.ones((9, 9), np.uint16)
+    if truth.endswith(".npz"):
+        np.savez(root / truth, small)
+    else:
+        write_pages(root / truth, [small])
     with pytest.raises(FileFormatError, match="of one size"):
-        _ = HelvipadDataset(root, "train")[0]
-    said = failing("evaluate", f"checkpoint={weights}", "data=kitti360", f"data.root={root}")
-    assert "data.test" in said
+        _ = frames(root, "train")[0]
+    (root / truth).write_bytes(b"no picture")
+    with pytest.raises(FileFormatError, match=Path(truth).name):
+        _ = frames(root, "train")[0]
+
+
+def test_sequences_have_to_be_named(tmp_path: Path, failing: Callable[..., str], weights: Path) -> None:
+    assert "data.test" in failing(
+        "evaluate", f"checkpoint={weights}", "data=kitti360", f"data.root={tmp_path}"
+    )
 
 
 def test_disparity_is_the_angle_between_both_cameras() -> None:

@@ -71,6 +71,10 @@ class ScannedFrames(Dataset[Sample]):
         """The rig of a frame, in whose world the points are."""
         return self.fixed_rig
 
+    def image(self, name: str, camera: str, size: tuple[int, int]) -> Float[Tensor, "3 h w"]:
+        """An image of a frame, of a camera of this size."""
+        return read_image(self.images[name][camera], size, f"{name} of {camera}")
+
     def points(self, name: str) -> Float[Tensor, "P 3"]:
         """Points of a frame in the rig's world, metres."""
         raise NotImplementedError(f"{type(self).__name__}.points")
@@ -89,8 +93,8 @@ class ScannedFrames(Dataset[Sample]):
         depth, valid = truth_from_points(points, self.panorama, rig.center, noise=NOISE)
         sample: Sample = {
             "images": {
-                camera: read_image(file, rig.cameras[camera].image_size, f"{name} of {camera}")
-                for camera, file in self.images[name].items()
+                camera: self.image(name, camera, rig.cameras[camera].image_size)
+                for camera in self.images[name]
             },
             "seen": pixels_seen(rig),
             "inverse_depth": torch.where(valid, 1 / depth.clamp(min=1e-3), 0.0),

@@ -21,7 +21,7 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.data.scanned.helvipad import BASELINE, HELVIPAD_LATITUDES
 from sphericalvision.data.scanned.spires import OURS_FROM_LIDAR
-from sphericalvision.geometry import invert_transform, transform_points
+from sphericalvision.geometry import invert_transform, transform_from_axis_angle, transform_points
 from sphericalvision.io.images import write_image, write_pages
 from sphericalvision.scenes import Scene, make_scene, ray_depth, render_camera, render_rig
 from sphericalvision.sphere import Equirectangular
@@ -121,8 +121,26 @@ AXES = torch.tensor([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """Ours from the vehicle: x forward, y right, z down."""
 
 
+def bend(frame: float) -> Tensor:
+    """World from the vehicle, 30 cm and 2° on from frame to frame."""
+    ours = transform_from_axis_angle(
+        torch.tensor([0.0, 0.035 * frame, 0.0]), torch.tensor([0.0, 0.0, 0.3 * frame])
+    )
+    return ours @ AXES
+
+
+def turned(share: Tensor, frame: float, velo_from_pose: Tensor) -> Tensor:
+    """What a scanner sees, in its own frame, ``share`` of a turn to its left: it looked there as much earlier."""
+    azimuth = 2 * math.pi * share + torch.linspace(-1.5, 1.5, 4).deg2rad()
+    elevation = torch.linspace(-45, 45, 64).deg2rad()[:, None]
+    x, y = elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin()
+    rays = torch.stack((x, y, elevation.sin().expand_as(x)), -1).view(-1, 3)
+    velo = bend(frame - float(share)) @ invert_transform(velo_from_pose)
+    return rays * ray_depth(SCENE, velo[:3, 3], rays @ velo[:3, :3].T)[:, None]
+
+
 def write_kitti360(root: Path) -> Path:
-    """Three poses 20 cm apart, two fisheyes to the sides, a scanner above and behind."""
+    """Three poses of a bend, two fisheyes to the sides, a scanner above and behind that turns clockwise."""
     (root / "calibration").mkdir(parents=True)
     for name in ("image_02", "image_03"):
         (root / "calibration" / f"{name}.yaml").write_text(MEI.format(name=name))
@@ -140,17 +158,16 @@ def write_kitti360(root: Path) -> Path:
     )
     lines = []
     for frame in (5, 6, 7):
-        ours = torch.eye(4)
-        ours[2, 3] = 0.2 * (frame - 6)  # forward
-        world_from_pose = ours @ AXES
+        world_from_pose = bend(frame - 6)
         lines.append(f"{frame} {row(world_from_pose)}\n")
         for name in ("image_02", "image_03"):
             path = root / "data_2d_raw" / SEQUENCE / name / "data_rgb" / f"{frame:010d}.png"
             write_image(
                 path, render_camera(SCENE, camera, world_from_pose @ pose_from[name], samples_per_pixel=1)
             )
-        velo = world_from_pose @ invert_transform(velo_from_pose)
-        points = in_lidar(velo[:3, 3], velo)
+        points = torch.cat(
+            [turned(share, frame - 6, velo_from_pose) for share in (torch.arange(90) + 0.5) / 90 - 0.5]
+        )
         path = root / "data_3d_raw" / SEQUENCE / "velodyne_points" / "data" / f"{frame:010d}.bin"
         path.parent.mkdir(parents=True, exist_ok=True)
         torch.cat((points, points[:, :1]), 1).numpy().astype("<f4").tofile(path)

@@ -6,23 +6,26 @@ At one moment the two fisheyes see almost nothing twice, so a frame here is a wi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, read_camera, read_trajectory
+from sphericalvision.cameras import CameraRig, Trajectory, read_camera, read_trajectory
 from sphericalvision.cameras.calibration.files import data_lines
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
 from sphericalvision.data.point_files import read_points
 from sphericalvision.data.scanned.base import Sample, ScannedFrames
-from sphericalvision.geometry import invert_transform, transform_points
+from sphericalvision.geometry import invert_transform, transform_from_axis_angle, transform_points
+from sphericalvision.geometry.transforms import axis_angle_from_transform
 
-__all__ = ["Kitti360Dataset"]
+__all__ = ["Kitti360Dataset", "at_one_time"]
 
 FISHEYES = ("image_02", "image_03")
 
@@ -31,8 +34,8 @@ class Kitti360Dataset(ScannedFrames):
     """Windows of KITTI-360: both fisheyes at several poses, and the scan at the middle one.
 
     A rig's cameras are called ``image_02-0``, ``image_03-0``, ``image_02-1``, ...; its world is the vehicle at the
-    middle pose, turned so that y points down. Points count as measured at one time: what the scanner's own motion
-    while it turns makes is left in them.
+    middle pose, turned so that y points down. Points are moved to where they are seen from the scanner as it looks
+    forward, which is the time of the pose; see ``at_one_time``.
 
     Args:
         root: folder with ``calibration``, ``data_2d_raw``, ``data_3d_raw`` and ``data_poses``.
@@ -73,6 +76,7 @@ class Kitti360Dataset(ScannedFrames):
         self.ours_from_pose = torch.tensor(axes, dtype=torch.float64)
         self.images: dict[str, dict[str, Path]] = {}
         self._poses: dict[str, Tensor] = {}
+        self._motions: dict[str, tuple[Tensor, Tensor]] = {}
         lacking_files: dict[str, str] = {}
         for sequence in sequences:
             self._add(sequence, window, spacing, lacking_files)
@@ -92,6 +96,7 @@ class Kitti360Dataset(ScannedFrames):
                 invert_transform(trajectory.world_from_camera[middle].double()) @ world_from_pose
             )
             self._poses[name] = middle_from_pose
+            self._motions[name] = self._motion(trajectory, numbers_of, middle)
             raw = self.root / "data_2d_raw" / sequence
             self.images[name] = {
                 f"{camera}-{k}": raw / camera / "data_rgb" / f"{frame:010d}.png"
@@ -115,13 +120,46 @@ class Kitti360Dataset(ScannedFrames):
 
     def points(self, name: str) -> Tensor:
         """Of the middle pose."""
-        return transform_points(
-            (self.ours_from_pose @ self.pose_from_velo).float(), read_points(self._scan(name))
-        )
+        points = at_one_time(read_points(self._scan(name)), *self._motions[name])
+        return transform_points((self.ours_from_pose @ self.pose_from_velo).float(), points)
+
+    def _motion(self, trajectory: Trajectory, frames: Sequence[int], row: int) -> tuple[Tensor, Tensor]:
+        """Of the scanner in a turn: from the pose before, and how many turns that is away."""
+        before, now = trajectory.world_from_camera[row - 1 : row + 1].double() @ self.pose_from_velo
+        motion = axis_angle_from_transform(invert_transform(now) @ before)
+        turns = frames[row] - frames[row - 1]
+        return motion[0].float() / turns, motion[1].float() / turns
 
     def _scan(self, name: str) -> Path:
         sequence, frame = name.split("/")
         return self.root / "data_3d_raw" / sequence / "velodyne_points" / "data" / f"{frame}.bin"
+
+
+def at_one_time(
+    points: Float[Tensor, "P 3"], rotation: Float[Tensor, " 3"], translation: Float[Tensor, " 3"]
+) -> Float[Tensor, "P 3"]:
+    """Points of a turn of a moving scanner, as it would have measured them all while it looked forward.
+
+    It turns from the back over the left, the front (x) and the right to the back, so that an azimuth is a time: what
+    is to the left (y) was measured before, what is to the right after. Motion is taken as even.
+
+    Args:
+        points: ``(P, 3)`` metres, in the scanner's frame: x forward, y left, z up.
+        rotation: ``(3,)`` rotation vector in radians of *this turn's frame from the last turn's*.
+        translation: ``(3,)`` of the same transform, metres.
+
+    References:
+        https://github.com/autonomousvision/kitti360Scripts, whose viewer moves points by this rule since 2023.
+
+    Examples:
+        >>> forward = torch.tensor([-1.0, 0.0, 0.0])  # a metre a turn: what was ahead is nearer
+        >>> at_one_time(torch.tensor([[0.0, 8.0, 0.0], [8.0, 0.0, 0.0]]), torch.zeros(3), forward)
+        tensor([[-0.2500,  8.0000,  0.0000],
+                [ 8.0000,  0.0000,  0.0000]])
+    """
+    share = torch.atan2(points[:, 1], points[:, 0])[:, None] / (2 * math.pi)
+    moved = transform_from_axis_angle(share * rotation, share * translation)
+    return transform_points(moved, points[:, None])[:, 0]
 
 
 def _named_transforms(path: Path) -> dict[str, Tensor]:

@@ -39,8 +39,7 @@ from sphericalvision.core import (
     check_last_dim,
     check_tensor,
 )
-from sphericalvision.geometry.broadcasting import broadcast_shapes
-from sphericalvision.geometry.directions import components
+from sphericalvision.geometry.directions import broadcast_shapes, components
 from sphericalvision.geometry.interpolation import bilinear_sample
 
 __all__ = ["Camera", "Conversion", "Projection", "Unprojection", "check_single"]

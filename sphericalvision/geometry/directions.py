@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Bool, Float, Shaped
@@ -19,6 +20,7 @@ from sphericalvision.core import ArgumentError, check_floating, check_last_dim, 
 
 __all__ = [
     "angle_from_axis",
+    "broadcast_shapes",
     "check_directions",
     "components",
     "cosine_and_lifted_sinc",
@@ -66,6 +68,20 @@ def from_components(*parts: Float[Tensor, " ..."]) -> Float[Tensor, "*batch n"]:
     for index, part in enumerate(parts):
         vectors[..., index] = part
     return vectors
+
+
+def broadcast_shapes(*shapes: Sequence[int]) -> torch.Size:
+    """What ``torch.broadcast_shapes`` returns, but that imports SymPy when first called, half a second.
+
+    Raises:
+        RuntimeError: the shapes do not broadcast.
+
+    Examples:
+        >>> broadcast_shapes((3, 1), (4,), ())
+        torch.Size([3, 4])
+    """
+    number = torch.empty(())
+    return torch.broadcast_tensors(number, *(number.expand(tuple(shape)) for shape in shapes))[0].shape
 
 
 def has_numbers(tensor: Shaped[Tensor, " ..."]) -> bool:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from sphericalvision.core import ShapeError, check_choice, check_floating, check_last_dim, check_tensor
-from sphericalvision.geometry.broadcasting import broadcast_shapes
+from sphericalvision.geometry.directions import broadcast_shapes
 
 __all__ = ["bilinear_sample", "wrap_panorama"]
 

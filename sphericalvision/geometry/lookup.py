@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.core import uses_reference_kernels
-from sphericalvision.geometry.broadcasting import broadcast_shapes
+from sphericalvision.geometry.directions import broadcast_shapes
 from sphericalvision.geometry.image_edges import taps_across_edges
 from sphericalvision.geometry.interpolation import wrap_panorama
 

@@ -15,8 +15,7 @@ from sphericalvision.core import (
     check_tensor,
     full_precision,
 )
-from sphericalvision.geometry.broadcasting import broadcast_shapes
-from sphericalvision.geometry.directions import holds
+from sphericalvision.geometry.directions import broadcast_shapes, holds
 
 __all__ = [
     "axis_angle_from_transform",

@@ -15,7 +15,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.model_alone import lifted
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import full_precision
-from sphericalvision.geometry.broadcasting import broadcast_shapes
+from sphericalvision.geometry.directions import broadcast_shapes
 from sphericalvision.geometry.lookup import ImageLookup
 
 __all__ = ["PyramidLookup", "image_edges", "level_size", "nearest_pixel", "source_pixels"]

@@ -16,8 +16,7 @@ from sphericalvision.cameras.field_of_view import focal_length_on_axis, visible_
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
 from sphericalvision.core import ArgumentError, check_type
-from sphericalvision.geometry.broadcasting import broadcast_shapes
-from sphericalvision.geometry.directions import holds
+from sphericalvision.geometry.directions import broadcast_shapes, holds
 
 __all__ = ["undistort", "undistorted_camera"]
 

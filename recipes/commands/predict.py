@@ -14,11 +14,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sphericalvision.cameras import CameraRig, read_rig, save_rig
 from sphericalvision.capture import Predictor
-from sphericalvision.capture.estimating import Estimate, estimate_frames
+from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
 from sphericalvision.capture.outputs import Outputs, Settings, done_file
 from sphericalvision.capture.preparation.preparation import AUTO, Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
-from sphericalvision.capture.sources.threads import Behind
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.recipes.app.captures import masked_by_itself, open_capture, open_moving
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say

@@ -21,9 +21,8 @@ from torch import Tensor
 
 from sphericalvision.capture import Depth, DepthImage
 from sphericalvision.capture.checks import OF_A_FRAME, PhotoConsistency
-from sphericalvision.capture.pictures import depth_picture, near_end_of
 from sphericalvision.capture.rerun_log import RerunLog
-from sphericalvision.capture.viewer import Timeline, save_viewer
+from sphericalvision.capture.viewer import Timeline, near_end_of, save_viewer
 from sphericalvision.core import FileFormatError, check_choice
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import atomic_write, write_bytes
@@ -31,7 +30,7 @@ from sphericalvision.io.images import write_image
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.color import colorize
 from sphericalvision.viz.figure import add_scale_bar
-from sphericalvision.viz.panorama import rgb_panorama
+from sphericalvision.viz.panorama import confidence_strength, depth_panorama, rgb_panorama
 from sphericalvision.viz.pointcloud import save_point_cloud
 
 __all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
@@ -125,7 +124,10 @@ class Views:
     @cached_property
     def depth_picture(self) -> npt.NDArray[Any]:
         """Depth in colours with a scale, greyer where it is less sure, grey where fewer than two cameras look."""
-        return depth_picture(self.panorama, self.near)
+        image = self.panorama
+        return depth_panorama(
+            image.depth, self.near, strength=confidence_strength(image.confidence, image.seen)
+        )
 
     @property
     def share_seen(self) -> float:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
-from sphericalvision.capture.sources.captures import find_capture, read_frame
+from sphericalvision.capture.sources.frames import find_capture, read_frame
 from sphericalvision.capture.sources.opening import rig_with_masks
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name

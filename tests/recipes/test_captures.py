@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from sphericalvision.capture.sources import videos as sources_videos
-from sphericalvision.capture.sources.captures import find_capture, find_masks
+from sphericalvision.capture.sources.frames import find_capture, find_masks
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.captures import open_capture

@@ -8,8 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.sources.captures import find_capture, find_masks
-from sphericalvision.capture.sources.frames import Files, Source
+from sphericalvision.capture.sources.frames import Files, Source, find_capture, find_masks
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_mask

@@ -122,6 +122,46 @@ def test_rough_places_are_caves_and_slopes_without_anything_level_or_upright() -
     assert {len(scene.lamps.position) for scene in scenes} == {0, 1, 2}
 
 
+def test_terrain_is_uneven_at_all_scales_and_reaches_far_below_the_open_sky() -> None:
+    scenes = [make_scene("terrain", seed) for seed in range(16)]
+    below, above = (
+        torch.stack([ray_depth(scene, ORIGIN, around(elevation, 90)) for scene in scenes])
+        for elevation in (-0.6, 0.6)
+    )
+    assert below.isfinite().all()
+    assert torch.minimum(below, above).min() >= 0.6
+    assert (below.quantile(0.9, 1) / below.quantile(0.1, 1)).median() > 1.3
+    assert above.isinf().float().mean() > 0.6
+    level = torch.stack([ray_depth(scene, ORIGIN, around(-0.02, 360)) for scene in scenes])
+    assert ((level > 50) & level.isfinite()).any(1).float().mean() > 0.5
+    assert 0.1 < sum(scene.fog > 0 for scene in scenes) / 16 < 0.5
+
+
+def test_ruins_are_partly_roofed_and_one_sees_far_between_their_walls() -> None:
+    scenes = [make_scene("ruins", seed) for seed in range(16)]
+    up = torch.stack([ray_depth(scene, ORIGIN, UP[None]) for scene in scenes])
+    assert 0.3 < up.isinf().float().mean() < 0.9
+    assert up[up.isfinite()].max() < 6
+    flat = torch.stack([ray_depth(scene, ORIGIN, around(-0.01, 720)) for scene in scenes])
+    assert (flat < 6).float().mean() > 0.25
+    assert ((flat > 50) & flat.isfinite()).any(1).float().mean() > 0.9
+
+
+def test_fog_turns_what_is_far_into_the_sky_and_leaves_depth() -> None:
+    clear = replace(make_scene("outdoors", 1), clouds=torch.zeros(0, 5))
+    directions = around(-0.03)
+    depth = ray_depth(clear, ORIGIN, directions)
+    none = replace(clear, primitives=clear.primitives.transformed(translation=1e6 * DOWN))
+    plain, sky = (render_directions(scene, ORIGIN, directions) ** 2.2 for scene in (clear, none))
+    for scale in (1.0, 2.0):
+        foggy = replace(clear, fog=0.2).scaled(scale)
+        assert torch.allclose(ray_depth(foggy, ORIGIN, directions), scale * depth, rtol=1e-3)
+        seen = render_directions(foggy, ORIGIN, directions) ** 2.2
+        expected = sky.lerp(plain, torch.exp(-0.2 * depth))
+        unclipped = (plain < 0.99).all(0)
+        assert (seen - expected).abs()[:, unclipped].quantile(0.99) < 0.02
+
+
 def test_glazed_rooms_are_closed_above_and_below_and_open_to_the_sky_at_their_sides() -> None:
     scenes = [make_scene("glazed", seed) for seed in range(40)]
     for vertical in (UP, DOWN):

@@ -12,7 +12,7 @@ import torch
 
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Color, Lamp, Material, Scene, pack_lamps, pack_materials
-from sphericalvision.scenes.rendering.textures import PATTERNS, PHOTOGRAPHS, VARIANTS
+from sphericalvision.scenes.rendering.textures import ALL_PATTERNS, PATTERNS, PHOTOGRAPHS, VARIANTS
 
 __all__ = ["DAYLIGHT", "Palette", "level"]
 
@@ -93,7 +93,7 @@ class Palette:
         mirror: float = 0.0,
     ) -> int:
         """A pattern between two colours; ``contrast`` 0 leaves one plain colour."""
-        number = PATTERNS.index(self.choose(names)) * VARIANTS + self.integer(0, VARIANTS - 1)
+        number = ALL_PATTERNS.index(self.choose(names)) * VARIANTS + self.integer(0, VARIANTS - 1)
         bright = bright or self.color(0.3, 0.9)
         other = self.color(0.02, 0.5)
         dark = tuple(b + contrast * (o - b) for b, o in zip(bright, other, strict=True))
@@ -147,6 +147,7 @@ class Palette:
         lamps: Sequence[Lamp],
         ambient: torch.Tensor,
         background: torch.Tensor | None = None,
+        fog: float = 0.0,
     ) -> Scene:
         """The scene of these parts in the palette's materials, under a black sky unless told; not yet exposed."""
         return Scene(
@@ -156,6 +157,7 @@ class Palette:
             ambient=ambient,
             background=torch.zeros(2, 3) if background is None else background,
             exposure=torch.tensor(1.0),
+            fog=fog,
         )
 
 

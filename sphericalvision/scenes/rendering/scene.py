@@ -87,6 +87,7 @@ class Scene:
         background: ``(2, 3)`` colours above and below the horizon where rays hit nothing.
         exposure: scalar that multiplies all light before it becomes a picture.
         clouds: ``(K, 5)`` waves of clouds before the background (see ``sky_light``); none by default.
+        fog: share of light that a metre of air swaps for the background's, per metre; none by default.
 
     Examples:
         >>> from sphericalvision.scenes import make_scene
@@ -102,6 +103,7 @@ class Scene:
     background: Tensor
     exposure: Tensor
     clouds: Tensor = field(default_factory=lambda: torch.zeros(0, 5))
+    fog: float = 0.0
 
     @property
     def device(self) -> torch.device:
@@ -118,6 +120,7 @@ class Scene:
             background=self.background.to(device),
             exposure=self.exposure.to(device),
             clouds=self.clouds.to(device),
+            fog=self.fog,
         )
 
     def transformed(
@@ -139,7 +142,8 @@ class Scene:
         """The scene with every length multiplied by ``factor``; it looks the same to a rig scaled alike."""
         materials = replace(self.materials, texture_from_surface=self.materials.texture_from_surface / factor)
         lamps = Lamps(self.lamps.position * factor, self.lamps.color * factor**2, self.lamps.reach * factor)
-        return replace(self, primitives=self.primitives.scaled(factor), materials=materials, lamps=lamps)
+        table = self.primitives.scaled(factor)
+        return replace(self, primitives=table, materials=materials, lamps=lamps, fog=self.fog / factor)
 
 
 def _moved(table: Table, device: torch.device | str) -> Table:

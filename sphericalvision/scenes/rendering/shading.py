@@ -112,6 +112,9 @@ def radiance(scene: Scene, table: SurfaceTable, rays: RayPackets, spread: Tensor
             mixed = torch.lerp(light.index_select(1, glossy), seen.flatten(1)[:, : len(glossy)], share)
             light.index_copy_(1, glossy, mixed)
     light = light.view_as(position)
+    if scene.fog:
+        haze = sky_light(scene.background, scene.clouds[:0], rays.direction)
+        light = torch.lerp(haze, light, distance.mul(-scene.fog).exp_())
     if bool(met.all()):
         return light
     return torch.where(met, light, sky_light(scene.background, scene.clouds, rays.direction))

@@ -18,7 +18,7 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from sphericalvision.core import check_choice, check_file
 
-__all__ = ["PATTERNS", "PHOTOGRAPHS", "TextureBank", "pattern", "photograph", "texture_bank"]
+__all__ = ["ALL_PATTERNS", "PATTERNS", "PHOTOGRAPHS", "TextureBank", "pattern", "photograph", "texture_bank"]
 
 #: Photographs that scikit-image ships inside its wheel (no download).
 PHOTOGRAPHS = (
@@ -28,6 +28,8 @@ PHOTOGRAPHS = (
 )  # fmt: skip
 #: Procedural patterns, see `pattern`.
 PATTERNS = ("noise", "checks", "stripes", "bricks", "wood", "tiles", "mosaic", "dots", "marble", "weave")
+#: With those that only kinds of scenes draw which name them, so that seeds of older kinds stay as they are.
+ALL_PATTERNS = (*PATTERNS, "spectrum", "cells")
 #: Variants of each pattern in the bank, and side length of every texture in pixels.
 VARIANTS, SIZE = 4, 256
 
@@ -70,17 +72,17 @@ def _value_noise(generator: torch.Generator, size: int, cells: tuple[int, int], 
 
 
 def pattern(name: str, generator: torch.Generator, size: int = SIZE) -> Tensor:
-    """A procedural pattern ``(3, size, size)`` in [0, 1], grey except for the mosaic; materials give it its
-    colours.
+    """A procedural pattern ``(3, size, size)`` in [0, 1], grey except for mosaic and spectrum; materials give it
+    its colours.
 
     Examples:
         >>> pattern("checks", torch.Generator().manual_seed(0), size=32).shape
         torch.Size([3, 32, 32])
 
     Raises:
-        ArgumentError: the name is not in `PATTERNS`.
+        ArgumentError: the name is not in `ALL_PATTERNS`.
     """
-    check_choice("name", name, PATTERNS)
+    check_choice("name", name, ALL_PATTERNS)
 
     def choose(low: int, high: int) -> int:
         return int(torch.randint(low, high + 1, (), generator=generator))
@@ -130,6 +132,20 @@ def pattern(name: str, generator: torch.Generator, size: int = SIZE) -> Tensor:
         over = ((row * count).floor() + (column * count).floor()) % 2
         thread = torch.where(over > 0, (row * count % 1 - 0.5).abs(), (column * count % 1 - 0.5).abs())
         image = (1 - thread) * (0.6 + 0.4 * _value_noise(generator, size, (4, 4)))
+    elif name == "spectrum":
+        # Noise of all lengths, down to single texels, in each colour a little different.
+        cells = choose(2, 5)
+        layers = [_value_noise(generator, size, (cells, cells), octaves=7) for _ in range(4)]
+        colors = 0.65 * layers[0] + 0.35 * torch.stack(layers[1:])
+        return (0.5 + 1.5 * (colors - 0.5)).clamp(0, 1)
+    elif name == "cells":
+        # Gravel, scales or cracked mud: what is nearest to each of some points, between dark joints.
+        points = torch.rand(choose(30, 150), 2, generator=generator)
+        tone = torch.rand(len(points), generator=generator)
+        away = torch.cdist(torch.stack([row, column], -1).flatten(0, 1), points)
+        near, which = away.topk(2, largest=False)
+        joint = (near.diff(dim=-1)[:, 0] * len(points) ** 0.5 * 4).clamp(max=1)
+        image = (joint * (0.35 + 0.65 * tone[which[:, 0]])).view(size, size) * (0.6 + 0.4 * grain)
     else:
         raise AssertionError(f"{name!r} is in PATTERNS but has no rule")
     return image.clamp(0, 1).expand(3, -1, -1)
@@ -242,7 +258,7 @@ def texture_bank(device: str = "cpu") -> TextureBank:
     """All photographs and `VARIANTS` of each pattern; made once for each device and shared by all scenes."""
     generator = torch.Generator().manual_seed(0)
     images = [photograph(name) for name in PHOTOGRAPHS]
-    images += [pattern(name, generator) for name in PATTERNS for _ in range(VARIANTS)]
+    images += [pattern(name, generator) for name in ALL_PATTERNS for _ in range(VARIANTS)]
     level = torch.stack(images)
     pyramid = []
     while True:
@@ -253,5 +269,5 @@ def texture_bank(device: str = "cpu") -> TextureBank:
     linear = torch.cat(pyramid, 1).flatten(0, 1)
     texels = torch.zeros(len(linear), 4, dtype=torch.uint8)
     texels[:, :3] = (linear.sqrt() * 255).round().to(torch.uint8)
-    names = PHOTOGRAPHS + tuple(f"{name} {k}" for name in PATTERNS for k in range(VARIANTS))
+    names = PHOTOGRAPHS + tuple(f"{name} {k}" for name in ALL_PATTERNS for k in range(VARIANTS))
     return TextureBank(texels.to(device), names, SIZE)

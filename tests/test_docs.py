@@ -50,6 +50,33 @@ def test_every_page_is_in_the_navigation() -> None:
     assert listed == {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
 
 
+@pytest.mark.parametrize(
+    ("page", "searched"),
+    [
+        (
+            "how-do-i.md",
+            "stitch, dual fisheye, Insta360, fisheye to panorama, virtual pinhole views of a fisheye",
+        ),
+        (
+            "how-do-i.md",
+            "z depth against range, TensorRT, AprilGrid, ChArUco, Gaussian splatting from fisheyes, OmniPus",
+        ),
+        ("guide/scanned.md", "LiDAR truth, Helvipad, Deep360, KITTI-360"),
+        ("formats/nerfstudio.md", "nerfstudio"),
+    ],
+)
+def test_the_search_of_the_site_finds_the_page_that_answers(page: str, searched: str) -> None:
+    """Each word begins a word of one heading, as the search splits them; those that every page has do not count."""
+    text = (ROOT / "docs" / page).read_text()
+    config = yaml.safe_load(re.sub(r"!!python/\S+", "", (ROOT / "mkdocs.yml").read_text()))
+    separator = next(plugin["search"]["separator"] for plugin in config["plugins"] if "search" in plugin)
+    headings = [re.split(separator, line.lower()) for line in text.splitlines() if re.match("#+ ", line)]
+    for phrase in searched.split(", "):
+        words = {*re.split(separator, phrase.lower())} - {"a", "against", "from", "of", "to"}
+        found = [all(any(w.startswith(word) for w in line) for word in words) for line in headings]
+        assert any(found), phrase
+
+
 def test_relative_links_lead_to_files() -> None:
     broken = []
     for page in PAGES:

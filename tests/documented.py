@@ -117,7 +117,8 @@ def furnish(folder: Path) -> None:
     walk = folder / "walk"
     for number in range(5):
         write_image(walk / f"panoramas/{number}.png", torch.rand(3, 24, 48))
-        write_image(walk / f"fisheye/{number}.png", torch.rand(3, *SIZE))
+        for name in ("fisheye", *rig.names):
+            write_image(walk / f"{name}/{number}.png", torch.rand(3, *SIZE))
     write_mask(walk / "carrier.png", torch.ones(SIZE, dtype=torch.bool))
     (walk / "poses.txt").write_text("".join(f"{number} 0 {0.2 * number} 0 0 0 0 1\n" for number in range(5)))
     net = IcoSweepNet(3, 4, feature_channels=2, aggregation="variance", norm="instance")

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, read_camera, read_trajectory
+from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, read_cameras, read_trajectory
 from sphericalvision.capture import find_own_body
 from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.preparation.own_body import MOST
@@ -82,26 +82,40 @@ def size_of_images(pattern: str) -> tuple[int, int] | None:
 
 
 def open_moving(keys: Mapping[str, Any]) -> Moving:
-    """The images of one camera and their poses.
+    """The images of one camera or of a rig, and their poses.
 
     Args:
         keys: of ``sphericalvision-predict`` with ``poses``; ``calibration`` may be ``PANORAMA``.
+
+    Raises:
+        ArgumentError: one camera, and a key that is for rigs.
     """
     trajectory = read_trajectory(keys["poses"]).turned(keys["up"])
-    if keys["calibration"] == PANORAMA:
-        camera: Camera = EquirectangularCamera((512, 1024))
-    else:
+    cameras: dict[str, Camera] = {NAME: EquirectangularCamera((512, 1024))}
+    if keys["calibration"] != PANORAMA:
         angle, given = radians(keys["max_angle_deg"]), whole(keys["image_size"])
-        with keys_named(path="calibration", name="calibration", max_angle="max_angle_deg"):
-            camera = read_camera(keys["calibration"], max_angle=angle, image_size=given)
-    single = CameraRig({NAME: camera}, torch.eye(4)[None])
-    mask = keys["masks"]
-    source = open_source(keys["images"], single, keys["frames"], () if mask is None else [Path(mask)])
-    source.rig = rig_for_images(single, source.sizes())
-    size = source.rig.cameras[NAME].image_size
-    usable = None if mask is None else read_mask(mask, size, "the mask")
+        with keys_named(path="calibration", max_angle="max_angle_deg"):
+            cameras = read_cameras(keys["calibration"], max_angle=angle, image_size=given)
+    source = open_capture(keys) if len(cameras) > 1 else _open_single(next(iter(cameras.values())), keys)
     with keys_named(images="poses"):
-        return Moving(source, trajectory, keys["window"], keys["spacing"] or 0.0, usable)
+        return Moving(source, trajectory, keys["window"], keys["spacing"] or 0.0)
+
+
+def _open_single(camera: Camera, keys: Mapping[str, Any]) -> Source:
+    """The images of one camera, with a mask on."""
+    for key in ("cameras", "translation_unit"):
+        if keys[key] is not None:
+            raise ArgumentError(f"{key}: with poses there is one camera, in metres; leave {key} out")
+    if keys["masks"] == AUTO:
+        raise ArgumentError("masks: auto is for rigs; of one camera give an image, white where usable")
+    files = [] if keys["masks"] is None else [Path(keys["masks"])]
+    single = CameraRig({NAME: camera}, torch.eye(4)[None])
+    source = open_source(keys["images"], single, keys["frames"], files)
+    single = rig_for_images(single, source.sizes())
+    size = single.cameras[NAME].image_size
+    masks = [read_mask(file, size, "the mask") for file in files]
+    source.rig = CameraRig(single.cameras, single.world_from_camera, dict(zip([NAME], masks, strict=False)))
+    return source
 
 
 def masked_by_itself(source: Source, folder: Path) -> CameraRig:

@@ -16,8 +16,9 @@ from sphericalvision.cameras import CameraRig, read_rig, save_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
 from sphericalvision.capture.outputs import Outputs, Settings, done_file
-from sphericalvision.capture.preparation.preparation import AUTO, Preparation
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
+from sphericalvision.capture.sources.moving import Moving
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.recipes.app.captures import masked_by_itself, open_capture, open_moving
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
@@ -61,16 +62,9 @@ def open_frames(config: DictConfig) -> Source:
     """The frames that a configuration names, with the rig of each in the size of its images."""
     if config.poses is None:
         return open_capture(config)
-    refused = [key for key in ("cameras", "translation_unit") if config[key] is not None]
-    if refused:
-        raise ArgumentError(
-            f"{refused[0]}: with poses there is one camera, in metres; leave {refused[0]} out"
-        )
-    if config.masks == AUTO:
-        raise ArgumentError("masks: auto is for rigs; with poses give an image, white where usable")
     moving = open_moving(config)
     if moving.unposed:
-        print(f"Warning: {moving.unposed} image(s) have no pose within 20 ms, or of their name; left out.")
+        print(f"Warning: {moving.unposed} frame(s) have no pose within 20 ms, or of their name; left out.")
     return moving
 
 
@@ -122,13 +116,17 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         FileFormatError: images of some frames cannot be read; the others are done before that is told.
     """
     source = open_frames(config)
+    still = source.source if isinstance(source, Moving) else source  # whose frames are made ready once
     if Preparation.from_keys(config).own_body:
-        source.rig = masked_by_itself(source, folder)
+        still.rig = masked_by_itself(still, folder)
     before = _settings_before(folder) if config.skip_existing else {}
     predictor = with_nearest(predictor_for(source.rig, config), source, config, before)
     _check_settings(config, before, folder)
-    if config.poses is None:
+    if still is source:
         predictor = aligned(predictor, source, folder, bool(before))
+    elif len(still.rig) > 1 and config.align:
+        aligned(predictor.with_rig(still.rig), still, folder, bool(before))
+        predictor = predictor.with_rig(source.rig)
     print_config(config, folder)
     selection = Selection(config.start, config.stop, config.every)
     names = source.names(selection)

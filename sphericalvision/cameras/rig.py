@@ -3,7 +3,7 @@
 
 Convention:
     ``world_from_camera`` takes camera coordinates to the world's. The world has x right, y down, z forward; up is -y.
-    The rig's centre is the mean of the camera positions.
+    The rig's centre is the mean of the camera positions, or of those that ``around`` names.
 """
 
 from __future__ import annotations
@@ -48,10 +48,12 @@ class CameraRig:
         cameras: a mapping from names to cameras, or a sequence, whose cameras are named ``cam1``, ``cam2``, ...
         world_from_camera: ``(*b, n, 4, 4)`` rigid transforms, metres; leading dimensions are a batch of rigs.
         masks: for some or all names, ``(*b, h, w)`` bool, True where the image is usable.
+        around: names of cameras whose mean position is the centre, from which depth is measured; all when not given.
+            Files do not hold it.
 
     Raises:
         ShapeError: if the poses do not fit the cameras, or a mask its image.
-        ArgumentError: if a pose is not finite or not rigid, or a mask has an unknown name.
+        ArgumentError: if a pose is not finite or not rigid, or a mask or ``around`` has an unknown name.
 
     Examples:
         >>> rig = ring_rig(4, radius=0.2)
@@ -66,6 +68,7 @@ class CameraRig:
         cameras: Mapping[str, Camera] | Sequence[Camera],
         world_from_camera: Float[Tensor, "*rigs n 4 4"],
         masks: Mapping[str, Bool[Tensor, " ..."]] | None = None,
+        around: Sequence[str] | None = None,
     ) -> None:
         if isinstance(cameras, Camera):
             raise ArgumentTypeError(
@@ -91,6 +94,9 @@ class CameraRig:
                     "mask > 0 makes one"
                 )
         self.world_from_camera = world_from_camera
+        self.around = None if around is None else list(around)
+        if self.around is not None and not set() < set(self.around) <= set(self.cameras):
+            raise ArgumentError(f"around: expected names among {', '.join(self.names)}, got {self.around}")
 
     @property
     def names(self) -> list[str]:
@@ -117,8 +123,10 @@ class CameraRig:
 
     @property
     def center(self) -> Float[Tensor, "*rigs 3"]:
-        """Mean position of the cameras ``(*b, 3)``, metres."""
-        return self.positions.mean(-2)
+        """Mean position of the cameras, or of those in ``around`` ``(*b, 3)``, metres."""
+        if self.around is None:
+            return self.positions.mean(-2)
+        return self.positions[..., [self.names.index(name) for name in self.around], :].mean(-2)
 
     @property
     def radius(self) -> Float[Tensor, "*rigs"]:
@@ -155,7 +163,7 @@ class CameraRig:
             device, dtype = None, device
         cameras = {name: camera.to(device, dtype) for name, camera in self.cameras.items()}
         masks = {name: mask.to(device) for name, mask in self.masks.items()}
-        return CameraRig(cameras, self.world_from_camera.to(device, dtype), masks)
+        return CameraRig(cameras, self.world_from_camera.to(device, dtype), masks, self.around)
 
     def subset(self, which: Sequence[str | int]) -> CameraRig:
         """The rig with only these cameras, by name or index, in this order.
@@ -176,8 +184,9 @@ class CameraRig:
             raise ArgumentError(f"cameras: expected each camera once and at least one, got {list(which)}")
         chosen = [names[i] for i in index]
         masks = {name: self.masks[name] for name in chosen if name in self.masks}
+        around = [name for name in self.around or () if name in chosen] or None
         return CameraRig(
-            {n: self.cameras[n] for n in chosen}, self.world_from_camera[..., index, :, :], masks
+            {n: self.cameras[n] for n in chosen}, self.world_from_camera[..., index, :, :], masks, around
         )
 
     def permuted(self, order: Sequence[int] | Int[Tensor, " n"]) -> CameraRig:
@@ -219,7 +228,7 @@ class CameraRig:
             turn = torch.eye(4, dtype=poses.dtype, device=poses.device).repeat(*rotation.shape[:-2], 1, 1)
             turn[..., :3, :3] = rotation.to(poses)
             poses = turn[..., None, :, :] @ poses
-        return CameraRig(self.cameras, poses, self.masks)
+        return CameraRig(self.cameras, poses, self.masks, self.around)
 
     def resized(self, image_size: Sequence[int] | Mapping[str, Sequence[int]]) -> CameraRig:
         """The rig of the same images after they are resized; every ray stays as it is.
@@ -243,13 +252,13 @@ class CameraRig:
             )
         cameras = {n: c.resized(sizes[n]) if n in sizes else c for n, c in self.cameras.items()}
         masks = {name: resized_mask(mask, cameras[name].image_size) for name, mask in self.masks.items()}
-        return CameraRig(cameras, self.world_from_camera, masks)
+        return CameraRig(cameras, self.world_from_camera, masks, self.around)
 
     def scaled(self, factor: float) -> CameraRig:
         """The rig with all positions multiplied by ``factor``; depths seen by it scale alike."""
         poses = self.world_from_camera.clone()
         poses[..., :3, 3] *= factor
-        return CameraRig(self.cameras, poses, self.masks)
+        return CameraRig(self.cameras, poses, self.masks, self.around)
 
     def select(self, index: int) -> CameraRig:
         """One rig of a batch."""
@@ -257,7 +266,7 @@ class CameraRig:
             raise ArgumentError("select: this rig has no batch dimension; its poses are (n, 4, 4)")
         cameras = {n: c.select(index) if c.batch_shape else c for n, c in self.cameras.items()}
         masks = {name: mask[index] if mask.ndim > 2 else mask for name, mask in self.masks.items()}
-        return CameraRig(cameras, self.world_from_camera[index], masks)
+        return CameraRig(cameras, self.world_from_camera[index], masks, self.around)
 
     @staticmethod
     def stack(rigs: Sequence[CameraRig]) -> CameraRig:
@@ -278,9 +287,11 @@ class CameraRig:
                 raise ArgumentError(
                     f"rigs: expected the same camera names, got {first.names} and {rig.names}"
                 )
+            if rig.around != first.around:
+                raise ArgumentError(f"rigs: expected the same around, got {first.around} and {rig.around}")
         cameras = {name: _stack_cameras(name, [rig.cameras[name] for rig in rigs]) for name in first.names}
         poses = torch.stack([rig.world_from_camera for rig in rigs])
-        return CameraRig(cameras, poses, stack_masks(rigs))
+        return CameraRig(cameras, poses, stack_masks(rigs), first.around)
 
     def project(self, points: Float[Tensor, "*rigs P 3"]) -> Projection:
         """Pixels ``(*b, n, P, 2)`` of points ``(P, 3)`` of the world, in metres, and which cameras see them.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of one camera that moves: windows of them are rigs, whose baselines are the way that the camera went."""
+"""Poses of a camera or a rig that moves: windows of them are rigs, whose baselines are the way that it went."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ TOLERANCE = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses of one camera, one after the other.
+    """Poses of one camera, or of the frame that the poses of a rig's cameras refer to, one after the other.
 
     Attributes:
         names: of the poses: their time stamps, their rows counted from 0, or the names of images.
-        world_from_camera: ``(n, 4, 4)`` rigid transforms, metres, float64.
+        world_from_camera: ``(n, 4, 4)`` rigid transforms, metres, float64; of a rig that is world from rig.
 
     Raises:
         ShapeError: there are not as many poses as names.
@@ -58,7 +58,7 @@ class Trajectory:
 
     @property
     def positions(self) -> Float[Tensor, "n 3"]:
-        """Where the camera was ``(n, 3)``, metres."""
+        """Where the camera or the rig was ``(n, 3)``, metres."""
         return self.world_from_camera[:, :3, 3]
 
     def windows(self, size: int = 3, spacing: float = 0.0) -> list[list[int]]:
@@ -78,6 +78,8 @@ class Trajectory:
             raise ArgumentError(
                 f"size, spacing: expected 2 or more and metres of 0 or more, got {size} and {spacing}"
             )
+        if len(self) < size:
+            raise ArgumentError(f"size: expected {size} poses or more for a window, got {len(self)}")
         positions, taken = self.positions, [0]
         for number in range(1, len(self)):
             if float((positions[number] - positions[taken[-1]]).norm()) >= spacing * (1 - 1e-6):
@@ -90,19 +92,44 @@ class Trajectory:
         return [taken[first : first + size] for first in range(len(taken) - size + 1)]
 
     def rig(
-        self, camera: Camera, numbers: Sequence[int], mask: Bool[Tensor, "h w"] | None = None
+        self, camera: Camera | CameraRig, numbers: Sequence[int], mask: Bool[Tensor, "h w"] | None = None
     ) -> CameraRig:
-        """Return images at some of the poses as a rig, whose cameras are called as the poses are.
+        """Return images at some of the poses as a rig.
+
+        Its cameras are called as the poses are; of a rig of several cameras ``front@12.30`` is what ``front`` was at
+        the pose ``12.30``, and the centre is where the rig's was at the pose in the middle of ``numbers``.
 
         Args:
-            camera: the one that moved.
+            camera: the one that moved, or the rig, with its masks.
             numbers: which poses, as ``windows`` gives them.
-            mask: ``(h, w)``, True where its images are usable: not on what carries it.
+            mask: ``(h, w)`` of one camera, True where its images are usable: not on what carries it.
+
+        Examples:
+            >>> from sphericalvision.cameras import ring_rig
+            >>> poses = torch.eye(4).repeat(3, 1, 1)
+            >>> poses[:, 0, 3] = torch.tensor([0.0, 1.0, 5.0])
+            >>> rig = Trajectory(["a", "b", "c"], poses).rig(ring_rig(2), [0, 1, 2])
+            >>> rig.names[1:4], rig.center
+            (['cam2@a', 'cam1@b', 'cam2@b'], tensor([1., 0., 0.]))
         """
-        names = [self.names[number] for number in numbers]
-        poses = self.world_from_camera[list(numbers)].to(torch.get_default_dtype())
+        if isinstance(camera, Camera):
+            camera = CameraRig({"": camera}, torch.eye(4)[None], None if mask is None else {"": mask})
+        elif mask is not None:
+            raise ArgumentError("mask: a rig has masks of its own, CameraRig(cameras, poses, masks)")
+
+        def called(name: str, number: int) -> str:
+            return f"{name}@{self.names[number]}" if len(camera) > 1 else self.names[number]
+
+        views = {called(name, number): name for number in numbers for name in camera.names}
+        poses = self.world_from_camera[list(numbers), None] @ camera.world_from_camera.to(
+            self.world_from_camera
+        )
+        middle = numbers[len(numbers) // 2]
         return CameraRig(
-            dict.fromkeys(names, camera), poses, None if mask is None else dict.fromkeys(names, mask)
+            {view: camera.cameras[name] for view, name in views.items()},
+            poses.flatten(0, 1).to(torch.get_default_dtype()),
+            {view: camera.masks[name] for view, name in views.items() if name in camera.masks},
+            [called(name, middle) for name in camera.names] if len(camera) > 1 else None,
         )
 
     @full_precision
@@ -111,7 +138,7 @@ class Trajectory:
 
         Args:
             up: what points up now: the axis ``"-y"`` (nothing changes), ``"y"`` or ``"z"``; or ``"camera"``, what is up
-                in the images on average.
+                in the images, or of the rig, on average.
 
         Examples:
             >>> pose = torch.eye(4)[None]

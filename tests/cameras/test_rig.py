@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, DoubleSphereCamera, FisheyeCamera, ring_rig
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import transform_from_axis_angle
 
 UP, DOWN, FORWARD, RIGHT = (torch.tensor(d) for d in ([0.0, -1, 0], [0.0, 1, 0], [0.0, 0, 1], [1.0, 0, 0]))
@@ -34,6 +35,38 @@ def test_radius_is_the_mean_distance_from_the_mean_position() -> None:
     rig = CameraRig(small_ring().cameras, poses)
     assert rig.center.tolist() == [1, 0, 0]
     assert rig.radius.item() == pytest.approx((3 + 1 + 1 + 1) / 4)
+
+
+def test_the_centre_may_be_that_of_some_cameras_and_goes_with_them() -> None:
+    ring = ring_rig(4, radius=0.2, image_size=(16, 16))
+    rig = CameraRig(ring.cameras, ring.world_from_camera, around=["cam1", "cam2"])
+    torch.testing.assert_close(rig.center, torch.tensor([0.1, 0, 0.1]))
+    half_turn = torch.diag(torch.tensor([-1.0, 1.0, -1.0]))
+    changed = {
+        "double": rig.to(torch.float64),
+        "turned": rig.rotated(rotation=half_turn),
+        "resized": rig.resized((8, 8)),
+        "scaled": rig.scaled(2.0),
+        "batch": CameraRig.stack([rig, rig]),
+        "one": CameraRig.stack([rig, rig]).select(1),
+        "order": rig.permuted([3, 2, 1, 0]),
+        "subset": rig.subset(["cam4", "cam2"]),
+        "others": rig.subset(["cam3", "cam4"]),
+    }
+    factors = {name: changed[name].center.float() / 0.1 for name in changed}
+    wanted = {
+        **{name: torch.tensor([1.0, 0.0, 1.0]) for name in ("double", "resized", "one", "order")},
+        "turned": torch.tensor([-1.0, 0, -1]),
+        "scaled": torch.tensor([2.0, 0, 2]),
+        "batch": torch.tensor([[1.0, 0, 1]] * 2),
+        "subset": torch.tensor([2.0, 0, 0]),
+        "others": torch.tensor([-1.0, 0, -1]),
+    }
+    torch.testing.assert_close(factors, wanted, check_dtype=False)
+    with pytest.raises(ArgumentError, match="around: expected names among cam1"):
+        CameraRig(ring.cameras, ring.world_from_camera, around=["cam5"])
+    with pytest.raises(ArgumentError, match="rigs: expected the same around"):
+        CameraRig.stack([rig, ring])
 
 
 def test_tilt_looks_down_by_the_angle_and_moves_nothing() -> None:

@@ -102,6 +102,8 @@ def test_windows_pass_over_what_is_too_near() -> None:
     assert trajectory.windows(3, spacing=0.1) == [[0, 1, 4], [1, 4, 5]]
     with pytest.raises(ArgumentError, match=r"3 poses 0\.3 m apart or more, but only 2 of 6"):
         trajectory.windows(3, spacing=0.3)
+    with pytest.raises(ArgumentError, match="size: expected 7 poses or more for a window, got 6"):
+        trajectory.windows(7)
 
 
 def test_a_window_is_a_rig_with_the_poses_of_its_images() -> None:
@@ -111,6 +113,29 @@ def test_a_window_is_a_rig_with_the_poses_of_its_images() -> None:
     assert rig.names == ["3", "5", "7"]
     assert list(rig.masks) == rig.names
     torch.testing.assert_close(rig.world_from_camera, way()[[3, 5, 7]].float())
+    torch.testing.assert_close(rig.center, rig.positions.mean(0))
+
+
+def test_a_window_of_a_rig_has_all_its_cameras_at_all_poses_around_the_one_in_the_middle() -> None:
+    trajectory = Trajectory([f"{k / 10:.1f}" for k in range(NUMBER)], way())
+    poses = transform_from_axis_angle(torch.tensor([[0.0, 0.3, 0.0], [0.1, -2.0, 0.0]]), torch.eye(3)[:2])
+    mask = torch.arange(32 * 40).view(32, 40) > 99
+    still = CameraRig({"left": CAMERA, "right": CAMERA}, poses, {"right": mask})
+    rig = trajectory.rig(still, [3, 5, 9])
+    assert rig.names == ["left@0.3", "right@0.3", "left@0.5", "right@0.5", "left@0.9", "right@0.9"]
+    for number, time in ((3, "0.3"), (5, "0.5"), (9, "0.9")):
+        at = way()[number] @ poses.double()
+        found = rig.subset([f"left@{time}", f"right@{time}"]).world_from_camera
+        torch.testing.assert_close(found, at.float())
+    assert list(rig.masks) == ["right@0.3", "right@0.5", "right@0.9"]
+    assert all(torch.equal(found, mask) for found in rig.masks.values())
+    center = (way()[5] @ torch.tensor([0.5, 0.5, 0, 1], dtype=torch.float64))[:3].float()
+    torch.testing.assert_close(rig.center, center)
+    lone = trajectory.rig(still.subset(["right"]), [3, 5])  # a camera beside the rig's own frame
+    assert lone.names == ["0.3", "0.5"]
+    torch.testing.assert_close(lone.world_from_camera, (way()[[3, 5]] @ poses[1].double()).float())
+    with pytest.raises(ArgumentError, match="mask: a rig has masks of its own"):
+        trajectory.rig(still, [3], mask)
 
 
 @pytest.mark.parametrize(("up", "axis"), [("-y", [0, -1, 0]), ("y", [0, 1, 0]), ("z", [0, 0, 1])])

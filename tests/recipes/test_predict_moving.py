@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction on images of one camera that moves: windows of them are the rigs that their poses say."""
+"""Prediction on images of a camera or a rig that moves: windows of them are the rigs that their poses say."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import pytest
 import torch
 from hydra import compose, initialize_config_module
 
-from sphericalvision.cameras import EquirectangularCamera, read_trajectory
+from sphericalvision.cameras import EquirectangularCamera, read_trajectory, ring_rig, save_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.core import ArgumentError
-from sphericalvision.io.images import read_image, write_image
+from sphericalvision.io.images import read_image, write_image, write_mask
 from sphericalvision.recipes.app.captures import open_moving
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from tests.recipes.tiny import Run
 
 SIZE = (24, 48)
@@ -34,6 +35,43 @@ def capture(tmp_path: Path) -> Path:
         write_image(tmp_path / f"walk/{number:03d}.png", torch.rand(3, *SIZE, generator=generator))
     (tmp_path / "poses.txt").write_text("\n".join(lines))
     return tmp_path
+
+
+TWO = ring_rig(2, radius=0.1, image_size=(48, 48))
+"""A fisheye to the front and one to the back, which see next to nothing twice."""
+SCENE = make_scene("room", seed=10_100_003)
+COARSE = ("method=semi_global", "level=4", "num_hypotheses=16", "min_depth=0.5")
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """Five frames of such a rig on a bend, called by their times, and poses of the rig for four of them and others."""
+    lines = []
+    for number in range(6):
+        right, forward, half = 0.02 * number**2, 0.15 * number, 0.05 * number
+        lines.append(f"{10 + number / 10:.3f} {right} 0 {forward} 0 {np.sin(half)} 0 {np.cos(half)}")
+    (tmp_path / "poses.txt").write_text("\n".join(lines))
+    trajectory = read_trajectory(tmp_path / "poses.txt")
+    images = render_rig(SCENE, trajectory.rig(TWO, range(6)))
+    for number in range(5):
+        for name in TWO.names:
+            image = images[f"{name}@{10 + number / 10:.3f}"]
+            write_image(tmp_path / f"drive/{name}/{10.004 + number / 10:.3f}.png", image)
+    del lines[0]  # the first frame is left out
+    (tmp_path / "poses.txt").write_text("\n".join(lines))
+    for name in TWO.names:
+        write_mask(tmp_path / f"masks/{name}.png", torch.arange(48).expand(48, 48) > 1)
+    save_rig(TWO, tmp_path / "rig.yaml")
+    return tmp_path
+
+
+def of_drive(drive: Path) -> list[str]:
+    return [
+        f"calibration={drive}/rig.yaml",
+        f"images={drive}/drive",
+        f"poses={drive}/poses.txt",
+        *("output=out", "outputs=[npz]", "height=16", "device=cpu", *COARSE),
+    ]
 
 
 def keys(capture: Path, **given: Any) -> dict[str, Any]:
@@ -116,3 +154,65 @@ def test_too_few_images_and_unknown_poses_are_told(
     with pytest.raises(SystemExit):
         run("predict", *words(capture), "cameras=[cam1]")
     assert "with poses there is one camera" in capsys.readouterr().err
+
+
+def test_a_rig_that_moves_sees_more_than_one_that_stands(
+    run: Run, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("predict", *of_drive(drive), "masks=auto")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 frame(s) have no pose within 20 ms" in said
+    assert "mask of cam2: " in said  # of the rig's own frames, as is what follows
+    assert "whether the calibration is right, because cam2" in said
+    assert sorted(mask.stem for mask in (tmp_path / "out/masks").glob("*.png")) == TWO.names
+    written = sorted(path.name for path in (tmp_path / "out").glob("*.npz"))
+    assert written == ["10.204_depth.npz", "10.304_depth.npz"]
+    trajectory = read_trajectory(drive / "poses.txt")
+    options: Any = {"method": "semi_global", "level": 4, "num_hypotheses": 16, "min_depth": 0.5}
+    errors = {}
+    for time, window in {"standing": [1], "moving": [0, 1, 2]}.items():
+        rig = trajectory.rig(TWO, window)
+        names = {view: view.split("@") for view in rig.names}
+        files = {v: drive / f"drive/{name}/{float(at) + 0.004:.3f}.png" for v, (name, at) in names.items()}
+        found = Predictor(rig, **options)({view: read_image(file) for view, file in files.items()})
+        truth = ray_depth(SCENE, rig.center, found.directions).reciprocal()
+        errors[time] = float((found.inverse_depth - truth).abs().mean())
+        torch.testing.assert_close(rig.center, trajectory.positions[1].float())
+    assert errors["moving"] < 0.6 * errors["standing"]
+    with np.load(tmp_path / "out/10.204_depth.npz") as arrays:
+        np.testing.assert_allclose(arrays["center"], trajectory.positions[1], atol=1e-6)
+        np.testing.assert_allclose(arrays["index"], found.index, atol=1e-4)  # of the last, which moved
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"window": 9}, "window: expected 9 frames with poses or more, got 4 of 5"),
+        ({"spacing": 2.0}, r"spacing: expected 3 poses 2 m apart or more, but only 1 of 4"),
+        ({"cameras": ["cam7"]}, "cameras: expected names among cam1, cam2"),
+        ({"translation_unit": "cm"}, "translation_unit: .* in metres"),
+    ],
+)
+def test_bad_windows_of_a_rig_are_told(drive: Path, given: dict[str, Any], message: str) -> None:
+    said = {"calibration": f"{drive}/rig.yaml", "images": f"{drive}/drive", "up": "-y"}
+    with pytest.raises(ArgumentError, match=message):
+        open_moving(keys(drive, **said, **given))
+
+
+def test_one_camera_of_a_rig_needs_movement_and_frames_are_those_of_all_cameras(drive: Path) -> None:
+    said = {"calibration": f"{drive}/rig.yaml", "images": f"{drive}/drive", "up": "-y", "window": 2}
+    said["masks"] = f"{drive}/masks/{{camera}}.png"
+    (drive / "drive/cam2/10.304.png").unlink()
+    with pytest.warns(UserWarning, match=r"1 frame\(s\) that not every camera has"):
+        moving = open_moving(keys(drive, **said))
+    assert list(moving.windows) == ["10.204", "10.404"]
+    assert list(moving.rig.masks) == moving.rig.names
+    rows = (drive / "poses.txt").read_text().splitlines()
+    still = [row.split()[0] + " 0 0 0 0 0 0 1" for row in rows]
+    (drive / "poses.txt").write_text("\n".join(still))
+    (alone, *_) = open_moving(keys(drive, **said, cameras=["cam1"])).frames(Selection(), lambda _: True)
+    assert "10.104, 10.204 are in one place" in str(alone.error)
+    with pytest.warns(UserWarning, match="not every camera"):
+        (both, *_) = open_moving(keys(drive, **said)).frames(Selection(), lambda _: True)
+    assert both.rig is not None
+    assert both.rig.names == ["cam1@10.104", "cam2@10.104", "cam1@10.204", "cam2@10.204"]

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of one camera that moves: each is a window of its images, which are a rig."""
+"""Frames of a camera or a rig that moves: each is a window of its images, which are a rig."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from typing import Any
-
-import torch
 
 from sphericalvision.cameras import CameraRig, Trajectory
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
@@ -21,17 +19,13 @@ STILL = 1e-6
 
 
 class Moving:
-    """Windows of the images of one camera.
+    """Windows of the images of one camera, or of a rig's frames.
 
     Args:
-        source: of its images.
-        poses: of these images.
-        size: images in a window.
+        source: of the images; masks and poses of its cameras count, and a change of its rig is one of all windows.
+        poses: of these images, or of the rig at these frames.
+        size: images or frames in a window.
         spacing: metres between them.
-        mask: ``(h, w)``, True where images are usable.
-
-    Attributes:
-        rig: the window with the middle of all radii.
 
     Raises:
         ArgumentError: there is no window, or nothing tells which pose is whose.
@@ -39,24 +33,35 @@ class Moving:
 
     live = False
 
-    def __init__(
-        self, source: Source, poses: Trajectory, size: int, spacing: float, mask: torch.Tensor | None = None
-    ) -> None:
+    def __init__(self, source: Source, poses: Trajectory, size: int, spacing: float) -> None:
         names = source.names(Selection())
         if names is None:
             raise ArgumentError(
                 "poses: of images that come live, or whose number nobody knows, poses cannot be told"
             )
         times = [number / source.rate for number in range(len(names))] if source.rate else None
-        poses = poses.of_images(names, times)
-        windows = poses.windows(size, spacing)
-        (camera,) = source.rig.cameras.values()
-        self.source, self.rate, self.unposed = source, source.rate, len(names) - len(poses)
-        self.rigs = {}
+        self.poses = poses.of_images(names, times)
+        if len(self.poses) < size:
+            raise ArgumentError(
+                f"window: expected {size} frames with poses or more, got {len(self.poses)} of {len(names)}"
+            )
+        self.source, self.rate, self.unposed = source, source.rate, len(names) - len(self.poses)
+        windows = self.poses.windows(size, spacing)
+        self.windows = {self.poses.names[window[size // 2]]: window for window in windows}
         self._sampled: dict[str, Frame] = {}
-        for window in windows:
-            self.rigs[poses.names[window[size // 2]]] = poses.rig(camera, window, mask)
-        self.rig = sorted(self.rigs.values(), key=lambda rig: float(rig.radius))[len(self.rigs) // 2]
+
+    @property
+    def rig(self) -> CameraRig:
+        """The window with the middle of all lengths."""
+
+        def length(window: list[int]) -> float:
+            places = self.poses.positions[window]
+            return float((places - places.mean(0)).norm(dim=-1).mean())
+
+        return self._rig(sorted(self.windows.values(), key=length)[len(self.windows) // 2])
+
+    def _rig(self, window: list[int]) -> CameraRig:
+        return self.poses.rig(self.source.rig, window)
 
     def sizes(self) -> dict[str, tuple[int, int]]:
         """Of the rig that all windows have in common: as calibrated."""
@@ -64,44 +69,46 @@ class Moving:
 
     def names(self, selection: Selection) -> list[str]:
         """Names of the windows chosen: those of their images in the middle."""
-        everything = list(self.rigs)
+        everything = list(self.windows)
         return [everything[position] for position in selection.positions(len(everything))]
 
     def samples(self) -> list[Frame]:
         """The first, the middle and the last window."""
-        last = len(self.rigs) - 1
-        windows = {
-            name: self.rigs[name] for name in (list(self.rigs)[number] for number in (0, last // 2, last))
-        }
+        names = list(self.windows)
+        windows = {name: self.windows[name] for name in (names[0], names[(len(names) - 1) // 2], names[-1])}
         if not self._sampled:
-            needed = {image for rig in windows.values() for image in rig.names}
+            needed = {self.poses.names[number] for window in windows.values() for number in window}
             self._sampled = {f.name: f for f in self.source.frames(Selection(), needed.__contains__)}
-        found = (self._window(name, rig, self._sampled) for name, rig in windows.items())
+        found = (self._window(name, self._sampled) for name in windows)
         return [frame for frame in found if frame.images is not None]
 
     def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:
         """The windows chosen that are wanted, each as soon as its last image is there; an image is read once."""
-        waiting = [(name, self.rigs[name]) for name in self.names(selection) if wanted(name)]
-        last = {image: number for number, (_, rig) in enumerate(waiting) for image in rig.names}
+        waiting = [name for name in self.names(selection) if wanted(name)]
+        last = {image: number for number, name in enumerate(waiting) for image in self._images(name)}
         read = {image: frame for image, frame in self._sampled.items() if image in last}
         others = self.source.frames(Selection(), lambda image: image in last and image not in self._sampled)
-        for number, (name, rig) in enumerate(waiting):
-            while not all(image in read for image in rig.names):
+        for number, name in enumerate(waiting):
+            while not all(image in read for image in self._images(name)):
                 image = next(others)
                 read[image.name] = image
-            yield self._window(name, rig, read)
+            yield self._window(name, read)
             read = {image: frame for image, frame in read.items() if last[image] > number}
 
-    def _window(self, name: str, rig: CameraRig, read: dict[str, Frame]) -> Frame:
-        images: dict[str, Any] = {}
-        for image in rig.names:
+    def _images(self, name: str) -> list[str]:
+        return [self.poses.names[number] for number in self.windows[name]]
+
+    def _window(self, name: str, read: dict[str, Frame]) -> Frame:
+        rig = self._rig(self.windows[name])
+        images: list[Any] = []
+        for image in self._images(name):
             frame = read[image]
             if frame.images is None:
                 return Frame(name, None, frame.error)
-            images[image] = frame.images[NAME]
+            images += (frame.images[camera] for camera in self.source.rig.names)
         if float(rig.radius) < STILL:
             error = ArgumentError(
                 f"poses: {', '.join(rig.names)} are in one place; spacing= passes such over"
             )
             return Frame(name, None, error)
-        return Frame(name, images, rig=rig)
+        return Frame(name, dict(zip(rig.names, images, strict=True)), rig=rig)

@@ -12,15 +12,14 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import ToSphere
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 from sphericalvision.sphere.intake import Intake
 
 __all__ = [
     "ENTRIES",
     "ChosenEntries",
-    "DepthDataModule",
     "Entries",
+    "Sample",
     "Wanted",
     "check_on_icospheres",
     "images_of",
@@ -28,6 +27,8 @@ __all__ = [
 ]
 
 ENTRIES = ("sphere", "fisheye", "panorama")
+
+Sample = dict[str, Any]
 
 Entries = Annotated[Sequence[str], MinLen(1)] | None
 """What samples are asked to hold, in place of what the network wants."""
@@ -71,21 +72,6 @@ def check_on_icospheres(net: DepthNetwork, samples: str) -> None:
     """Refuse a network that takes or gives anything that is not on an icosphere."""
     if net.images != "sphere" or net.depth_level is None:
         raise ArgumentError(f"data: {samples} are for networks on icospheres, not {type(net).__name__}")
-
-
-class DepthDataModule(SampleDataModule):
-    """Samples with depth, as the network wants them that they are for; a field ``entries`` may ask for others."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.given: Sequence[str] = getattr(self, "entries", None) or ()
-        self.wanted = Wanted(tuple(self.given or ("sphere",)))
-
-    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
-        """Give samples that suit a network, with ``more`` entries; entries that the configuration names stay."""
-        wanted = Wanted.by(net, depth_level)
-        entries = tuple(self.given or dict.fromkeys((*wanted.entries, *more)))
-        self.wanted = wanted._replace(entries=entries)
 
 
 def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:

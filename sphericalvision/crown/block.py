@@ -8,13 +8,13 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError, check_dtype
 from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, convolve_crown
-from sphericalvision.crown.fast import settled_way
+from sphericalvision.crown.fast import normalize, settled_way
 from sphericalvision.crown.layout import Crown, check_crown, from_crown, to_crown
 from sphericalvision.crown.norm import _CrownBatchNorm, crown_norm
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.recompute import RecomputedModule
 
-__all__ = ["CrownBlock3d", "CrownConvNorm2d", "CrownConvNorm3d", "crown_block3d"]
+__all__ = ["CrownBlock3d", "CrownConvNorm2d", "CrownConvNorm3d", "convolve_twice", "crown_block3d"]
 
 
 class _CrownConvNorm(nn.Module):
@@ -74,6 +74,36 @@ class CrownConvNorm3d(_CrownConvNorm):
         self.relu = relu
 
 
+def convolve_twice(
+    given: Crown | Tensor,
+    first: _CrownConvNorm,
+    second: _CrownConvNorm | CrownConv2d | CrownConv3d,
+) -> Crown:
+    """Apply two layers, the first with a ReLU, to a crown, or to that of values at vertices ``(B, C, [N,] V)``.
+
+    The same as ``second(first(crown))``. Where operators are in use, neither the crown of values nor, while there are
+    statistics to take, the normalised crown between the layers is written, or kept for the backward pass.
+    """
+    conv, norm = first.conv, first.norm
+    check_dtype("crown", given if isinstance(given, Tensor) else given.col, conv.weight)
+    after = second.conv if isinstance(second, _CrownConvNorm) else second
+    fits = first.relu and after.stride == 1 and after.weight.shape[1] == conv.weight.shape[0]
+    if not fits or settled_way() == "reference":
+        return second(first(to_crown(given) if isinstance(given, Tensor) else given))  # type: ignore[no-any-return]
+    if norm.is_affine:
+        weight, bias = norm.folded(conv.weight)
+        return second(convolve_crown(given, weight, bias, conv.stride, relu=True))  # type: ignore[no-any-return]
+    between = convolve_crown(given, conv.weight, conv.bias, conv.stride)
+    pair = normalize(*between, norm, norm.per_sample, True, (after.weight, after.bias))
+    if pair is None:
+        return second(norm.normalize(between, relu=True))  # type: ignore[no-any-return]
+    return (
+        second.norm.normalize(Crown(*pair), second.relu)
+        if isinstance(second, _CrownConvNorm)
+        else Crown(*pair)
+    )
+
+
 def crown_block3d(
     volume: Float[Tensor, "B C_in N V"],
     first: CrownConvNorm3d,
@@ -107,7 +137,7 @@ def crown_block3d(
     check_dtype("volume", volume, first.conv.weight)
     if volume.shape[1] != channels:
         raise ShapeError(f"volume: expected {channels} channels (dimension 1), got {volume.shape[1]}")
-    change = from_crown(second(first(to_crown(volume))))
+    change = from_crown(convolve_twice(volume, first, second))
     return volume + change if residual else change
 
 

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_channels, check_dtype, check_tensor
-from sphericalvision.crown.fast import convolve_rectangles
-from sphericalvision.crown.layout import Crown, check_crown
+from sphericalvision.crown.fast import convolve_rectangles, convolve_vertices
+from sphericalvision.crown.layout import Crown, check_crown, to_crown
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS
 
 __all__ = ["CrownConv2d", "CrownConv3d", "convolve_crown", "crown_conv2d", "crown_conv3d"]
@@ -96,9 +96,17 @@ def crown_conv3d(
 
 
 def convolve_crown(
-    crown: Crown, weight: Tensor, bias: Tensor | None, stride: int, relu: bool = False
+    crown: Crown | Tensor, weight: Tensor, bias: Tensor | None, stride: int, relu: bool = False
 ) -> Crown:
-    """Convolve both kinds of rectangles, each with its arrangement of the taps, and rectify them if asked for."""
+    """Convolve both kinds of rectangles, each with its arrangement of the taps, and rectify them if asked for.
+
+    Values at vertices may stand for their crown, which then need not be made where operators lay out while they read.
+    """
+    if isinstance(crown, Tensor):
+        pair = convolve_vertices(crown, weight, bias, relu) if stride == 1 else None
+        if pair is not None:
+            return Crown(*pair)
+        crown = to_crown(crown)
     col = convolve_rectangles(crown.col, weight, COL_TAPS, bias, stride, relu=relu)
     return Crown(col, convolve_rectangles(crown.row, weight, ROW_TAPS, bias, stride, relu=relu))
 

@@ -20,6 +20,7 @@ from sphericalvision.crown import (
     from_crown,
     to_crown,
 )
+from sphericalvision.crown.block import convolve_twice
 from sphericalvision.crown.recompute import RecomputedModule
 
 __all__ = ["FeatureExtractor", "ResidualBlock", "camera_by_camera"]
@@ -42,7 +43,7 @@ class ResidualBlock(nn.Module):
         self.shortcut = CrownAvgPool2d(stride) if stride > 1 else nn.Identity()
 
     def forward(self, crown: Crown) -> Crown:
-        return crown_relu(self.second(self.first(crown)) + self.shortcut(crown))
+        return crown_relu(convolve_twice(crown, self.first, self.second) + self.shortcut(crown))
 
 
 class FeatureExtractor(RecomputedModule):
@@ -85,7 +86,7 @@ class FeatureExtractor(RecomputedModule):
         self.last = CrownConv2d(channels, channels)
 
     def forward(self, images: Float[Tensor, "B C_in V_image"]) -> Float[Tensor, "B C V"]:
-        crown = exchange(self.second(self.entry(to_crown(images))))
+        crown = exchange(convolve_twice(to_crown(images), self.entry, self.second))
         fine = exchange(self.fine(crown))
         crown = exchange(self.coarse(fine))
         if self.coarsening == 1:

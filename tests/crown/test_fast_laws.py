@@ -211,6 +211,24 @@ def test_operators_compile(case: FastCase) -> None:
 
 
 @needs_compiler
+@pytest.mark.parametrize("norm", ["batch", "instance"])
+def test_training_keeps_what_is_given_to_a_block_and_to_its_normalisations(norm: str) -> None:
+    """Neither crowns that values can be laid out as once more, nor what was normalised and rectified."""
+    block, values = CrownBlock3d(16, 16, 16, norm), torch.randn(1, 16, 8, V2, requires_grad=True)
+    kept: dict[int, int] = {}
+
+    def keep(tensor: Tensor) -> Tensor:
+        kept[tensor.untyped_storage().data_ptr()] = tensor.untyped_storage().nbytes()
+        return tensor
+
+    with kernels("require"), torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        block(values)
+    small = [4 * x.numel() for x in block.parameters()]
+    crown = sum(x.nbytes for x in to_crown(values))
+    assert sum(kept.values()) < values.nbytes + 2 * crown + 2 * sum(small)
+
+
+@needs_compiler
 def test_any_number_of_threads_has_the_same_gradients() -> None:
     """Each thread sums up its part of the gradient of a weight."""
     layer = HexConv3d(5, 6)

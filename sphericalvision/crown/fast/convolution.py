@@ -4,7 +4,8 @@
 ``hex_convolution.cpp`` takes Winograd's algorithms along every dimension: F(3, 3) along rows and columns, of whose 25
 products for nine results two are zero because two corners of the kernel are, and F(4, 3) along the hypotheses. A
 result then takes 2.6 products in place of 9 of a planar convolution, or 3.8 in place of 27. Borders are repeated while
-reading, not copied around, and nothing but results leaves the cache.
+reading, not copied around, and nothing but results leaves the cache. So are values at vertices laid out as rectangles:
+training then keeps those, half as many, and gradients are added to vertices at once.
 
 The points of F(4, 3) are 0, +-1 / sqrt(2), +-sqrt(2) and infinity, as with the usual +-1 and +-2 in several dimensions
 the largest errors would be several times as large; those of F(3, 3) are 0, 1, -1, 2 and infinity.
@@ -18,6 +19,7 @@ References:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -25,11 +27,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from sphericalvision.crown.fast.double_backward import reference_gradients
 from sphericalvision.crown.fast.registering import register_operator
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, convolve, planar_kernel
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve, planar_kernel
 
-__all__ = ["hex_convolution"]
+__all__ = ["Scaling", "convolution", "convolution_gradients", "hex_convolution", "plain_convolution"]
+
+Scaling = tuple[Tensor | None, Tensor | None]
 
 _A, _B = math.sqrt(0.5), math.sqrt(2.0)
 
@@ -51,41 +54,62 @@ _LINE_TAPS = (
 )
 
 
-def _convolution(
-    images: Tensor, weight: Tensor, bias: Tensor | None, across: bool, border: bool, relu: bool
+def convolution(
+    given: Tensor,
+    weight: Tensor,
+    bias: Tensor | None,
+    across: bool,
+    border: bool,
+    relu: bool,
+    places: Tensor | None = None,
+    scaling: Scaling = (None, None),
 ) -> Tensor:
-    """Convolve rectangles or charts of one kind, differentiable any number of times.
+    """Convolve rectangles or charts of one kind, channels next to each other in memory.
 
     Args:
-        images: ``(B, C, h, w)``, or volumes ``(B, C, N, h, w)``, whose first and last hypothesis is repeated.
-        weight: ``(O, C, 7)``, or ``(O, C, 21)`` for volumes, index ``7 * depth + tap``.
+        given: volumes ``(B, N, h, w, C)``, whose first and last hypothesis is repeated; or values at vertices,
+            ``(B, N, V, C)``, that ``places`` lay out.
+        weight: ``(O, C, 21)``, index ``7 * depth + tap``; or ``(O, C, 7)`` where N is 1.
         bias: ``(O,)``.
         across: whether they are row rectangles.
-        border: whether the images have a border of one more place all around; otherwise theirs is repeated.
-        relu: whether the results are rectified.
+        border: whether there is a border of one more place all around; otherwise theirs is repeated.
+        relu: whether the results are rectified, which is not differentiated.
+        places: ``(5, h, w)``, int32, vertices that five rectangles a sample are made of.
+        scaling: factors and offsets ``(samples or 1, C)`` by which what is given is multiplied and moved, and then
+            rectified, while it is read; not part of the operator.
 
     Returns:
-        ``(B, O, [N,] h, w)``, channels next to each other in memory.
+        ``(B, N, h, w, O)``; of values at vertices five for each sample.
     """
-    result = _new_result(images, weight, border)
-    given, factors, shift = (
-        _volumes(images),
-        _factors(weight, across),
-        bias if bias is None else bias.contiguous(),
-    )
-    _operators().hex_convolve(given, factors, shift, relu, int(border), _volumes(result))
+    volumes, factors = _volumes(given, places), _factors(weight, across)
+    batch, depth, height, width, _ = volumes.shape
+    if places is not None:
+        batch, height, width = 5 * batch, *places.shape[1:]
+    result = given.new_empty(batch, depth, height - 2 * border, width - 2 * border, len(weight))
+    shift = bias if bias is None else bias.contiguous()
+    _operators().hex_convolve(volumes, factors, shift, relu, int(border), result, places, *scaling)
     return result
 
 
-def _backward(
-    gradient: Tensor, images: Tensor, weight: Tensor, across: bool, border: bool, wanted: list[bool]
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradients of images, weight and bias, those not ``wanted`` empty: the adjoints of all steps, in reverse."""
-    given, upstream = _volumes(images), _volumes(gradient)
-    grad_images, grad_weight, grad_bias = _new_gradients(images, weight, wanted)
+def convolution_gradients(
+    upstream: Sequence[Tensor],
+    inputs: Sequence[Any],
+    kept: Sequence[Tensor],
+    wanted: Sequence[bool],
+    scaling: Scaling = (None, None),
+) -> list[Tensor | None]:
+    """Gradients of what is given, weight and bias: the adjoints of all steps, in reverse.
+
+    With ``scaling`` the first one is that of what was convolved.
+    """
+    given, weight, _, across, border, relu, places = inputs
+    assert not relu
+    volumes, gradient = _volumes(given, places), _volumes(upstream[0])
+    found: list[Tensor | None] = [None] * 4
     if wanted[0]:
-        factors, grad_given = _factors(weight, across, adjoint=True), _volumes(grad_images.zero_())
-        _operators().hex_convolve_backward_given(upstream, factors, int(border), grad_given)
+        found[0] = by_given = given.new_zeros(given.shape)
+        factors, to = _factors(weight, across, adjoint=True), _volumes(by_given, places)
+        _operators().hex_convolve_backward_given(gradient, factors, int(border), to, places)
     if wanted[1]:
         line, plane = _transforms(across, weight.shape[-1] // 7, weight.dtype)
         out, channels, _ = weight.shape
@@ -93,68 +117,43 @@ def _backward(
         parts = weight.new_zeros(
             torch.get_num_threads(), len(line), len(plane), channels, out + -out % _lanes()
         )
-        _operators().hex_convolve_backward_weight(given, upstream, int(border), parts)
+        _operators().hex_convolve_backward_weight(volumes, gradient, int(border), parts, places, *scaling)
         by_factor = (parts[0] if len(parts) == 1 else parts.sum(0)).flatten(2)  # the adjoint of `_factors`
         by_tap = line.T @ torch.bmm(plane.T.expand(len(line), -1, -1), by_factor).flatten(1)
-        grad_weight.copy_(by_tap.view(-1, channels, parts.shape[-1])[..., :out].permute(2, 1, 0))
+        found[1] = by_tap.view(-1, channels, parts.shape[-1])[..., :out].permute(2, 1, 0).contiguous()
     if wanted[2]:
-        torch.sum(upstream, (0, 1, 2, 3), out=grad_bias)
-    return grad_images, grad_weight, grad_bias
+        found[2] = gradient.sum((0, 1, 2, 3))
+    return found
 
 
-def _keep(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
-    images, weight, _, across, border, relu = inputs
-    ctx.save_for_backward(images, weight, output if relu else None)
-    ctx.options = across, border
-
-
-def _gradients(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-    images, weight, rectified = ctx.saved_tensors
-    if rectified is not None:
-        gradient = torch.ops.aten.threshold_backward(gradient, rectified, 0)
-    wanted = list(ctx.needs_input_grad[:3])
-    found = hex_convolution_backward(gradient, images, weight, *ctx.options, wanted)
-    return *(one if want else None for one, want in zip(found, wanted, strict=True)), None, None, None
-
-
-def _keep_backward(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
-    ctx.save_for_backward(*inputs[:3])
-    ctx.options = inputs[3:]
-
-
-def _second_gradients(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-    """Of the gradients once more, by the reference: rare, so that no operators are written for them."""
-    across, border, wanted = ctx.options
-
-    def first_gradients(gradient: Tensor, images: Tensor, weight: Tensor) -> tuple[Tensor, ...]:
-        bias = weight.new_zeros(len(weight)).requires_grad_()
-        result = convolve(images, weight, _taps(across), bias, border=border)
-        return torch.autograd.grad(result, (images, weight, bias), gradient, create_graph=True)
-
-    some = [number for number, want in enumerate(wanted) if want]
-    found = reference_gradients(
-        lambda *inputs: tuple(first_gradients(*inputs)[number] for number in some),
-        ctx.saved_tensors,
-        ctx.needs_input_grad[:3],
-        *(upstream[number] for number in some),
+def plain_convolution(
+    given: Tensor,
+    weight: Tensor,
+    bias: Tensor | None,
+    across: bool,
+    border: bool = False,
+    relu: bool = False,
+    places: Tensor | None = None,
+) -> Tensor:
+    """The same in plain torch."""
+    if places is not None:
+        laid_out = given.index_select(2, places.flatten()).unflatten(2, places.shape)
+        given = laid_out.movedim(2, 1).flatten(0, 1)
+    images = given.movedim(-1, 1)
+    flat = weight.shape[-1] == 7
+    result = convolve(
+        images.squeeze(2) if flat else images, weight, ROW_TAPS if across else COL_TAPS, bias, border=border
     )
-    return *found, None, None, None
+    result = (result.unsqueeze(2) if flat else result).movedim(1, -1)
+    return result.relu() if relu else result
 
 
 hex_convolution = register_operator(
-    "hex_convolution(Tensor images, Tensor weight, Tensor? bias, bool across, bool border, bool relu) -> Tensor",
-    _convolution,
-    lambda images, weight, bias, across, border, relu: _new_result(images, weight, border),
-    _gradients,
-    _keep,
-)
-hex_convolution_backward = register_operator(
-    "hex_convolution_backward(Tensor gradient, Tensor images, Tensor weight, bool across, bool border, bool[3] wanted) "
-    "-> (Tensor, Tensor, Tensor)",
-    _backward,
-    lambda gradient, images, weight, across, border, wanted: _new_gradients(images, weight, wanted),
-    _second_gradients,
-    _keep_backward,
+    "hex_convolution(Tensor given, Tensor weight, Tensor? bias, bool across, bool border, bool relu, Tensor? places) "
+    "-> Tensor",
+    convolution,
+    convolution_gradients,
+    plain_convolution,
 )
 
 
@@ -167,8 +166,10 @@ def _lanes() -> int:
     return int(_operators().lanes())
 
 
-def _taps(across: bool) -> Taps:
-    return ROW_TAPS if across else COL_TAPS
+def _volumes(values: Tensor, places: Tensor | None = None) -> Tensor:
+    """View values as volumes ``(B, N, h, w, C)``, channels together in memory; vertices as volumes of one row."""
+    volumes = values if places is None else values.unsqueeze(2)
+    return volumes if volumes.stride(-1) == 1 else volumes.contiguous()
 
 
 def _factors(weight: Tensor, across: bool, adjoint: bool = False) -> Tensor:
@@ -194,33 +195,8 @@ def _transforms(across: bool, depth: int, dtype: torch.dtype) -> tuple[Tensor, T
 
     line, plane = table(_LINE_TAPS if depth > 1 else ((1.0,),)), table(_PLANE_TAPS)
     # Every tap by itself as a planar kernel (7, 3, 3), of which the first and the last place are none.
-    single = planar_kernel(torch.eye(7, dtype=torch.float64, device="cpu"), _taps(across))
+    single = planar_kernel(torch.eye(7, dtype=torch.float64, device="cpu"), ROW_TAPS if across else COL_TAPS)
     slots = torch.einsum("ri,sj,tij->rst", plane, plane, single).flatten(0, 1)[
         1:-1
     ]  # the others are always zero
     return line.to(dtype), slots.to(dtype)
-
-
-def _volumes(images: Tensor) -> Tensor:
-    """View ``(B, C, [N,] h, w)`` as ``(B, N, h, w, C)``, channels next to each other in memory."""
-    volumes = (images.unsqueeze(2) if images.ndim == 4 else images).movedim(1, -1)
-    return volumes if volumes.stride(-1) == 1 else volumes.contiguous()
-
-
-def _new(shape: tuple[int, ...], like: Tensor) -> Tensor:
-    """An uninitialised tensor ``(B, C, *)`` whose channels lie next to each other in memory."""
-    batch, channels, *places = shape
-    return like.new_empty(batch, *places, channels).movedim(-1, 1)
-
-
-def _new_result(images: Tensor, weight: Tensor, border: bool) -> Tensor:
-    batch, _, *middle, height, width = images.shape
-    return _new((batch, len(weight), *middle, height - 2 * border, width - 2 * border), images)
-
-
-def _new_gradients(images: Tensor, weight: Tensor, wanted: list[bool]) -> tuple[Tensor, Tensor, Tensor]:
-    return (
-        _new(tuple(images.shape), images) if wanted[0] else images.new_empty(0),
-        weight.new_empty(weight.shape) if wanted[1] else weight.new_empty(0),
-        weight.new_empty(len(weight)) if wanted[2] else weight.new_empty(0),
-    )

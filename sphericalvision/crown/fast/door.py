@@ -7,6 +7,8 @@ precision once they are compiled, under ``"require"`` wherever they can.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -16,9 +18,11 @@ from sphericalvision.core import way_of_kernels
 from sphericalvision.crown.fast.build import operators_ready
 from sphericalvision.crown.fast.convolution import hex_convolution
 from sphericalvision.crown.fast.normalization import crown_normalization
+from sphericalvision.crown.places import place_ids
 from sphericalvision.crown.taps import ROW_TAPS, Taps, convolve
+from sphericalvision.icosphere import level_from_num_vertices
 
-__all__ = ["convolve_rectangles", "normalize", "settled_way"]
+__all__ = ["convolve_rectangles", "convolve_vertices", "normalize", "settled_way"]
 
 Pair = tuple[Tensor, Tensor]
 
@@ -59,14 +63,60 @@ def convolve_rectangles(
         border: whether there is one more place all around.
         relu: whether results are rectified.
     """
-    images = rectangles.flatten(0, 1)
-    if stride == 1 and _operators_fit(images, weight):
-        result = hex_convolution(images, weight, bias, taps == ROW_TAPS, border, relu)
-    else:
-        result = convolve(images, weight, taps, bias, stride, border)
-        if relu:
-            result = result.relu() if torch.is_grad_enabled() else result.relu_()
+    keeps = torch.is_grad_enabled()
+    if stride == 1 and _operators_fit(rectangles, weight):
+        volumes, rectify = _inward(rectangles).flatten(0, 1), relu and not keeps
+        result = hex_convolution(volumes, weight, bias, taps == ROW_TAPS, border, rectify, None)
+        result = _outward(result.unflatten(0, (-1, 5)), rectangles.ndim)
+        return result.relu() if relu and keeps else result
+    result = convolve(rectangles.flatten(0, 1), weight, taps, bias, stride, border)
+    if relu:
+        result = result.relu() if keeps else result.relu_()
     return result.unflatten(0, (-1, 5))
+
+
+def _inward(rectangles: Tensor) -> Tensor:
+    """View rectangles ``(B, 5, C, [N,] h, w)`` as operators take them, ``(B, 5, N, h, w, C)``."""
+    return (rectangles.unsqueeze(3) if rectangles.ndim == 5 else rectangles).movedim(2, -1)
+
+
+def _outward(result: Tensor, ndim: int) -> Tensor:
+    """Undo ``_inward``."""
+    rectangles = result.movedim(-1, 2)
+    return rectangles.squeeze(3) if ndim == 5 else rectangles
+
+
+def convolve_vertices(
+    values: Float[Tensor, "B C *N V"],
+    weight: Float[Tensor, "O C taps"],
+    bias: Float[Tensor, " O"] | None,
+    relu: bool,
+) -> Pair | None:
+    """Convolve the crown of values at stride 1 without making it; None where operators do not fit."""
+    if (
+        (relu and torch.is_grad_enabled())
+        or not _operators_fit(values, weight)
+        or torch.compiler.is_compiling()
+    ):
+        return None
+    volumes = (values.unsqueeze(2) if values.ndim == 3 else values).movedim(1, -1)
+    col, row = (
+        _outward(
+            hex_convolution(volumes, weight, bias, across, False, relu, places).unflatten(0, (-1, 5)),
+            values.ndim + 2,
+        )
+        for across, places in enumerate(_places(level_from_num_vertices(values.shape[-1])))
+    )
+    return col, row
+
+
+@lru_cache(maxsize=16)
+@torch.inference_mode(False)  # kept for training, too
+def _places(level: int) -> Pair:
+    """Vertices at the places of col and of row rectangles, int32 on the CPU: at level 7 half a megabyte each."""
+    n = 2**level
+    col, row = place_ids(level, torch.device("cpu")).int().split(5)
+    return col.view(5, 2 * n + 1, n + 1), row.view(5, n + 1, 2 * n + 1)
 
 
 def normalize(
@@ -75,16 +125,29 @@ def normalize(
     norm: _BatchNorm,
     per_sample: bool,
     relu: bool,
+    convolution: tuple[Tensor, Tensor | None] | None = None,
 ) -> Pair | None:
-    """Normalise rectangles by their own statistics, which running averages take in; None where operators do not fit."""
+    """Normalise rectangles by their own statistics, which running averages take in; None where operators do not fit.
+
+    Args:
+        col: ``(B, 5, C, [N,] h, w)``.
+        row: ``(B, 5, C, [N,] w, h)``.
+        norm: the layer, whose weights and running averages are used.
+        per_sample: whether each sample has statistics of its own.
+        relu: whether results are rectified.
+        convolution: weight and bias of one that follows the ReLU, at stride 1: what it is given is never written.
+    """
+    weight, bias = convolution or (None, None)
     if norm.weight is None or not _operators_fit(col, norm.weight):
         return None
+    if weight is not None and not _operators_fit(col, weight):
+        return None
     first, second, mean, variance = crown_normalization(
-        col, row, norm.weight, norm.bias, norm.eps, per_sample, relu
+        _inward(col), _inward(row), norm.weight, norm.bias, weight, bias, norm.eps, per_sample, relu
     )
     if norm.training and norm.running_mean is not None:
         _track(norm, mean[0], variance[0], 2 * col.numel() // col.shape[2])
-    return first, second
+    return _outward(first, col.ndim), _outward(second, col.ndim)
 
 
 def settled_way() -> str:

@@ -32,7 +32,7 @@
 namespace {
 
 using lanes::LANES, lanes::load, lanes::store, lanes::Vec;
-using volumes::inside, volumes::Volumes;
+using volumes::CHARTS, volumes::inside, volumes::Volumes;
 
 constexpr int64_t SIDE = 3, GIVEN = 5;       // results and given values along a side of a tile
 constexpr int64_t SLOTS = GIVEN * GIVEN - 2;  // products of a tile, without the first and the last, which are zero
@@ -157,9 +157,38 @@ struct Hand {
   Tiles<T> result_tiles() const { return tiles(3, result_blocks); }
 };
 
+// Normalisation and ReLU of given values, a factor and an offset (B or 1, C) for each channel, while they are read: cheaper
+// than to write them, and nobody needs to keep them. Without a factor values are as they are.
+template <typename T>
+struct Scaling {
+  const T *factor = nullptr, *offset = nullptr;
+  int64_t samples = 1, batch, channels;
+
+  Scaling(const std::optional<at::Tensor>& factors, const std::optional<at::Tensor>& offsets, const Volumes<T>& given)
+      : batch(given.batch), channels(given.channels) {
+    if (!factors) return;
+    for (const at::Tensor& table : {*factors, offsets.value()})
+      TORCH_CHECK(table.dim() == 2 && table.is_contiguous() && table.size(1) == channels && batch % table.size(0) == 0 &&
+                      table.sizes() == factors->sizes(),
+                  "factor and offset: expected (samples or 1, ", channels, "), got ", table.sizes());
+    factor = factors->const_data_ptr<T>(), offset = offsets->const_data_ptr<T>(), samples = factors->size(0);
+  }
+
+  template <int F>
+  void apply(Vec<T> (&values)[F], const int64_t b, const int64_t block, const int64_t count) const {
+    const int64_t at = b * samples / batch * channels + block * LANES;
+    const Vec<T> a = load(factor + at, count), shift = load(offset + at, count), zero{};
+    for (int k = 0; k < F; ++k) {
+      const Vec<T> value = values[k] * a + shift;
+      values[k] = value < zero ? zero : value;  // NaN stays
+    }
+  }
+};
+
 // Along the hypotheses: given values of a strip and around it to planes of factors.
 template <typename T, int F>
-void read_given(const Volumes<T>& given, const Strip& strip, const int64_t border, const Planes<T>& planes) {
+void read_given(const Volumes<T>& given, const Scaling<T>& scaling, const Strip& strip, const int64_t border,
+                const Planes<T>& planes) {
   int64_t depth[F];
   for (int k = 0; k < F; ++k) depth[k] = inside(strip.group * MADE<F> + k - BEFORE<F>, given.depth) * given.deep;
   for (int64_t row = 0; row < planes.rows; ++row) {
@@ -171,6 +200,7 @@ void read_given(const Volumes<T>& given, const Strip& strip, const int64_t borde
         const int64_t count = given.in_block(block);
         Vec<T> d[F], x[F];
         for (int k = 0; k < F; ++k) d[k] = load(from + depth[k], count);
+        if (scaling.factor) scaling.apply(d, strip.b, block, count);
         winograd::to_factors<T>(d, x);
         for (int k = 0; k < F; ++k) store(to + k * planes.step(), x[k]);
       }
@@ -449,14 +479,14 @@ void for_strips(const Grid& grid, const int64_t number, const At& at, const Func
 }
 
 template <typename T, int F>
-void forward(const Volumes<T>& given, const T* weight, const T* bias, const bool rectify, const int64_t border,
-             const Volumes<T>& results) {
+void forward(const Volumes<T>& given, const Scaling<T>& scaling, const T* weight, const T* bias, const bool rectify,
+             const int64_t border, const Volumes<T>& results) {
   const Grid grid(results, MADE<F>);
   const int64_t size = SLOTS * given.channels * results.blocks * LANES;
   for_strips(grid, grid.size(), [&](const int64_t i) { return grid.strip(i); }, [&](std::vector<Strip> strips) {
     const Hand<T, F> hand(grid, std::move(strips), given.blocks, results.blocks);
     const Tiles<T> tiles = hand.given_tiles(), products = hand.result_tiles();
-    for (const Strip& strip : hand.strips) read_given<T, F>(given, strip, border, hand.given(strip));
+    for (const Strip& strip : hand.strips) read_given<T, F>(given, scaling, strip, border, hand.given(strip));
     for (int k = 0; k < F; ++k) {
       for (const Strip& strip : hand.strips) to_tiles<GIVEN>(hand.given(strip), k, tiles, strip.tile, TO_FACTORS);
       multiply(tiles, given.channels, weight + k * size, products);
@@ -472,14 +502,15 @@ void backward_given(const Volumes<T>& grad, const T* weight, const int64_t borde
   const Grid grid(grad, MADE<F>);
   const int64_t size = SLOTS * grad.channels * grad_given.blocks * LANES;
   // Neighbouring strips and neighbouring groups of hypotheses add to the same places, those after next do not: even ones
-  // and odd ones take turns.
-  for (int64_t turn = 0; turn < 4; ++turn) {
-    const int64_t odd_part = turn % 2, odd_group = turn / 2;
+  // and odd ones take turns. So do rectangles that add to the same vertices.
+  const int64_t charts = grad_given.places ? CHARTS : 1;
+  for (int64_t turn = 0; turn < 4 * charts; ++turn) {
+    const int64_t odd_part = turn % 2, odd_group = turn / 2 % 2, chart = turn / 4;
     const int64_t parts = (grid.parts + 1 - odd_part) / 2, groups = (grid.groups + 1 - odd_group) / 2;
     const auto at = [&](const int64_t i) {
-      return grid.strip(i / parts / groups, 2 * (i / parts % groups) + odd_group, 2 * (i % parts) + odd_part);
+      return grid.strip(i / parts / groups * charts + chart, 2 * (i / parts % groups) + odd_group, 2 * (i % parts) + odd_part);
     };
-    for_strips(grid, grid.batch * groups * parts, at, [&](std::vector<Strip> strips) {
+    for_strips(grid, grid.batch / charts * groups * parts, at, [&](std::vector<Strip> strips) {
       const Hand<T, F> hand(grid, std::move(strips), grad_given.blocks, grad.blocks);
       const Tiles<T> tiles = hand.given_tiles(), products = hand.result_tiles();
       for (const Strip& strip : hand.strips) read_gradients<T, F>(grad, strip, hand.results(strip));
@@ -496,7 +527,8 @@ void backward_given(const Volumes<T>& grad, const T* weight, const int64_t borde
 // The adjoint with respect to the weight, (parts, F, SLOTS, C, O'): a part for each thread, summed up by who calls, always in
 // the same order.
 template <typename T, int F>
-void backward_weight(const Volumes<T>& given, const Volumes<T>& grad, const int64_t border, T* totals, const int64_t parts) {
+void backward_weight(const Volumes<T>& given, const Scaling<T>& scaling, const Volumes<T>& grad, const int64_t border, T* totals,
+                     const int64_t parts) {
   const Grid grid(grad, MADE<F>);
   const int64_t size = SLOTS * given.channels * grad.blocks * LANES;
   const int64_t together = std::max<int64_t>(1, 3 * TILES / (grid.most_rows() * grid.columns));
@@ -509,7 +541,7 @@ void backward_weight(const Volumes<T>& given, const Volumes<T>& grad, const int6
         const Hand<T, F> hand(grid, std::move(strips), given.blocks, grad.blocks);
         const Tiles<T> tiles = hand.given_tiles(), upstream = hand.result_tiles();
         for (const Strip& strip : hand.strips) {
-          read_given<T, F>(given, strip, border, hand.given(strip));
+          read_given<T, F>(given, scaling, strip, border, hand.given(strip));
           read_gradients<T, F>(grad, strip, hand.results(strip));
         }
         for (int k = 0; k < F; ++k) {
@@ -528,12 +560,16 @@ int64_t padded(const int64_t channels) { return (channels + LANES - 1) / LANES *
 
 // Check what belongs together and return whether hypotheses go through Winograd's transforms.
 bool check(const at::Tensor& given, const at::Tensor& weight, const at::Tensor& result, const int64_t border,
-           const int64_t weight_place) {
+           const std::optional<at::Tensor>& places, const int64_t weight_place) {
   TORCH_CHECK(given.dim() == 5 && result.dim() == 5 && weight.dim() == weight_place + 4, "expected volumes (B, D, h, w, C)");
   TORCH_CHECK(given.scalar_type() == result.scalar_type() && given.scalar_type() == weight.scalar_type(),
               "expected one precision, got ", given.scalar_type(), ", ", result.scalar_type(), " and ", weight.scalar_type());
-  TORCH_CHECK((border == 0 || border == 1) && given.size(0) == result.size(0) && given.size(1) == result.size(1) &&
-                  given.size(2) == result.size(2) + 2 * border && given.size(3) == result.size(3) + 2 * border,
+  TORCH_CHECK(!places || (places->dim() == 3 && places->size(0) == CHARTS && places->is_contiguous() && !border &&
+                          places->numel() && places->scalar_type() == at::kInt),
+              "places: expected int32 (5, h, w), and no border");
+  const int64_t height = places ? places->size(1) : given.size(2), width = places ? places->size(2) : given.size(3);
+  TORCH_CHECK((border == 0 || border == 1) && given.size(0) * (places ? CHARTS : 1) == result.size(0) &&
+                  given.size(1) == result.size(1) && height == result.size(2) + 2 * border && width == result.size(3) + 2 * border,
               "given values and results do not fit: ", given.sizes(), " and ", result.sizes());
   const int64_t planes = weight.size(weight_place);
   TORCH_CHECK((planes == 6 || (planes == 1 && given.size(1) == 1)) && weight.is_contiguous() &&
@@ -543,36 +579,40 @@ bool check(const at::Tensor& given, const at::Tensor& weight, const at::Tensor& 
 }
 
 void hex_convolve(const at::Tensor& given, const at::Tensor& weight, const std::optional<at::Tensor>& bias, const bool rectify,
-               const int64_t border, at::Tensor result) {
-  const bool transformed = check(given, weight, result, border, 0);
+               const int64_t border, at::Tensor result, const std::optional<at::Tensor>& places,
+               const std::optional<at::Tensor>& factor, const std::optional<at::Tensor>& offset) {
+  const bool transformed = check(given, weight, result, border, places, 0);
   TORCH_CHECK(weight.size(2) == given.size(4) && weight.size(3) == padded(result.size(4)), "weight does not fit");
   TORCH_CHECK(!bias || (bias->is_contiguous() && bias->numel() == result.size(4) && bias->scalar_type() == given.scalar_type()),
               "bias: expected ", result.size(4), " values");
   AT_DISPATCH_FLOATING_TYPES(given.scalar_type(), "hex_convolve", [&] {
-    const Volumes<scalar_t> from(given, "given"), to(result, "result");
+    const Volumes<scalar_t> from(given, "given", places), to(result, "result");
     const scalar_t* shift = bias ? bias->const_data_ptr<scalar_t>() : nullptr;
     (transformed ? forward<scalar_t, 6> : forward<scalar_t, 1>)(
-        from, weight.const_data_ptr<scalar_t>(), shift, rectify, border, to);
+        from, Scaling<scalar_t>(factor, offset, from), weight.const_data_ptr<scalar_t>(), shift, rectify, border, to);
   });
 }
 
-void hex_convolve_backward_given(const at::Tensor& grad, const at::Tensor& weight, const int64_t border, at::Tensor grad_given) {
-  const bool transformed = check(grad_given, weight, grad, border, 0);
+void hex_convolve_backward_given(const at::Tensor& grad, const at::Tensor& weight, const int64_t border, at::Tensor grad_given,
+                                 const std::optional<at::Tensor>& places) {
+  const bool transformed = check(grad_given, weight, grad, border, places, 0);
   TORCH_CHECK(weight.size(2) == grad.size(4) && weight.size(3) == padded(grad_given.size(4)), "weight does not fit");
   AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "hex_convolve_backward_given", [&] {
-    const Volumes<scalar_t> from(grad, "grad"), to(grad_given, "grad_given");
+    const Volumes<scalar_t> from(grad, "grad"), to(grad_given, "grad_given", places);
     (transformed ? backward_given<scalar_t, 6> : backward_given<scalar_t, 1>)(
         from, weight.const_data_ptr<scalar_t>(), border, to);
   });
 }
 
-void hex_convolve_backward_weight(const at::Tensor& given, const at::Tensor& grad, const int64_t border, at::Tensor parts) {
-  const bool transformed = check(given, parts, grad, border, 1);
+void hex_convolve_backward_weight(const at::Tensor& given, const at::Tensor& grad, const int64_t border, at::Tensor parts,
+                                  const std::optional<at::Tensor>& places, const std::optional<at::Tensor>& factor,
+                                  const std::optional<at::Tensor>& offset) {
+  const bool transformed = check(given, parts, grad, border, places, 1);
   TORCH_CHECK(parts.size(3) == given.size(4) && parts.size(4) == padded(grad.size(4)), "parts do not fit");
   AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "hex_convolve_backward_weight", [&] {
-    const Volumes<scalar_t> from(given, "given"), upstream(grad, "grad");
+    const Volumes<scalar_t> from(given, "given", places), upstream(grad, "grad");
     (transformed ? backward_weight<scalar_t, 6> : backward_weight<scalar_t, 1>)(
-        from, upstream, border, parts.mutable_data_ptr<scalar_t>(), parts.size(0));
+        from, Scaling<scalar_t>(factor, offset, from), upstream, border, parts.mutable_data_ptr<scalar_t>(), parts.size(0));
   });
 }
 
@@ -580,9 +620,12 @@ void hex_convolve_backward_weight(const at::Tensor& given, const at::Tensor& gra
 
 TORCH_LIBRARY_FRAGMENT(sphericalvision, library) {
   library.def("lanes() -> int", [] { return LANES; });
-  library.def("hex_convolve(Tensor given, Tensor weight, Tensor? bias, bool rectify, int border, Tensor(a!) result) -> ()");
-  library.def("hex_convolve_backward_given(Tensor grad, Tensor weight, int border, Tensor(a!) grad_given) -> ()");
-  library.def("hex_convolve_backward_weight(Tensor given, Tensor grad, int border, Tensor(a!) parts) -> ()");
+  library.def("hex_convolve(Tensor given, Tensor weight, Tensor? bias, bool rectify, int border, Tensor(a!) result, "
+              "Tensor? places=None, Tensor? factor=None, Tensor? offset=None) -> ()");
+  library.def("hex_convolve_backward_given(Tensor grad, Tensor weight, int border, Tensor(a!) grad_given, "
+              "Tensor? places=None) -> ()");
+  library.def("hex_convolve_backward_weight(Tensor given, Tensor grad, int border, Tensor(a!) parts, Tensor? places=None, "
+              "Tensor? factor=None, Tensor? offset=None) -> ()");
 }
 
 TORCH_LIBRARY_IMPL(sphericalvision, CPU, library) {

@@ -9,7 +9,6 @@
 #include <torch/library.h>
 
 #include <algorithm>
-#include <optional>
 
 #include "lanes.h"
 
@@ -105,34 +104,36 @@ void scale_shift(const at::Tensor& values, const at::Tensor& factor, const at::T
   });
 }
 
-// A gradient where the rectified result is above zero, and zero elsewhere; as it is without one.
+// A gradient where values * factor + offset is above zero, and zero elsewhere: that sum is cheaper than to keep and read what
+// came out.
 template <typename T>
-inline Vec<T> where_positive(const Vec<T>& gradient, const T* rectified, const int64_t at, const int64_t count) {
-  if (!rectified) return gradient;
-  const Vec<T> zero{};
-  return load(rectified + at, count) > zero ? gradient : zero;
+inline Vec<T> where_positive(const Vec<T>& gradient, const Vec<T>& value, const Vec<T>& factor, const Vec<T>& offset) {
+  const Vec<T> zero{}, result = value * factor + offset;
+  return result > zero ? gradient : zero;
 }
 
-// Of the gradient where the result was above zero (everywhere without `rectified`): sums (B, chunks, C) of the gradient and
-// of its products with values - mean.
-void gradient_sums(const at::Tensor& gradient, const at::Tensor& values, const std::optional<at::Tensor>& rectified,
-                   const at::Tensor& mean, at::Tensor totals, at::Tensor along) {
+// Sums (B, chunks, C) of the gradient and of its products with values - mean; of the gradient where `scale_shift` gave more
+// than zero, if it rectified.
+void gradient_sums(const at::Tensor& gradient, const at::Tensor& values, const at::Tensor& factor, const at::Tensor& offset,
+                   const bool rectified, const at::Tensor& mean, at::Tensor totals, at::Tensor along) {
   check(gradient, values);
-  check_table(mean, values);
-  if (rectified) check(*rectified, values);
+  for (const auto& table : {factor, offset, mean}) check_table(table, values);
   const Shape shape(values);
   AT_DISPATCH_FLOATING_TYPES(values.scalar_type(), "gradient_sums", [&] {
     const scalar_t *all = values.const_data_ptr<scalar_t>(), *upstream = gradient.const_data_ptr<scalar_t>();
-    const scalar_t* open = rectified ? rectified->const_data_ptr<scalar_t>() : nullptr;
     scalar_t *to_totals = totals.mutable_data_ptr<scalar_t>(), *to_along = along.mutable_data_ptr<scalar_t>();
     for_chunks(shape, [&](const int64_t sample, const int64_t chunk, const int64_t channel, const int64_t count) {
+      const auto a = load(row_of<scalar_t>(factor, shape, sample) + channel, count);
+      const auto b = load(row_of<scalar_t>(offset, shape, sample) + channel, count);
       const auto center = load(row_of<scalar_t>(mean, shape, sample) + channel, count);
       Vec<scalar_t> total{}, product{};
       for (int64_t place = shape.begin(chunk); place < shape.end(chunk); ++place) {
         const int64_t at = (sample * shape.places + place) * shape.channels + channel;
-        const auto g = where_positive<scalar_t>(load(upstream + at, count), open, at, count);
+        const auto value = load(all + at, count);
+        auto g = load(upstream + at, count);
+        if (rectified) g = where_positive<scalar_t>(g, value, a, b);
         total += g;
-        product += g * (load(all + at, count) - center);
+        product += g * (value - center);
       }
       const int64_t to = (sample * shape.chunks + chunk) * shape.channels + channel;
       store(to_totals + to, total, count);
@@ -141,27 +142,28 @@ void gradient_sums(const at::Tensor& gradient, const at::Tensor& values, const s
   });
 }
 
-// gradient * factor + values * by_value + constant, the gradient counted where the result was above zero.
-void normalized_gradient(const at::Tensor& gradient, const at::Tensor& values, const std::optional<at::Tensor>& rectified,
-                         const at::Tensor& factor, const at::Tensor& by_value, const at::Tensor& constant,
+// gradient * factor + values * by_value + constant, the gradient counted as in `gradient_sums`. The result may be its memory.
+void normalized_gradient(const at::Tensor& gradient, const at::Tensor& values, const at::Tensor& factor,
+                         const at::Tensor& offset, const bool rectified, const at::Tensor& by_value, const at::Tensor& constant,
                          at::Tensor result) {
   check(gradient, values);
   check(result, values);
-  if (rectified) check(*rectified, values);
-  for (const auto& table : {factor, by_value, constant}) check_table(table, values);
+  for (const auto& table : {factor, offset, by_value, constant}) check_table(table, values);
   const Shape shape(values);
   AT_DISPATCH_FLOATING_TYPES(values.scalar_type(), "normalized_gradient", [&] {
     const scalar_t *all = values.const_data_ptr<scalar_t>(), *upstream = gradient.const_data_ptr<scalar_t>();
-    const scalar_t* open = rectified ? rectified->const_data_ptr<scalar_t>() : nullptr;
     scalar_t* to = result.mutable_data_ptr<scalar_t>();
     for_chunks(shape, [&](const int64_t sample, const int64_t chunk, const int64_t channel, const int64_t count) {
       const auto a = load(row_of<scalar_t>(factor, shape, sample) + channel, count);
-      const auto b = load(row_of<scalar_t>(by_value, shape, sample) + channel, count);
+      const auto b = load(row_of<scalar_t>(offset, shape, sample) + channel, count);
+      const auto along = load(row_of<scalar_t>(by_value, shape, sample) + channel, count);
       const auto c = load(row_of<scalar_t>(constant, shape, sample) + channel, count);
       for (int64_t place = shape.begin(chunk); place < shape.end(chunk); ++place) {
         const int64_t at = (sample * shape.places + place) * shape.channels + channel;
-        const auto g = where_positive<scalar_t>(load(upstream + at, count), open, at, count);
-        store(to + at, Vec<scalar_t>(g * a + load(all + at, count) * b + c), count);
+        const auto value = load(all + at, count);
+        auto g = load(upstream + at, count);
+        if (rectified) g = where_positive<scalar_t>(g, value, a, b);
+        store(to + at, Vec<scalar_t>(g * a + value * along + c), count);
       }
     });
   });
@@ -172,10 +174,10 @@ void normalized_gradient(const at::Tensor& gradient, const at::Tensor& values, c
 TORCH_LIBRARY_FRAGMENT(sphericalvision, library) {
   library.def("chunk_moments(Tensor values, Tensor(a!) sums, Tensor(b!) squares) -> ()");
   library.def("scale_shift(Tensor values, Tensor factor, Tensor offset, bool rectify, Tensor(a!) result) -> ()");
-  library.def("gradient_sums(Tensor gradient, Tensor values, Tensor? rectified, Tensor mean, Tensor(a!) totals, "
-              "Tensor(b!) along) -> ()");
-  library.def("normalized_gradient(Tensor gradient, Tensor values, Tensor? rectified, Tensor factor, Tensor by_value, "
-              "Tensor constant, Tensor(a!) result) -> ()");
+  library.def("gradient_sums(Tensor gradient, Tensor values, Tensor factor, Tensor offset, bool rectified, Tensor mean, "
+              "Tensor(a!) totals, Tensor(b!) along) -> ()");
+  library.def("normalized_gradient(Tensor gradient, Tensor values, Tensor factor, Tensor offset, bool rectified, "
+              "Tensor by_value, Tensor constant, Tensor(a!) result) -> ()");
 }
 
 TORCH_LIBRARY_IMPL(sphericalvision, CPU, library) {

@@ -6,6 +6,7 @@
 #include <ATen/core/Tensor.h>
 
 #include <algorithm>
+#include <optional>
 
 #include "lanes.h"
 
@@ -13,14 +14,18 @@ namespace volumes {
 
 using lanes::LANES;
 
-// Volumes (B, D, h, w, C), channels next to each other; images have D = 1.
+constexpr int64_t CHARTS = 5;  // rectangles of one kind
+
+// Volumes (B, D, h, w, C), channels next to each other; images have D = 1. Or values at vertices, (B, D, 1, V, C), which
+// `places`, the numbers of vertices (5, h, w), lay out as five rectangles a sample: these are then never written.
 template <typename T>
 struct Volumes {
   T* data;
+  const int32_t* places = nullptr;
   int64_t batch, depth, height, width, channels, blocks;
   int64_t next, deep, down, right;
 
-  Volumes(const at::Tensor& tensor, const char* name)
+  Volumes(const at::Tensor& tensor, const char* name, const std::optional<at::Tensor>& laid_out = {})
       : data(const_cast<T*>(tensor.const_data_ptr<T>())),
         batch(tensor.size(0)),
         depth(tensor.size(1)),
@@ -34,10 +39,17 @@ struct Volumes {
         right(tensor.stride(3)) {
     TORCH_CHECK(tensor.dim() == 5 && (tensor.stride(4) == 1 || channels == 1), name,
                 ": expected (B, D, h, w, C) whose channels lie together, got ", tensor.sizes());
+    if (!laid_out) return;
+    places = laid_out->const_data_ptr<int32_t>();
+    const auto [least, most] = std::minmax_element(places, places + laid_out->numel());
+    TORCH_CHECK(height == 1 && *least >= 0 && *most < width, "places: expected numbers of ", width, " vertices");
+    batch *= CHARTS, height = laid_out->size(1), width = laid_out->size(2);
   }
 
   T* at(const int64_t b, const int64_t d, const int64_t y, const int64_t x, const int64_t block) const {
-    return data + b * next + d * deep + y * down + x * right + block * LANES;
+    const int64_t place = places ? b / CHARTS * next + places[(b % CHARTS * height + y) * width + x] * right
+                                 : b * next + y * down + x * right;
+    return data + d * deep + place + block * LANES;
   }
 
   // Channels in a block; the last one may have fewer.

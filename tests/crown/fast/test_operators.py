@@ -11,6 +11,7 @@ from torch import Tensor
 from sphericalvision.core import kernels
 from sphericalvision.crown import HexConv2d
 from sphericalvision.crown.fast.convolution import hex_convolution
+from sphericalvision.crown.places import place_ids
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, planar_kernel, repeat_border
 from tests.crown.compiler import needs_compiler
 
@@ -24,7 +25,21 @@ def loaded() -> None:
 
 
 def convolved(images: Tensor, weight: Tensor, bias: Tensor | None, taps: Taps) -> Tensor:
-    return hex_convolution(images, weight, bias, taps == ROW_TAPS, False, False)
+    return by_operator(images, weight, bias, taps == ROW_TAPS)
+
+
+def by_operator(
+    images: Tensor,
+    weight: Tensor,
+    bias: Tensor | None,
+    across: bool,
+    border: bool = False,
+    relu: bool = False,
+) -> Tensor:
+    """Images ``(B, C, [N,] h, w)`` through the operator, which has channels last and takes images as volumes."""
+    volumes = (images.unsqueeze(2) if images.ndim == 4 else images).movedim(1, -1)
+    result = hex_convolution(volumes, weight, bias, across, border, relu, None).movedim(-1, 1)
+    return result.squeeze(2) if images.ndim == 4 else result
 
 
 def direct(images: Tensor, weight: Tensor, bias: Tensor | None, taps: Taps) -> Tensor:
@@ -92,28 +107,33 @@ def test_parts_of_larger_tensors_are_convolved(generator: torch.Generator) -> No
     around = torch.randn(2, 9, 8, 11, 20, generator=generator)
     for given in (around[:, 1:7, 1:, 2:-1].movedim(-1, 1), around.movedim(-1, 1).contiguous()[:, :, ::2]):
         expected = direct(given, weight, bias, COL_TAPS).relu()
-        result = hex_convolution(given, weight, bias, False, False, True)
+        result = by_operator(given, weight, bias, False, relu=True)
         torch.testing.assert_close(result, expected, atol=1e-5, rtol=1e-5)
         inside = direct(given, weight, bias, COL_TAPS)[..., 1:-1, 1:-1]
-        result = hex_convolution(given, weight, bias, False, True, False)
+        result = by_operator(given, weight, bias, False, border=True)
         torch.testing.assert_close(result, inside, atol=1e-5, rtol=1e-5)
 
 
 def test_operators_pass_the_checks_of_torch() -> None:
     """Schema, fake results, autograd: what ``torch.compile`` and ``meta`` tensors rely on."""
-    for shape, out, taps in (((2, 3, 5, 3), 4, 7), ((1, 17, 6, 5, 3), 3, 21)):
-        inputs = torch.randn(shape, requires_grad=True), torch.randn(out, shape[1], taps, requires_grad=True)
+
+    def draw(*shape: int) -> Tensor:
+        return torch.randn(shape, requires_grad=True)
+
+    operators, across = torch.ops.sphericalvision, place_ids(1)[5:].int().view(5, 3, 5)
+    crown = draw(2, 5, 1, 5, 3, 3), draw(2, 5, 1, 3, 5, 3), draw(3), draw(3)
+    for operator, inputs in (
+        (operators.hex_convolution, (draw(2, 1, 5, 3, 3), draw(4, 3, 7), draw(4), True, False, False, None)),
+        (operators.hex_convolution, (draw(1, 6, 5, 3, 17), draw(3, 17, 21), None, False, False, False, None)),
+        (operators.hex_convolution, (draw(2, 1, 42, 3), draw(4, 3, 7), draw(4), True, False, False, across)),
+        (operators.crown_normalization, (*crown, None, None, 1e-5, True, True)),
+        (operators.crown_normalization, (*crown, draw(4, 3, 7), draw(4), 1e-5, False, True)),
+    ):
         torch.library.opcheck(
-            torch.ops.sphericalvision.hex_convolution.default,
-            (*inputs, torch.randn(out, requires_grad=True), True, False, False),
+            operator.default,
+            inputs,
             test_utils=("test_schema", "test_autograd_registration", "test_faketensor"),
         )
-    col, row = torch.randn(2, 5, 3, 5, 3, requires_grad=True), torch.randn(2, 5, 3, 3, 5, requires_grad=True)
-    torch.library.opcheck(
-        torch.ops.sphericalvision.crown_normalization.default,
-        (col, row, torch.rand(3, requires_grad=True), torch.rand(3, requires_grad=True), 1e-5, True, True),
-        test_utils=("test_schema", "test_autograd_registration", "test_faketensor"),
-    )
 
 
 def test_operators_refuse_what_does_not_fit() -> None:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.cameras import CameraRig, FisheyeCamera, ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.calibrating.turns import about_most, turned
 from sphericalvision.capture.preparation.alignment import RigTurns
@@ -141,6 +141,19 @@ def test_of_two_cameras_both_are_turned() -> None:
     wrong = turned(pair, -knock(1, 2.0)[:2])
     assert predictor().with_rig(pair).align(images) is None
     assert predictor().with_rig(wrong).judge(images).turned in (("cam1", "cam2"), ())
+
+
+def test_two_fisheyes_back_to_back_are_not_turned_by_what_depth_explains_as_well() -> None:
+    lens = FisheyeCamera.from_field_of_view((128, 128), math.radians(200))
+    poses = torch.stack((torch.eye(4), torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))))
+    poses[:, 2, 3] = torch.tensor([0.012, -0.012])
+    rig = CameraRig({"front": lens, "back": lens}, poses)
+    found = Predictor(rig, method="semi_global", level=4).judge(
+        [render_rig(make_scene("outdoors", seed=500), rig, 1)]
+    )
+    assert found.turned == ()
+    assert "with a board" in found.described()
+    assert found.spread.max() > math.radians(0.5)
 
 
 def test_turning_all_cameras_together_is_no_turn() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
@@ -34,6 +35,8 @@ STEPS = (
 BIAS, BIAS_OF_TWO = 0.06, 0.16
 """Pixels, at least of the first step, by which turns may be wrong beyond what parts of the sphere tell: a horizon on
 the rows of coarse images moves all cameras alike in every frame, and of two cameras no third one contradicts."""
+TOLD_OF_TWO = 0.08
+"""Of ``_told_of_two``, of the neighbours in a ring of four: cameras that tell less may be wrong by more."""
 SURE = 2.5
 """Standard deviations beyond which a camera is turned."""
 ENOUGH = math.radians(0.6)
@@ -156,10 +159,11 @@ def _doubt(found: RigTurns, sure: bool, latest: float) -> str:
     if found.spread.max() < DOUBT and (sure or found.within < ENOUGH):
         return ""
     doubtful = found.rig.names[int((found.turns.norm(dim=-1) + 2 * found.spread).argmax())]
-    return (
-        f"{doubtful} could be turned by up to {math.degrees(found.within):.2f}°; more frames, with more texture where "
-        "cameras overlap, say more"
-    )
+    apart = len(found.rig) == 2 and _told_of_two(found.rig) < TOLD_OF_TWO / 2
+    more = "more frames, with more texture where cameras overlap, say more"
+    if apart:
+        more = "of two cameras that look apart, turns look like depth; calibrate them with a board"
+    return f"{doubtful} could be turned by up to {math.degrees(found.within):.2f}°; {more}"
 
 
 def _largest(found: RigTurns) -> float:
@@ -193,9 +197,27 @@ def _estimated(depths: Sequence[Depth]) -> RigTurns:
         )
         better = found.rig
         agreements.append(found.agreement)
-    bias = _pixel(rig) * (BIAS if len(rig) > 2 else BIAS_OF_TWO)
+    bias = _pixel(rig) * BIAS
+    if len(rig) == 2:
+        bias = _pixel(rig) * BIAS_OF_TWO * max(1.0, math.sqrt(TOLD_OF_TWO / _told_of_two(rig)))
     spread = (found.spread.double().square() + bias**2).sqrt()
     return RigTurns(rig, about_most(_between(rig, better)), spread, agreement=agreements[0])
+
+
+def _told_of_two(rig: CameraRig) -> float:
+    """How much of a turn about the worst axis can be told from depth: 1/3 where all axes are alike, 0 where nothing.
+
+    A turn moves what a camera sees. Along the plane of both cameras and the point another depth does so as well; only
+    what is across it tells the turn, and that is the axis times the base line's direction as seen along the ray. Of
+    two fisheyes that look back to back all rays that both see are across the base line, so nearly all of a turn about
+    an axis across it looks like depth.
+    """
+    directions = icosphere_vertices(LEVEL, torch.float64, rig.world_from_camera.device)
+    far = rig.center + 1000 * rig.radius * directions.to(rig.center)
+    rays = directions[rig.project(far).valid.all(0)]
+    base = F.normalize((rig.positions[1] - rig.positions[0]).double(), dim=-1)
+    across = F.normalize(base - rays * (rays @ base)[:, None], dim=-1)
+    return max(float(torch.linalg.eigvalsh(across.mT @ across / max(len(rays), 1))[0]), 1e-6)
 
 
 def _smooth(depth: Depth) -> dict[str, Tensor]:

@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 import torch
 import yaml
+from torch import Tensor
 
 from sphericalvision.cameras import Camera
 from sphericalvision.core import ArgumentError
@@ -37,6 +41,26 @@ def with_size(read: Callable[..., Any], path: Path, **known: Any) -> Any:
         if "does not tell" not in str(error) or not str(error).startswith("image_size"):
             raise
         return read(path, image_size=(240, 320), **known)
+
+
+def double(*values: Any) -> list[Tensor]:
+    """Each as a tensor in float64."""
+    return [torch.tensor(value, dtype=torch.float64) for value in values]
+
+
+def circle(angle: Tensor, azimuth: float = 0.7) -> Tensor:
+    """Unit vectors (*, 3) at angles (*) from the axis."""
+    flat = angle.sin()
+    return torch.stack((flat * math.cos(azimuth), flat * math.sin(azimuth), angle.cos()), -1)
+
+
+def published() -> Path:
+    """Calibrations that others publish; they are not part of this package."""
+    default = Path(__file__).resolve().parents[2].parent / "shared" / "real"
+    folder = Path(os.environ.get("SPHERICALVISION_REAL", default)) / "calibrations"
+    if not folder.is_dir():
+        pytest.skip("published calibrations not found; set SPHERICALVISION_REAL to the folder that has them")
+    return folder
 
 
 def directions(max_degrees: float = 60.0, rings: int = 7, spokes: int = 12) -> np.ndarray:

@@ -8,7 +8,6 @@ hand (``SPHERICALVISION_REAL``, a folder with ``calibrations``) these are read a
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from tests.cameras.calibration_samples import (
     dump,
     extended_unified,
     kannala_brandt,
+    published,
 )
 
 KB4 = {
@@ -114,14 +114,6 @@ def rigs(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[CameraRig, Cam
         ]
     first, second, third = (read_rig(path, dtype=torch.float64) for path in paths)
     return first, second, third
-
-
-def published() -> Path:
-    default = Path(__file__).resolve().parents[2].parent / "shared" / "real"
-    folder = Path(os.environ.get("SPHERICALVISION_REAL", default)) / "calibrations"
-    if not folder.is_dir():
-        pytest.skip("published calibrations not found; set SPHERICALVISION_REAL to the folder that has them")
-    return folder
 
 
 RAYS = directions(97.0, rings=98, spokes=72)

@@ -21,6 +21,7 @@ from sphericalvision.cameras import (
     unproject_kannala_brandt,
 )
 from sphericalvision.core import ArgumentError, ShapeError
+from tests.cameras.calibration_samples import double
 
 FOCAL, CENTER, SIZE = [190.97, 188.3], [254.93, 256.9], (512, 512)
 DISTORTION = [0.0034823894, 0.0007150348, -0.0020532361, 0.0002029367]
@@ -30,10 +31,6 @@ def directions(max_angle: float, count: int, generator: torch.Generator) -> torc
     angle = torch.rand(count, generator=generator, dtype=torch.float64) * max_angle
     azimuth = torch.rand(count, generator=generator, dtype=torch.float64) * 2 * math.pi
     return torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1)
-
-
-def double(*values: float | list[float]) -> list[torch.Tensor]:
-    return [torch.tensor(value, dtype=torch.float64) for value in values]
 
 
 def kannala_brandt() -> KannalaBrandtCamera:

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from sphericalvision.cameras import (
     KannalaBrandtCamera,
@@ -16,13 +15,10 @@ from sphericalvision.cameras import (
     project_radial_polynomial,
     unproject_radial_polynomial,
 )
+from tests.cameras.calibration_samples import circle, double
 
 # Of the size of WoodScape's front camera: 1280 x 966, about 190°.
 POLYNOMIAL, CENTER, ASPECT, SIZE = [339.7, -32.0, 48.3, -7.2], [643.4, 479.1], 1.1, (966, 1280)
-
-
-def double(*values: float | list[float]) -> list[Tensor]:
-    return [torch.tensor(value, dtype=torch.float64) for value in values]
 
 
 def lens(polynomial: list[float] = POLYNOMIAL, aspect: float = ASPECT) -> RadialPolynomialCamera:
@@ -31,12 +27,6 @@ def lens(polynomial: list[float] = POLYNOMIAL, aspect: float = ASPECT) -> Radial
 
 def radius(angle: float, polynomial: list[float] = POLYNOMIAL) -> float:
     return sum(k * angle ** (power + 1) for power, k in enumerate(polynomial))
-
-
-def circle(angle: Tensor, azimuth: float = 0.7) -> Tensor:
-    """Unit vectors (*, 3) at angles (*) from the axis."""
-    flat = angle.sin()
-    return torch.stack((flat * math.cos(azimuth), flat * math.sin(azimuth), angle.cos()), -1)
 
 
 @pytest.mark.parametrize("degrees", [1e-5, 0.1, 45.0, 89.0, 90.0, 91.0, 110.0, 150.0])

@@ -17,13 +17,9 @@ from sphericalvision.cameras import (
     KannalaBrandtCamera,
     ThinPrismFisheyeCamera,
 )
-from tests.cameras.calibration_samples import assert_projects, directions, kannala_brandt
+from tests.cameras.calibration_samples import assert_projects, directions, double, kannala_brandt
 
 FOCAL, CENTER, SIZE = [100.0, 110.0], [499.5, 299.5], (600, 1000)
-
-
-def double(*values: Any) -> list[torch.Tensor]:
-    return [torch.tensor(value, dtype=torch.float64) for value in values]
 
 
 def prism(

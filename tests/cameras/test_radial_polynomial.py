@@ -91,16 +91,6 @@ def test_ends_where_the_radius_stops_growing() -> None:
     torch.testing.assert_close(directions.norm(dim=-1), torch.ones(3, dtype=torch.float64))
 
 
-def test_resized_and_cropped_keep_rays() -> None:
-    camera, pixel = lens(), torch.tensor([900.0, 200.0], dtype=torch.float64)
-    resized = camera.resized((483, 320))
-    moved = torch.tensor([(900.0 + 0.5) / 4 - 0.5, (200.0 + 0.5) / 2 - 0.5], dtype=torch.float64)
-    torch.testing.assert_close(resized.unproject(moved).directions, camera.unproject(pixel).directions)
-    cropped = camera.cropped(100, 200, 600, 900)
-    shifted = torch.tensor([700.0, 100.0], dtype=torch.float64)
-    torch.testing.assert_close(cropped.unproject(shifted).directions, camera.unproject(pixel).directions)
-
-
 def test_impossible_intrinsics_are_refused() -> None:
     with pytest.raises(ValueError, match=r"polynomial: .* the first above 0, got \[-1.0, 2.0\]"):
         lens([-1.0, 2.0])

@@ -13,7 +13,7 @@ from annotated_types import Ge, Gt, Le, Len
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras import read_trajectory
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.data import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.data.scanned.base import ScannedFrames
@@ -247,7 +247,8 @@ class OwnScansDataModule(ScannedDataModule):
         """
         pose = torch.eye(4)
         if self.lidar_pose is not None:
-            pose = read_trajectory(self.lidar_pose).world_from_camera[0].float()
+            path = check_file(self.lidar_pose, "the pose of the scanner, data.lidar_pose,")
+            pose = read_trajectory(path).world_from_camera[0].float()
         files = self.source.files
         scans = OwnScans(files, self.source.rig, self.points, pose, height, transform, self.tolerance)
         number = max(round(self.val_share * len(scans.names)), int(self.val_share > 0))

@@ -150,7 +150,9 @@ def test_a_scan_of_ones_own_beside_its_images_is_evaluated(
     assert right_share(good[0], rig.center) > 0.97
 
     far = torch.eye(4)
-    far[:3, 3] = 1000.0
+    far[0, 3] = 1000.0
+    with pytest.warns(UserWarning, match=r"tell the depth of 0\.0% of all directions"):
+        _ = OwnScans(files, rig, tmp_path / "scans", far, height=32)[0]
     narrow = CameraRig(
         {"front": KannalaBrandtCamera([40.0, 40.0], [15.5, 15.5], [0.0] * 4, (32, 32))}, torch.eye(4)[None]
     )

@@ -89,8 +89,8 @@ class ScannedFrames(Dataset[Sample]):
     def __getitem__(self, index: int) -> Any:
         name = self.names[index]
         rig, points = self.rig(name), self.points(name)
-        self._warn_of_another_frame(rig, points, name)
         depth, valid = truth_from_points(points, self.panorama, rig.center, noise=NOISE)
+        self._warn_of_another_frame(rig, points, float(valid.float().mean()), name)
         sample: Sample = {
             "images": {
                 camera: self.image(name, camera, rig.cameras[camera].image_size)
@@ -105,13 +105,18 @@ class ScannedFrames(Dataset[Sample]):
         }
         return sample if self.transform is None else self.transform(sample)
 
-    def _warn_of_another_frame(self, rig: CameraRig, points: Tensor, name: str) -> None:
+    def _warn_of_another_frame(self, rig: CameraRig, points: Tensor, known: float, name: str) -> None:
         share = float(rig.project(points).valid.any(0).float().mean()) if len(points) else 0.0
-        if share < 0.5 and not self._warned:
+        said = ""
+        if share < 0.5:
+            said = f"cameras see {share:.0%} of the points of {name}; expected half of them or more"
+        elif known < 0.01:
+            said = f"points of {name} tell the depth of {known:.1%} of all directions; expected 1 % or more"
+        if said and not self._warned:
             self._warned = True
             warnings.warn(
-                f"{self.root}: cameras see {share:.0%} of the points of {name}; expected half of them or more. Are the "
-                "points in the frame of the rig (x right, y down, z forward, metres), and is the scanner's pose right?",
+                f"{self.root}: {said}. Are the points in the frame of the rig (x right, y down, z forward, metres), "
+                "and is the scanner's pose right?",
                 stacklevel=3,
             )
 

@@ -16,6 +16,7 @@ from sphericalvision.cameras import (
     PinholeCamera,
     RadialPolynomialCamera,
     read_camera,
+    read_rig,
     ring_rig,
     save_camera,
     save_rig,
@@ -74,6 +75,13 @@ def test_learned_intrinsics_are_written(tmp_path: Path) -> None:
         camera = read_camera(path)
         assert isinstance(camera, PinholeCamera)
         assert camera.focal_length.tolist() == [300.0, 301.0]
+
+
+def test_writing_replaces_a_file_at_once_and_leaves_nothing_else(tmp_path: Path) -> None:
+    for radius in (0.1, 0.2):
+        ring_rig(3, radius=radius).to_yaml(tmp_path / "rig.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"]
+    assert read_rig(tmp_path / "rig.yaml").radius.item() == pytest.approx(0.2)
 
 
 def test_failed_writing_leaves_the_old_file(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from sphericalvision.capture.preparation.compensation import (
     denoised,
     noise_of,
 )
+from sphericalvision.capture.preparation.photometry import PhotometricCalibration
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.scenes import make_scene, render_rig
 
@@ -128,6 +129,11 @@ def test_the_light_that_is_told_is_that_which_is_taken_out(rig: CameraRig, clean
     taken_out, _ = predictor.inputs(dark)
     torch.testing.assert_close(taken_out, even, atol=0.1, rtol=0)
     assert (taken_out - even).abs().mean() < 0.01
+
+
+def test_a_lens_that_is_brighter_at_its_edge_loses_nothing() -> None:
+    light = PhotometricCalibration(torch.zeros(1, 3), torch.tensor([[-0.02, 0.0]]), torch.tensor([1.6]), 0.0)
+    assert "lose up to 0 %" in Compensation({}, light).described()[0]
 
 
 @pytest.mark.parametrize("factor", [1 / 16, 1 / 64])

@@ -62,7 +62,7 @@ class Compensation(NamedTuple):
             exposure, falloff = self.light.exposure.mean(1).exp(), 1 - (-self.light.falloff.sum(1)).exp()
             sentences.append(
                 f"compensates exposures of {exposure.min():.2f} to {exposure.max():.2f} of the mean and lenses that "
-                f"lose up to {100 * falloff.max():.0f} % of the light at the edge"
+                f"lose up to {100 * falloff.max().clamp(min=0):.0f} % of the light at the edge"
             )
         return sentences
 

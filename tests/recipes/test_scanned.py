@@ -206,6 +206,8 @@ def test_sequences_have_to_be_named(tmp_path: Path, failing: Callable[..., str],
     assert "data.test" in failing(
         "evaluate", f"checkpoint={weights}", "data=kitti360", f"data.root={tmp_path}"
     )
+    with pytest.raises(MissingFileError, match=r"nothing.*cloud_"):
+        SpiresDataset(write_spires(tmp_path), ["nothing"])
 
 
 def test_disparity_is_the_angle_between_both_cameras() -> None:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, read_rig
+from sphericalvision.core import MissingFileError
 from sphericalvision.data.point_files import read_points
 from sphericalvision.data.scanned.base import (
     SAME_TIME,
@@ -72,7 +73,12 @@ class SpiresDataset(ScannedFrames):
 
     def _add(self, sequence: str, tolerance: float, lacking: dict[str, str]) -> None:
         folder = self.root / "sequences" / sequence
-        clouds = sorted((folder / "processed" / "vilens-slam" / "undist-clouds").glob("cloud_*.pcd"))
+        scans = folder / "processed" / "vilens-slam" / "undist-clouds"
+        clouds = sorted(scans.glob("cloud_*.pcd"))
+        if not clouds:
+            raise MissingFileError(
+                f"{scans.absolute()}: expected cloud_<sec>_<nsec>.pcd of {sequence}, got none"
+            )
         times = {str(cloud): seconds(cloud.stem) for cloud in clouds}
         found: dict[str, dict[str, str]] = {}
         for camera in self.fixed_rig.names:

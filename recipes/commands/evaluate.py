@@ -23,7 +23,8 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.captures import with_own_body_masked
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
-from sphericalvision.recipes.datamodules.base import DepthDataModule, SampleDataModule
+from sphericalvision.recipes.datamodules.base import SampleDataModule
+from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.evaluation.baselines import baselines
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import evaluate

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -15,18 +14,17 @@ from torch.utils.data import DataLoader, Dataset
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.collate import collate_samples
 from sphericalvision.recipes.app.kinds import Count, Number
-from sphericalvision.recipes.datamodules.entries import Sample, Wanted
 
 __all__ = [
-    "DepthDataModule",
     "PreparedSamples",
-    "Sample",
     "SampleDataModule",
     "TrainingStream",
     "even_batches",
 ]
 
 ENDLESS = 2**40
+
+Sample = dict[str, Any]
 
 
 class TrainingStream(Dataset[Sample]):
@@ -206,21 +204,6 @@ class SampleDataModule(pl.LightningDataModule):
     def load_state_dict(self, state_dict: dict[str, int]) -> None:
         """Continue behind the samples that were used up."""
         self.samples_seen = state_dict["samples_seen"]
-
-
-class DepthDataModule(SampleDataModule):
-    """Samples with depth, as the network wants them that they are for; a field ``entries`` may ask for others."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.given: Sequence[str] = getattr(self, "entries", None) or ()
-        self.wanted = Wanted(tuple(self.given or ("sphere",)))
-
-    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
-        """Give samples that suit a network, with ``more`` entries; entries that the configuration names stay."""
-        wanted = Wanted.by(net, depth_level)
-        entries = tuple(self.given or dict.fromkeys((*wanted.entries, *more)))
-        self.wanted = wanted._replace(entries=entries)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

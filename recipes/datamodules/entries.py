@@ -19,7 +19,6 @@ __all__ = [
     "ENTRIES",
     "ChosenEntries",
     "Entries",
-    "Sample",
     "Wanted",
     "check_on_icospheres",
     "images_of",

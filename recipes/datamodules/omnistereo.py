@@ -13,7 +13,8 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.app.kinds import Text
-from sphericalvision.recipes.datamodules.base import DepthDataModule, Sample
+from sphericalvision.recipes.datamodules.base import Sample
+from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.datamodules.entries import ChosenEntries, Entries
 from sphericalvision.recipes.datamodules.skipping import SkipDamaged
 

@@ -25,7 +25,8 @@ from sphericalvision.data.scanned.own import OwnScans
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.recipes.app.captures import open_capture
 from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Positive, Share, Size, Text, Unit
-from sphericalvision.recipes.datamodules.base import DepthDataModule, Sample
+from sphericalvision.recipes.datamodules.base import Sample
+from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.datamodules.entries import ChosenEntries, Entries
 
 __all__ = [

@@ -18,7 +18,8 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import PhotometricAugmentation, RotateFivefold
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Size, Text
-from sphericalvision.recipes.datamodules.base import DepthDataModule, Sample
+from sphericalvision.recipes.datamodules.base import Sample
+from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.datamodules.entries import Entries
 from sphericalvision.scenes import SceneDataset
 from sphericalvision.scenes.meshes import mesh_files

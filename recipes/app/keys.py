@@ -207,7 +207,7 @@ ONLY_WITH: dict[str, dict[str, tuple[str, ...]]] = {
     "predict": {
         "poses": ("window", "spacing", "up"),
         "min_depth=auto": ("trained_radius",),
-        "outputs=[cloud]|[glb]": ("min_confidence", "voxel"),
+        "outputs=[cloud]|[glb]|[fused]": ("min_confidence", "voxel"),
     },
     "inspect": {"images": ("frame",)},
     "convert": {"to": ("num_coefficients", "projection", "fit_angle_deg"), "output": ("format",)},

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from sphericalvision.cameras import CameraRig, read_rig, save_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
-from sphericalvision.capture.outputs import Outputs, Settings, done_file
+from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import Moving
@@ -151,9 +151,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         outputs.written.append(folder / ALIGNED)
     left = None if names is None else set(names)
     if left is not None and config.skip_existing:
-        files = {name: done_file(folder, name, settings.outputs) for name in left}
-        left = {name for name, file in files.items() if file is None or not file.is_file()}
-        say(f"{len(files) - len(left)} frame(s) are in {folder} already")
+        left = {name for name in left if not outputs.has(name)}
+        say(f"{len(set(names or ())) - len(left)} frame(s) are in {folder} already")
     wrong = run(source, selection, predictor, outputs, left, config.on_error == "stop")
     _report(outputs)
     if wrong:
@@ -250,6 +249,12 @@ def _report(outputs: Outputs) -> None:
         print(
             f"panorama: seams are at the depth estimated, {outputs.seam:.2f} m (median of the first frame, where two "
             "cameras see); what is nearer or farther than its estimate is seen twice there, or cut off"
+        )
+    if outputs.fused is not None:
+        points, frames = len(outputs.fused.points().points), len(outputs.fused.frames)
+        print(
+            f"fused: {points} points of {frames} frame(s), one for each cube of {100 * outputs.fused.side:.1f} cm that "
+            f"frames agree on, of {len(outputs.fused)}{'' if points else '; a larger voxel= has some'}"
         )
     for warning in outputs.warnings:
         print(f"Warning: {warning}")

@@ -21,6 +21,8 @@ from torch import Tensor
 
 from sphericalvision.capture import Depth, DepthImage
 from sphericalvision.capture.checks import OF_A_FRAME, PhotoConsistency
+from sphericalvision.capture.fusing import FusedCloud
+from sphericalvision.capture.points import SurfacePoints
 from sphericalvision.capture.rerun_log import RerunLog
 from sphericalvision.capture.viewer import Timeline, near_end_of, save_viewer
 from sphericalvision.core import FileFormatError, check_choice
@@ -48,7 +50,12 @@ OUTPUTS = (
     "timeline",
     "rerun",
     "consistency",
+    "fused",
 )
+FUSED = "fused.npz"
+"""Beside the fused cloud: what a continuation goes on with."""
+CUBE = 5.0
+"""Side of the cubes of the fused cloud where none is given: so many steps between points at the nearest hypothesis."""
 SHARES_HEADER = "frame,photo_consistency"
 FILES = {
     "panorama": "panorama.png",
@@ -71,10 +78,11 @@ class Settings(NamedTuple):
         outputs: of ``OUTPUTS``.
         height: rows of panoramas.
         min_confidence: below which there are no points.
-        voxel: side of the cubes of which each keeps one point, metres.
+        voxel: side of the cubes of which each keeps one point, metres; of the fused cloud five times the
+            distance between neighbouring points at the nearest hypothesis where it is not given.
         rate: frames a second of the video.
         near: metres, the red end of depth pictures; found in the first frame when not given.
-        go_on: whether video and table of consistency begin with the frames that are there.
+        go_on: whether video, table of consistency and fused cloud begin with the frames that are there.
     """
 
     outputs: Sequence[str]
@@ -163,11 +171,7 @@ def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> l
     clouds = [kind for kind in ("cloud", "glb") if kind in settings.outputs]
     if clouds:
         cloud = views.depth.points(settings.min_confidence, voxel=settings.voxel)
-        for kind in clouds if len(cloud.points) else ():
-            # .glb has y up and looks along -z, which viewers of it rely on.
-            points = cloud.points * cloud.points.new_tensor([1, -1, -1] if kind == "glb" else [1, 1, 1])
-            path = folder / f"{prefix}{FILES[kind]}"
-            written.append(save_point_cloud(path, points, cloud.colors, cloud.normals))
+        written += _save_clouds([folder / f"{prefix}{FILES[kind]}" for kind in clouds], cloud)
     if "viewer" in settings.outputs:
         title = f"depth all around {prefix.rstrip('_')}".strip()
         path = save_viewer(folder / f"{prefix}viewer.html", views.depth, settings.height, title, views.near)
@@ -177,6 +181,16 @@ def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> l
         with atomic_write(path) as temporary:
             np.savez_compressed(temporary, **arrays_of(views))
         written.append(path)
+    return written
+
+
+def _save_clouds(paths: Sequence[Path], cloud: SurfacePoints) -> list[Path]:
+    """Write a cloud by the suffixes of the paths, and return them; without points nothing is written."""
+    written = []
+    for path in paths if len(cloud.points) else ():
+        # .glb has y up and looks along -z, which viewers of it rely on.
+        points = cloud.points * cloud.points.new_tensor([1, -1, -1] if path.suffix == ".glb" else [1, 1, 1])
+        written.append(save_point_cloud(path, points, cloud.colors, cloud.normals))
     return written
 
 
@@ -233,9 +247,11 @@ class Outputs:
         seam: metres, of the first frame: the median depth where two cameras see, for which panoramas of them are right;
             nan where no panorama is written or no two cameras see.
         consistency: photo-consistency of each frame, for the output of that name.
+        fused: the cloud of all frames, for the output of that name; None before there is one.
 
     Raises:
         ArgumentError: an unknown output.
+        FileFormatError: what there is of the fused cloud cannot be read.
     """
 
     def __init__(self, folder: Path, settings: Settings) -> None:
@@ -257,6 +273,16 @@ class Outputs:
         self.consistency: dict[str, float] = read_shares(self._table) if settings.go_on else {}
         if "consistency" in settings.outputs:
             self._write_shares()
+        self.fused: FusedCloud | None = None
+        if "fused" in settings.outputs and settings.go_on and (folder / FUSED).is_file():
+            self.fused = FusedCloud.load(folder / FUSED)
+
+    def has(self, frame: str) -> bool:
+        """Whether what is there of a frame tells that it is done: its files, and its part of the fused cloud."""
+        if "fused" in self.settings.outputs and (self.fused is None or frame not in self.fused.frames):
+            return False
+        file = done_file(self.folder, frame, self.settings.outputs)
+        return list(self.settings.outputs) == ["fused"] if file is None else file.is_file()
 
     @property
     def follows_first_frame(self) -> bool:
@@ -299,6 +325,13 @@ class Outputs:
                 self.consistency[frame] = self._judge(depth)
                 with self._table.open("a") as table:  # what is there when the process is killed is read again
                     table.write(_rows_of({frame: self.consistency[frame]}))
+            if "fused" in self.settings.outputs:
+                if self.fused is None:
+                    step = math.sqrt(4 * math.pi / depth.index.numel()) * depth.min_depth
+                    self.fused = FusedCloud(self.settings.voxel or CUBE * step)
+                points = depth.points(self.settings.min_confidence)
+                self.fused.add(frame, points, views.panorama, depth.rig.center)
+                self.fused.save(self.folder / FUSED, now=False)
             self._number += 1
             self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
 
@@ -320,6 +353,11 @@ class Outputs:
         if "consistency" in self.settings.outputs:
             self._write_shares()
             self.written.append(self._table)
+        if self.fused is not None:
+            self.fused.save(self.folder / FUSED)
+            self.written += _save_clouds(
+                [self.folder / "fused.ply", self.folder / "fused.glb"], self.fused.points()
+            )
 
     def _write_shares(self) -> None:
         write_bytes(self._table, f"{SHARES_HEADER}\n{_rows_of(self.consistency)}".encode())

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+import trimesh
 from hydra import compose, initialize_config_module
 
 from sphericalvision.cameras import EquirectangularCamera, read_trajectory, ring_rig, save_rig
@@ -157,13 +158,19 @@ def test_too_few_images_and_unknown_poses_are_told(
 
 
 def test_a_rig_that_moves_sees_more_than_one_that_stands(
-    run: Run, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run,
+    drive: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    compared: list[tuple[list[str], int]] = []
+    monkeypatch.setattr(Predictor, "prepare", lambda p, s: compared.append((p.rig.names, len(list(s)))))
     run("predict", *of_drive(drive), "masks=auto")
+    assert compared == [(TWO.names, 3)]  # of the rig's own frames, as what follows
     said = " ".join(capsys.readouterr().out.split())
     assert "1 frame(s) have no pose within 20 ms" in said
-    assert "mask of cam2: " in said  # of the rig's own frames, as is what follows
-    assert "whether the calibration is right, because cam2" in said
+    assert "mask of cam2: " in said
     assert sorted(mask.stem for mask in (tmp_path / "out/masks").glob("*.png")) == TWO.names
     written = sorted(path.name for path in (tmp_path / "out").glob("*.npz"))
     assert written == ["10.204_depth.npz", "10.304_depth.npz"]
@@ -216,3 +223,24 @@ def test_one_camera_of_a_rig_needs_movement_and_frames_are_those_of_all_cameras(
         (both, *_) = open_moving(keys(drive, **said)).frames(Selection(), lambda _: True)
     assert both.rig is not None
     assert both.rig.names == ["cam1@10.104", "cam2@10.104", "cam1@10.204", "cam2@10.204"]
+
+
+def test_frames_become_one_cloud_which_a_continuation_goes_on_with(
+    run: Run, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [*of_drive(drive), "window=2", "outputs=[fused]", "align=false", "photometric=false"]
+    run("predict", *words)
+    whole = (tmp_path / "out/fused.ply").read_bytes()
+    assert "points of 3 frame(s), one for each cube of 35.0 cm" in " ".join(capsys.readouterr().out.split())
+    run("predict", *words, "output=again", "stop=1")
+    run("predict", *words, "output=again", "skip_existing=true")
+    assert "1 frame(s) are in " in " ".join(capsys.readouterr().out.split())
+    assert (tmp_path / "again/fused.ply").read_bytes() == whole
+    with np.load(tmp_path / "again/fused.npz") as state:
+        assert state["frames"].tolist() == ["10.204", "10.304", "10.404"]
+    cloud = trimesh.load(tmp_path / "out/fused.ply").vertices
+    turned = trimesh.load(tmp_path / "out/fused.glb").geometry.popitem()[1].vertices
+    np.testing.assert_allclose(np.sort(turned[:, 1]), np.sort(-cloud[:, 1]), atol=1e-6)  # y is up
+    far = torch.from_numpy(cloud).float() - torch.tensor([0.1, 0, 0.3])
+    truth = ray_depth(SCENE, torch.tensor([0.1, 0, 0.3]), torch.nn.functional.normalize(far, dim=-1))
+    assert (far.norm(dim=-1) / truth).log().abs().median() < 0.15

@@ -57,6 +57,8 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
         "7_points.glb",
         "7_viewer.html",
         "7_depth.npz",
+        "fused.ply",
+        "fused.glb",
         "depth.mp4",
         "consistency.csv",
     }
@@ -80,3 +82,13 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
 def test_unknown_outputs_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match=r"outputs: expected one of .*'depth'"):
         Outputs(tmp_path, Settings(["depth", "mesh"]))
+
+
+def test_a_fused_cloud_says_which_frames_it_has_even_if_nobody_closed_it(tmp_path: Path) -> None:
+    depth = ball(ring_rig(3, image_size=(16, 16)))
+    Outputs(tmp_path, Settings(["fused"], 32)).write("7", depth)
+    again = Outputs(tmp_path, Settings(["fused"], 32, go_on=True))
+    assert [again.has(name) for name in ("7", "8")] == [True, False]
+    assert not Outputs(tmp_path, Settings(["fused", "npz"], 32, go_on=True)).has("7")
+    assert not Outputs(tmp_path, Settings(["fused", "video"], 32, go_on=True)).has("7")
+    assert not Outputs(tmp_path, Settings(["fused"], 32)).has("7")

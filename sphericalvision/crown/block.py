@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -138,7 +139,9 @@ def crown_block3d(
     if volume.shape[1] != channels:
         raise ShapeError(f"volume: expected {channels} channels (dimension 1), got {volume.shape[1]}")
     change = from_crown(convolve_twice(volume, first, second))
-    return volume + change if residual else change
+    if not residual:
+        return change
+    return volume + change if torch.is_grad_enabled() else change.add_(volume)
 
 
 class CrownBlock3d(RecomputedModule):

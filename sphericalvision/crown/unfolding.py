@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.crown.fast import settled_way
+from sphericalvision.crown.fast import settled_way, sum_over_places
 from sphericalvision.crown.places import own_charts
 from sphericalvision.icosphere import level_from_num_vertices
 
@@ -52,20 +52,25 @@ class Unfold(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
-        return Fold.apply(*gradients), None
+        return Fold.apply(*gradients, None), None
 
 
 class Fold(torch.autograd.Function):
-    """Sum each vertex over all its places; the adjoint is ``Unfold``."""
+    """Sum each vertex over all its places, and multiply by ``share (V,)``, if given; the adjoint is ``Unfold``."""
 
     @staticmethod
-    def forward(ctx: Any, col: Tensor, row: Tensor) -> Tensor:
+    def forward(ctx: Any, col: Tensor, row: Tensor, share: Tensor | None) -> Tensor:
         ctx.channels_fastest = col.stride(2) == 1
-        return _fold(col, row)
+        ctx.save_for_backward(share)
+        total = sum_over_places(col, row)
+        total = _fold(col, row) if total is None else total
+        return total if share is None else total.mul_(share)
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor]:
-        return Unfold.apply(gradient, ctx.channels_fastest)
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        (share,) = ctx.saved_tensors
+        shared = gradient if share is None else gradient * share
+        return *Unfold.apply(shared, ctx.channels_fastest), None
 
 
 def unfold(values: Num[Tensor, "B C *N V"]) -> tuple[Tensor, Tensor]:
@@ -83,7 +88,7 @@ def mean_over_places(
     """Return the mean of each vertex over all its places."""
     n, one = col.shape[-1] - 1, col.new_ones(1)
     number = _fold(one.expand(1, 5, 1, 2 * n + 1, n + 1), one.expand(1, 5, 1, n + 1, 2 * n + 1)).view(-1)
-    return Fold.apply(col, row) * number.reciprocal()
+    return Fold.apply(col, row, number.reciprocal())
 
 
 def empty_as(like: Tensor, like_dim: int, shape: tuple[int, ...], channel_dim: int) -> Float[Tensor, " ..."]:

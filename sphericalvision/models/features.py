@@ -14,13 +14,13 @@ from sphericalvision.crown import (
     CrownAvgPool2d,
     CrownConv2d,
     CrownConvNorm2d,
-    crown_relu,
     crown_upsample,
     exchange,
     from_crown,
     to_crown,
 )
 from sphericalvision.crown.block import convolve_twice
+from sphericalvision.crown.layout import crown_map
 from sphericalvision.crown.recompute import RecomputedModule
 
 __all__ = ["FeatureExtractor", "ResidualBlock", "camera_by_camera"]
@@ -43,7 +43,8 @@ class ResidualBlock(nn.Module):
         self.shortcut = CrownAvgPool2d(stride) if stride > 1 else nn.Identity()
 
     def forward(self, crown: Crown) -> Crown:
-        return crown_relu(convolve_twice(crown, self.first, self.second) + self.shortcut(crown))
+        total = convolve_twice(crown, self.first, self.second) + self.shortcut(crown)
+        return crown_map(torch.relu_, total)  # a sum, which nobody else has
 
 
 class FeatureExtractor(RecomputedModule):

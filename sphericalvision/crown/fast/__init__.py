@@ -15,6 +15,7 @@ from sphericalvision.crown.fast.door import (
     convolve_vertices,
     normalize,
     settled_way,
+    sum_over_places,
 )
 
-__all__ = ["convolve_rectangles", "convolve_vertices", "normalize", "settled_way"]
+__all__ = ["convolve_rectangles", "convolve_vertices", "normalize", "settled_way", "sum_over_places"]

@@ -126,16 +126,9 @@ def convolution_gradients(
     return found
 
 
-def plain_convolution(
-    given: Tensor,
-    weight: Tensor,
-    bias: Tensor | None,
-    across: bool,
-    border: bool = False,
-    relu: bool = False,
-    places: Tensor | None = None,
-) -> Tensor:
-    """The same in plain torch."""
+def plain_convolution(*inputs: Any) -> Tensor:
+    """The same as ``convolution`` in plain torch, of the operator's arguments."""
+    given, weight, bias, across, border, relu, places = inputs
     if places is not None:
         laid_out = given.index_select(2, places.flatten()).unflatten(2, places.shape)
         given = laid_out.movedim(2, 1).flatten(0, 1)

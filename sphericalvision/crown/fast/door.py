@@ -10,19 +10,21 @@ from __future__ import annotations
 from functools import lru_cache
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
+from torch.utils.checkpoint import checkpoint
 
 from sphericalvision.core import way_of_kernels
 from sphericalvision.crown.fast.build import operators_ready
 from sphericalvision.crown.fast.convolution import hex_convolution
 from sphericalvision.crown.fast.normalization import crown_normalization
-from sphericalvision.crown.places import place_ids
+from sphericalvision.crown.places import level_of_rectangles, place_ids
 from sphericalvision.crown.taps import ROW_TAPS, Taps, convolve
 from sphericalvision.icosphere import level_from_num_vertices
 
-__all__ = ["convolve_rectangles", "convolve_vertices", "normalize", "settled_way"]
+__all__ = ["convolve_rectangles", "convolve_vertices", "normalize", "settled_way", "sum_over_places"]
 
 Pair = tuple[Tensor, Tensor]
 
@@ -69,7 +71,12 @@ def convolve_rectangles(
         result = hex_convolution(volumes, weight, bias, taps == ROW_TAPS, border, rectify, None)
         result = _outward(result.unflatten(0, (-1, 5)), rectangles.ndim)
         return result.relu() if relu and keeps else result
-    result = convolve(rectangles.flatten(0, 1), weight, taps, bias, stride, border)
+    images = rectangles.flatten(0, 1)
+    if keeps and images.requires_grad and settled_way() in ("auto", "require"):
+        # A border that is copied around is not kept: who reads that which is copied keeps it anyway.
+        result = checkpoint(convolve, images, weight, taps, bias, stride, border, use_reentrant=False)
+    else:
+        result = convolve(images, weight, taps, bias, stride, border)
     if relu:
         result = result.relu() if keeps else result.relu_()
     return result.unflatten(0, (-1, 5))
@@ -108,6 +115,31 @@ def convolve_vertices(
         for across, places in enumerate(_places(level_from_num_vertices(values.shape[-1])))
     )
     return col, row
+
+
+def sum_over_places(
+    col: Float[Tensor, "B 5 C *N h w"], row: Float[Tensor, "B 5 C *N w h"]
+) -> Float[Tensor, "B C *N V"] | None:
+    """Sum each vertex over all its places, without derivatives; None where operators do not fit."""
+    if not _operators_fit(col, row):
+        return None
+    starts, places = _by_vertex(level_of_rectangles(col))
+    volumes = [
+        x if x.stride(-1) == 1 else x.contiguous() for x in (_inward(y).flatten(0, 1) for y in (col, row))
+    ]
+    batch, depth = len(col), volumes[0].shape[1]
+    total = col.new_empty(batch, depth, 1, len(starts) - 1, col.shape[2])
+    torch.ops.sphericalvision.sum_over_places(*volumes, starts, places, total)
+    return total.squeeze(2).movedim(-1, 1) if col.ndim == 6 else total[:, 0, 0].mT
+
+
+@lru_cache(maxsize=16)
+@torch.inference_mode(False)
+def _by_vertex(level: int) -> Pair:
+    """The places of each vertex one after the other, and where those of each vertex begin, int32 on the CPU."""
+    vertices = place_ids(level, torch.device("cpu")).flatten()
+    starts = F.pad(vertices.bincount().cumsum(0), (1, 0))
+    return starts.int(), vertices.argsort(stable=True).int()
 
 
 @lru_cache(maxsize=16)

@@ -120,18 +120,9 @@ def _gradients(
     return [first, second, along.sum(0), total.sum(0), *by_weight]
 
 
-def _plainly(
-    col: Tensor,
-    row: Tensor,
-    scale: Tensor,
-    shift: Tensor,
-    weight: Tensor | None,
-    bias: Tensor | None,
-    eps: float,
-    per_sample: bool,
-    relu: bool,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The same in plain torch."""
+def _plainly(*inputs: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The same as ``_normalization`` in plain torch."""
+    col, row, scale, shift, weight, bias, eps, per_sample, relu = inputs
     flat = torch.cat([x.flatten(1, -2) for x in (col, row)], 1)
     over = (1,) if per_sample else (0, 1)
     mean = flat.mean(over, keepdim=True)
@@ -142,7 +133,9 @@ def _plainly(
     ]
     if weight is not None:
         pair = [
-            plain_convolution(x.flatten(0, 1), weight, bias, bool(across)).unflatten(0, (-1, 5))
+            plain_convolution(x.flatten(0, 1), weight, bias, bool(across), False, False, None).unflatten(
+                0, (-1, 5)
+            )
             for across, x in enumerate(pair)
         ]
     return pair[0], pair[1], mean.flatten(0, 1), variance.flatten(0, 1)

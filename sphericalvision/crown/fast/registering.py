@@ -40,18 +40,15 @@ def register_operator(
     """
     name, arguments, returns = schema.replace(") -> ", "(").split("(", 2)
     is_tensor = [argument.strip().startswith("Tensor") for argument in arguments.split(",")]
-    kept = returns.count("Tensor") - results
+    kept, end = returns.count("Tensor") - results, results + len(is_tensor)
 
-    def split(values: Sequence[Any]) -> tuple[Sequence[Any], Sequence[Any], Sequence[Any], list[bool]]:
-        """Of the gradients' operator: gradients of the results, arguments, kept results, what is wanted."""
-        *first, wanted = values
-        end = results + len(is_tensor)
-        return first[:results], first[results:end], first[end:], wanted
+    def tensors(inputs: Sequence[Any]) -> list[Any]:
+        """Of the arguments, or what there is one of for each of them, those of tensors."""
+        return [x for x, is_one in zip(inputs, is_tensor, strict=True) if is_one]
 
     def compute_gradients(*values: Any) -> tuple[Tensor, ...]:
-        upstream, inputs, others, wanted = split(values)
-        found = gradients(upstream, inputs, others, wanted)
-        return tuple(upstream[0].new_empty(0) if x is None else x for x in found)
+        found = gradients(values[:results], values[results:end], values[end:-1], values[-1])
+        return tuple(values[0].new_empty(0) if x is None else x for x in found)
 
     def empty_results(*inputs: Any) -> Any:
         found = plain(*inputs)
@@ -59,11 +56,10 @@ def register_operator(
         return several if len(several) > 1 else several[0]
 
     def empty_gradients(*values: Any) -> tuple[Tensor, ...]:
-        upstream, inputs, _, wanted = split(values)
-        tensors = [x for x, is_one in zip(inputs, is_tensor, strict=True) if is_one]
-        return tuple(
-            upstream[0].new_empty(x.shape if want else 0) for x, want in zip(tensors, wanted, strict=True)
-        )
+        shapes = [
+            x.shape if want else 0 for x, want in zip(tensors(values[results:end]), values[-1], strict=True)
+        ]
+        return tuple(values[0].new_empty(shape) for shape in shapes)
 
     def keep(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         others = output[results:] if kept else ()
@@ -71,57 +67,49 @@ def register_operator(
         _save(ctx, (*inputs, *others))
 
     def differentiate(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        wanted = [want for want, is_one in zip(ctx.needs_input_grad, is_tensor, strict=True) if is_one]
-        found = iter(backward(*upstream[:results], *_saved(ctx), wanted))
+        found = iter(backward(*upstream[:results], *_saved(ctx), tensors(ctx.needs_input_grad)))
         by_argument = [next(found) if is_one else None for is_one in is_tensor]
         return tuple(x if need else None for x, need in zip(by_argument, ctx.needs_input_grad, strict=True))
 
     def differentiate_again(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         values = _saved(ctx)
-        *_, wanted = values
-        given = values[: results + len(is_tensor)]
-        variable = [i for i, x in enumerate(given) if isinstance(x, Tensor) and x.is_floating_point()]
+        wanted = values[-1]
         with torch.enable_grad():
             # Views, so that a tensor given twice is told apart; all with a gradient, which the formula may want.
-            views = {
-                i: given[i].view_as(given[i])
-                if given[i].requires_grad
-                else given[i].detach().requires_grad_()
-                for i in variable
-            }
-            first, inputs, _, _ = split(
-                [*(views.get(i, x) for i, x in enumerate(given)), *values[len(given) :]]
+            views = [
+                (x.view_as(x) if x.requires_grad else x.detach().requires_grad_())
+                if isinstance(x, Tensor) and x.is_floating_point()
+                else x
+                for x in values[:end]
+            ]
+            found, inputs = plain(*views[results:]), tensors(views[results:])
+            by = [x for x, want in zip(inputs, wanted, strict=True) if want]
+            first = found[:results] if kept else found
+            once = torch.autograd.grad(first, by, views[:results], create_graph=True)
+            given = [x for x, want in zip(upstream, wanted, strict=True) if want]
+            needed = [i for i in range(end) if ctx.needs_input_grad[i]]
+            twice = torch.autograd.grad(
+                once, [views[i] for i in needed], given, create_graph=True, materialize_grads=True
             )
-            found = plain(*inputs)
-            tensors = [x for x, is_one in zip(inputs, is_tensor, strict=True) if is_one]
-            once = torch.autograd.grad(
-                found[:results] if kept else found,
-                [x for x, want in zip(tensors, wanted, strict=True) if want],
-                first,
-                create_graph=True,
-            )
-            needed = [i for i in variable if ctx.needs_input_grad[i]]
-            of_once = [x for x, want in zip(upstream, wanted, strict=True) if want]
-            by = [views[i] for i in needed]
-            twice = torch.autograd.grad(once, by, of_once, create_graph=True, materialize_grads=True)
         by_place = dict(zip(needed, twice, strict=True))
         return tuple(by_place.get(i) for i in range(len(values)))
 
     def register(schema: str, function: Any, empty: Any, setup: Any, derivative: Any) -> Callable[..., Any]:
         name = schema.partition("(")[0]
+        path = f"sphericalvision::{name}"
         _library.define(schema)
         _library.impl(name, function, "CPU")
-        torch.library.register_fake(f"sphericalvision::{name}", empty, lib=_library)
-        torch.library.register_autograd(
-            f"sphericalvision::{name}", derivative, setup_context=setup, lib=_library
-        )
+        torch.library.register_fake(path, empty, lib=_library)
+        torch.library.register_autograd(path, derivative, setup_context=setup, lib=_library)
         operator: Callable[..., Any] = getattr(torch.ops.sphericalvision, name)
         return operator
 
-    taken = ", ".join([*(f"Tensor gradient{i}" for i in range(results)), arguments])
-    taken = ", ".join([taken, *(f"Tensor kept{i}" for i in range(kept)), "bool[] wanted"])
+    before, after = (
+        [f"Tensor {kind}{i}" for i in range(n)] for kind, n in (("gradient", results), ("kept", kept))
+    )
     backward = register(
-        f"{name}_backward({taken}) -> ({', '.join(['Tensor'] * sum(is_tensor))})",
+        f"{name}_backward({', '.join([*before, arguments, *after, 'bool[] wanted'])}) "
+        f"-> ({', '.join(['Tensor'] * sum(is_tensor))})",
         compute_gradients,
         empty_gradients,
         lambda ctx, inputs, output: _save(ctx, inputs),

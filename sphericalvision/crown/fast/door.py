@@ -65,6 +65,7 @@ def convolve_rectangles(
         border: whether there is one more place all around.
         relu: whether results are rectified.
     """
+    # Operators rectify where nobody differentiates: a derivative would have to keep their results.
     keeps = torch.is_grad_enabled()
     if stride == 1 and _operators_fit(rectangles, weight):
         volumes, rectify = _inward(rectangles).flatten(0, 1), relu and not keeps
@@ -138,6 +139,7 @@ def sum_over_places(
 def _by_vertex(level: int) -> Pair:
     """The places of each vertex one after the other, and where those of each vertex begin, int32 on the CPU."""
     vertices = place_ids(level, torch.device("cpu")).flatten()
+    # A stable order, so that sums of a vertex are always added in the same order.
     starts = F.pad(vertices.bincount().cumsum(0), (1, 0))
     return starts.int(), vertices.argsort(stable=True).int()
 

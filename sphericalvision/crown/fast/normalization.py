@@ -86,6 +86,7 @@ def _gradients(
     values = _places((col, row))
     factor, offset = _scaling(mean, variance, scale, shift, eps)
     gradients, by_weight = _places(upstream), [None, None]
+    # Backwards through the convolutions, which make what they were given once more while they read.
     if weight is not None:
         kinds: list[Any] = [
             convolution_gradients(
@@ -99,6 +100,7 @@ def _gradients(
         ]
         gradients = [kind[0].view(x.shape) for kind, x in zip(kinds, values, strict=True)]
         by_weight = [None if a is None else a + b for a, b in list(zip(*kinds, strict=True))[1:3]]
+    # The first pass: sums of all places, a row for every chunk, added up in the same order by any number of threads.
     over = (1,) if per_sample else (0, 1)
     operators, invert = torch.ops.sphericalvision, (variance + eps).rsqrt()
     total, along = torch.zeros_like(mean), torch.zeros_like(mean)
@@ -112,7 +114,7 @@ def _gradients(
     number = _number(values, per_sample)
     by_value = -factor * invert * along / number
     constant = -factor * total / number - by_value * mean
-    # What the convolutions returned is nobody else's, and is written over.
+    # The second pass. What the convolutions returned is nobody else's, and is written over.
     found = [torch.empty_like(x) for x in values] if weight is None else gradients
     for g, x, result in zip(gradients, values, found, strict=True):
         operators.normalized_gradient(g, x, factor, offset, relu, by_value, constant, result)

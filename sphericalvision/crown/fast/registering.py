@@ -40,6 +40,7 @@ def register_operator(
     """
     name, arguments, returns = schema.replace(") -> ", "(").split("(", 2)
     is_tensor = [argument.strip().startswith("Tensor") for argument in arguments.split(",")]
+    # The operator of the gradients takes those of the results, all arguments up to `end`, what is kept, what is wanted.
     kept, end = returns.count("Tensor") - results, results + len(is_tensor)
 
     def tensors(inputs: Sequence[Any]) -> list[Any]:
@@ -47,10 +48,12 @@ def register_operator(
         return [x for x, is_one in zip(inputs, is_tensor, strict=True) if is_one]
 
     def compute_gradients(*values: Any) -> tuple[Tensor, ...]:
+        # An operator returns tensors: an empty one stands for none.
         found = gradients(values[:results], values[results:end], values[end:-1], values[-1])
         return tuple(values[0].new_empty(0) if x is None else x for x in found)
 
     def empty_results(*inputs: Any) -> Any:
+        # Of tensors without values the formula costs nothing, and says the shapes.
         found = plain(*inputs)
         several = tuple(x.new_empty(x.shape) for x in (found if isinstance(found, tuple) else [found]))
         return several if len(several) > 1 else several[0]
@@ -62,11 +65,13 @@ def register_operator(
         return tuple(values[0].new_empty(shape) for shape in shapes)
 
     def keep(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        # No result is kept but those that have no derivative, such as statistics: memory is for what was given.
         others = output[results:] if kept else ()
         ctx.mark_non_differentiable(*others)
         _save(ctx, (*inputs, *others))
 
     def differentiate(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        # As an operator, so that compilers see one call, and that it has derivatives, too.
         found = iter(backward(*upstream[:results], *_saved(ctx), tensors(ctx.needs_input_grad)))
         by_argument = [next(found) if is_one else None for is_one in is_tensor]
         return tuple(x if need else None for x, need in zip(by_argument, ctx.needs_input_grad, strict=True))
@@ -85,6 +90,7 @@ def register_operator(
             found, inputs = plain(*views[results:]), tensors(views[results:])
             by = [x for x, want in zip(inputs, wanted, strict=True) if want]
             first = found[:results] if kept else found
+            # The first derivative again, now as a graph, and then that of it.
             once = torch.autograd.grad(first, by, views[:results], create_graph=True)
             given = [x for x, want in zip(upstream, wanted, strict=True) if want]
             needed = [i for i in range(end) if ctx.needs_input_grad[i]]

@@ -109,6 +109,7 @@ def damages(content: Any) -> Iterator[tuple[str, str, str, Any]]:
 
 COMPLETE_WITHOUT = {  # keys of which the rest is a file as its producers write it, too
     "camchain.yaml": r"cam\d",
+    "config.yaml": "inv_poly",
     "svo.yaml": "label",
     "reconstruction.json": r"c_[xy]|shots",
     "lens.json": "asymmetrical",

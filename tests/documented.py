@@ -160,7 +160,10 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
         words += ["calibration=knocked/rig.yaml", "images=knocked/{camera}/{frame:05d}.png"]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        words += smaller(command.recipe, words, cache)
+        options = next((number for number, word in enumerate(words) if word.startswith("--")), len(words))
+        words[options:options] = smaller(
+            command.recipe, words, cache
+        )  # options such as --cfg job end the keys
         patch.setattr("sys.argv", [f"sphericalvision-{command.recipe}", *words])
         patch.setenv("WANDB_SILENT", "true")
         patch.setenv("PYTHONPATH", "")

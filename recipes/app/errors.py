@@ -37,7 +37,10 @@ def plain_errors() -> Iterator[None]:
     Other errors are faults of the program and pass; with ``HYDRA_FULL_ERROR=1`` all do.
     """
     try:
-        yield
+        try:
+            yield
+        finally:
+            sys.stdout.flush()  # here, where a closed pipe is caught, and not when Python ends
     except BrokenPipeError:  # whoever read, as in "... --help | head -1", has read enough
         os.dup2(
             os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()

@@ -45,7 +45,8 @@ def run_command(config_name: str, task: Callable[[DictConfig], Any]) -> None:
             stream.reconfigure(errors="backslashreplace")  # names that the terminal has no letters for
     words = [*quote_paths(sys.argv[1:]), *search_path_of_plugins(sys.argv[1:])]
     if "--version" in words:
-        print(f"sphericalvision {__version__}")
+        with plain_errors():
+            print(f"sphericalvision {__version__}")
         return
     line = read_words(words, refuse)
     if line.config_dir is not None and not Path(line.config_dir).is_dir():

@@ -111,10 +111,13 @@ main()
     assert "pip install 'sphericalvision[recipes]'" in line
 
 
-def test_a_reader_that_has_read_enough_is_no_fault() -> None:
+@pytest.mark.parametrize(
+    "word", ["--help", "--version"]
+)  # more and less than Python holds back before it writes
+def test_a_reader_that_has_read_enough_is_no_fault(word: str) -> None:
     """``sphericalvision-predict --help | head -1``: the status of a program that a closed pipe ends, and no message."""
     program = (
-        "import sys; from sphericalvision.recipes.predict import main; sys.argv[1:] = ['--help']; main()"
+        f"import sys; from sphericalvision.recipes.predict import main; sys.argv[1:] = ['{word}']; main()"
     )
     with subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -37,7 +37,7 @@ from sphericalvision.models import (
 )
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.digits.module import ClassificationModule
-from sphericalvision.recipes.training.resuming import stored_network
+from sphericalvision.recipes.training.run_folder import stored_network
 from sphericalvision.scenes import read_mesh_scene
 from sphericalvision.scenes.cache import ArrayCache
 from tests.cameras.calibration_samples import RIGHT_OF_FIRST, flat, mei

@@ -21,11 +21,9 @@ from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork, WinnerTakesAll
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
-from sphericalvision.recipes.evaluation.baselines import constants, sweep
 from sphericalvision.recipes.evaluation.frames import BatchFrames
-from sphericalvision.recipes.evaluation.loop import evaluate
-from sphericalvision.recipes.evaluation.measures import VertexErrors, mean_errors_by_method
-from sphericalvision.recipes.evaluation.methods import Method, Scale
+from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
+from sphericalvision.recipes.evaluation.methods import Method, Scale, constants, sweep
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 from sphericalvision.scenes import SceneDataset
 from sphericalvision.scenes.rendered_frames import RenderedFrames

@@ -25,11 +25,9 @@ from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
 from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
-from sphericalvision.recipes.evaluation.baselines import baselines
 from sphericalvision.recipes.evaluation.frames import SampleFrames
-from sphericalvision.recipes.evaluation.loop import evaluate
-from sphericalvision.recipes.evaluation.measures import VertexErrors, mean_errors_by_method
-from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale, photographs_of
+from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
+from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale, baselines, photographs_of
 from sphericalvision.recipes.evaluation.strips import StripErrors, table_beside_published
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 

@@ -18,14 +18,18 @@ from pytorch_lightning.callbacks import LearningRateMonitor, ModelCheckpoint, Pr
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.app.cli import build, print_config
-from sphericalvision.recipes.app.next_steps import evaluate_command, resume_command
+from sphericalvision.recipes.app.words import evaluate_command, resume_command
 from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.evaluation.tables import save_errors
-from sphericalvision.recipes.training.best_checkpoint import best_checkpoint
-from sphericalvision.recipes.training.checkpoint_io import WeightsBesideCheckpoint
 from sphericalvision.recipes.training.module import TrainingModule
-from sphericalvision.recipes.training.resuming import changed_settings, check_resume, resume_path
-from sphericalvision.recipes.training.run_folder import run_folder
+from sphericalvision.recipes.training.run_folder import (
+    WeightsBesideCheckpoint,
+    best_checkpoint,
+    changed_settings,
+    check_resume,
+    resume_path,
+    run_folder,
+)
 
 __all__ = ["Run", "instantiate_run", "train"]
 

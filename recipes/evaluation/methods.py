@@ -1,28 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A method is a depth network: its estimates, looked up in any direction and in the hypotheses of a comparison."""
+"""A method is a depth network, its estimates looked up in any direction and any hypotheses; baselines among them."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from hashlib import sha256
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
+from rich.progress import track
 from torch import Tensor
+from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
-from sphericalvision.core import reference_kernels
-from sphericalvision.models import DepthNetwork
+from sphericalvision.core import ArgumentError, reference_kernels
+from sphericalvision.models import ConstantDepth, DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.recipes.datamodules.entries import images_of
 from sphericalvision.recipes.evaluation.frames import Batch
 from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.sphere.intake import unsigned
 from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth, inverse_depth_from_index
 
-__all__ = ["Answer", "AsUsed", "Inputs", "Method", "Scale", "identity_of", "photographs_of"]
+if TYPE_CHECKING:
+    from sphericalvision.recipes.datamodules.base import SampleDataModule
+
+__all__ = [
+    "Answer",
+    "AsUsed",
+    "Inputs",
+    "Method",
+    "Scale",
+    "baselines",
+    "constants",
+    "identity_of",
+    "photographs_of",
+    "sweep",
+]
 
 
 class Scale(NamedTuple):
@@ -189,3 +205,40 @@ def identity_of(net: DepthNetwork) -> str:
     for key, tensor in net.state_dict().items():
         digest.update(key.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()[:16]
+
+
+def baselines(net: DepthNetwork, level: int, data: SampleDataModule) -> list[Method]:
+    """The methods that a network is compared with, on images of a level; constants are those of the training set."""
+    data.render("train")
+    return [
+        *constants(net, level, data.loader(data.plain_train_dataset())),
+        sweep("photo-consistency sweep", WinnerTakesAll, net, level),
+        sweep("semi-global sweep", SemiGlobalSweep, net, level),
+    ]
+
+
+def sweep(
+    name: str, kind: type[WinnerTakesAll] | type[SemiGlobalSweep], net: DepthNetwork, level: int
+) -> Method:
+    """A sweep with the hypotheses of a network, on images of a level."""
+    return Method(name, kind(level, net.num_hypotheses, net.min_depth).to(net.device))
+
+
+def constants(net: DepthNetwork, level: int, loader: DataLoader[dict[str, Any]]) -> list[Method]:
+    """The best depth map and the best single depth of frames for the mean absolute error, with a network's hypotheses.
+
+    Raises:
+        ArgumentError: no frame has a valid depth.
+    """
+    batches = [(b["inverse_depth"], b["valid"]) for b in track(loader, "training depths", total=len(loader))]
+    if not any(valid.any() for _, valid in batches):
+        raise ArgumentError(
+            "baselines: the training set has no valid depth to take the median of; check data.*"
+        )
+    inverse_depth, valid = map(torch.cat, zip(*batches, strict=True))
+    shapes = {"constant depth map": inverse_depth.shape, "constant depth": (-1, 1)}
+    fresh = {name: ConstantDepth(level, net.num_hypotheses, net.min_depth) for name in shapes}
+    return [
+        Method(name, fresh[name].fit(inverse_depth.reshape(shape), valid.reshape(shape)).to(net.device))
+        for name, shape in shapes.items()
+    ]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rooms on a grid of the sphere, each place with its colour and what it shows, upright or turned."""
+"""Rooms on a grid of the sphere, each place with its colour and what it shows, upright or turned, as data."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,13 @@ from torch.utils.data import Dataset
 from sphericalvision.core import check_choice
 from sphericalvision.data import random_rotations
 from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.recipes.app.kinds import Count, Text
+from sphericalvision.recipes.training.orientations import OrientedDataModule
 from sphericalvision.scenes import make_scene, ray_labels, render_directions
 from sphericalvision.scenes.cache import ArrayCache
 from sphericalvision.sphere import SphereGrid
 
-__all__ = ["ORIENTATIONS", "LabelledRooms", "orientation_rotation"]
+__all__ = ["ORIENTATIONS", "LabelledRooms", "LabelledRoomsDataModule", "orientation_rotation"]
 
 ORIENTATIONS = {"upright": 0.0, "tilted_15": 15.0, "tilted_45": 45.0, "tilted_90": 90.0, "rotated": None}
 """Degrees by which what is seen is tilted, about a horizontal axis of a random azimuth; None: any rotation."""
@@ -84,3 +87,26 @@ class LabelledRooms(Dataset[dict[str, Any]]):
         colors = render_directions(scene, torch.zeros(3), directions)
         labels = ray_labels(scene, torch.zeros(3), directions)
         return {"values": (colors * 255).round().to(torch.uint8), "label": labels.to(torch.int8)}
+
+
+FIRST_SEEDS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class LabelledRoomsDataModule(OrientedDataModule):
+    """Rooms on the grid of a network; training, validation and test rooms are different ones.
+
+    Args:
+        num_train: training rooms.
+        cache_dir: folder where rooms are kept; rendered each time when not given.
+    """
+
+    num_train: Count = 400
+    cache_dir: Text | None = None
+
+    orientations = ORIENTATIONS
+
+    def samples(self, split: str, orientation: str) -> LabelledRooms:
+        """Rooms of a split in any orientation."""
+        numbers = {"train": self.num_train, "val": self.num_val, "test": self.num_test}
+        return LabelledRooms(FIRST_SEEDS[split], numbers[split], self.grid, orientation, self.cache_dir)

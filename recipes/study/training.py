@@ -26,8 +26,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from sphericalvision.core import ArgumentError, SphericalVisionError, check_choice
 from sphericalvision.recipes.app.cli import console
-from sphericalvision.recipes.app.next_steps import own_configs
-from sphericalvision.recipes.app.words import quote_paths
+from sphericalvision.recipes.app.words import own_configs, quote_paths
 
 __all__ = [
     "Training",

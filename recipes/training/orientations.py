@@ -3,17 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, cast
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, cast
 
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
+from torch.utils.data import DataLoader, Dataset
 from torchmetrics import Metric
 
+from sphericalvision.core import check_choice
+from sphericalvision.models.sphere_blocks import network_grid
+from sphericalvision.recipes.app.kinds import Count
+from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.training.module import TrainingModule
 
-__all__ = ["OrientationModule"]
+__all__ = ["OrientationModule", "OrientedDataModule"]
 
 
 class OrientationModule(TrainingModule):
@@ -83,3 +89,46 @@ class OrientationModule(TrainingModule):
             score = cast(Metric, module)
             self.log(f"{split}/{name}", self.percent(score), prog_bar=True)
             score.reset()
+
+
+@dataclass(eq=False, repr=False)
+class OrientedDataModule(SampleDataModule):
+    """Samples on the grid of a network, trained in one orientation, validated and tested in each.
+
+    Args:
+        network: whose grid the samples are on, see ``network_grid``.
+        level: of the icosphere, or of the equirectangular image with about as many pixels.
+        orientation: in training.
+        num_val: samples of validation, in each orientation.
+        num_test: samples of the test, in each orientation.
+    """
+
+    network: str = "hex"
+    level: int = 4
+    orientation: str = "upright"
+    num_val: Count = 20
+    num_test: Count = 60
+
+    orientations: ClassVar[Iterable[str]]
+    """All that there are."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice("data.orientation", self.orientation, tuple(self.orientations))
+        self.grid = network_grid(self.network, self.level)
+
+    def dataset(self, split: str) -> Dataset[Sample]:
+        """Samples of a split in the orientation of training."""
+        return self.samples(split, self.orientation)
+
+    def samples(self, split: str, orientation: str) -> Dataset[Sample]:
+        """Samples of a split in any orientation. Every subclass implements it."""
+        raise NotImplementedError(f"{type(self).__name__}.samples")
+
+    def val_dataloader(self) -> list[DataLoader[Sample]]:  # type: ignore[override]
+        """Validation samples in each orientation."""
+        return [self.part_of_process(self.samples("val", name)) for name in self.orientations]
+
+    def test_dataloader(self) -> list[DataLoader[Sample]]:  # type: ignore[override]
+        """Test samples in each orientation."""
+        return [self.part_of_process(self.samples("test", name)) for name in self.orientations]

@@ -1,25 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a training, kept for one process at a time."""
+"""The folder of a training: one process at a time, its checkpoints, the best of them, and going on from one."""
 
 from __future__ import annotations
 
+import copy
+import math
 import os
+import shutil
 import socket
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
+import pytorch_lightning as pl
+from omegaconf import DictConfig, OmegaConf
+from pytorch_lightning.callbacks import ModelCheckpoint
+from pytorch_lightning.plugins.io import TorchCheckpointIO
 from pytorch_lightning.utilities import rank_zero_only
+from torch import nn
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_file
+from sphericalvision.io.files import atomic_write
+from sphericalvision.models import DepthNetwork, save_weights
+from sphericalvision.models.weights.registry import network_name
+from sphericalvision.recipes.app.checkpoints import read_checkpoint
+from sphericalvision.recipes.app.help import walk
+from sphericalvision.recipes.datamodules.base import SampleDataModule
+from sphericalvision.recipes.training.module import TrainingModule, name_of
 
 try:
     import fcntl
 except ImportError:  # Windows; two trainings in one folder are not noticed there
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["is_first_process", "run_folder"]
+__all__ = [
+    "WeightsBesideCheckpoint",
+    "best_checkpoint",
+    "changed_settings",
+    "check_resume",
+    "is_first_process",
+    "resume_path",
+    "run_folder",
+]
 
 LOCK = ".lock"
 """Held while a training runs; the system lets go of it however the training ends."""
@@ -58,3 +82,160 @@ def run_folder(folder: Path) -> Iterator[None]:
 def _holder(file: IO[str]) -> str:
     file.seek(0)
     return file.read(200) or "unknown process"
+
+
+NO_SETTINGS = ("output", "resume", "init_weights", "paths.run", "tags")
+"""Keys that say nothing about what is learned."""
+
+STATE = ("state_dict", "optimizer_states", "lr_schedulers", "loops", "global_step")
+"""What a training needs to go on; weights alone are for ``init_weights``."""
+
+
+def resume_path(resume: str | None, folder: Path) -> Path | None:
+    """The checkpoint to resume from: ``auto`` is the folder's last one, if there is any.
+
+    Raises:
+        ArgumentError: ``folder`` holds a training that would be overwritten.
+        MissingFileError: there is no such checkpoint.
+    """
+    last = folder / "checkpoints" / "last.ckpt"
+    if resume == "auto":
+        return last if last.is_file() else None
+    wanted = "a Lightning checkpoint to resume from, such as checkpoints/last.ckpt"
+    path = None if resume is None else check_file(resume, wanted).absolute()
+    there = [name for name in ("last.ckpt", "best.ckpt") if (last.parent / name).is_file()]
+    if there and is_first_process() and (path is None or path.parent != last.parent):
+        raise ArgumentError(
+            f"output: {folder} holds a training already (checkpoints/{there[0]}), which would be overwritten; go on "
+            "with it by resume=auto, choose another output=..., or remove that folder"
+        )
+    return path
+
+
+def check_resume(path: Path | None, module: TrainingModule) -> None:
+    """Refuse to resume a network of another shape or scale; its step count would mean nothing here.
+
+    Raises:
+        ArgumentError: the first hyper-parameter that differs, with both values.
+        FileFormatError: the file is no checkpoint.
+    """
+    if path is None:
+        return
+    stored = stored_network(path)
+    mine = {"architecture": name_of(module.net), **module.net.hyperparameters}
+    if stored["architecture"] != mine["architecture"]:
+        raise ArgumentError(
+            f"resume: {path} is a training of {stored['architecture']}, this run trains {mine['architecture']}"
+        )
+    for key, value in mine.items():
+        if stored.get(key) != value:
+            raise ArgumentError(
+                f"resume: {path} was trained with {key} = {stored.get(key)}, this run has model.{key} = {value}; "
+                f"set model.{key}={stored.get(key)} to go on, or start anew from it with init_weights={path}"
+            )
+
+
+def stored_network(path: Path) -> dict[str, Any]:
+    """Name and hyper-parameters of the network in a checkpoint.
+
+    Raises:
+        FileFormatError: the file is no checkpoint of this command.
+    """
+
+    def found(content: dict[str, Any]) -> dict[str, Any]:
+        if lacking := [key for key in STATE if key not in content]:
+            raise KeyError(f"it lacks {', '.join(lacking)}")
+        if not all(value.isfinite().all() for value in content["state_dict"].values()):
+            raise ValueError("its weights are infinite or not numbers")
+        return {"architecture": content["architecture"], **content["network_hyperparameters"]}
+
+    return read_checkpoint("resume", path, "a checkpoint of sphericalvision-train", found)
+
+
+def changed_settings(checkpoint: Path, config: DictConfig) -> list[str]:
+    """What this run has set otherwise than the run of a checkpoint: ``key was old, is new``."""
+    path = checkpoint.parent.parent / "config.yaml"
+    if not path.is_file():
+        return []
+    old = _flat(OmegaConf.to_container(OmegaConf.load(path)))
+    new = _flat(OmegaConf.to_container(config, resolve=True, throw_on_missing=False))
+    keys = [key for key in {**old, **new} if key not in NO_SETTINGS]
+    return [f"{key} was {old.get(key)}, is {new.get(key)}" for key in keys if old.get(key) != new.get(key)]
+
+
+def _flat(config: Any) -> dict[str, Any]:
+    """All keys with dots; paths in the run's own folder are told from there, since the folder may have moved."""
+    home = str(config["paths"]["run"])
+    leaves = ((key, value) for key, value in walk(config) if not (isinstance(value, dict) and value))
+    return {key: value.replace(home, "") if isinstance(value, str) else value for key, value in leaves}
+
+
+def best_checkpoint(trainer: pl.Trainer, module: TrainingModule, data: SampleDataModule, last: Path) -> Path:
+    """Return the best checkpoint of a training that has ended; the last state counts, too.
+
+    Where the number of steps is no multiple of ``trainer.val_check_interval``, the last state has not been validated
+    yet. It is now, and takes the place of the best one if it is better.
+
+    Args:
+        trainer: after ``fit``.
+        module: what was trained.
+        data: with the validation samples.
+        last: the checkpoint of the last state.
+    """
+    keeper = trainer.checkpoint_callback
+    if not isinstance(keeper, ModelCheckpoint) or not keeper.best_model_path:
+        return last
+    best = Path(keeper.best_model_path)
+    if keeper.best_model_score is None or module.validated_step == trainer.global_step:
+        return best
+    trainer.validate(module, data, ckpt_path=last, weights_only=True, verbose=False)
+    score, former = float(trainer.callback_metrics[module.monitor]), float(keeper.best_model_score)
+    better = score < former if module.mode == "min" else score > former
+    if trainer.is_global_zero and (better or math.isnan(former)):
+        for suffix in (".ckpt", ".safetensors"):
+            if last.with_suffix(suffix).is_file():
+                with atomic_write(best.with_suffix(suffix)) as temporary:
+                    shutil.copyfile(last.with_suffix(suffix), temporary)
+    trainer.strategy.barrier()
+    return best
+
+
+class WeightsBesideCheckpoint(TorchCheckpointIO):
+    """Lightning's checkpoints, and beside each ``.ckpt`` a depth network's weights alone as ``.safetensors``.
+
+    Either file appears whole or not at all, so an interruption while saving leaves the previous ones.
+    """
+
+    def __init__(self, net: nn.Module) -> None:
+        super().__init__()
+        self.net = net
+        self._has_name = True
+        if isinstance(net, DepthNetwork):
+            try:
+                network_name(net)
+            except ArgumentError as error:
+                warnings.warn(f"weights alone are not written: {error}", stacklevel=2)
+                self._has_name = False
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None
+    ) -> None:
+        """Write both files."""
+        path = Path(path)
+        with atomic_write(path) as temporary:
+            super().save_checkpoint(checkpoint, temporary, storage_options)
+        if not isinstance(self.net, DepthNetwork) or not self._has_name:
+            return
+        net = self.net
+        if (
+            "current_model_state" in checkpoint
+        ):  # of averaged weights, which are what was validated; the net has others
+            net = copy.deepcopy(net)
+            state = checkpoint["state_dict"].items()
+            net.load_state_dict({name[4:]: value for name, value in state if name.startswith("net.")})
+        save_weights(net, path.with_suffix(".safetensors"))
+
+    def remove_checkpoint(self, path: Any) -> None:
+        """Remove both files."""
+        super().remove_checkpoint(path)
+        Path(path).with_suffix(".safetensors").unlink(missing_ok=True)

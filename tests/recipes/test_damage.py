@@ -14,7 +14,7 @@ import torch
 from sphericalvision.core import FileFormatError
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.errors import plain_errors
-from sphericalvision.recipes.training.resuming import stored_network
+from sphericalvision.recipes.training.run_folder import stored_network
 
 DAMAGES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "a list": lambda content: [content],

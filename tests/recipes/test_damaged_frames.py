@@ -14,7 +14,7 @@ import torch
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import FileFormatError
 from sphericalvision.data import write_omnistereo
-from sphericalvision.recipes.datamodules.skipping import SkipDamaged
+from sphericalvision.recipes.datamodules.omnistereo import SkipDamaged
 from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.tiny import TINY_TRAINING, Run
 

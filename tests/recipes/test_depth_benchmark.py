@@ -19,7 +19,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
-from sphericalvision.recipes.evaluation.measures import errors_of_frame
+from sphericalvision.recipes.evaluation.loop import errors_of_frame
 from sphericalvision.recipes.evaluation.methods import Method, identity_of
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.study.comparison import methods, running

@@ -19,8 +19,13 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SphereClassifier
 from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS, network_grid
 from sphericalvision.recipes.digits.aligned import AlignedCrownClassifier, AlignedCrownConv2d
-from sphericalvision.recipes.digits.datamodule import NUM_DIGITS, DigitsDataModule
-from sphericalvision.recipes.digits.dataset import SphericalDigits, draw_on_sphere, load_digits
+from sphericalvision.recipes.digits.dataset import (
+    NUM_DIGITS,
+    DigitsDataModule,
+    SphericalDigits,
+    draw_on_sphere,
+    load_digits,
+)
 from sphericalvision.recipes.digits.module import ClassificationModule
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run

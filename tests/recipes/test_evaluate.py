@@ -20,8 +20,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.base import DepthEstimate
 from sphericalvision.recipes.evaluation.frames import BatchFrames
-from sphericalvision.recipes.evaluation.loop import evaluate
-from sphericalvision.recipes.evaluation.measures import VertexErrors, mean_errors_by_method
+from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.scenes import SceneDataset

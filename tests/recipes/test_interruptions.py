@@ -14,8 +14,8 @@ import torch
 from pytorch_lightning.plugins.io import TorchCheckpointIO
 
 from sphericalvision.models import IcoSweepNet
-from sphericalvision.recipes.training import checkpoint_io
 from sphericalvision.recipes.training.depth_module import DepthModule
+from sphericalvision.recipes.training.run_folder import WeightsBesideCheckpoint
 from tests.recipes.tiny import Run
 
 Words = tuple[str, ...]
@@ -76,7 +76,7 @@ def test_accumulated_batches_are_counted_when_training_goes_on(
 def test_a_checkpoint_appears_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A disk that fills up while a checkpoint is written leaves the previous one, and the weights beside it."""
     net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2)
-    io, path = checkpoint_io.WeightsBesideCheckpoint(net), tmp_path / "last.ckpt"
+    io, path = WeightsBesideCheckpoint(net), tmp_path / "last.ckpt"
     io.save_checkpoint({"global_step": 1}, path)
     weights = path.with_suffix(".safetensors").read_bytes()
 

@@ -13,8 +13,7 @@ import torch
 from omegaconf import OmegaConf
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.recipes.training.resuming import changed_settings, resume_path
-from sphericalvision.recipes.training.run_folder import run_folder
+from sphericalvision.recipes.training.run_folder import changed_settings, resume_path, run_folder
 from tests.recipes.tiny import Run
 
 Words = tuple[str, ...]

@@ -14,8 +14,12 @@ from sphericalvision.data.augmentation.sphere_rotation import yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SphereSegmenter
 from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS
-from sphericalvision.recipes.segmentation.datamodule import LabelledRoomsDataModule
-from sphericalvision.recipes.segmentation.rooms import ORIENTATIONS, LabelledRooms, orientation_rotation
+from sphericalvision.recipes.segmentation.rooms import (
+    ORIENTATIONS,
+    LabelledRooms,
+    LabelledRoomsDataModule,
+    orientation_rotation,
+)
 from sphericalvision.scenes import make_scene, ray_labels
 from tests.recipes.tiny import Run
 

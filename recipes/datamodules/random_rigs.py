@@ -14,7 +14,7 @@ from torch.utils.data import Dataset
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
-from sphericalvision.data.augmentation.mirror import Mirror
+from sphericalvision.data.augmentation.fivefold import Mirror
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.kinds import Size
 from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample

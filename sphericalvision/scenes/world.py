@@ -21,11 +21,17 @@ from sphericalvision.scenes.disturbances import DISPLAY, CameraDisturbance, Rand
 from sphericalvision.scenes.draws import Draws, by_seed
 from sphericalvision.scenes.meshes import MeshFiles
 from sphericalvision.scenes.random_rigs import TILT_SPREAD
-from sphericalvision.scenes.recipes import exposed, make_scene, ray_depth, render_rig
+from sphericalvision.scenes.recipes import (
+    exposed,
+    make_scene,
+    ray_depth,
+    render_rig,
+    under_another_sky,
+    unlit,
+)
 from sphericalvision.scenes.registry import kind_of, scene_kinds
 from sphericalvision.scenes.rendering.mesh_scene import MeshScene
 from sphericalvision.scenes.rendering.scene import Scene
-from sphericalvision.scenes.skies import under_another_sky, unlit
 
 __all__ = [
     "CLEAR_RADIUS",

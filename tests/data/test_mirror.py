@@ -9,7 +9,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.augmentation.mirror import Mirror, mirror_ids
+from sphericalvision.data.augmentation.fivefold import Mirror, mirror_ids
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes.random_rigs import random_rig
 from sphericalvision.sweep import semi_global_costs, semi_global_tables

@@ -10,7 +10,7 @@ import torch
 
 from sphericalvision.cameras import DoubleSphereCamera, EquirectangularCamera, FisheyeCamera, OCamCamera
 from sphericalvision.core import ArgumentError
-from sphericalvision.data.omnistereo.ocam_fit import ocam_from_camera
+from sphericalvision.data.omnistereo.writer import ocam_from_camera
 
 
 def cameras() -> dict[str, object]:

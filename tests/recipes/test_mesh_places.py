@@ -24,8 +24,11 @@ from sphericalvision.scenes import (  # noqa: E402
     ray_depth,
     render_camera,
 )
-from sphericalvision.scenes.meshes import mesh_files  # noqa: E402
-from sphericalvision.scenes.rendering.mesh_places import PlacedMesh, free_place  # noqa: E402
+from sphericalvision.scenes.meshes import (  # noqa: E402
+    PlacedMesh,
+    free_place,
+    mesh_files,
+)
 from tests.recipes.tiny import Run  # noqa: E402
 
 HALF = torch.tensor([3.0, 1.5, 4.0])

@@ -13,7 +13,7 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, pack
 from sphericalvision.scenes.rendering.ray_packets import RayPackets, packed
 from sphericalvision.scenes.rendering.raycast import blocked, first_hits, trace
-from sphericalvision.scenes.rendering.surfaces import normals_and_uv
+from sphericalvision.scenes.rendering.shading import normals_and_uv
 
 
 def unit_vectors(count: int, generator: torch.Generator) -> Tensor:

@@ -22,8 +22,7 @@ from sphericalvision.scenes.rendering.ray_packets import (
 )
 from sphericalvision.scenes.rendering.raycast import first_hits
 from sphericalvision.scenes.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
-from sphericalvision.scenes.rendering.shading import SHADOW_GAP, SurfaceSamples, irradiance
-from sphericalvision.scenes.rendering.surfaces import normals_and_uv
+from sphericalvision.scenes.rendering.shading import SHADOW_GAP, SurfaceSamples, irradiance, normals_and_uv
 
 ORIGIN = torch.zeros(3)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,24 +13,27 @@ import torch
 import yaml
 
 from sphericalvision.cameras import (
+    Camera,
     CameraRig,
     EquirectangularCamera,
     OCamCamera,
+    convert,
     read_rig,
     save_camera,
     save_rig,
 )
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
+from sphericalvision.cameras.field_of_view import visible_angle
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.omnistereo.files import RELEASES, Release, check_scale, index_frames, read_min_depth
 from sphericalvision.data.omnistereo.ground_truth import write_ground_truth
-from sphericalvision.data.omnistereo.ocam_fit import ocam_from_camera
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import write_bytes, write_yaml
 from sphericalvision.io.images import write_image
 
-__all__ = ["write_omnistereo"]
+__all__ = ["ocam_from_camera", "write_omnistereo"]
 
+_MOST_COEFFICIENTS = 18
 _SAME_PIXEL = 0.1  # pixels; fits of one lens made by different machines differ by less
 
 
@@ -232,3 +236,48 @@ def _alike(first: CameraRig, second: CameraRig, layout: Release) -> bool:
 def _frames_in(root: Path, layout: Release) -> list[int]:
     folder = root / layout.ground_truth_folder
     return list(index_frames(folder, "ground truth", (layout.suffix,))) if folder.is_dir() else []
+
+
+def ocam_from_camera(camera: Camera, max_residual: float = 0.1) -> OCamCamera:
+    """OCam camera with direct and inverse polynomial that images like ``camera``, in float64.
+
+    Args:
+        camera: unbatched. An ``OCamCamera`` that has its inverse polynomial is returned as it is.
+        max_residual: largest deviation accepted, in pixels.
+
+    Raises:
+        ArgumentError: no polynomial comes that close over all that the camera sees, or the camera is a batch
+            or a panorama.
+
+    References:
+        Scaramuzza et al., A Toolbox for Easily Calibrating Omnidirectional Cameras, IROS 2006.
+
+    Examples:
+        >>> from sphericalvision.cameras import FisheyeCamera
+        >>> fisheye = FisheyeCamera.from_field_of_view((800, 768), math.radians(220))
+        >>> ocam = ocam_from_camera(fisheye)
+        >>> ray = fisheye.unproject(torch.tensor([100.0, 500.0])).directions
+        >>> ocam.project(ray.double()).pixels.round().tolist()
+        [100.0, 500.0]
+    """
+    if isinstance(camera, OCamCamera) and camera.inverse_polynomial is not None:
+        return camera
+    if isinstance(camera, EquirectangularCamera):
+        raise ArgumentError(
+            "camera: a panorama has no OCam model, which images growing angles at growing radii; reproject its images "
+            "to a lens with remap(...)"
+        )
+    exact = camera.to(torch.float64)
+    fit = convert(exact, to=OCamCamera)
+    if fit.max_error > max_residual:
+        fit = convert(exact, to=OCamCamera, num_coefficients=_MOST_COEFFICIENTS)
+    azimuths = torch.arange(64, dtype=torch.float64) * (math.pi / 32)
+    lost = float(visible_angle(exact, azimuths).max()) - fit.covered_angle
+    if not fit.max_error <= max_residual or lost > 1e-3:
+        raise ArgumentError(
+            f"camera: the best OCam model of this {type(camera).__name__} is off by {fit.max_error:.3g} px out to "
+            f"{math.degrees(fit.covered_angle):.1f} degrees, more than max_residual = {max_residual:g} px or less "
+            "than the camera sees. Use an OCamCamera, or a smaller max_angle."
+        )
+    assert isinstance(fit.camera, OCamCamera)
+    return fit.camera

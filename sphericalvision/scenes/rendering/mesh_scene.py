@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
-from sphericalvision.scenes.rendering.sky import sky_light
+from sphericalvision.scenes.rendering.scene import sky_light
 
 if TYPE_CHECKING:
     import trimesh

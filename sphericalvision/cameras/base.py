@@ -40,7 +40,7 @@ from sphericalvision.core import (
     check_tensor,
 )
 from sphericalvision.geometry.directions import broadcast_shapes, components
-from sphericalvision.geometry.interpolation import bilinear_sample
+from sphericalvision.geometry.lookup import bilinear_sample
 
 __all__ = ["Camera", "Conversion", "Projection", "Unprojection", "check_single"]
 

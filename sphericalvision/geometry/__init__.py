@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pure functions: directions, rigid transforms and interpolation.
 
-Numerics that cameras and grids are made of are in the modules: ``directions``, ``rootfinding``, ``inverse_table``,
-``least_squares``.
+Numerics that cameras and grids are made of are in the modules: ``directions``, ``rootfinding``,
+``lookup``, ``least_squares``.
 """
 
 from lazy_loader import attach_stub

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lookups: where each of P results is found in something flat, worked out once and applied often.
 
+``bilinear_sample`` looks up once: pixel centres have integer coordinates, the top-left pixel's is (u, v) = (0, 0).
+
 ``weighted_rows`` reads few entries by number, with weights; a sweep reads the vertices of its triangles so, and
 ``Lookup`` is the module around it: vertices, pixels of HEALPix, one pixel for a label.
 ``ImageLookup`` interpolates in images; ``grid_sample`` finds the pixels and weights of a position faster than a table
@@ -17,12 +19,111 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
-from sphericalvision.core import uses_reference_kernels
+from sphericalvision.core import (
+    ShapeError,
+    check_choice,
+    check_floating,
+    check_last_dim,
+    check_tensor,
+    uses_reference_kernels,
+)
 from sphericalvision.geometry.directions import broadcast_shapes
-from sphericalvision.geometry.image_edges import taps_across_edges
-from sphericalvision.geometry.interpolation import wrap_panorama
 
-__all__ = ["ImageLookup", "Lookup", "weighted_rows", "weighted_sums"]
+__all__ = [
+    "ImageLookup",
+    "Lookup",
+    "bilinear_sample",
+    "taps_across_edges",
+    "weighted_rows",
+    "weighted_sums",
+    "wrap_panorama",
+]
+
+
+def wrap_panorama(image: Float[Tensor, "*batch h w"], poles: bool = True) -> Float[Tensor, "*batch h+2 w+2"]:
+    """A panorama ``(*, h, w)`` with one more column on either side and one more row above and below.
+
+    Args:
+        image: equirectangular, all around.
+        poles: whether it reaches up to the poles; then beyond a pole stands its row as seen from behind, else the
+            row is repeated.
+
+    Examples:
+        >>> wrap_panorama(torch.tensor([[1, 2, 3, 4]]).float())[0]
+        tensor([2., 3., 4., 1., 2., 3.])
+    """
+    width = image.shape[-1]
+
+    def beyond(row: Tensor) -> Tensor:  # an odd width has no pixel exactly behind, hence the mean of its two
+        return (row.roll(width // 2, -1) + row.roll((width + 1) // 2, -1)) / 2 if poles else row
+
+    image = torch.cat((beyond(image[..., :1, :]), image, beyond(image[..., -1:, :])), -2)
+    return torch.cat((image[..., -1:], image, image[..., :1]), -1)
+
+
+def bilinear_sample(
+    image: Float[Tensor, "*images c h w"],
+    pixels: Float[Tensor, "*places n 2"],
+    wrap_longitude: bool = False,
+    padding: str = "border",
+) -> Float[Tensor, "*batch c n"]:
+    """Values (*b, c, n) of ``image`` (*b, c, h, w) at ``pixels`` (*b, n, 2), given as (u, v).
+
+    Args:
+        image: floating point, as then are the values; its leading dimensions broadcast with those of ``pixels``.
+        pixels: (u, v) with integer pixel centres; the value at a NaN is NaN.
+        wrap_longitude: the image is a full equirectangular panorama: its left and right edges meet, and beyond
+            a pole the panorama continues on the opposite side.
+        padding: beyond the outermost pixel centres ``"border"`` repeats them and ``"zeros"`` fades to zero.
+
+    Raises:
+        ArgumentError: the image is of an integer type, or ``padding`` is unknown.
+        ShapeError: the shapes are not as above.
+
+    Examples:
+        >>> image = torch.tensor([[[0.0, 10.0], [20.0, 30.0]]])
+        >>> bilinear_sample(image, torch.tensor([[1.0, 0.0], [0.5, 0.5]])).tolist()
+        [[10.0, 15.0]]
+        >>> seam = torch.tensor([[1.5, 0.0]])
+        >>> bilinear_sample(image[:, :1], seam, wrap_longitude=True).tolist()
+        [[5.0]]
+    """
+    check_choice("padding", padding, ("border", "zeros"))
+    check_tensor("image", image, "(*b, c, h, w)")
+    check_last_dim("pixels", pixels, 2)
+    if image.ndim < 3 or pixels.ndim < 2:
+        raise ShapeError(
+            "image and pixels: expected shapes (*b, c, h, w) and (*b, n, 2), "
+            f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
+        )
+    check_floating("image", image)
+    check_floating("pixels", pixels)
+    height, width = image.shape[-2:]
+    size = pixels.new_tensor([width, height])
+    if wrap_longitude:
+        u = torch.remainder(pixels[..., 0] + 0.5, width) - 0.5
+        pixels = torch.stack((u, pixels[..., 1]), dim=-1) + 1
+        image, size = wrap_panorama(image), size + 2
+    try:
+        batch = broadcast_shapes(image.shape[:-3], pixels.shape[:-2])
+    except RuntimeError:
+        raise ShapeError(
+            "image and pixels: expected leading dimensions that broadcast with each other, "
+            f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
+        ) from None
+    if 0 in (*batch, pixels.shape[-2]):  # which grid_sample refuses
+        none = image.flatten(-2)[..., :0].expand(*batch, -1, -1)
+        return none.reshape(*batch, image.shape[-3], pixels.shape[-2])
+    flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
+    if image.dtype in (torch.float16, torch.bfloat16):  # whose places would be half a pixel off
+        flat_image = flat_image.float()
+    # grid_sample(align_corners=False) puts the centre of pixel i at (2 i + 1) / size - 1.
+    grid = ((2 * pixels + 1) / size - 1).to(flat_image.dtype).expand(*batch, *pixels.shape[-2:])
+    grid = grid.reshape(-1, 1, *pixels.shape[-2:])
+    values = F.grid_sample(flat_image, grid, padding_mode=padding, align_corners=False)
+    values = torch.where(grid.isnan().any(-1).unsqueeze(1), torch.nan, values)
+    return values.reshape(*batch, image.shape[-3], pixels.shape[-2]).to(image.dtype)
+
 
 _OUTSIDE = -9.0  # normalised coordinates so far out that grid_sample reads zeros there
 _MOST_PARTS = 8  # of the results of one image, to be worked on by different threads
@@ -251,3 +352,54 @@ class ImageLookup(nn.Module):
 def _around(u: Tensor, width: int) -> Tensor:
     """Columns counted from the first half pixel of a panorama, whatever the number of turns; most are there already."""
     return torch.where((u < -0.5) | (u > width - 0.5), torch.remainder(u + 0.5, width) - 0.5, u)
+
+
+def taps_across_edges(
+    pixels: Float[Tensor, "*batch 2"], image_size: tuple[int, int], edges: str = "border", cubic: bool = False
+) -> tuple[Int[Tensor, "*batch taps"], Float[Tensor, "*batch taps"]]:
+    """Flat ids and weights ``(*, taps)`` that interpolate an image at ``pixels`` ``(*, 2)``, beyond its edges too.
+
+    Args:
+        pixels: (u, v), pixel centres at integers; weights are differentiable in them.
+        image_size: (height, width).
+        edges: ``"border"`` repeats the outermost pixels; ``"around"`` joins the left and the right edge; ``"sphere"``
+            joins them, and a row beyond a pole is the pole's row seen from behind, half a turn further.
+        cubic: whether for the bicubic kernel (16 taps) or the bilinear one (4); twice as many for ``"sphere"`` and an
+            odd width.
+
+    Examples:
+        >>> ids, weights = taps_across_edges(torch.tensor([3.25, 0.0]), (1, 4), "around")
+        >>> ids[:2], weights[:2]
+        (tensor([3, 0]), tensor([0.7500, 0.2500]))
+    """
+    height, width = image_size
+    u, v = pixels[..., :1], pixels[..., 1:]
+    offsets = torch.arange(-1, 3, device=pixels.device) if cubic else torch.arange(2, device=pixels.device)
+    rows = v.detach().floor().long() + offsets
+    row_weights = _kernel(v - rows, cubic)
+    columns = u.detach().floor().long() + offsets
+    column_weights = _kernel(u - columns, cubic)
+    shifts = [torch.zeros_like(rows)]
+    if edges == "sphere":
+        beyond = (rows < 0) | (rows >= height)
+        rows = torch.where(rows < 0, -1 - rows, torch.where(rows >= height, 2 * height - 1 - rows, rows))
+        # An odd width has no pixel exactly behind, hence the mean of its two.
+        shifts = [torch.where(beyond, turn, 0) for turn in sorted({width // 2, (width + 1) // 2})]
+    starts = rows.clamp(0, height - 1).unsqueeze(-1) * width
+    weights = (row_weights.unsqueeze(-1) * column_weights.unsqueeze(-2)).flatten(-2) / len(shifts)
+    ids = []
+    for shift in shifts:
+        column = columns.unsqueeze(-2) + shift.unsqueeze(-1)
+        column = column.clamp(0, width - 1) if edges == "border" else column.remainder(width)
+        ids.append((starts + column).flatten(-2))
+    return torch.cat(ids, -1), torch.cat([weights] * len(shifts), -1)
+
+
+def _kernel(distance: Tensor, cubic: bool) -> Tensor:
+    """Weights of the linear kernel, or of Keys' cubic with the slope -0.75 that torch and OpenCV use."""
+    x = distance.abs()
+    if not cubic:
+        return 1 - x
+    near = (1.25 * x - 2.25) * x * x + 1
+    far = ((-0.75 * x + 3.75) * x - 6) * x + 3
+    return torch.where(x <= 1, near, far)

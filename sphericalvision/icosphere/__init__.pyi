@@ -4,8 +4,8 @@ from .areas import icosphere_normals as icosphere_normals
 from .areas import icosphere_solid_angles as icosphere_solid_angles
 from .areas import icosphere_voronoi_solid_angles as icosphere_voronoi_solid_angles
 from .icosphere import Icosphere as Icosphere
-from .locate import locate as locate
 from .locator import TriangleLocator as TriangleLocator
+from .locator import locate as locate
 from .mesh import icosphere_vertices as icosphere_vertices
 from .patches import icosphere_rings as icosphere_rings
 from .patches import icosphere_within as icosphere_within

@@ -12,7 +12,7 @@ from sphericalvision.geometry.directions import check_directions
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere.adjacency import icosphere_edges, icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
-from sphericalvision.icosphere.locate import locate
+from sphericalvision.icosphere.locator import locate
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.subdivision import subdivision_order
 from sphericalvision.icosphere.topology import coarse_vertex_ids, icosphere_faces, num_icosphere_vertices

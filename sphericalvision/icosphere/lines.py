@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.icosphere.locate import locate
+from sphericalvision.icosphere.locator import locate
 from sphericalvision.icosphere.mesh import icosahedron_rectangles, icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids, check_level
 

@@ -5,15 +5,32 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.crown import (
+    Crown,
+    CrownAvgPool2d,
+    CrownBlock3d,
+    CrownConv2d,
+    CrownConv3d,
+    CrownConvNorm2d,
+    CrownConvNorm3d,
+    crown_block3d,
+    crown_upsample,
+    exchange,
+    from_crown,
+    to_crown,
+)
+from sphericalvision.crown.block import convolve_twice
+from sphericalvision.crown.layout import crown_map
+from sphericalvision.crown.recompute import RecomputedModule
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.models.features import FeatureExtractor, camera_by_camera
-from sphericalvision.models.regularization import CostRegularizer
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     Aggregation,
@@ -28,7 +45,7 @@ from sphericalvision.sweep.aggregation import named_aggregation
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["IcoSweepNet"]
+__all__ = ["CostRegularizer", "FeatureExtractor", "IcoSweepNet", "ResidualBlock", "camera_by_camera"]
 
 
 class IcoSweepNet(DepthNetwork):
@@ -139,6 +156,157 @@ class IcoSweepNet(DepthNetwork):
     def extract_features(self, images: Float[Tensor, "B n 3 V_image"]) -> Float[Tensor, "B n C V"]:
         """Return the features ``(B, n, C, V_{level-feature_coarsening})`` of images ``(B, n, 3, V_level)``."""
         return camera_by_camera(self.features, images)
+
+
+class ResidualBlock(nn.Module):
+    """Two normalised convolutions with a ReLU between them, added to the input, and a ReLU.
+
+    With ``stride=2`` the first convolution goes to the next coarser level, and the input joins it through a 3
+    x 3 mean.
+
+    References:
+        He et al. (2016), "Deep residual learning for image recognition".
+    """
+
+    def __init__(self, channels: int, stride: int = 1, norm: str = "batch") -> None:
+        super().__init__()
+        self.first = CrownConvNorm2d(channels, channels, stride, norm, relu=True)
+        self.second = CrownConvNorm2d(channels, channels, norm=norm)
+        self.shortcut = CrownAvgPool2d(stride) if stride > 1 else nn.Identity()
+
+    def forward(self, crown: Crown) -> Crown:
+        total = convolve_twice(crown, self.first, self.second) + self.shortcut(crown)
+        return crown_map(torch.relu_, total)  # a sum, which nobody else has
+
+
+class FeatureExtractor(RecomputedModule):
+    """Map an image on the icosphere ``(B, in_channels, V_level)`` to features ``(B, channels, V_{level-coarsening})``.
+
+    The weights do not depend on the level; the directions of each crown exchange what they know at every
+    change of level.
+
+    Args:
+        channels: of the features.
+        in_channels: of the images.
+        norm: "batch" or "instance".
+        coarsening: levels by which the features are coarser than the image: 2, as in the paper, or 1: then what
+            the coarser half of the network found is added to what the finer one found, at the finer level.
+
+    References:
+        Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
+        representation of icosahedron", table of layers; Lin et al. (2017), "Feature pyramid networks for
+        object detection", for the sum of levels.
+
+    Examples:
+        >>> import torch
+        >>> FeatureExtractor(channels=4)(torch.zeros(1, 3, 642)).shape  # level 3 to level 1
+        torch.Size([1, 4, 42])
+    """
+
+    def __init__(
+        self, channels: int = 32, in_channels: int = 3, norm: str = "batch", coarsening: int = 2
+    ) -> None:
+        super().__init__()
+        if coarsening not in (1, 2):
+            raise ArgumentError(f"coarsening: expected 1 or 2 levels, got {coarsening!r}")
+        self.coarsening = coarsening
+        self.entry = CrownConvNorm2d(in_channels, channels, 2, norm, relu=True)
+        self.second = CrownConvNorm2d(channels, channels, norm=norm, relu=True)
+        self.fine = nn.Sequential(*(ResidualBlock(channels, norm=norm) for _ in range(3)))
+        self.coarse = nn.Sequential(
+            ResidualBlock(channels, 2, norm), *(ResidualBlock(channels, norm=norm) for _ in range(4))
+        )
+        self.last = CrownConv2d(channels, channels)
+
+    def forward(self, images: Float[Tensor, "B C_in V_image"]) -> Float[Tensor, "B C V"]:
+        crown = exchange(convolve_twice(to_crown(images), self.entry, self.second))
+        fine = exchange(self.fine(crown))
+        crown = exchange(self.coarse(fine))
+        if self.coarsening == 1:
+            crown = crown_upsample(crown) + fine
+        return from_crown(self.last(crown))
+
+
+def camera_by_camera(
+    extractor: nn.Module, images: Float[Tensor, "B n 3 *size"]
+) -> Float[Tensor, "B n C *size_of_features"]:
+    """Return the features ``(B, n, C, *)`` of the images ``(B, n, 3, *)`` of n cameras.
+
+    Statistics of the batch, which batch normalisation takes in training, are those of one camera at a time, and running
+    statistics take one step a camera. Everything else sees no difference, and gets all cameras in one batch.
+
+    References:
+        Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
+        representation of icosahedron", whose features are extracted so.
+
+    Examples:
+        >>> camera_by_camera(nn.Conv1d(3, 5, 1), torch.zeros(2, 4, 3, 42)).shape
+        torch.Size([2, 4, 5, 42])
+    """
+    if any(map(_takes_statistics_of_the_batch, extractor.modules())):
+        return torch.stack([extractor(camera) for camera in images.unbind(1)], 1)
+    return extractor(images.flatten(0, 1)).unflatten(0, images.shape[:2])  # type: ignore[no-any-return]
+
+
+def _takes_statistics_of_the_batch(part: nn.Module) -> bool:
+    """Instance normalisation is of the same class, but keeps no running statistics."""
+    return isinstance(part, _BatchNorm) and part.training and part.running_mean is not None
+
+
+class CostRegularizer(nn.Module):
+    """Map a cost volume ``(B, in_channels, N, V)`` to a score of each hypothesis ``(B, N, V)``.
+
+    ==========  ================================  ==================================================
+    name        channels                          what it does
+    ==========  ================================  ==================================================
+    fusion      in -> fusion -> 2 * channels      brings the cameras together
+    blocks      2 * channels, four times two      are added to what they are given
+    reduction   2 * channels -> channels          begins the last pair of convolutions
+    score       channels -> 1                     ends it
+    ==========  ================================  ==================================================
+
+    Every convolution but the last is normalised, and a ReLU lies between the two of a pair. A pair ends with the mean
+    of the crown's two directions, which is where they exchange what they know. That mean is linear and leaves values
+    that both agree on as they are, so residuals are added on vertices, not on crowns.
+
+    Args:
+        in_channels: of the volume.
+        channels: half the width of the blocks.
+        norm: "batch" or "instance".
+        fusion_channels: width between the first two convolutions; ``in_channels`` when not given.
+
+    References:
+        Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
+        representation of icosahedron", table of layers.
+
+    Examples:
+        >>> import torch
+        >>> CostRegularizer(in_channels=8, channels=2)(torch.zeros(1, 8, 4, 42)).shape
+        torch.Size([1, 4, 42])
+    """
+
+    def __init__(
+        self,
+        in_channels: int = 128,
+        channels: int = 32,
+        norm: str = "batch",
+        fusion_channels: int | None = None,
+    ) -> None:
+        super().__init__()
+        width = 2 * channels
+        self.fusion = CrownBlock3d(in_channels, fusion_channels or in_channels, width, norm)
+        self.blocks = nn.ModuleList(CrownBlock3d(width, width, width, norm, residual=True) for _ in range(4))
+        self.reduction = CrownConvNorm3d(width, channels, norm, relu=True)
+        self.score = CrownConv3d(channels, 1)
+
+    def forward(self, volume: Float[Tensor, "B C N V"]) -> Float[Tensor, "B N V"]:
+        return self.refine(self.fusion(volume))
+
+    def refine(self, volume: Float[Tensor, "B C N V"]) -> Float[Tensor, "B N V"]:
+        """Score what ``fusion`` returns; who calls both in turn can let go of the large volume in between."""
+        for block in self.blocks:
+            volume = block(volume)
+        return crown_block3d(volume, self.reduction, self.score).squeeze(1)
 
 
 register_network("icosweepnet", IcoSweepNet)

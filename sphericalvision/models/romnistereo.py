@@ -13,8 +13,7 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.models.omnimvs_layers import ImageConv
-from sphericalvision.models.omnimvs_parts import FisheyeFeatures
+from sphericalvision.models.omnimvs_parts import FisheyeFeatures, ImageConv
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import DepthEstimate, PanoramaSweep

@@ -4,7 +4,7 @@ from .convolutions.padding import equirectangular_pad as equirectangular_pad
 from .convolutions.seamless import make_seamless as make_seamless
 from .convolutions.sphere_conv import SphereConv2d as SphereConv2d
 from .convolutions.sphere_conv import sphere_conv2d as sphere_conv2d
-from .convolutions.tangent_taps import sphere_taps as sphere_taps
+from .convolutions.sphere_conv import sphere_taps as sphere_taps
 from .grids.base import SphereGrid as SphereGrid
 from .grids.cube_layouts import cube_from_layout as cube_from_layout
 from .grids.cube_layouts import cube_to_layout as cube_to_layout

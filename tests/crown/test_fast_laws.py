@@ -36,8 +36,7 @@ from sphericalvision.crown import (
 )
 from sphericalvision.crown.fast import door
 from sphericalvision.models import IcoSweepNet
-from sphericalvision.models.features import FeatureExtractor
-from sphericalvision.models.regularization import CostRegularizer
+from sphericalvision.models.icosweepnet import CostRegularizer, FeatureExtractor
 from tests.crown.compiler import needs_compiler
 from tests.laws.fast_laws import (
     FastCase,

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from sphericalvision.core import reference_kernels
 from sphericalvision.geometry import bilinear_sample
-from sphericalvision.geometry.image_edges import taps_across_edges
-from sphericalvision.geometry.lookup import ImageLookup, Lookup, weighted_sums
+from sphericalvision.geometry.lookup import ImageLookup, Lookup, taps_across_edges, weighted_sums
 
 DOUBLE = torch.float64
 SIZE = (5, 8)

@@ -15,7 +15,7 @@ from kornia.core.module import ImageModule
 
 from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera, Remap
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry.lookup_module import LookupModule
+from sphericalvision.geometry.masked_lookup import LookupModule
 from sphericalvision.io.images import read_image
 from sphericalvision.sphere import Cubemap, Equirectangular, Resample
 

@@ -15,7 +15,7 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.crown import Crown, from_crown, to_crown
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet
-from sphericalvision.models.regularization import CostRegularizer
+from sphericalvision.models.icosweepnet import CostRegularizer
 
 LEVEL, IMAGE_VERTICES, DEPTH_VERTICES = 3, 642, 42
 

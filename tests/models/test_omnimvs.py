@@ -20,8 +20,13 @@ from sphericalvision.models import (
     OmniMVS,
     load_weights,
 )
-from sphericalvision.models.omnimvs_layers import SphereConv, VolumeConv, VolumeUpConv
-from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures
+from sphericalvision.models.omnimvs_parts import (
+    CostHourglass,
+    FisheyeFeatures,
+    SphereConv,
+    VolumeConv,
+    VolumeUpConv,
+)
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import SweepVolume, inverse_depth_from_index
 from sphericalvision.sweep.panorama_sweep import PanoramaTables

@@ -25,12 +25,14 @@ from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import normalize
 from sphericalvision.geometry.directions import components, from_components, holds, lifted_radius
-from sphericalvision.geometry.inverse_table import InverseTable, samples_towards, tabulate_inverse
 from sphericalvision.geometry.rootfinding import (
+    InverseTable,
     increasing_limit,
     polynomial,
     polynomial_with_curvature,
     refine_root,
+    samples_towards,
+    tabulate_inverse,
 )
 
 __all__ = ["OCamCamera", "project_ocam", "unproject_ocam"]

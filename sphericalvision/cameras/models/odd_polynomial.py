@@ -15,12 +15,14 @@ from torch import Tensor
 
 from sphericalvision.cameras.fitting.model import Samples
 from sphericalvision.cameras.fitting.starts import solve_linear
-from sphericalvision.geometry.inverse_table import InverseTable, samples_towards, tabulate_inverse
 from sphericalvision.geometry.rootfinding import (
+    InverseTable,
     increasing_limit,
     polynomial,
     polynomial_value,
     polynomial_with_curvature,
+    samples_towards,
+    tabulate_inverse,
 )
 
 __all__ = ["Inverse", "radial_solution", "squared_radius", "tabulated", "widest_angle"]

@@ -15,8 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, addcmul
 
-from sphericalvision.geometry.inverse_table import tabulate_inverse
-from sphericalvision.geometry.rootfinding import increasing_limit
+from sphericalvision.geometry.rootfinding import increasing_limit, tabulate_inverse
 
 __all__ = [
     "Distorted",

@@ -18,13 +18,14 @@ from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, holds, lifted_radius
-from sphericalvision.geometry.inverse_table import samples_towards, tabulate_inverse
 from sphericalvision.geometry.rootfinding import (
     increasing_limit,
     polynomial,
     polynomial_value,
     polynomial_with_curvature,
     refine_root,
+    samples_towards,
+    tabulate_inverse,
 )
 
 __all__ = ["RadialPolynomialCamera", "project_radial_polynomial", "unproject_radial_polynomial"]

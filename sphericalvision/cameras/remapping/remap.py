@@ -11,7 +11,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.cameras.remapping.tables import REMAP_MODES, remap_tables
 from sphericalvision.core import check_type
-from sphericalvision.geometry.lookup_module import LookupModule
+from sphericalvision.geometry.masked_lookup import LookupModule
 
 __all__ = ["REMAP_MODES", "Remap", "remap", "remap_mask"]
 

@@ -17,7 +17,7 @@ from sphericalvision.geometry import (
     longitude_latitude_from_directions,
 )
 from sphericalvision.geometry.directions import check_directions
-from sphericalvision.geometry.interpolation import wrap_panorama
+from sphericalvision.geometry.lookup import wrap_panorama
 from sphericalvision.geometry.panorama import (
     ALL_LATITUDES,
     ALL_LONGITUDES,
@@ -26,8 +26,7 @@ from sphericalvision.geometry.panorama import (
     limits_in_words,
     longitude_within,
 )
-from sphericalvision.sphere.grids.base import GridModule
-from sphericalvision.sphere.grids.checks import check_cells, check_positive, check_values
+from sphericalvision.sphere.grids.base import GridModule, check_cells, check_positive, check_values
 
 __all__ = ["Equirectangular"]
 

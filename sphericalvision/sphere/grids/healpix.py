@@ -13,8 +13,7 @@ from sphericalvision.core import check_choice, check_last_dim
 from sphericalvision.geometry import longitude_latitude_from_directions, normalize
 from sphericalvision.geometry.directions import check_directions, safe_hypot
 from sphericalvision.geometry.lookup import weighted_sums
-from sphericalvision.sphere.grids.base import GridModule
-from sphericalvision.sphere.grids.checks import check_cells, check_positive
+from sphericalvision.sphere.grids.base import GridModule, check_cells, check_positive
 from sphericalvision.sphere.grids.healpix_pixels import (
     direction_of_place,
     neighbor_places,

@@ -10,9 +10,8 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
-from sphericalvision.geometry.lookup_module import LookupModule
-from sphericalvision.sphere.grids.base import SphereGrid
-from sphericalvision.sphere.grids.checks import check_values
+from sphericalvision.geometry.masked_lookup import LookupModule
+from sphericalvision.sphere.grids.base import SphereGrid, check_values
 from sphericalvision.sphere.resampling.supersampling import grid_shape
 from sphericalvision.sphere.resampling.tables import RESAMPLE_MODES, resample_tables
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, save_rig
 from sphericalvision.cameras.calibration import RIG_FORMATS
-from sphericalvision.cameras.resolution import pixels_a_radian
+from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.capture import Predictor, calibrate_photometry
 from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.preparation.alignment import LEVEL, RigTurns

@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, dataclass_transform
 
 import torch
@@ -13,6 +14,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.checks import (
+    at_least_float32,
     check_image,
     check_precision,
     checked_angle,
@@ -29,8 +31,6 @@ from sphericalvision.cameras.declaration import (
     OptionalIntrinsic,
     constructor,
 )
-from sphericalvision.cameras.precision import at_least_float32
-from sphericalvision.cameras.verbs import verb
 from sphericalvision.core import (
     ArgumentError,
     ArgumentTypeError,
@@ -423,7 +423,8 @@ class Camera:
             >>> fisheye.convert(to=KannalaBrandtCamera).max_error < 0.01
             True
         """
-        conversion: Conversion = verb("Camera.convert")(self, to, **options)
+        above = import_module("sphericalvision.cameras.conversion.convert")
+        conversion: Conversion = above.convert(self, to, **options)
         return conversion
 
     def select(self: AnyCamera, index: int) -> AnyCamera:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 
 import torch
@@ -20,7 +21,6 @@ from sphericalvision.cameras.base import Camera, Projection
 from sphericalvision.cameras.checks import check_poses, check_rotation
 from sphericalvision.cameras.masks import is_usable, resized_mask, stack_masks
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
-from sphericalvision.cameras.verbs import verb
 from sphericalvision.core import (
     ArgumentError,
     ArgumentTypeError,
@@ -406,9 +406,8 @@ class CameraRig:
             ArgumentError: if the number or the names of the images are not those of the rig.
             ShapeError: if an image has another size than its camera.
         """
-        looked_up: tuple[Tensor, Tensor] = verb("CameraRig.sample_sphere")(
-            self, images, directions, fill, antialias
-        )
+        above = import_module("sphericalvision.cameras.sphere_images")
+        looked_up: tuple[Tensor, Tensor] = above.sample_sphere(self, images, directions, fill, antialias)
         return looked_up
 
     def to_yaml(self, path: str | Path) -> None:
@@ -417,7 +416,7 @@ class CameraRig:
         Raises:
             ArgumentError: a camera of one's own model is not registered, so that it could not be read back.
         """
-        verb("CameraRig.to_yaml")(self, path)
+        import_module("sphericalvision.cameras.calibration.native").write_rig(self, path)
 
     def __repr__(self) -> str:
         kinds = {type(camera).__name__ for camera in self.cameras.values()}

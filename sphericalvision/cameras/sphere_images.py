@@ -15,8 +15,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.cameras.remapping.lookup import image_edges
-from sphericalvision.cameras.resolution import pixels_a_radian
+from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.lookup import ImageLookup

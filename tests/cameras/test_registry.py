@@ -25,8 +25,7 @@ from sphericalvision.cameras import (
     save_camera,
 )
 from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle
-from sphericalvision.cameras.fitting.model import fitted
-from sphericalvision.cameras.fitting.starts import shape_grid
+from sphericalvision.cameras.fitting import fitted, shape_grid
 from sphericalvision.cameras.registry import MODELS
 from sphericalvision.core import ArgumentError, FileFormatError
 

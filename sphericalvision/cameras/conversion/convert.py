@@ -11,7 +11,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, Conversion, check_single
 from sphericalvision.cameras.conversion.fit import ROUNDS, cap, fit_model
 from sphericalvision.cameras.field_of_view import directions_around_axis, visible_angle
-from sphericalvision.cameras.fitting.model import FittedModel, fit_choices, fitted_classes
+from sphericalvision.cameras.fitting import FittedModel, fit_choices, fitted_classes
 from sphericalvision.cameras.model_alone import project_by_model
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
@@ -136,7 +136,7 @@ def _candidates(
         known = ", ".join(kind.__name__ for kind in fitted_classes())
         raise ArgumentError(
             f"to: expected one of {known}; {to.__name__} does not say how it is fitted "
-            "(sphericalvision.cameras.fitting.model.fitted)"
+            "(sphericalvision.cameras.fitting.fitted)"
         )
     if num_coefficients is not None and num_coefficients not in choices.num_coefficients:
         allowed = ", ".join(map(str, sorted(choices.num_coefficients)))

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.field_of_view import directions_around_axis, focal_length_on_axis
-from sphericalvision.cameras.fitting.model import FittedModel, Samples
+from sphericalvision.cameras.fitting import FittedModel, Samples
 from sphericalvision.cameras.model_alone import project_by_model
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis

@@ -10,9 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle
-from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
-from sphericalvision.cameras.fitting.starts import solve_linear
+from sphericalvision.cameras.fitting import FittedModel, Samples, fitted, solve_linear
 from sphericalvision.cameras.models.image_plane import (
     PlaneCamera,
     pixels_from_plane,
@@ -20,7 +20,6 @@ from sphericalvision.cameras.models.image_plane import (
     unit_directions,
 )
 from sphericalvision.cameras.models.radial_polynomial import _radius, _start
-from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, lifted_radius
 from sphericalvision.geometry.rootfinding import (

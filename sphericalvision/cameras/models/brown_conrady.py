@@ -10,9 +10,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
-from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
-from sphericalvision.cameras.fitting.starts import PLANE_REACH, solve_linear, with_shapes
+from sphericalvision.cameras.fitting import (
+    PLANE_REACH,
+    FittedModel,
+    Samples,
+    fitted,
+    solve_linear,
+    with_shapes,
+)
 from sphericalvision.cameras.models.image_plane import (
     PlaneCamera,
     pixels_from_plane,
@@ -25,7 +32,6 @@ from sphericalvision.cameras.models.plane_distortion import (
     radius_limit,
     undistort,
 )
-from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import components

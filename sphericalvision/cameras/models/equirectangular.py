@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.precision import model_function
+from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import (

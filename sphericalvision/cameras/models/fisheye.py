@@ -13,12 +13,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
-from sphericalvision.cameras.checks import checked_size
+from sphericalvision.cameras.checks import checked_size, model_function
 from sphericalvision.cameras.declaration import Choice, ImageSize, Intrinsic, MaxAngle
-from sphericalvision.cameras.fitting.model import fitted
-from sphericalvision.cameras.fitting.starts import shape_grid
+from sphericalvision.cameras.fitting import fitted, shape_grid
 from sphericalvision.cameras.models.image_plane import pixels_from_plane, plane_from_pixels
-from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_choice, check_type
 from sphericalvision.geometry import normalize

@@ -10,11 +10,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, Unprojection
+from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle
-from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
-from sphericalvision.cameras.fitting.starts import solve_linear
+from sphericalvision.cameras.fitting import FittedModel, Samples, fitted, solve_linear
 from sphericalvision.cameras.models.image_plane import unit_directions
-from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, holds, lifted_radius

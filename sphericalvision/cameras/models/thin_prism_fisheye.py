@@ -19,19 +19,22 @@ from jaxtyping import Float
 from torch import Tensor, addcmul
 
 from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import Choice, ImageSize, Intrinsic, MaxAngle
-from sphericalvision.cameras.fitting.model import FittedModel, Samples, fitted
-from sphericalvision.cameras.fitting.starts import with_shapes
+from sphericalvision.cameras.fitting import FittedModel, Samples, fitted, with_shapes
 from sphericalvision.cameras.models.image_plane import (
     PlaneCamera,
     pixels_from_plane,
     plane_from_pixels,
     unit_directions,
 )
-from sphericalvision.cameras.models.kannala_brandt import unproject_kannala_brandt
-from sphericalvision.cameras.models.odd_polynomial import radial_solution, tabulated, widest_angle
+from sphericalvision.cameras.models.kannala_brandt import (
+    radial_solution,
+    tabulated,
+    unproject_kannala_brandt,
+    widest_angle,
+)
 from sphericalvision.cameras.models.plane_distortion import Jacobian, invert_plane_map
-from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import check_choice
 from sphericalvision.geometry.directions import (

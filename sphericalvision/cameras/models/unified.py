@@ -8,9 +8,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Projection, Unprojection
+from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
-from sphericalvision.cameras.fitting.model import fitted
-from sphericalvision.cameras.fitting.starts import shape_grid
+from sphericalvision.cameras.fitting import fitted, shape_grid
 from sphericalvision.cameras.models.image_plane import (
     PlaneCamera,
     pixels_from_plane,
@@ -18,7 +18,6 @@ from sphericalvision.cameras.models.image_plane import (
     unit_directions,
 )
 from sphericalvision.cameras.models.plane_distortion import distort_inside, fold_radius, undistort
-from sphericalvision.cameras.precision import model_function
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import components, safe_sqrt

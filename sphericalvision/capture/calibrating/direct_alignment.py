@@ -23,7 +23,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
-from sphericalvision.cameras.resolution import pixels_a_radian
+from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.capture.calibrating.turns import rightness, rotations, turned
 from sphericalvision.core import ArgumentError, ShapeError

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
-from sphericalvision.cameras.fitting.model import fit_choices
+from sphericalvision.cameras.fitting import fit_choices
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.models.ocam_polynomials import fit_inverse_polynomial
 from sphericalvision.cameras.rig import CameraRig

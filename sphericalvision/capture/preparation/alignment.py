@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.cameras.resolution import pixels_a_radian
+from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.capture.calibrating.direct_alignment import align_rig_direct
 from sphericalvision.capture.calibrating.turns import about_most, turned
 from sphericalvision.capture.checks import pose_agreement

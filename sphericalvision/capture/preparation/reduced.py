@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.cameras.resolution import pixels_a_radian
+from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 
 __all__ = ["averaged", "reduced_rig"]
 

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, read_cameras, read_trajectory
 from sphericalvision.capture import find_own_body
-from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.preparation.own_body import MOST
 from sphericalvision.capture.preparation.preparation import AUTO
 from sphericalvision.capture.sources.frames import Selection, Source
@@ -29,6 +28,7 @@ from sphericalvision.capture.sources.opening import (
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image_size, read_mask, write_mask
 from sphericalvision.recipes.app.rigs import keys_named, radians, rig_from_file, whole
+from sphericalvision.sphere.intake import as_photographs
 
 __all__ = ["masked_by_itself", "open_capture", "open_moving", "with_own_body_masked"]
 

@@ -17,7 +17,6 @@ from sphericalvision.cameras import CameraRig, save_rig
 from sphericalvision.cameras.calibration import RIG_FORMATS
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.capture import Predictor, calibrate_photometry
-from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.preparation.alignment import LEVEL, RigTurns
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.opening import spread_evenly
@@ -25,6 +24,7 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.recipes.app.captures import open_capture
 from sphericalvision.recipes.app.cli import choose_device, console, print_table
+from sphericalvision.sphere.intake import as_photographs
 
 __all__ = ["align"]
 

@@ -16,7 +16,6 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.predictor import check_number
 from sphericalvision.capture.preparation.nearest import nearest_hypothesis
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
@@ -45,6 +44,7 @@ from sphericalvision.scenes.disturbances import RandomFaults
 from sphericalvision.scenes.draws import by_seed_and_globally
 from sphericalvision.scenes.random_rig_scenes import WorldSamples
 from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH, World, world_values
+from sphericalvision.sphere.intake import as_photographs
 
 __all__ = ["CaptureDataModule", "rehearsed_world"]
 

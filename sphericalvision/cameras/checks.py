@@ -44,6 +44,8 @@ __all__ = [
 
 HALF = (torch.float16, torch.bfloat16)
 _PAIRS = ("image_size", "latitudes", "longitudes")  # of plain numbers
+MAX_PIXELS = 2**27
+"""Of the largest image of a camera, as of the largest file that is read: directions of its pixels take 1.5 GB."""
 
 AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 
@@ -89,10 +91,6 @@ def model_function(function: AnyFunction) -> AnyFunction:
 
 def _raised(value: Any) -> Any:
     return value.float() if isinstance(value, Tensor) and value.dtype in HALF else value
-
-
-MAX_PIXELS = 2**27
-"""Of the largest image of a camera, as of the largest file that is read: directions of its pixels take 1.5 GB."""
 
 
 def check_image(

@@ -31,6 +31,9 @@ __all__ = [
     "with_shapes",
 ]
 
+PLANE_REACH = math.radians(80)
+"""A model of the image plane is fitted up to here, unless the original ends before."""
+
 
 class Samples(NamedTuple):
     """Where a camera images directions, and how it does so around its axis."""
@@ -211,10 +214,6 @@ def fit_choices(camera_class: type[Camera]) -> FitChoices | None:
 def fitted_classes() -> list[type[Camera]]:
     """All camera classes that say how they are fitted."""
     return list(_CHOICES)
-
-
-PLANE_REACH = math.radians(80)
-"""A model of the image plane is fitted up to here, unless the original ends before."""
 
 
 def with_shapes(

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig
-from sphericalvision.capture.surface import distance_along
+from sphericalvision.capture.points import distance_along
 from sphericalvision.core import ArgumentError, full_precision
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere import Icosphere, locate

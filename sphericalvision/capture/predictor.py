@@ -18,9 +18,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
 from sphericalvision.capture.depth import Depth
-from sphericalvision.capture.photographs import as_photographs
 from sphericalvision.capture.preparation.alignment import RigTurns, judged_rig, untold
-from sphericalvision.capture.preparation.compensation import Compensation, Compensator
 from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
     NearestHypothesis,
@@ -28,14 +26,14 @@ from sphericalvision.capture.preparation.nearest import (
     checked_min_depth,
     nearest_hypothesis,
 )
-from sphericalvision.capture.preparation.preparation import Preparation
+from sphericalvision.capture.preparation.preparation import Compensation, Compensator, Preparation
 from sphericalvision.core import ArgumentError, check_choice, check_type, full_precision
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.models.weights.checkpoints import read_network
-from sphericalvision.sphere.intake import Intake, signed
+from sphericalvision.sphere.intake import Intake, as_photographs, signed
 from sphericalvision.sweep.hypotheses import check_hypotheses
 
 __all__ = ["METHODS", "Predictor"]

@@ -39,6 +39,9 @@ __all__ = [
     "wrap_panorama",
 ]
 
+_OUTSIDE = -9.0  # normalised coordinates so far out that grid_sample reads zeros there
+_MOST_PARTS = 8  # of the results of one image, to be worked on by different threads
+
 
 def wrap_panorama(image: Float[Tensor, "*batch h w"], poles: bool = True) -> Float[Tensor, "*batch h+2 w+2"]:
     """A panorama ``(*, h, w)`` with one more column on either side and one more row above and below.
@@ -123,10 +126,6 @@ def bilinear_sample(
     values = F.grid_sample(flat_image, grid, padding_mode=padding, align_corners=False)
     values = torch.where(grid.isnan().any(-1).unsqueeze(1), torch.nan, values)
     return values.reshape(*batch, image.shape[-3], pixels.shape[-2]).to(image.dtype)
-
-
-_OUTSIDE = -9.0  # normalised coordinates so far out that grid_sample reads zeros there
-_MOST_PARTS = 8  # of the results of one image, to be worked on by different threads
 
 
 def weighted_rows(

@@ -9,15 +9,15 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor, calibrate_photometry
-from sphericalvision.capture.preparation.compensation import (
+from sphericalvision.capture.preparation.photometry import PhotometricCalibration
+from sphericalvision.capture.preparation.preparation import (
     LEAST_NOISE,
     Compensation,
+    Preparation,
     compensated,
     denoised,
     noise_of,
 )
-from sphericalvision.capture.preparation.photometry import PhotometricCalibration
-from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.scenes import make_scene, render_rig
 
 

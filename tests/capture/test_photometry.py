@@ -10,7 +10,7 @@ import torch
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, PinholeCamera, ring_rig
 from sphericalvision.capture import calibrate_photometry
-from sphericalvision.capture.preparation.compensation import Compensator
+from sphericalvision.capture.preparation.preparation import Compensator
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.scenes.disturbances import vignetted

@@ -20,7 +20,7 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.capture import Depth, calibrate_photometry
 from sphericalvision.capture.estimating import Behind, ahead, side_by_side, threads_kept
 from sphericalvision.capture.outputs import Outputs, Settings, Views
-from sphericalvision.capture.preparation.compensation import Compensation
+from sphericalvision.capture.preparation.preparation import Compensation
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source, rig_for_images
 from sphericalvision.capture.sources.videos import views_layout

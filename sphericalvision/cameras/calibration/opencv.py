@@ -68,6 +68,8 @@ _IGNORED = (
     r"|(n|nr|nr_?of|num)_?[a-z]+s|frames_?count|used_?im\w+|(rotation|translation)_?vectors|(fix_?)?aspect_?ratio|(image|grid|object)_?points|per_?view_?.*"
 )
 """What belongs to rectified images, to views of the board, and to the calibration as a work; R and T of one camera."""
+_FOUR = ("kannala_brandt", "unified")
+"""Models of ``cv2.fisheye`` and ``cv2.omnidir``, which have so many coefficients."""
 
 
 def recognizes(content: dict[str, Any]) -> bool:
@@ -222,10 +224,6 @@ def _camera(content: Mapping[str, Any], index: str, where: str, options: Options
             f"{where}, {key}: a skew of {skew:g} is for fisheye and omnidirectional cameras; OpenCV's others have none"
         )
     return distorted(kind, numbers + coefficients, size, f"{where}, {distortion_key or key}", skew)
-
-
-_FOUR = ("kannala_brandt", "unified")
-"""Models of ``cv2.fisheye`` and ``cv2.omnidir``, which have so many coefficients."""
 
 
 def write_opencv(cameras: Camera | CameraRig, path: str | Path) -> None:

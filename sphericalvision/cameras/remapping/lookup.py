@@ -32,6 +32,9 @@ __all__ = [
     "source_pixels",
 ]
 
+_SAMPLES = 4  # a side, of a footprint as wide as high, before it is looked up in a smaller image instead
+_SLACK = 0.25  # samples may lie this much further apart than pixels, so that turning alone adds none
+
 
 @full_precision
 def source_pixels(
@@ -124,10 +127,6 @@ class PyramidLookup(nn.Module):
                 small = halved.view(*small.shape[:-2], *halved.shape[-2:])
             found.append(lookup(small))
         return torch.cat(found, dim=-1).index_select(-1, self.order)
-
-
-_SAMPLES = 4  # a side, of a footprint as wide as high, before it is looked up in a smaller image instead
-_SLACK = 0.25  # samples may lie this much further apart than pixels, so that turning alone adds none
 
 
 class SampleGroup(NamedTuple):

@@ -24,6 +24,8 @@ from sphericalvision.geometry.masked_lookup import LookupModule, MaskedLookup
 
 __all__ = ["REMAP_MODES", "Remap", "remap", "remap_mask", "remap_tables"]
 
+REMAP_MODES = ("bilinear", "area", "bicubic", "nearest", "depth")
+
 
 def remap(
     image: Shaped[Tensor, "*images c h w"],
@@ -174,9 +176,6 @@ class Remap(LookupModule):
         check_image("image", image, self.tables.source_shape)
         result: Tensor = self.tables(image, mask)
         return result
-
-
-REMAP_MODES = ("bilinear", "area", "bicubic", "nearest", "depth")
 
 
 def remap_tables(

@@ -17,8 +17,8 @@ from sphericalvision.capture.calibrating.direct_alignment import align_rig_direc
 from sphericalvision.capture.calibrating.turns import about_most, turned
 from sphericalvision.capture.checks import pose_agreement
 from sphericalvision.capture.depth import Depth
-from sphericalvision.capture.preparation.compensation import denoised
-from sphericalvision.capture.preparation.reduced import averaged, reduced_rig
+from sphericalvision.capture.preparation.photometry import averaged, reduced_rig
+from sphericalvision.capture.preparation.preparation import denoised
 from sphericalvision.geometry.transforms import axis_angle_from_transform, invert_transform
 from sphericalvision.icosphere import icosphere_vertices
 

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -21,14 +22,21 @@ from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.conversion.fit import cap
 from sphericalvision.cameras.masks import resized_mask
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.cameras.sphere_images import sphere_lookups
-from sphericalvision.capture.preparation.reduced import averaged, reduced_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 
-__all__ = ["Photometer", "PhotometricCalibration", "calibrate_photometry", "pixel_angles"]
+__all__ = [
+    "Photometer",
+    "PhotometricCalibration",
+    "averaged",
+    "calibrate_photometry",
+    "pixel_angles",
+    "reduced_rig",
+]
 
 _POINTS = 2000
 _DISTANCES = (10.0, 30.0, 100.0)
@@ -332,3 +340,32 @@ def _held(number: int, channels: int, like: Tensor) -> Tensor:
     for term in range(2):
         hold[size + term :: 2, size + term :: 2] += _HOLD_ALIKE * alike
     return hold
+
+
+def reduced_rig(rig: CameraRig, pixel: float) -> CameraRig:
+    """Return the rig of images whose pixels are not finer than ``pixel``, in radians at the optical axis.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> reduced_rig(ring_rig(3, image_size=(768, 800)), 0.02).cameras["cam1"].image_size
+        (192, 200)
+    """
+    sizes = {}
+    for name, camera in rig.cameras.items():
+        shrink = max(1, int(pixel * pixels_a_radian(camera)))
+        sizes[name] = tuple(max(1, round(length / shrink)) for length in camera.image_size)
+    return rig.resized(sizes)
+
+
+def averaged(
+    rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
+) -> dict[str, Float[Tensor, "*batch c _ _"]]:
+    """Return whole images averaged to the sizes of a rig's cameras; those that have them are handed on."""
+    small = {}
+    for name, camera in rig.cameras.items():
+        image = images[name]
+        if tuple(image.shape[-2:]) != camera.image_size:
+            flat = F.interpolate(image.reshape(-1, *image.shape[-3:]), camera.image_size, mode="area")
+            image = flat.reshape(*image.shape[:-2], *camera.image_size)
+        small[name] = image
+    return small

@@ -124,7 +124,7 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     _check_settings(config, before, folder)
     if still is source:
         predictor = aligned(predictor, source, folder, bool(before))
-    elif len(still.rig) > 1 and config.align:
+    elif predictor.preparation.judges(still.rig):
         aligned(predictor.with_rig(still.rig), still, folder, bool(before))
         predictor = predictor.with_rig(source.rig)
     print_config(config, folder)

@@ -31,8 +31,8 @@ class OmniStereoDataModule(DepthDataModule):
         protocol: whose splits, "paper" or "official".
         release: "png" or "tiff"; detected when not given.
         missing: "error", or "skip" for a partial copy.
-        photometric: augment colours in training.
-        shift: standard deviation of the random shift in training, pixels; 0 for none.
+        augment: in training, vary colours and shift images.
+        shift: standard deviation of the random shift, pixels; 0 for none.
         val_split: split that validates.
         test_split: split that tests.
         train_split: split that trains.
@@ -45,7 +45,7 @@ class OmniStereoDataModule(DepthDataModule):
             validation and test go without, and what was left out is said at the end.
     """
 
-    of_training = ("seed", "photometric", "shift")
+    of_training = ("seed", "augment", "shift")
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class OmniStereoDataModule(DepthDataModule):
         protocol: str = "paper",
         release: Literal["png", "tiff"] | None = None,
         missing: Literal["error", "skip"] = "error",
-        photometric: bool = True,
+        augment: bool = True,
         shift: Annotated[float, Ge(0)] = 0.5,
         train_split: str = "train",
         val_split: str = "val",
@@ -70,7 +70,7 @@ class OmniStereoDataModule(DepthDataModule):
         self.on_error = on_error
         self.skipping: list[SkipDamaged] = []
         self.splits = {"train": train_split, "val": val_split, "test": test_split}
-        self.photometric, self.shift = photometric, shift
+        self.augment, self.shift = augment, shift
         self.options: dict[str, Any] = {
             "root": root,
             "dataset": dataset,
@@ -81,13 +81,11 @@ class OmniStereoDataModule(DepthDataModule):
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Frames of one split, augmented in "train"."""
-        augment = split == "train"
+        learned = split == "train"
         stages: list[Callable[[Sample], Sample]] = []
-        if augment and self.photometric:
-            stages.append(PhotometricAugmentation())
-        if augment and self.shift:
-            stages.append(RandomShift(self.shift))
-        return self._read(split, stages, counts=augment)
+        if learned and self.augment:
+            stages = [PhotometricAugmentation(), *([RandomShift(self.shift)] if self.shift else [])]
+        return self._read(split, stages, counts=learned)
 
     def plain_train_dataset(self) -> Dataset[Sample]:
         """Training frames as they are on disk."""

@@ -50,14 +50,14 @@ class ScannedDataModule(DepthDataModule):
     Args:
         entries: what samples hold, some of "sphere", "fisheye" and "panorama"; what the network wants if null.
         truth_height: rows of the panorama of truth; the network's where it is on panoramas.
-        photometric: vary colours in training.
+        augment: in training, vary colours.
     """
 
     entries: Entries = None
     truth_height: Count = 160
-    photometric: bool = True
+    augment: bool = True
 
-    of_training = ("seed", "photometric")
+    of_training = ("seed", "augment")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -69,7 +69,7 @@ class ScannedDataModule(DepthDataModule):
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Frames of one split, with other colours in "train"."""
-        return self._made(split, split == "train" and self.photometric)
+        return self._made(split, split == "train" and self.augment)
 
     def plain_train_dataset(self) -> Dataset[Sample]:
         """Training frames as they are on disk."""
@@ -79,11 +79,11 @@ class ScannedDataModule(DepthDataModule):
         """Sentences about frames that lack something."""
         return list(dict.fromkeys(sentence for frames in self._read for sentence in frames.left_out))
 
-    def _made(self, split: str, photometric: bool) -> ScannedFrames:
+    def _made(self, split: str, augmented: bool) -> ScannedFrames:
         wanted = self.wanted
         height = self.truth_height if wanted.panorama_size is None else wanted.panorama_size[1] // 2
         entries = ChosenEntries(wanted.entries, wanted.level, wanted.depth_level)
-        stages = [PhotometricAugmentation()] if photometric else []
+        stages = [PhotometricAugmentation()] if augmented else []
         frames = self.frames(split, height, Compose(*stages, entries))
         self._read.append(frames)
         return frames

@@ -96,7 +96,7 @@ def test_the_papers_training_has_the_papers_numbers() -> None:
     assert (model.level, model.num_hypotheses, model.feature_channels, model.min_depth) == (7, 32, 32, 0.55)
     assert (config.trainer.max_steps, data.batch_size) == (54_000, 4)
     assert (optimizer.lr, config.loss.delta) == (1e-3, 1.0)
-    assert (data.dataset, data.protocol, data.photometric, data.shift) == ("omnithings", "paper", True, 0.5)
+    assert (data.dataset, data.protocol, data.augment, data.shift) == ("omnithings", "paper", True, 0.5)
     made = build(optimizer)([torch.nn.Parameter(torch.zeros(1))])
     assert isinstance(made, torch.optim.Adam)
     rates = learning_rates(config, 54_000)

@@ -115,7 +115,7 @@ def render_frame(
     return TrackFrame(
         name,
         dict(frame.images),
-        _aligned(frame.rig, frame.images) if size.preparation.align else frame.rig,
+        _aligned(frame.rig, frame.images) if size.preparation.judges(frame.rig) else frame.rig,
         CameraRig(rig.cameras, frame.posed_rig.world_from_camera, frame.free),
         frame.inverse_depth(vertices),
         frame.inverse_depth(around),

@@ -85,6 +85,10 @@ class Preparation:
         switches = {name: config[name] for name in ("photometric", "align") if name in config}
         return cls(**switches, own_body=config.get("masks") == AUTO)
 
+    def judges(self, rig: CameraRig) -> bool:
+        """Return whether a few frames are to say if cameras are turned; one camera has nothing to be compared with."""
+        return self.align and len(rig) > 1
+
     @property
     def of_images(self) -> Callable[[CameraRig, Mapping[str, Tensor]], dict[str, Tensor]] | None:
         """The function of a rig and the images of a frame that makes these ready; None where nothing is done."""

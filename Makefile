@@ -74,7 +74,7 @@ house: $(VENV)/.installed-recipes ## how long, wide and deep the code is; ARGS=-
 	@$(BIN)/python -m tests.house_numbers $(ARGS)
 
 bench: $(VENV)/.installed-recipes ## measure speed; ARGS="groups=[cameras]" for a part of it
-	@$(BIN)/python -m sphericalvision.recipes.benchmark $(ARGS)
+	@$(BIN)/python -m sphericalvision.recipes.speed $(ARGS)
 
 notebooks: $(VENV)/.installed-all ## the tutorials as Jupyter notebooks, in notebooks/
 	@$(BIN)/python docs/notebooks.py notebooks

@@ -173,7 +173,7 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
 
 def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
     """Words that make a command small: few and small frames, few steps, narrow networks."""
-    if recipe == "benchmark":
+    if recipe == "speed":
         return BENCHMARK
     if recipe in ("align", "convert", "calibrate", "export"):
         return []

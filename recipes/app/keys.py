@@ -191,7 +191,7 @@ OWN: dict[str, dict[str, Any]] = {
         "frames": Count | None,
         "training": list[str],
     },
-    "benchmark": {"training": bool, "image_size": Size},
+    "speed": {"training": bool, "image_size": Size},
 }
 """Command -> its keys of another type."""
 

@@ -57,7 +57,7 @@ WRONG_VALUES = (
     ("calibrate", "images=*.png square=0.03", "board=seven"),
     ("evaluate", "", "split=all data.num_test=two"),
     ("study", "", "seeds=[] panorama_size=[8] on_change=ask"),
-    ("benchmark", "", "seconds=0 groups=[everything] settings=[[5]] settings=[5,16] image_size=[32]"),
+    ("speed", "", "seconds=0 groups=[everything] settings=[[5]] settings=[5,16] image_size=[32]"),
 )
 """Command, words before, and wrong words: the answer to each begins with its key, what is expected and what came."""
 

@@ -50,7 +50,7 @@ def test_a_command_imports_only_what_it_uses(command: str) -> None:
     assert modules.isdisjoint(COMMANDS[command])
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "study", "benchmark"])
+@pytest.mark.parametrize("command", [*COMMANDS, "study", "speed"])
 def test_reading_the_command_line_imports_nothing_heavy(command: str) -> None:
     name = f"sphericalvision.recipes.{command}"
     program = f"import sys; sys.argv = ['x', '--help']; import {name} as c; c.main()"

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark measures what it says; how fast things are is not a matter for tests."""
+"""Measuring speed measures what it says; how fast things are is not a matter for tests."""
 
 from __future__ import annotations
 
 import json
 import re
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,12 +15,12 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.recipes.benchmark import cameras as bench_cameras
-from sphericalvision.recipes.benchmark import data as bench_data
-from sphericalvision.recipes.benchmark import network as bench_network
-from sphericalvision.recipes.benchmark import predict as bench_predict
-from sphericalvision.recipes.benchmark.command import benchmark
-from sphericalvision.recipes.benchmark.measuring import OURS, Comparison, added_memory, measure
+from sphericalvision.recipes.speed import cameras as bench_cameras
+from sphericalvision.recipes.speed import data as bench_data
+from sphericalvision.recipes.speed import network as bench_network
+from sphericalvision.recipes.speed import predict as bench_predict
+from sphericalvision.recipes.speed.command import measure_speed
+from sphericalvision.recipes.speed.measuring import OURS, Comparison, added_memory, measure
 
 CPU = torch.device("cpu")
 
@@ -28,7 +29,13 @@ def config(*overrides: str) -> DictConfig:
     tiny = "settings=[[3,4]]", "feature_channels=2", "image_size=[32,32]", "seconds=1e-9", "num_frames=2"
     small = "convolution_settings=[[3,2]]", "num_points=50", "image_sides=[32]"
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        return compose("benchmark", [*tiny, *small, *overrides])
+        return compose("speed", [*tiny, *small, *overrides])
+
+
+def test_the_old_name_says_the_new_one_and_does_the_same(failing: Callable[..., str]) -> None:
+    said = failing("benchmark", "seconds=0")
+    assert "is called sphericalvision-speed now" in said
+    assert said.endswith(failing("speed", "seconds=0"))
 
 
 STAGES = {
@@ -45,12 +52,12 @@ STAGES = {
 
 
 def test_tables_hold_every_stage(tmp_path: Path) -> None:
-    rows = benchmark(config(), tmp_path)
-    stored = json.loads((tmp_path / "benchmark.json").read_text())
+    rows = measure_speed(config(), tmp_path)
+    stored = json.loads((tmp_path / "speed.json").read_text())
     assert [row["name"] for row in stored["rows"]] == [row.name for row in rows]
     assert stored["machine"]["torch"] == torch.__version__
     assert {row.title.partition(": ")[2] for row in rows} == STAGES
-    text = (tmp_path / "benchmark.md").read_text()
+    text = (tmp_path / "speed.md").read_text()
     assert all(row.title in text for row in rows)
     inference = {row.name: row for row in rows if "whole inference" in row.title}
     assert list(inference) == ["plain", OURS]
@@ -137,14 +144,14 @@ def test_every_group_measures_its_rows(tmp_path: Path, monkeypatch: pytest.Monke
     }
     words = config(f"groups=[{group}]", "presets=[live,fast]", "memory=false")
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        rows = benchmark(words, tmp_path)
+        rows = measure_speed(words, tmp_path)
     assert all(row.median > 0 and row.unit == "s" for row in rows)
     names = {re.sub(r" [\d.]+$", "", row.name) for row in rows}  # without errors
     assert names >= expected[group]
 
 
 def test_variants_stand_side_by_side(tmp_path: Path) -> None:
-    rows = benchmark(config("groups=[variants]", "variants=[icosweepnet,icosweepnet_rt]"), tmp_path)
+    rows = measure_speed(config("groups=[variants]", "variants=[icosweepnet,icosweepnet_rt]"), tmp_path)
     assert [row.name for row in rows] == ["icosweepnet", "icosweepnet_rt"]
     assert "icosweepnet: 1,380,224 parameters" in rows[0].note
     paper, real_time = (
@@ -172,12 +179,12 @@ def test_variants_stand_side_by_side(tmp_path: Path) -> None:
 )
 def test_mistakes_are_told_and_nothing_is_written(tmp_path: Path, words: list[str], remedy: str) -> None:
     with pytest.raises(ArgumentError, match=remedy):
-        benchmark(config(*words), tmp_path)
+        measure_speed(config(*words), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
 def test_what_to_measure_is_found_by_title(tmp_path: Path) -> None:
-    rows = benchmark(config("only='tables|cost'"), tmp_path)
+    rows = measure_speed(config("only='tables|cost'"), tmp_path)
     assert {row.title.partition(": ")[2] for row in rows} == {"sweep tables of a new rig", "cost volume"}
 
 

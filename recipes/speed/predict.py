@@ -21,8 +21,8 @@ from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.videos import Videos
-from sphericalvision.recipes.benchmark.measuring import Comparison, added_memory
 from sphericalvision.recipes.commands.predict import predictor_for, run
+from sphericalvision.recipes.speed.measuring import Comparison, added_memory
 from sphericalvision.recipes.study.comparison.frames import Size, TrackFrame, render_frame
 from sphericalvision.recipes.study.comparison.methods import SCALE
 from sphericalvision.recipes.study.comparison.places import FrameTruth

@@ -11,7 +11,7 @@ import torch
 from omegaconf import DictConfig
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.recipes.benchmark.measuring import Comparison
+from sphericalvision.recipes.speed.measuring import Comparison
 from sphericalvision.scenes import SceneDataset
 from sphericalvision.scenes.recipes import make_scene, render_rig
 from sphericalvision.scenes.registry import scene_kinds

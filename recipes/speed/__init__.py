@@ -3,4 +3,4 @@
 
 from sphericalvision.recipes.app.command import command
 
-main = command("benchmark", "benchmark.command:benchmark")
+main = command("speed", "speed.command:measure_speed")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure speed: ``sphericalvision-benchmark groups=[network]``.
+"""Measure speed: ``sphericalvision-speed groups=[network]``.
 
 Every figure stands beside another way to do the same work, run in turns with it; ratios are what counts.
 """
@@ -15,10 +15,10 @@ from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import choose_device, console
-from sphericalvision.recipes.benchmark.measuring import Measurement, measure, prepare_operators
-from sphericalvision.recipes.benchmark.tables import comparison_table, machine, save_measurements
+from sphericalvision.recipes.speed.measuring import Measurement, measure, prepare_operators
+from sphericalvision.recipes.speed.tables import comparison_table, machine, save_measurements
 
-__all__ = ["GROUPS", "benchmark"]
+__all__ = ["GROUPS", "measure_speed"]
 
 GROUPS = {
     "cameras": "cameras",
@@ -36,7 +36,7 @@ GROUPS = {
 yields the comparisons, each made when its turn comes."""
 
 
-def benchmark(config: DictConfig, folder: Path) -> list[Measurement]:
+def measure_speed(config: DictConfig, folder: Path) -> list[Measurement]:
     """Measure the groups that ``config`` names; the tables go to ``folder``.
 
     Raises:
@@ -58,7 +58,7 @@ def benchmark(config: DictConfig, folder: Path) -> list[Measurement]:
     rows: list[Measurement] = []
     titles: list[str] = []
     for group in config.groups:
-        module = import_module(f"sphericalvision.recipes.benchmark.{GROUPS[group]}")
+        module = import_module(f"sphericalvision.recipes.speed.{GROUPS[group]}")
         for comparison in getattr(module, group)(config, device):
             if not wanted.search(comparison.title):
                 titles.append(comparison.title)

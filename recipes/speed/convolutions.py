@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from sphericalvision.core import kernels
 from sphericalvision.crown import Crown, CrownConv2d, CrownConv3d, HexConv2d, HexConv3d, to_crown
 from sphericalvision.icosphere import num_icosphere_vertices
-from sphericalvision.recipes.benchmark.measuring import Comparison
+from sphericalvision.recipes.speed.measuring import Comparison
 from sphericalvision.sphere import CubePad2d, EquirectangularPad2d, SphereConv2d
 
 __all__ = ["convolutions"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of the benchmark, and the machine that made them in words."""
+"""The tables of speed, and the machine that made them in words."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pathlib import Path
 import torch
 
 from sphericalvision.io.files import write_bytes
-from sphericalvision.recipes.benchmark.measuring import Measurement
 from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table
+from sphericalvision.recipes.speed.measuring import Measurement
 
 __all__ = ["comparison_table", "machine", "save_measurements"]
 
@@ -66,14 +66,14 @@ def comparison_table(rows: Sequence[Measurement]) -> Table:
 
 
 def save_measurements(folder: Path, rows: Sequence[Measurement], facts: Mapping[str, str]) -> list[Path]:
-    """Write all comparisons as ``benchmark.md`` and ``benchmark.json``."""
+    """Write all comparisons as ``speed.md`` and ``speed.json``."""
     parts = [", ".join(f"{key} {value}" for key, value in facts.items() if value) + "\n"]
     for title, group in groupby(rows, lambda row: row.title):
         own = list(group)
         parts += [f"### {title}\n", comparison_table(own)._replace(title=own[0].note).markdown()]
-    write_bytes(folder / "benchmark.md", "\n".join(parts).encode())
-    write_json(folder / "benchmark.json", {"machine": dict(facts), "rows": [asdict(row) for row in rows]})
-    return [folder / "benchmark.md", folder / "benchmark.json"]
+    write_bytes(folder / "speed.md", "\n".join(parts).encode())
+    write_json(folder / "speed.json", {"machine": dict(facts), "rows": [asdict(row) for row in rows]})
+    return [folder / "speed.md", folder / "speed.json"]
 
 
 def _cells(row: Measurement) -> list[str]:

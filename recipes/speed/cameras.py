@@ -32,7 +32,7 @@ from sphericalvision.cameras import (
     Remap,
     UnifiedCamera,
 )
-from sphericalvision.recipes.benchmark.measuring import Comparison
+from sphericalvision.recipes.speed.measuring import Comparison
 
 __all__ = ["cameras", "models"]
 

@@ -19,7 +19,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep
-from sphericalvision.recipes.benchmark.measuring import OURS, Comparison, Run, added_memory, count_gflop, ways
+from sphericalvision.recipes.speed.measuring import OURS, Comparison, Run, added_memory, count_gflop, ways
 from sphericalvision.sweep import SphereSweep
 from sphericalvision.sweep.correlation import correlation_evidence
 

@@ -512,6 +512,88 @@ coverage(ring_rig(3), torch.eye(3), [1.0, 0.0]) -> depths: expected
 overlap(torch.ones(2, 4), torch.ones(3)) -> solid_angles: got shape \(3,\)
 # capture: preparation
 Preparation.from_keys({'photometric': 'yes'}) -> photometric: expected
+# sphere: resample
+resample(VALUES, ico(), Equirectangular(4, 8), mode='cubic') -> mode: expected one of 'bilinear', 'nearest'
+resample(torch.zeros(1, 6, 4, 4).long(), Cubemap(4), Healpix(1)) -> values: floating point .* for mode 'bilinear'
+resample(torch.zeros(1, 6, 4, 4), Cubemap(4), ico(), mask=torch.ones(4, 4)) -> mask: \(\*b, 6, 4, 4\) as the source
+resample(VALUES, ico(), camera(), mode='conservative') -> mode: 'conservative' is between grids.*FisheyeCamera
+resample(IMAGE, camera(), ico(), mode='conservative') -> mode: 'conservative' is between grids.*FisheyeCamera
+resample(VALUES, ico(), Equirectangular(8, 32, max_latitude=0.5), mode='conservative') -> target: 12\.57 and 6\.02
+resample(VALUES, ico(), Icosphere(1), EYE.expand(1, 3, 3), mode='conservative') -> rotation: takes one, \(3, 3\)
+resample(VALUES, ico(), TangentImages(0, 5), mode='conservative') -> conservative: do not overlap.*TangentImages
+# sphere: grids
+Cubemap(4).sample(torch.zeros(6, 4, 4), DIRECTIONS) -> values: expected shape \(\*b, c, 6, 4, 4\), got \(6, 4, 4\)
+Equirectangular(4, 8).sample(torch.zeros(3, 8, 4), DIRECTIONS) -> values: \(\*b, c, 4, 8\), got \(3, 8, 4\)
+Equirectangular.with_square_pixels(2, 8).sample(torch.zeros(1, 8, 2), DIRECTIONS) -> values: \(\*b, c, 2, 8\)
+Equirectangular.with_square_pixels(2, 8).rows_of(torch.zeros(3, 8)) -> \(2, 8\) or \(4, 8\): whole sphere, got \(3, 8\)
+Equirectangular(4, 8, latitudes=(0.5, -0.5)) -> latitudes: got
+Equirectangular(4, 8, latitudes=(0, 2)) -> latitudes: got
+Equirectangular(4, 8, longitudes=(0, 7)) -> longitudes: got
+Equirectangular(4, 8, longitudes=3) -> longitudes: got .* and 3
+EquirectangularCamera((4, 8), latitudes=(0.5, -0.5)) -> latitudes: got
+EquirectangularCamera((4, 8), latitudes=(0, 2)) -> latitudes: got
+EquirectangularCamera((4, 8), longitudes=(0, 7)) -> longitudes: got
+EquirectangularCamera((4, 8), longitudes=3) -> longitudes: got .* and 3
+# sphere: padding
+make_seamless(torch.nn.Sequential(torch.nn.ReLU(), torch.nn.ConvTranspose2d(1, 1, 3))) -> module: 1 is ConvTranspose2d
+make_seamless(torch.nn.Upsample(scale_factor=2, mode='bilinear')) -> module: Upsample
+# icosphere
+Icosphere(1.5) -> level: expected an integer
+Icosphere(True) -> level: expected an integer
+# sweep
+inverse_depth_hypotheses(2.5, 0.5) -> num_hypotheses: got 2\.5
+inverse_depth_hypotheses(8, 5e-324) -> min_depth: 5e-324
+inverse_depth_hypotheses(8, 1e10) -> min_depth: got 10000000000
+semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, small_penalty=5.0) -> small_penalty: P1 <= P2
+semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, seen=torch.ones(3, 642) > 0) -> seen: got \(3, 642\)
+sweep()(torch.zeros(3, 4, 2, 162), CameraRig.stack([rig(), rig()])) -> rig: one rig for each of 3 samples.*got 2
+PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(1, 4, 3, 24, 24), rig()) -> \(B, n, C, 12, 12\): images of 24 x 24 pixels
+PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(1, 3, 3, 12, 12), rig()) -> 3 cameras: rig has 4
+PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(3, 4, 3, 12, 12), CameraRig.stack([rig(), rig()])) -> rig: got 2 rigs
+PanoramaSweep((4, 8), 4, 0.5).tables(rig().resized({'cam1': (10, 10)})) -> images of one size: \(10, 10\), \(24, 24\)
+photo_consistency_share(torch.zeros(2, 642), torch.zeros(1, 4, 3, 10242), rig(), 9, 0.5) -> index: expected shape
+# models
+IcoSweepNet(3, aggregation='median') -> aggregation: 'variance'
+IcoSweepNet(30) -> level: expected an integer from 0
+IcoSweepNet(1) -> level: got 1
+IcoSweepNet(3, 1) -> num_hypotheses: got 1
+IcoSweepNet(3, min_depth=-1.0) -> min_depth: got -1
+IcoSweepNet(3, num_cameras=0) -> num_cameras: got 0
+net()(torch.zeros(1, 4, 3, 2562), ring_rig(3)) -> 4 cameras: the rig has 3
+OmniMVS(output_size=(160, 600)) -> output_size: multiples of 32.*got \[160, 600\]
+OmniMVS(output_size=(33, 64)) -> output_size: 33
+OmniMVS(output_size=(64, 64)) -> height, width: at most half the width
+OmniMVS(15) -> num_hypotheses: expected an even number.*got 15
+OmniMVS(8, in_channels=2) -> in_channels: expected 1 \(grey\) or 3
+OmniMVS(8, aggregation='sum') -> aggregation: 'sum'
+OmniMVS(8, norm='layer') -> norm: 'layer'
+OmniMVS(8, num_scales=0) -> num_scales: got 32 and 0
+# metrics
+evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), least_cameras=0) -> least_cameras: got 0
+evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), torch.ones(2, 1)) -> valid: got \(2, 1\)
+OmniMVSError().update(torch.zeros(1, 8, 16), torch.zeros(1, 8, 16), weights=torch.ones(128)) -> weights: every pixel
+ByRegion(DepthIndexError(8), {'seam': torch.ones(3)}).update(torch.zeros(1, 4), torch.zeros(1, 4)) -> region 'seam': got
+SolidAngleIoU(ico(), 2).update(LABELS, LABELS + 7) -> target: labels from 0 to 1, got 7 to 7
+solid_angle_cross_entropy(torch.zeros(1, 2, 4, 8), torch.zeros(1, 8, 4).long(), torch.ones(4, 8)) -> logits, labels: got
+# data
+RandomYaw(Icosphere(1), kinds={'flow': 'vectors'}) -> kind: 'image', 'depth', 'normals', 'labels', 'seen', 'rig'
+RandomYaw(Icosphere(1))({'image': torch.rand(2, 3, 42), 'depth': torch.rand(42)}) -> depth: values: .*same_on_batch
+RotateFisheye(mode='depth') -> mode: 'area' or 'bilinear'
+RotateFisheye(rotation=torch.eye(4)) -> rotation: got \(4, 4\)
+# scenes
+SceneDataset(1, rig(), kind='street') -> kind: 'street'
+SceneDataset(0, rig()) -> num_scenes: got 0
+SceneDataset(1, rig(), 1) -> level: got 1
+SceneDataset(1, rig(), first_seed=-1) -> first_seed: got -1
+SceneDataset(1, rig(), min_depth=0.0) -> min_depth: got 0
+SceneDataset(1, ring_rig(4, 1.2)) -> rig: min_depth above 1\.10
+SceneDataset(1, rig(), tilts=(0.4, 0.1)) -> tilts: got
+SceneDataset(1, rig(), tilts=(-0.3, 0.8), carrier='pole') -> tilts: no carrier
+SceneDataset(1, rig(), entries=('depths',)) -> entries: 'sphere', 'depth', 'fisheye', 'panorama', got 'depths'
+SceneDataset(1, rig(), entries=()) -> entries: got none
+SceneDataset(1, rig(), entries=('panorama',), panorama=(10, 30)) -> panorama: height 10, width 30
+SceneDataset(1, rig().resized({'cam1': (20, 20)}), entries=('fisheye',)) -> one size: resized
+render_camera(make_scene(), camera(), torch.eye(4), samples_per_pixel=0) -> samples_per_pixel: got 0
 """
 """The call -> the argument that the message names: a further word of it, both as regular expressions."""
 

@@ -307,10 +307,6 @@ def test_gradients_reach_values_and_rotation(generator: torch.Generator) -> None
 
 def test_bad_arguments_are_named() -> None:
     grid = Icosphere(1)
-    with pytest.raises(ArgumentError, match="'image', 'depth', 'normals', 'labels', 'seen', 'rig'"):
-        RandomYaw(grid, kinds={"flow": "vectors"})
-    with pytest.raises(ShapeError, match=r"depth: values: expected .*same_on_batch"):
-        RandomYaw(grid)({"image": torch.rand(2, 3, 42), "depth": torch.rand(42)})
     with pytest.raises(ShapeError, match="expected normals"):
         rotate_on_sphere(torch.rand(2, 42), grid, torch.eye(3), "normals")
     with pytest.raises(ShapeError, match="rotation"):

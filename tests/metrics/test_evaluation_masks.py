@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig, seen_by
-from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere, icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids
 from sphericalvision.metrics import (
@@ -166,15 +165,3 @@ def test_regions_are_masks(generator: torch.Generator) -> None:
     depths = ByRegion(DepthError(), {"seam": seam})
     depths.update(pred + 1, target + 1)
     assert {"AbsRel", "RMSE", "d<1.25", "seam/AbsRel", "seam/RMSE", "seam/d<1.25"} == set(depths.compute())
-
-
-def test_bad_arguments_are_named() -> None:
-    rig, up = ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]])
-    with pytest.raises(ArgumentError, match="least_cameras"):
-        evaluation_mask(rig, up, torch.zeros(1, 1), least_cameras=0)
-    with pytest.raises(ShapeError, match="valid"):
-        evaluation_mask(rig, up, torch.zeros(1, 1), torch.ones(2, 1))
-    with pytest.raises(ArgumentError, match="every pixel of the band"):
-        OmniMVSError().update(torch.zeros(1, 8, 16), torch.zeros(1, 8, 16), weights=torch.ones(128))
-    with pytest.raises(ShapeError, match="region 'seam'"):
-        ByRegion(DepthIndexError(8), {"seam": torch.ones(3)}).update(torch.zeros(1, 4), torch.zeros(1, 4))

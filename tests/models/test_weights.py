@@ -16,7 +16,6 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.models import (
     IcoSweepNet,
@@ -71,24 +70,9 @@ def same_weights(a: IcoSweepNet, b: IcoSweepNet) -> bool:
     return all(torch.equal(tensor, state[name]) for name, tensor in a.state_dict().items())
 
 
-def test_save_and_load(tmp_path: Path, generator: torch.Generator) -> None:
-    net = small_net()
-    images = torch.rand(1, 2, 3, 642, generator=generator)
-    net.train()(images, ring_rig(2))  # statistics other than those it starts with
-    path = save_weights(net, tmp_path / "new folder" / "net.safetensors")
-    again = load_weights(path)
-    assert again.hyperparameters == net.hyperparameters
-    assert same_weights(again, net)
-    assert not again.training
-    assert torch.equal(again(images, ring_rig(2)), net.eval()(images, ring_rig(2)))
+def test_weights_are_one_file_in_a_folder_that_is_made(tmp_path: Path) -> None:
+    path = save_weights(small_net(), tmp_path / "new folder" / "net.safetensors")
     assert [file.name for file in path.parent.iterdir()] == ["net.safetensors"]
-
-
-def test_normalisation_is_remembered(tmp_path: Path) -> None:
-    net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2, num_cameras=2, norm="instance")
-    again = load_weights(save_weights(net, tmp_path / "net.safetensors"))
-    assert again.hyperparameters["norm"] == "instance"
-    assert same_weights(again, net)
 
 
 def test_weights_need_their_suffix(tmp_path: Path) -> None:

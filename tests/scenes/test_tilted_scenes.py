@@ -6,11 +6,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError
 from sphericalvision.scenes import SceneDataset, make_scene, render_rig
 
 TILTS = (math.radians(-15), math.radians(45))
@@ -41,10 +39,3 @@ def test_images_are_taken_by_the_tilted_cameras(tmp_path: Path, rig: CameraRig) 
     assert len(list(tmp_path.glob("fisheye-*"))) == 1
     other = SceneDataset(2, rig, level=3, entries=("sphere", "fisheye"), cache_dir=tmp_path)
     assert not torch.equal(other[1]["fisheye"], sample["fisheye"])
-
-
-def test_wrong_tilts_are_told(rig: CameraRig) -> None:
-    with pytest.raises(ArgumentError, match="tilts"):
-        SceneDataset(1, rig, tilts=(0.4, 0.1))
-    with pytest.raises(ArgumentError, match="carrier"):
-        SceneDataset(1, rig, tilts=TILTS, carrier="pole")

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from sphericalvision.cameras import PinholeCamera
-from sphericalvision.core import ShapeError
 from sphericalvision.sphere import Cubemap, Equirectangular, cube_from_layout, cube_to_layout, resample
 from sphericalvision.sphere.grids.cube_layouts import CUBE_LAYOUTS, world_from_cube_face
 from tests.laws.grid_laws import DOUBLE, some_rotation, spread_directions
@@ -81,11 +80,6 @@ def test_the_dice_has_no_breaks() -> None:
         length = step.norm(dim=0)
         broken = inside & (length > 0.2) & (length < 0.95)  # 1: at the empty places
         assert not broken.any()
-
-
-def test_errors_say_what_is_expected() -> None:
-    with pytest.raises(ShapeError, match=r"values: expected shape \(\*b, c, 6, 4, 4\), got \(6, 4, 4\)"):
-        Cubemap(4).sample(torch.zeros(6, 4, 4), torch.ones(1, 3))
 
 
 def brute_force(

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision import sphere
-from sphericalvision.cameras import FisheyeCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import (
@@ -19,7 +18,6 @@ from sphericalvision.sphere import (
     Healpix,
     Resample,
     SphereGrid,
-    TangentImages,
     healpix_pool,
     resample,
     resample_mask,
@@ -303,28 +301,3 @@ def test_conservative_resampling_takes_masks_and_gradients() -> None:
     )
     assert (masked[0, :4] - 1).abs().max() < 1e-12
     assert not resample_mask(ico, panorama, mode="conservative", mask=mask)[-3:].any()
-
-
-def test_conservative_resampling_of_what_is_no_partition_is_refused() -> None:
-    ico, fisheye = Icosphere(2), FisheyeCamera.from_field_of_view((32, 32), math.pi)
-    for source, target in ((ico, fisheye), (fisheye, ico)):
-        with pytest.raises(
-            ArgumentError, match=r"mode 'conservative' is between grids, .* got a FisheyeCamera"
-        ):
-            resample(
-                torch.zeros(1, *(ico.shape if source is ico else (32, 32))),
-                source,
-                target,
-                mode="conservative",
-            )
-    band = Equirectangular(8, 32, max_latitude=0.5)
-    with pytest.raises(
-        ArgumentError, match=r"expected grids of the same part of the sphere, got 12\.57 and 6\.02"
-    ):
-        resample(torch.zeros(1, 162), ico, band, mode="conservative")
-    with pytest.raises(
-        ArgumentError, match=r"rotation: mode 'conservative' takes one, \(3, 3\), got \(2, 3, 3\)"
-    ):
-        resample(torch.zeros(2, 1, 162), ico, Icosphere(1), torch.eye(3).expand(2, 3, 3), mode="conservative")
-    with pytest.raises(ArgumentError, match="needs cells that do not overlap, those of TangentImages do"):
-        resample(torch.zeros(1, 162), ico, TangentImages(0, 5), mode="conservative")

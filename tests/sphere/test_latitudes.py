@@ -12,8 +12,6 @@ import pytest
 import torch
 
 from sphericalvision.cameras import EquirectangularCamera, remap, remap_mask
-from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Cubemap, Equirectangular, resample, resample_mask
 
@@ -174,21 +172,3 @@ def test_same_samples_as_the_published_implementation(golden: Path) -> None:
     expected = numbers["ico_idepth"][grid.subdivision_order.numpy()]
     # At a pole every column is nearest; there the published choice is a matter of rounding.
     np.testing.assert_allclose(panorama.flatten()[ids][1:-1], expected[1:-1], atol=1e-12)
-
-
-def test_wrong_sizes_are_named() -> None:
-    for make in (Equirectangular, lambda h, w, **limits: EquirectangularCamera((h, w), **limits)):
-        for limits in (
-            {"latitudes": (0.5, -0.5)},
-            {"latitudes": (0, 2)},
-            {"longitudes": (0, 7)},
-            {"longitudes": 3},
-        ):
-            with pytest.raises(ArgumentError, match=next(iter(limits))):
-                make(4, 8, **limits)
-    with pytest.raises(ShapeError, match=r"\(2, 8\) or \(4, 8\) for the whole sphere, got \(3, 8\)"):
-        square(2, 8).rows_of(torch.zeros(3, 8))
-    with pytest.raises(ShapeError, match=r"values: expected shape \(\*b, c, 2, 8\)"):
-        square(2, 8).sample(torch.zeros(1, 8, 2), torch.ones(1, 3))
-    with pytest.raises(ShapeError, match=r"height 3, width 7"):
-        check_panorama_size(3, 7)

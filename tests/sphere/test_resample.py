@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
-from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular, resample, resample_mask
 
@@ -106,9 +105,3 @@ def test_golden_panorama(golden: Path) -> None:
     torch.testing.assert_close(
         ico.sample(values, meant[contained])[0], expected.flatten()[contained], rtol=0, atol=1e-5
     )
-
-
-def test_errors_name_the_argument() -> None:
-    ico, grid = Icosphere(1), Equirectangular(4, 8)
-    with pytest.raises(ArgumentError, match="mode: expected one of 'bilinear', 'nearest'"):
-        resample(torch.zeros(1, 42), ico, grid, mode="cubic")

@@ -19,7 +19,7 @@ from sphericalvision.cameras import (
     remap,
     remap_mask,
 )
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import (
     Cubemap,
@@ -275,13 +275,3 @@ def test_a_mask_of_all_calls_and_one_of_a_single_call_count_both() -> None:
     torch.testing.assert_close(module(values, upper), both)
     torch.testing.assert_close(module(values), resample(values, grid, target, mask=left))
     assert torch.equal(module.mask(upper), resample_mask(grid, target, mask=left & upper))
-
-
-def test_errors_name_the_argument() -> None:
-    grid = Cubemap(4)
-    with pytest.raises(ArgumentError, match=r"values: expected floating point numbers for mode 'bilinear'"):
-        resample(torch.zeros(1, 6, 4, 4, dtype=torch.long), grid, Healpix(1))
-    with pytest.raises(
-        ShapeError, match=r"mask: expected shape \(\*b, 6, 4, 4\) as the source, got \(4, 4\)"
-    ):
-        resample(torch.zeros(1, 6, 4, 4), grid, Healpix(1), mask=torch.ones(4, 4))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.sweep import (
     depth_from_index,
     index_from_depth,
@@ -88,19 +87,3 @@ def test_every_index_has_a_positive_finite_depth(number: int, nearest: float, ki
 
 def test_closer_than_the_smallest_depth_is_not_clamped() -> None:
     assert index_from_depth(torch.tensor(0.25), 11, 0.5).item() == pytest.approx(20, abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("number", "min_depth", "name"),
-    [
-        (1, 0.5, "num_hypotheses"),
-        (2.5, 0.5, "num_hypotheses"),
-        (8, 0.0, "min_depth"),
-        (8, float("nan"), "min_depth"),
-        (8, 5e-324, "min_depth"),
-        (8, 1e10, "min_depth"),
-    ],
-)
-def test_nonsense_is_refused(number: int, min_depth: float, name: str) -> None:
-    with pytest.raises(ArgumentError, match=name):
-        inverse_depth_hypotheses(number, min_depth)

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.sweep import PanoramaSweep, inverse_depth_hypotheses
 
@@ -92,16 +91,3 @@ def test_gradients_reach_maps_and_poses(generator: torch.Generator) -> None:
         assert leaf.grad is not None
         assert leaf.grad.isfinite().all()
         assert leaf.grad.abs().sum() > 0
-
-
-def test_what_does_not_fit_is_named() -> None:
-    sweep = PanoramaSweep((4, 8), num_hypotheses=4, min_depth=0.5)
-    rig = ring_rig(2, image_size=(20, 20))
-    with pytest.raises(ShapeError, match=r"\(B, n, C, 10, 10\) for images of 20 x 20 pixels"):
-        sweep(torch.zeros(1, 2, 3, 20, 20), rig)
-    with pytest.raises(ShapeError, match="got 3 cameras, but the rig has 2"):
-        sweep(torch.zeros(1, 3, 3, 10, 10), rig)
-    with pytest.raises(ShapeError, match="got 2 rigs"):
-        sweep(torch.zeros(3, 2, 3, 10, 10), CameraRig.stack([rig, rig]))
-    with pytest.raises(ArgumentError, match=r"images of one size, got \(10, 10\), \(20, 20\)"):
-        sweep.tables(rig.resized({"cam1": (10, 10)}))

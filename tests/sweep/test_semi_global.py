@@ -9,8 +9,8 @@ import math
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.cameras import ring_rig
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sweep import (
@@ -140,26 +140,6 @@ def test_cameras_that_see_nothing_change_nothing(generator: torch.Generator) -> 
         torch.testing.assert_close(value, expected, atol=1e-4, rtol=0)
 
 
-def test_tables_stand_for_the_rig(generator: torch.Generator) -> None:
-    rig = ring_rig(4)
-    images = torch.rand(2, 4, 3, 642, generator=generator) * 2 - 1
-    tables = semi_global_tables(rig, 8, 0.5, image_level=3, cost_level=2, substeps=3)
-    fast = semi_global_sweep(images, tables, 8, 0.5)
-    plain = semi_global_sweep(images, rig, 8, 0.5, cost_level=2, substeps=3)
-    for value, expected in zip(fast, plain, strict=True):
-        assert value.equal(expected)
-
-
-def test_a_batch_equals_a_loop(generator: torch.Generator) -> None:
-    rig = ring_rig(3)
-    images = torch.rand(3, 3, 3, 642, generator=generator) * 2 - 1
-    together = semi_global_sweep(images, rig, 8, 0.5)
-    for sample in range(3):
-        alone = semi_global_sweep(images[sample : sample + 1], rig, 8, 0.5)
-        for value, expected in zip(together, alone, strict=True):
-            torch.testing.assert_close(value[sample], expected[0])
-
-
 def test_gain_and_offset_of_each_camera_leave_the_costs(generator: torch.Generator) -> None:
     tables = semi_global_tables(ring_rig(4).to(torch.float64), 8, 0.5, image_level=3)
     images = torch.rand(1, 4, 3, 642, generator=generator, dtype=torch.float64) * 2 - 1
@@ -205,18 +185,6 @@ def test_what_two_cameras_do_not_see_makes_no_edge(generator: torch.Generator) -
     torch.testing.assert_close(found, level, rtol=0, atol=1e-3)
 
 
-def test_the_order_of_cameras_does_not_matter() -> None:
-    rig = ring_rig(4)
-    images = torch.rand(1, 4, 3, 642, generator=torch.Generator().manual_seed(0))
-    order = [2, 0, 3, 1]
-    there = semi_global_sweep(images, rig, 8, 0.5)
-    again = semi_global_sweep(images[:, order], rig.subset([rig.names[k] for k in order]), 8, 0.5)
-    torch.testing.assert_close(again.confidence, there.confidence, atol=1e-4, rtol=0)
-    assert (
-        (again.index - there.index).abs() < 1e-3
-    ).float().mean() > 0.95  # rounding may decide between equals
-
-
 def test_turning_the_world_by_a_fifth_turns_the_depth() -> None:
     rig = ring_rig(4)
     images = torch.rand(4, 3, 2562, generator=torch.Generator().manual_seed(0)) * 2 - 1
@@ -244,15 +212,6 @@ def test_what_two_cameras_do_not_see_takes_the_depth_around_it() -> None:
     assert ((found - 4).abs() < 1).all()
 
 
-def test_a_rig_a_sample() -> None:
-    rigs = [ring_rig(3), ring_rig(3, radius=0.1)]
-    images = torch.rand(2, 3, 3, 642, generator=torch.Generator().manual_seed(0))
-    together = semi_global_sweep(images, CameraRig.stack(rigs), 8, 0.5)
-    for sample, rig in enumerate(rigs):
-        alone = semi_global_sweep(images[sample : sample + 1], rig, 8, 0.5)
-        torch.testing.assert_close(together.index[sample], alone.index[0], atol=1e-3, rtol=0)
-
-
 def test_has_no_gradient_and_follows_the_dtype() -> None:
     rig = ring_rig(2).to(torch.float64)
     images = torch.rand(1, 2, 3, 162, dtype=torch.float64, requires_grad=True)
@@ -261,11 +220,7 @@ def test_has_no_gradient_and_follows_the_dtype() -> None:
     assert index.dtype == confidence.dtype == torch.float64
 
 
-def test_errors_name_the_argument() -> None:
-    rig, images = ring_rig(2), torch.zeros(1, 2, 3, 642)
-    with pytest.raises(ArgumentError, match="P1 <= P2"):
-        semi_global_sweep(images, rig, 8, 0.5, small_penalty=5.0)
-    with pytest.raises(ShapeError, match="seen"):
-        semi_global_sweep(images, rig, 8, 0.5, seen=torch.ones(3, 642, dtype=torch.bool))
+def test_tables_of_other_hypotheses_are_refused() -> None:
+    tables = semi_global_tables(ring_rig(2), 9, 0.5, image_level=3, substeps=1)
     with pytest.raises(ArgumentError, match="tables for 8 hypotheses"):
-        semi_global_sweep(images, semi_global_tables(rig, 9, 0.5, image_level=3, substeps=1), 8, 0.5)
+        semi_global_sweep(torch.zeros(1, 2, 3, 642), tables, 8, 0.5)

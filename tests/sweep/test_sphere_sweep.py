@@ -184,13 +184,6 @@ def smooth(directions: Tensor) -> Tensor:
     return x * y + torch.sin(3 * z) + z**2 * x
 
 
-def test_errors_name_the_argument() -> None:
-    rig = ring_rig(4)
-    sweep = SphereSweep(2, 4, 0.5)
-    with pytest.raises(ShapeError, match=r"one rig for each of 3 samples.*got 2"):
-        sweep(torch.zeros(3, 4, 2, 162), CameraRig.stack([rig, rig]))
-
-
 @pytest.mark.parametrize("finer", [0, 1, 2])
 def test_seen_is_looked_up_beside_the_values(finer: int, generator: torch.Generator) -> None:
     """More than half of what is looked up was seen, and the point is in view; values know nothing of it."""

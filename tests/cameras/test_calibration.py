@@ -292,7 +292,9 @@ def test_wrong_number_of_cameras(tmp_path: Path) -> None:
     message = refused(folder, translation_unit="cm")
     assert "holds 4 poses, but the folder has 3 cameras (ocam1.txt, ocam2.txt, ocam3.txt)" in message
     short = basalt(resolution=[[160, 128]])
-    assert "resolution holds 1 cameras and intrinsics 2" in refused(dump(tmp_path / "calib.json", short))
+    assert "value0, resolution: holds 1 cameras and intrinsics 2" in refused(
+        dump(tmp_path / "calib.json", short)
+    )
 
 
 def test_folder_with_two_calibrations_is_not_guessed(tmp_path: Path) -> None:
@@ -310,7 +312,7 @@ def test_folder_with_two_calibrations_is_not_guessed(tmp_path: Path) -> None:
         ({"poly": [5, -100.0, 0.0, 0.0025]}, "direct polynomial: announces 5 coefficients but holds 3"),
         ({"center": "middle"}, "center: expected 2 numbers, got 1"),
         ({"model": "pinhole"}, "model: expected ocam, got 'pinhole'"),
-        ({"cam_id": 2}, "a second camera with this cam_id"),
+        ({"cam_id": 2}, "cameras[1] (cam2): a second camera named 'cam2'"),
     ],
 )
 def test_broken_config_names_file_and_key(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
@@ -327,7 +329,7 @@ def test_missing_key_is_named(tmp_path: Path) -> None:
     )
     content = basalt()
     del content["value0"]["T_imu_cam"][0]["qw"]
-    assert "camera 0, T_imu_cam: the key 'qw' is missing" in refused(dump(tmp_path / "c.json", content))
+    assert "T_imu_cam[0]: the key 'qw' is missing" in refused(dump(tmp_path / "c.json", content))
 
 
 def test_mask_of_another_size_is_refused(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def test_panoramas_see_everything(tmp_path: Path) -> None:
     [
         ({"camera_model": "FISHEYE624"}, "camera_model: expected one of PINHOLE"),
         ({"camera_model": "OPENCV"}, "k4: expected 0 of the camera_model OPENCV, got 0.0002"),
-        ({"frames": []}, "frames: expected a list of at least one frame"),
+        ({"frames": []}, "frames: expected a list of at least one entry"),
         ({"fl_x": -3}, "expected positive focal lengths"),
         ({"w": 0.5}, "w and h: expected the width and height"),
     ],

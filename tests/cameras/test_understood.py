@@ -314,7 +314,7 @@ def test_a_list_that_holds_itself_ends(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text("format: sphericalvision-rig\nversion: 1\ncameras: &a [*a]\n")
     with pytest.raises(FileFormatError, match=r"rig\.yaml"):
         read_rig(tmp_path / "rig.yaml")
-    keys = noted(yaml.safe_load("comment: &a [*a, {focal: 1}]"))
+    keys = noted(yaml.safe_load("comment: &a [*a, {focal: 1}]"), "file")
     keys.get("comment")
     with pytest.raises(FileFormatError, match="focal"):
         check_understood(keys, "file", "")

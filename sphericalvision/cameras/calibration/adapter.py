@@ -16,11 +16,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
-from sphericalvision.cameras.calibration.parsing import entry, number, size_from_width_height
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "recognizes"]
@@ -41,7 +40,7 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "image" in content and "parameter" in content
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file.
 
     Raises:
@@ -53,16 +52,13 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         raise FileFormatError(
             f"{path}: expected a model in the name of the file, as DS.yml: one of {', '.join(x.name for x in _LENSES)}"
         )
-    lens, where = lens_called(_LENSES, named[0]), f"{path}, parameter"
-    found = [number(content["parameter"], key, where) for key in lens.keys]
-    if lens.name == "ucm":
-        if not 0 <= found[4] < 1:
-            raise FileFormatError(f"{where}, alpha: expected a number in [0, 1), got {found[4]:g}")
-        xi = found[4] / (1 - found[4])
-        found = [found[0] * (1 + xi), found[1] * (1 + xi), *found[2:4], xi]
-    sides = [entry(content["image"], key, f"{path}, image") for key in ("width", "height")]
-    camera = lens.camera(found, size_from_width_height(sides, f"{path}, image"), where)
-    return Contents({path.stem: bounded(camera, options.max_angle, where)})
+    lens, values = lens_called(_LENSES, named[0]), content.inner("parameter")
+    camera = lens.camera(
+        [values.number(key) for key in lens.keys],
+        content.inner("image").size("width", "height"),
+        values.where,
+    )
+    return Gathered(options).add(path.stem, camera, values.where).contents
 
 
 register_format(

@@ -18,16 +18,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
-from sphericalvision.cameras.calibration.parsing import chosen, entry, numbers
+from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import FileFormatError, short_repr
 
 __all__ = ["contents", "recognizes"]
@@ -50,40 +48,30 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "CameraCalibrations" in content
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed file.
 
     Raises:
         ArgumentError: the size of a camera is not known by its label, and not given.
     """
-    entries = content["CameraCalibrations"]
-    if not isinstance(entries, list) or not entries:
-        raise FileFormatError(f"{path}, CameraCalibrations: expected a list of at least one camera")
-    cameras: dict[str, Camera] = {}
-    poses = []
-    for index, values in enumerate(entries):
-        where = f"{path}, CameraCalibrations[{index}]"
-        label = entry(values, "Label", where)
-        if not isinstance(label, str) or label in cameras:
-            raise FileFormatError(f"{where}, Label: expected a name of its own, got {short_repr(label)}")
-        camera = _camera(entry(values, "Projection", where), label, f"{where}, Projection", options)
-        cameras[label] = bounded(camera, options.max_angle, where)
-        poses.append(_pose(entry(values, "T_Device_Camera", where), f"{where}, T_Device_Camera"))
-    return Contents(cameras, torch.stack(poses))
+    found = Gathered(options)
+    for values in content.several("CameraCalibrations"):
+        label, projection = values.entry("Label"), values.inner("Projection")
+        if not isinstance(label, str):
+            raise FileFormatError(f"{values.at('Label')}: expected a name, got {short_repr(label)}")
+        lens = lens_called(_LENSES, projection.chosen("Name", [lens.name for lens in _LENSES]))
+        numbers = projection.numbers("Params", len(lens.keys))
+        known = (size for start, size in _SIZES.items() if label.startswith(start))
+        size = options.image_size or next(known, None)
+        size = size or options.given_size(f"{projection.where} of {label!r}")
+        camera = lens.camera(numbers, size, projection.where)
+        found.add(label, camera, values.where, _pose(values.inner("T_Device_Camera")))
+    return found.contents
 
 
-def _camera(values: Any, label: str, where: str, options: Options) -> Camera:
-    kinds = [lens.name for lens in _LENSES]
-    lens = lens_called(_LENSES, chosen(entry(values, "Name", where), kinds, f"{where}, Name"))
-    found = numbers(entry(values, "Params", where), f"{where}, Params", len(lens.keys))
-    size = options.image_size or next((s for start, s in _SIZES.items() if label.startswith(start)), None)
-    return lens.camera(found, size or options.given_size(f"{where} of {label!r}"), where)
-
-
-def _pose(values: Any, where: str) -> Tensor:
-    translation = numbers(entry(values, "Translation", where), f"{where}, Translation", 3)
-    quaternion = entry(values, "UnitQuaternion", where)
-    where = f"{where}, UnitQuaternion"
+def _pose(values: Keys) -> Tensor:
+    translation, quaternion = values.numbers("Translation", 3), values.entry("UnitQuaternion")
+    where = values.at("UnitQuaternion")
     if not isinstance(quaternion, list) or len(quaternion) != 2:
         raise FileFormatError(f"{where}: expected [w, [x, y, z]], got {short_repr(quaternion)}")
     found = [*numbers(quaternion[0], where, 1), *numbers(quaternion[1], where, 3)]

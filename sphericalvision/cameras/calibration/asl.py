@@ -18,21 +18,11 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called, lens_of, models_of, numbers_of
-from sphericalvision.cameras.calibration.opencv_keys import matrix
-from sphericalvision.cameras.calibration.parsing import (
-    chosen,
-    chosen_model,
-    entry,
-    numbers,
-    size_from_width_height,
-)
-from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.io.files import write_yaml
 
 __all__ = ["contents", "files_of_rig", "recognizes", "write_asl_camera", "write_asl_rig"]
@@ -56,32 +46,23 @@ def files_of_rig(folder: Path) -> list[Path]:
     return sorted(folder.glob(f"cam*/{_NAME}"))
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file, called like the folder that it is in, and its pose if the file has one."""
-    where = str(path)
-    chosen(content.get("sensor_type", "camera"), ("camera",), f"{where}, sensor_type")
-    camera = bounded(_camera(content, where), options.max_angle, where)
-    pose = None
-    if "T_BS" in content:
-        pose = transform_from_rows(matrix(content["T_BS"], f"{where}, T_BS", 16), f"{where}, T_BS")[None]
+    content.chosen("sensor_type", ("camera",), default="camera")
+    camera = _camera(content)
+    pose = content.pose("T_BS") if "T_BS" in content else None
     name = path.resolve().parent.name if path.name == _NAME else path.stem
-    return Contents({name: camera}, pose)
+    return Gathered(options).add(name, camera, content.where, pose).contents
 
 
-def _camera(content: dict[str, Any], where: str) -> Camera:
-    chosen(entry(content, "camera_model", where), ("pinhole",), f"{where}, camera_model")
-    found = numbers(entry(content, "intrinsics", where), f"{where}, intrinsics (fu fv cu cv)", 4)
-    size = size_from_width_height(entry(content, "resolution", where), f"{where}, resolution")
+def _camera(content: Keys) -> Camera:
+    content.chosen("camera_model", ("pinhole",))
     kinds = [lens.name for lens in _LENSES]
-    distortion = chosen_model(content.get("distortion_model", "none"), kinds, f"{where}, distortion_model")
-    key = "distortion_coefficients"
-    if distortion != "none":
-        found += numbers(entry(content, key, where), f"{where}, {key}", 4)
-    elif (more := content.get(key)) and any(numbers(more, f"{where}, {key}")):
-        raise FileFormatError(
-            f"{where}, {key}: expected none with the distortion_model none, got {short_repr(more)}"
-        )
-    return lens_called(_LENSES, distortion).camera(found, size, where)
+    lens = lens_called(_LENSES, content.model("distortion_model", kinds, default="none"))
+    found = content.numbers("intrinsics", 4) + content.coefficients(
+        "distortion_coefficients", len(lens.keys) - 4
+    )
+    return lens.camera(found, content.size("resolution"), content.where)
 
 
 def write_asl_camera(camera: Camera, path: str | Path) -> None:

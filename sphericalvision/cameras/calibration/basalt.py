@@ -14,12 +14,13 @@ import math
 from pathlib import Path
 from typing import Any
 
-import torch
+from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import write_json
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import (
     Lens,
     as_rig,
@@ -29,15 +30,9 @@ from sphericalvision.cameras.calibration.lenses import (
     numbers_of,
 )
 from sphericalvision.cameras.calibration.parsing import (
-    chosen,
-    entry,
-    focal_lengths,
-    mapping,
-    number,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import read_mask, write_mask
@@ -61,55 +56,40 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "value0" in content
 
 
-def contents(content: Any, path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras, poses and masks of a parsed file."""
-    value0 = entry(content, "value0", str(path))
-    needed = ["intrinsics", "resolution"]
-    if options.rig or "T_imu_cam" in mapping(value0, f"{path}, value0"):
-        needed.append("T_imu_cam")
-    parts = {key: entry(value0, key, f"{path}, value0") for key in needed}
-    for key, values in parts.items():
-        if not isinstance(values, list) or not values:
-            raise FileFormatError(f"{path}, value0, {key}: expected a list of at least one entry")
-    count = len(parts["intrinsics"])
-    for key, values in parts.items():
-        if len(values) != count:
+    value0 = content.inner("value0")
+    lenses = value0.several("intrinsics")
+    poses = value0.several("T_imu_cam") if options.rig or "T_imu_cam" in value0 else []
+    sizes = value0.entry("resolution")
+    for key, values in (("T_imu_cam", poses or lenses), ("resolution", sizes)):
+        if not isinstance(values, list) or len(values) != len(lenses):
+            count = len(values) if isinstance(values, list) else "no list of"
             raise FileFormatError(
-                f"{path}: {key} holds {len(values)} cameras and intrinsics {count}; one entry for each camera expected"
+                f"{value0.at(key)}: holds {count} cameras and intrinsics {len(lenses)}; one entry for each camera "
+                "expected"
             )
-    cameras, poses, masks = {}, [], {}
-    for index in range(count):
-        name, where = f"cam{index}", f"{path}, camera {index}"
-        size = size_from_width_height(parts["resolution"][index], f"{where}, resolution")
-        camera = _camera(parts["intrinsics"][index], size, where)
-        mask_path = path.parent / name / "mask.png"
-        if mask_path.is_file():
-            masks[name] = read_mask(mask_path, size)
-        cameras[name] = bounded(camera, options.max_angle, where, masks.get(name))
-        if "T_imu_cam" not in parts:
-            continue
-        where = f"{where}, T_imu_cam"
-        pose = [number(parts["T_imu_cam"][index], key, where) for key in (*_QUATERNION, *_POSITION)]
-        poses.append(transform_from_numbers(pose[:4], pose[4:], where))
-    return Contents(cameras, torch.stack(poses) if poses else None, masks)
+    found = Gathered(options)
+    for index, values in enumerate(lenses):
+        size = size_from_width_height(sizes[index], f"{value0.at('resolution')}[{index}]")
+        mask_path = path.parent / f"cam{index}" / "mask.png"
+        mask = read_mask(mask_path, size) if mask_path.is_file() else None
+        pose = _pose(poses[index]) if poses else None
+        found.add(f"cam{index}", _camera(values, size), values.where, pose, mask=mask)
+    return found.contents
 
 
-def _camera(values: Any, image_size: tuple[int, int], where: str) -> Camera:
-    kinds = [lens.name for lens in _LENSES]
-    lens = lens_called(_LENSES, chosen(entry(values, "camera_type", where), kinds, f"{where}, camera_type"))
-    intrinsics = entry(values, "intrinsics", where)
-    found = [number(intrinsics, key, where) for key in lens.keys]
-    max_angle = None
-    if lens.name == "ucm":
-        fx, fy, *center, alpha = found
-        focal_lengths([fx, fy], f"{where}, fx and fy")
-        if not 0 <= alpha < 1:
-            raise FileFormatError(f"{where}, alpha: expected a number in [0, 1), got {alpha:g}")
-        xi = alpha / (1 - alpha)
-        found = [fx * (1 + xi), fy * (1 + xi), *center, xi]
-    elif lens.name == "pinhole-radtan8" and found[-1] > 0:
-        max_angle = math.atan(found[-1])
-    return lens.camera(found, image_size, where, max_angle)
+def _pose(values: Keys) -> Tensor:
+    quaternion, place = ([values.number(key) for key in keys] for keys in (_QUATERNION, _POSITION))
+    return transform_from_numbers(quaternion, place, values.where)
+
+
+def _camera(values: Keys, image_size: tuple[int, int]) -> Camera:
+    lens = lens_called(_LENSES, values.chosen("camera_type", [lens.name for lens in _LENSES]))
+    intrinsics = values.inner("intrinsics")
+    found = [intrinsics.number(key) for key in lens.keys]
+    max_angle = math.atan(found[-1]) if lens.name == "pinhole-radtan8" and found[-1] > 0 else None
+    return lens.camera(found, image_size, intrinsics.where, max_angle)
 
 
 def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
@@ -125,7 +105,7 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
     rig = as_rig(cameras)
     value0: dict[str, list[Any]] = {"T_imu_cam": [], "intrinsics": [], "resolution": []}
     for camera, pose in zip(rig.cameras.values(), rig.world_from_camera, strict=True):
-        lens, found = _values(camera)
+        lens, found = lens_of(camera, _LENSES, "basalt")
         value0["intrinsics"].append(
             {"camera_type": lens.name, "intrinsics": dict(zip(lens.keys, found, strict=True))}
         )
@@ -143,15 +123,6 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
             folder.mkdir(exist_ok=True)
             write_mask(folder / "mask.png", rig.masks[name])
     write_json(path, {"value0": value0})
-
-
-def _values(camera: Camera) -> tuple[Lens, list[float]]:
-    """The lens and its numbers."""
-    lens, found = lens_of(camera, _LENSES, "basalt")
-    if lens.name == "ucm":
-        fx, fy, *center, xi = found
-        found = [fx / (1 + xi), fy / (1 + xi), *center, xi / (1 + xi)]
-    return lens, found
 
 
 register_format(

@@ -26,20 +26,16 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.parsing import (
-    chosen,
-    entry,
     errors_of_file,
     focal_lengths,
-    mapping,
-    number,
     numbers,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV, transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.angle_polynomial import AnglePolynomialCamera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
@@ -63,18 +59,14 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed file."""
-    cameras: dict[str, Camera] = {}
-    poses = []
-    for name in content["cameras"]:
-        where = f"{path}, cameras, {name}"
-        lens = mapping(content["cameras"][name], where)
-        camera = _camera(lens, where, options)
-        cameras[str(name)] = bounded(camera, options.max_angle, where)
-        if "matrix_world" in lens:
-            poses.append(_pose(lens["matrix_world"], f"{where}, matrix_world"))
-    return Contents(cameras, torch.stack(poses) if len(poses) == len(cameras) else None)
+    found, cameras = Gathered(options), content.inner("cameras")
+    for name in cameras:
+        lens = cameras.inner(name)
+        pose = _pose(lens["matrix_world"], lens.at("matrix_world")) if "matrix_world" in lens else None
+        found.add(str(name), _camera(lens), lens.where, pose)
+    return found.contents
 
 
 def _pose(rows: Any, where: str) -> Tensor:
@@ -86,46 +78,46 @@ def _pose(rows: Any, where: str) -> Tensor:
     return transform_from_rows(matrix.flatten().tolist(), where) @ OPENGL_FROM_OPENCV
 
 
-def _camera(values: Any, where: str, options: Options) -> Camera:
-    kind = entry(values, "type", where)
+def _camera(values: Keys) -> Camera:
+    kind = values.chosen("type", ("PERSP", "PANO"))
     if kind == "PANO":
-        kind = chosen(entry(values, "panorama_type", where), _PANORAMAS, f"{where}, panorama_type")
-    else:
-        chosen(kind, ("PERSP", "PANO"), f"{where}, type")
-    size = _image_size(values, where)
-    height, width = size
+        kind = values.chosen("panorama_type", _PANORAMAS)
+    height, width = size = _image_size(values)
     center = [(width - 1) / 2, (height - 1) / 2]
-    shift = [number(values, key, where) if key in values else 0.0 for key in ("shift_x", "shift_y")]
+    shift = [values.number(key, 0.0) for key in ("shift_x", "shift_y")]
     if kind != "PERSP" and any(shift):
-        raise FileFormatError(f"{where}, shift_x and shift_y: expected 0 of a panoramic camera, got {shift}")
-    with errors_of_file(where):
+        raise FileFormatError(
+            f"{values.at('shift_x', 'shift_y')}: expected 0 of a panoramic camera, got {shift}"
+        )
+    with errors_of_file(values.where):
         if kind == "EQUIRECTANGULAR":
-            return _panorama(values, size, where)
+            return _panorama(values, size)
         if kind == "FISHEYE_EQUIDISTANT":
-            view = _view(values, where)
+            view = _view(values)
             focal_length = torch.tensor([width / view, height / view], dtype=torch.float64)
             return FisheyeCamera("equidistant", focal_length, center, size, min(view / 2, math.pi))
-        scale, longer = _pixels_per_millimetre(values, size, where)
+        scale, longer = _pixels_per_millimetre(values, size)
         if kind == "PERSP":
-            pinhole = _checked(number(values, "lens", where) * scale, f"{where}, lens")
+            pinhole = _checked(values.number("lens") * scale, values.at("lens"))
             center = [center[0] - shift[0] * longer, center[1] + shift[1] * longer]
             return PinholeCamera(pinhole, center, size)
-        view = _view(values, where)
+        view = _view(values)
         if kind == "FISHEYE_EQUISOLID":
-            focal_length = _checked(number(values, "fisheye_lens", where) * scale, f"{where}, fisheye_lens")
+            focal_length = _checked(values.number("fisheye_lens") * scale, values.at("fisheye_lens"))
             return FisheyeCamera("equisolid", focal_length, center, size, min(view / 2, math.pi))
-        k0, k1, *more = [-number(values, f"fisheye_polynomial_k{power}", where) for power in range(5)]
-        focal = _checked(scale / k1 if k1 else 0.0, f"{where}, fisheye_polynomial_k1 (negative)")
+        k0, k1, *more = [-values.number(f"fisheye_polynomial_k{power}") for power in range(5)]
+        first = values.at("fisheye_polynomial_k1")
+        focal = _checked(scale / k1 if k1 else 0.0, f"{first} (negative)")
         if abs(k0 / k1) * scale > _LARGEST_CONSTANT:
             raise FileFormatError(
-                f"{where}, fisheye_polynomial_k0: expected 0, as the axis is in the middle, got {-k0:g}, which is "
-                f"{abs(k0 / k1) * scale:.2g} pixels"
+                f"{values.at('fisheye_polynomial_k0')}: expected 0, as the axis is in the middle, got {-k0:g}, which "
+                f"is {abs(k0 / k1) * scale:.2g} pixels"
             )
         try:
             distortion = [value / k1**power for power, value in enumerate(more, start=2)]
         except (OverflowError, ZeroDivisionError) as error:
             raise FileFormatError(
-                f"{where}, fisheye_polynomial_k1: expected radians a millimetre, got {-k1:g}, whose powers overflow"
+                f"{first}: expected radians a millimetre, got {-k1:g}, whose powers overflow"
             ) from error
         lens = AnglePolynomialCamera(focal, center, distortion, size)
         return lens.with_max_angle(min(view / 2, float(lens.max_angle)))
@@ -135,47 +127,44 @@ def _checked(focal_length: float, where: str) -> Tensor:
     return torch.tensor(focal_lengths([focal_length] * 2, where), dtype=torch.float64)
 
 
-def _image_size(values: Any, where: str) -> tuple[int, int]:
+def _image_size(values: Keys) -> tuple[int, int]:
     """(height, width) of the picture that is written."""
-    share = number(values, "resolution_percentage", where) / 100 if "resolution_percentage" in values else 1.0
-    sides = [int(number(values, key, where) * share) for key in ("resolution_x", "resolution_y")]
-    aspects = [number(values, key, where) for key in ("pixel_aspect_x", "pixel_aspect_y") if key in values]
+    share = values.number("resolution_percentage", 100.0) / 100
+    sides = [int(values.number(key) * share) for key in ("resolution_x", "resolution_y")]
+    aspects = [values.number(key) for key in ("pixel_aspect_x", "pixel_aspect_y") if key in values]
     if len(set(aspects)) > 1:
         raise FileFormatError(
-            f"{where}, pixel_aspect_x and pixel_aspect_y: expected square pixels, got {aspects}"
+            f"{values.at('pixel_aspect_x', 'pixel_aspect_y')}: expected square pixels, got {aspects}"
         )
-    return size_from_width_height(sides, f"{where}, resolution_x and resolution_y")
+    return size_from_width_height(sides, values.at("resolution_x", "resolution_y"))
 
 
-def _pixels_per_millimetre(values: Any, size: tuple[int, int], where: str) -> tuple[float, int]:
+def _pixels_per_millimetre(values: Keys, size: tuple[int, int]) -> tuple[float, int]:
     """Pixels in a millimetre on the sensor, and in the side of the image that the sensor is fitted to."""
-    fit = chosen(entry(values, "sensor_fit", where), _FITS, f"{where}, sensor_fit")
+    fit = values.chosen("sensor_fit", _FITS)
     height, width = size
     horizontal = fit == "HORIZONTAL" or (fit == "AUTO" and width > height)
     key = "sensor_height" if fit == "VERTICAL" else "sensor_width"
-    sensor = number(values, key, where)
+    sensor = values.number(key)
     if not sensor > 0:
-        raise FileFormatError(f"{where}, {key}: expected millimetres above 0, got {sensor:g}")
+        raise FileFormatError(f"{values.at(key)}: expected millimetres above 0, got {sensor:g}")
     side = width if horizontal else height
     return side / sensor, side
 
 
-def _view(values: Any, where: str) -> float:
-    view = number(values, "fisheye_fov", where)
+def _view(values: Keys) -> float:
+    view = values.number("fisheye_fov")
     if not 0 < view <= 10 * math.pi + 1e-6:  # as Blender's slider
-        raise FileFormatError(f"{where}, fisheye_fov: expected radians above 0, got {view:g}")
+        raise FileFormatError(f"{values.at('fisheye_fov')}: expected radians above 0, got {view:g}")
     return view
 
 
-def _panorama(values: Any, size: tuple[int, int], where: str) -> Camera:
+def _panorama(values: Keys, size: tuple[int, int]) -> Camera:
     """A panorama between the stated longitudes and latitudes."""
     keys = ("longitude_min", "longitude_max", "latitude_min", "latitude_max")
     whole = (*ALL_LONGITUDES, *ALL_LATITUDES)
-    west, east, south, north = (
-        number(values, key, where) if key in values else value for key, value in zip(keys, whole, strict=True)
-    )
-    with errors_of_file(where):
-        return EquirectangularCamera(size, latitudes=(south, north), longitudes=(west, east))
+    west, east, south, north = (values.number(key, value) for key, value in zip(keys, whole, strict=True))
+    return EquirectangularCamera(size, latitudes=(south, north), longitudes=(west, east))
 
 
 register_format(

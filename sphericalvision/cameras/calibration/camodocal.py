@@ -13,25 +13,17 @@ References:
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import data_lines, load_keys
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import SETTINGS, check_understood
+from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
-from sphericalvision.cameras.calibration.parsing import (
-    chosen_model,
-    entry,
-    number,
-    size_from_width_height,
-)
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.io.files import part_of_name
 
@@ -59,43 +51,36 @@ def recognizes(content: dict[str, Any]) -> bool:
     return bool(cameras) and all(recognizes(value) for value in cameras)
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file, called by its ``camera_name``; or several cameras by name."""
+    found = Gathered(options)
     if "model_type" in content or any(key in content for key in _SECTIONS):
-        camera = bounded(_camera(content, str(path)), options.max_angle, str(path))
-        return Contents({str(content.get("camera_name") or path.stem): camera})
-    named = {str(name): content[name] for name, value in content.items() if isinstance(value, dict)}
-    return Contents(
-        {
-            name: bounded(_camera(value, f"{path}, {name}"), options.max_angle, f"{path}, {name}")
-            for name, value in named.items()
-        }
-    )
+        name = str(content.get("camera_name") or path.stem)
+        return found.add(name, _camera(content), content.where).contents
+    for name, values in content.items():
+        if isinstance(values, Keys):
+            found.add(str(name), _camera(content.inner(name)), values.where)
+    return found.contents
 
 
-def _camera(values: dict[str, Any], where: str) -> Camera:
-    kind = chosen_model(entry(values, "model_type", where), _KINDS, f"{where}, model_type")
-    size = size_from_width_height(
-        [entry(values, key, where) for key in ("image_width", "image_height")],
-        f"{where}, image_width and image_height",
-    )
-    lens = lens_called(_LENSES, kind)
+def _camera(values: Keys) -> Camera:
+    lens = lens_called(_LENSES, values.model("model_type", _KINDS))
+    size = values.size("image_width", "image_height")
     found = []
     for key, name in zip(lens.keys, lens.names, strict=True):
         section = "mirror" if name == "xi" else "distortion"
-        if name in ("fx", "fy", "cx", "cy") or kind == "KANNALA_BRANDT":
+        if name in ("fx", "fy", "cx", "cy") or lens.name == "KANNALA_BRANDT":
             section = "projection"
-        section += "_parameters"
-        found.append(number(entry(values, section, where), key, f"{where}, {section}"))
-    return lens.camera(found, size, where)
+        found.append(values.inner(f"{section}_parameters").number(key))
+    return lens.camera(found, size, values.where)
 
 
-def camera_in(file: Path, options: Options) -> Camera:
-    """The camera of a file that another one names."""
+def camera_in(file: Path) -> Camera:
+    """The camera of a file that another one names, or the first one in it."""
     content = load_keys(file, "model_type, mirror_parameters and so on")
     if not recognizes(content):
         raise FileFormatError(f"{file}: expected model_type, mirror_parameters and so on, found none of them")
-    found = contents(content, file, options)
+    found = contents(content, file, Options(max_angle=math.pi))
     check_understood(content, str(file), IGNORED)
     return next(iter(found.cameras.values()))
 
@@ -107,21 +92,18 @@ def kitti360_contents(path: Path, options: Options) -> Contents:
         MissingFileError: no camera that has a pose has a file ``image_0?.yaml``.
         FileFormatError: a file is broken; the message names line or key.
     """
-    cameras: dict[str, Camera] = {}
-    poses = []
+    found = Gathered(options)
     for line, (label, *words) in data_lines(path):
         name = label.rstrip(":")
         pose = transform_from_rows(words, f"{path}, line {line}, {name}")
         file = path.parent / f"{part_of_name(name)}.yaml"
-        if not file.is_file():
-            continue  # the perspective pair has other files
-        cameras[name] = camera_in(file, options)
-        poses.append(pose)
-    if not cameras:
+        if file.is_file():  # the perspective pair has other files
+            found.add(name, camera_in(file), str(file), pose)
+    if not found.cameras:
         raise MissingFileError(
             f"{path}: none of its cameras has a file image_02.yaml, image_03.yaml beside it"
         )
-    return Contents(cameras, torch.stack(poses))
+    return found.contents
 
 
 register_format(

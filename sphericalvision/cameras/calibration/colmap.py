@@ -19,7 +19,6 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -35,7 +34,7 @@ from sphericalvision.cameras.calibration.colmap_records import (
     rigs_in,
     text_files,
 )
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.lenses import (
@@ -48,7 +47,6 @@ from sphericalvision.cameras.calibration.lenses import (
 )
 from sphericalvision.cameras.calibration.parsing import size_from_width_height, view_name
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.geometry import invert_transform
@@ -123,68 +121,59 @@ def contents(path: Path, options: Options) -> Contents:
         elif beside["images"].is_file():
             part = "images"
     if part == "rigs":
-        return _of_rigs(rigs_in(beside["rigs"]), cameras, beside["rigs"])
+        return _of_rigs(rigs_in(beside["rigs"]), cameras, beside["rigs"], options)
     if part == "images":
-        return _of_images(images_in(beside["images"]), cameras, beside["images"])
+        return _of_images(images_in(beside["images"]), cameras, beside["images"], options)
     return Contents(cameras)
 
 
 def _cameras(path: Path, options: Options) -> dict[str, Camera]:
-    cameras: dict[str, Camera] = {}
+    found = Gathered(options)
     for record in cameras_in(path):
-        name = f"cam{record.id}"
-        if name in cameras:
-            raise FileFormatError(
-                f"{record.where}: expected a camera number of its own first, got {str(record.id)!r}"
-            )
-        cameras[name] = bounded(_camera(record), options.max_angle, record.where)
-    if not cameras:
+        found.add(f"cam{record.id}", _camera(record), record.where)
+    if not found.cameras:
         raise FileFormatError(f"{path}: no camera in it")
-    return cameras
+    return found.cameras
 
 
-def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path) -> Contents:
+def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path, options: Options) -> Contents:
     several = [rig for rig in rigs if rig.sensors]
     if len(several) != 1:
         raise FileFormatError(
             f"{path}: expected one rig of several cameras, got {len(several)}; the poses of images are in "
             f"images{path.suffix}"
         )
-    rig = several[0]
-    sensors = [rig.reference._replace(pose=[1.0, 0, 0, 0, 0, 0, 0]), *rig.sensors]
-    named, poses = {}, []
-    for sensor in sensors:
+    rig, found = several[0], Gathered(options)
+    for sensor in (rig.reference._replace(pose=[1.0, 0, 0, 0, 0, 0, 0]), *rig.sensors):
+        name = f"cam{sensor.id}"
         if sensor.type != "CAMERA":
             continue
-        name = f"cam{sensor.id}"
-        if name not in cameras or name in named:
-            raise FileFormatError(f"{rig.where}: expected numbers of cameras, each once, got {sensor.id}")
+        if name not in cameras:
+            raise FileFormatError(f"{rig.where}: expected a number of a camera, got {sensor.id}")
         if sensor.pose is None:
             raise FileFormatError(f"{rig.where}: camera {sensor.id} has no pose in the rig")
-        named[name] = cameras[name]
-        poses.append(_world_from(sensor.pose, rig.where))
-    if not named:
+        found.add(name, cameras[name], rig.where, _world_from(sensor.pose, rig.where))
+    if not found.cameras:
         raise FileFormatError(f"{rig.where}: the rig has no camera")
-    return Contents(named, torch.stack(poses))
+    return found.contents
 
 
-def _of_images(images: list[ImageRecord], cameras: dict[str, Camera], path: Path) -> Contents:
-    named, poses = {}, []
+def _of_images(
+    images: list[ImageRecord], cameras: dict[str, Camera], path: Path, options: Options
+) -> Contents:
+    found = Gathered(options)
     for image in images:
-        name = view_name(image.name)
-        if not name or name in named:
-            raise FileFormatError(
-                f"{image.where}: expected an image with a name of its own, got {image.name!r}"
-            )
-        if f"cam{image.camera}" not in cameras:
+        name, camera = view_name(image.name), cameras.get(f"cam{image.camera}")
+        if not name:
+            raise FileFormatError(f"{image.where}: expected an image with a name, got {image.name!r}")
+        if camera is None:
             raise FileFormatError(
                 f"{image.where}: there is no camera {image.camera} in cameras{path.suffix}; it has {', '.join(cameras)}"
             )
-        named[name] = cameras[f"cam{image.camera}"]
-        poses.append(_world_from(image.pose, image.where))
-    if not named:
+        found.add(name, camera, image.where, _world_from(image.pose, image.where))
+    if not found.cameras:
         raise FileFormatError(f"{path}: no image in it")
-    return Contents(named, torch.stack(poses))
+    return found.contents
 
 
 def _world_from(pose: list[float], where: str) -> Tensor:

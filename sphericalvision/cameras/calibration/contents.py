@@ -9,14 +9,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.parsing import check_radius, errors_of_file
+from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 
-__all__ = ["Contents", "Options", "joined"]
+__all__ = ["Contents", "Gathered", "Options", "joined"]
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,62 @@ class Contents:
         with errors_of_file(str(path)):
             poses = self.world_from_camera.to(dtype or torch.get_default_dtype())
             return check_radius(CameraRig(self.cast(dtype), poses, dict(self.masks)), path)
+
+
+class Gathered:
+    """Cameras as they come out of a file, one after the other: what all readers do with them.
+
+    Args:
+        options: of the reader.
+    """
+
+    def __init__(self, options: Options) -> None:
+        self.options = options
+        self.cameras: dict[str, Camera] = {}
+        self._poses: list[Tensor] = []
+        self.masks: dict[str, Tensor] = {}
+        self._lenses: dict[int, tuple[Camera, Camera]] = {}
+
+    def add(
+        self,
+        name: str,
+        camera: Camera,
+        where: str,
+        pose: Float[Tensor, "4 4"] | None = None,
+        max_angle: float | None = None,
+        mask: Bool[Tensor, "h w"] | None = None,
+    ) -> Gathered:
+        """Add a camera.
+
+        Args:
+            name: a name of its own.
+            camera: as wide as its model.
+            where: its place in the file, in errors.
+            pose: to the world.
+            max_angle: half the field of view that the file tells; what the caller says counts before it, and without
+                either the camera sees what its image shows.
+            mask: that shows how far the camera sees.
+
+        Raises:
+            FileFormatError: there is a camera of this name, or it sees nothing.
+        """
+        if name in self.cameras:
+            raise FileFormatError(f"{where}: a second camera named {short_repr(name)}; give it another name")
+        told = max_angle if self.options.max_angle is None else self.options.max_angle
+        if id(camera) not in self._lenses:  # of which there may be many views
+            self._lenses[id(camera)] = camera, bounded(camera, told, where, mask)
+        self.cameras[name] = self._lenses[id(camera)][1]
+        if pose is not None:
+            self._poses.append(pose)
+        if mask is not None:
+            self.masks[name] = mask
+        return self
+
+    @property
+    def contents(self) -> Contents:
+        """All of them, with poses if each has one."""
+        poses = torch.stack(self._poses) if 0 < len(self._poses) == len(self.cameras) else None
+        return Contents(self.cameras, poses, self.masks)
 
 
 def joined(parts: list[tuple[Path, Contents]]) -> Contents:

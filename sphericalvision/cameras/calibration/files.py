@@ -93,15 +93,17 @@ def load(path: Path) -> Any:
         if start.startswith(("<?xml", "<opencv_storage")) or path.suffix.lower() == ".xml":
             root = parse_xml(text, path)
             is_opencv = root.tag == "opencv_storage"
-            return noted(_from_element(root, path) if is_opencv else {root.tag: from_xml(root, path)})
+            found = _from_element(root, path) if is_opencv else {root.tag: from_xml(root, path)}
+            return noted(found, str(path))
         if path.suffix.lower() == ".json":
-            return noted(json.loads(text, object_pairs_hook=lambda pairs: once(pairs, path)))
+            found = json.loads(text, object_pairs_hook=lambda pairs: once(pairs, path))
+            return noted(found, str(path))
         if start.startswith("%YAML"):  # "%YAML:1.0" is no directive that YAML knows
             text = text.replace("%YAML", "# ", 1)
             text = re.sub(
                 r"^([ \t]*[\w.]+):(?=[^\s:])", r"\1: ", text, flags=re.MULTILINE
             )  # its "key:1" is no pair to YAML
-        return noted(_one_document(text, path))
+        return noted(_one_document(text, path), str(path))
     except json.JSONDecodeError as error:
         raise FileFormatError(f"{path}: not valid json ({error}); is it truncated?") from None
     except yaml.YAMLError as error:

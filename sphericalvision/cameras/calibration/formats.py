@@ -10,6 +10,7 @@ from typing import Any
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.extensions import Registry
 
@@ -24,9 +25,10 @@ ENTRY_POINTS = "sphericalvision.formats"
 class FileFormat:
     """What a module of ``calibration/`` says of its format; readers and writers are there if it has them.
 
-    A file of keys with values (YAML, JSON, OpenCV's XML) is parsed once and offered to all formats; any other file is
-    offered as it is. Readers raise ``FileFormatError`` where a key or a line is missing or makes no sense, and name
-    file and key or line; writers raise ``ArgumentError`` for what the format cannot hold, and name what does.
+    A file of keys with values (YAML, JSON, OpenCV's XML) is parsed once, to ``Keys``, and offered to all formats; any
+    other file is offered as it is. Readers raise ``FileFormatError`` where a key or a line is missing or makes no
+    sense, and name file and key or line; writers raise ``ArgumentError`` for what the format cannot hold, and name what
+    does.
     """
 
     name: str
@@ -35,7 +37,7 @@ class FileFormat:
     """In messages: the program and its file."""
     recognizes_keys: Callable[[dict[str, Any]], bool] | None = None
     """Whether parsed keys with values are of this format; at most one format says so of a whole file."""
-    contents_of_keys: Callable[[dict[str, Any], Path, Options], Contents] | None = None
+    contents_of_keys: Callable[[Keys, Path, Options], Contents] | None = None
     ignored: str = ".*"
     """Keys that do not matter, as ``check_understood`` has them; any other key that is not read is refused."""
     recognizes_file: Callable[[Path], bool] | None = None

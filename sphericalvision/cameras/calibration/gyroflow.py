@@ -15,12 +15,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.opencv_keys import matrix
-from sphericalvision.cameras.calibration.parsing import chosen, entry, number, size_from_width_height
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "recognizes"]
@@ -31,31 +29,28 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "fisheye_params" in content and "calib_dimension" in content
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file.
 
     Raises:
         FileFormatError: the profile is of another model, of a stretched image, or has a digital lens.
     """
-    where = str(path)
-    chosen(
-        content.get("distortion_model") or "opencv_fisheye", ("opencv_fisheye",), f"{where}, distortion_model"
-    )
+    if content.get("distortion_model"):
+        content.chosen("distortion_model", ("opencv_fisheye",))
     for key in ("input_horizontal_stretch", "input_vertical_stretch"):
-        if content.get(key) and number(content, key, where) != 1:
-            raise FileFormatError(f"{where}, {key}: expected 1, got {content[key]!r:.80}")
+        if content.get(key) and content.number(key) != 1:
+            raise FileFormatError(f"{content.at(key)}: expected 1, got {content[key]!r:.80}")
     for key in ("digital_lens", "interpolations", "use_opencv_standard"):
         if content.get(key):
-            raise FileFormatError(f"{where}, {key}: expected none, got {content[key]!r:.80}")
-    dimension, lens = content["calib_dimension"], content["fisheye_params"]
-    sides = [entry(dimension, key, f"{where}, calib_dimension") for key in ("w", "h")]
-    height, width = size = size_from_width_height(sides, f"{where}, calib_dimension")
-    fx, skew, cx, _, fy, cy, *_ = matrix(entry(lens, "camera_matrix", where), f"{where}, camera_matrix", 9)
+            raise FileFormatError(f"{content.at(key)}: expected none, got {content[key]!r:.80}")
+    lens = content.inner("fisheye_params")
+    height, width = size = content.inner("calib_dimension").size("w", "h")
+    fx, skew, cx, _, fy, cy, *_ = lens.matrix("camera_matrix", 9)
     if content.get("asymmetrical") is not True:
         cx, cy = width / 2, height / 2
-    more = matrix(entry(lens, "distortion_coeffs", where), f"{where}, distortion_coeffs", 4)
-    camera = distorted("equidistant", [fx, fy, cx, cy, *more], size, where, skew or None)
-    return Contents({path.stem: bounded(camera, options.max_angle, where)})
+    numbers = [fx, fy, cx, cy, *lens.matrix("distortion_coeffs", 4)]
+    camera = distorted("equidistant", numbers, size, content.where, skew or None)
+    return Gathered(options).add(path.stem, camera, content.where).contents
 
 
 register_format(

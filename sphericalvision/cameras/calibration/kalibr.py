@@ -20,19 +20,16 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, as_rig, lens_called, lens_of, models_of
 from sphericalvision.cameras.calibration.parsing import (
     chosen_model,
-    entry,
     numbers,
-    size_from_width_height,
 )
-from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, short_repr
+from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import write_yaml
 
@@ -64,65 +61,48 @@ def recognizes(content: dict[str, Any]) -> bool:
     return any(not isinstance(content[name], dict) or keys & set(content[name]) for name in _names(content))
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed camchain."""
     names = _names(content)
-    cameras = {}
-    for name in names:
-        where = f"{path}, {name}"
-        cameras[name] = bounded(_camera(content[name], where), options.max_angle, where)
-    return Contents(cameras, _poses(content, names, path))
+    chain = [content.inner(name) for name in names]
+    cameras = [_camera(values) for values in chain]
+    found, poses = Gathered(options), _poses(chain, names, path)
+    for name, values, camera, pose in zip(names, chain, cameras, poses, strict=True):
+        found.add(name, camera, values.where, pose)
+    return found.contents
 
 
-def _camera(values: Any, where: str) -> Camera:
-    kinds = dict.fromkeys(lens.name.split()[0] for lens in _LENSES)
-    kind = chosen_model(entry(values, "camera_model", where), kinds, f"{where}, camera_model")
+def _camera(values: Keys) -> Camera:
+    kind = values.model("camera_model", dict.fromkeys(lens.name.split()[0] for lens in _LENSES))
     fitting = [name for lens in _LENSES for first, name in [lens.name.split()] if first == kind]
     distortion = chosen_model(
-        values.get("distortion_model", "none"), fitting, f"{where}, distortion_model of a {kind}"
+        values.get("distortion_model", "none"), fitting, f"{values.at('distortion_model')} of a {kind}"
     )
     lens = lens_called(_LENSES, f"{kind} {distortion}")
     last = _COUNTS.get(distortion, 4)
     order = lens.keys[: len(lens.keys) - last]
-    found = numbers(
-        entry(values, "intrinsics", where), f"{where}, intrinsics ({' '.join(order)})", len(order)
-    )
-    size = size_from_width_height(entry(values, "resolution", where), f"{where}, resolution")
-    key = "distortion_coeffs"
-    if last:
-        found += numbers(entry(values, key, where), f"{where}, {key}", last)
-    elif (more := values.get(key)) and any(numbers(more, f"{where}, {key}")):
-        raise FileFormatError(
-            f"{where}, {key}: expected none with the distortion_model none, got {short_repr(more)}"
-        )
-    return lens.camera(found, size, where)
+    found = numbers(values.entry("intrinsics"), f"{values.at('intrinsics')} ({' '.join(order)})", len(order))
+    found += values.coefficients("distortion_coeffs", last)
+    return lens.camera(found, values.size("resolution"), values.where)
 
 
-def _poses(content: dict[str, Any], names: list[str], path: Path) -> Tensor | None:
-    """Camera to world (n, 4, 4): from the IMU's transforms if all cameras have one, else along the chain.
+def _poses(chain: list[Keys], names: list[str], path: Path) -> list[Tensor | None]:
+    """Camera to world (4, 4) of each: from the IMU's transforms if all cameras have one, else along the chain.
 
     None for one camera without a transform: nothing says where it is.
     """
-    to_imu = [_imu_from_camera(content[name], f"{path}, {name}") for name in names]
-    steps = [
-        transform_from_rows(content[name]["T_cn_cnm1"], f"{path}, {name}, T_cn_cnm1")
-        if "T_cn_cnm1" in content[name]
-        else None
-        for name in names
-    ]
+    to_imu = [_imu_from_camera(values) for values in chain]
+    steps = [values.pose("T_cn_cnm1") if "T_cn_cnm1" in values else None for values in chain]
     if steps[0] is not None:
         raise FileFormatError(
             f"{path}, {names[0]}, T_cn_cnm1: expected none of the first camera; is cam0 missing?"
         )
-    known = [pose for pose in to_imu if pose is not None]
     for last, name, step, before, pose in zip(names, names[1:], steps[1:], to_imu, to_imu[1:], strict=False):
         follows = int(name[3:]) == int(last[3:]) + 1
         if follows and step is not None and before is not None and pose is not None:
             _compare(step, before, pose, f"{path}, {name}")
-    if len(known) == len(names):
-        return torch.stack(known)
-    if len(names) == 1:
-        return None
+    if len(names) == 1 or all(pose is not None for pose in to_imu):
+        return to_imu
     poses = [torch.eye(4, dtype=torch.float64)]
     for last, name, step in zip(names, names[1:], steps[1:], strict=False):
         if step is None or int(last[3:]) != int(name[3:]) - 1:
@@ -133,7 +113,7 @@ def _poses(content: dict[str, Any], names: list[str], path: Path) -> Tensor | No
             )
             raise FileFormatError(f"{path}, {name}: {problem}, and not all have T_cam_imu")
         poses.append(poses[-1] @ invert_transform(step))
-    return torch.stack(poses)
+    return [*poses]
 
 
 def _compare(step: Tensor, before: Tensor, pose: Tensor, where: str) -> None:
@@ -156,15 +136,17 @@ def _near(first: Tensor, second: Tensor) -> bool:
     return bool((first - second).abs().max() < 0.02)
 
 
-def _imu_from_camera(values: Any, where: str) -> Tensor | None:
+def _imu_from_camera(values: Keys) -> Tensor | None:
     """Of ``T_cam_imu`` as Kalibr writes it, or ``T_imu_cam`` as OpenVINS does; None without either."""
     found = []
     if "T_cam_imu" in values:
-        found.append(invert_transform(transform_from_rows(values["T_cam_imu"], f"{where}, T_cam_imu")))
+        found.append(invert_transform(values.pose("T_cam_imu")))
     if "T_imu_cam" in values:
-        found.append(transform_from_rows(values["T_imu_cam"], f"{where}, T_imu_cam"))
+        found.append(values.pose("T_imu_cam"))
     if len(found) == 2 and not _near(*found):
-        raise FileFormatError(f"{where}: T_cam_imu and T_imu_cam contradict each other; keep the right one")
+        raise FileFormatError(
+            f"{values.where}: T_cam_imu and T_imu_cam contradict each other; keep the right one"
+        )
     return found[0] if found else None
 
 

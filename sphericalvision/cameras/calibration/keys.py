@@ -1,20 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys of a file that remember whether they were read: what is left over does not matter, or is refused by name.
+"""Keys of a file that know where they stand there, check their values, and remember whether they were read.
 
-A key that is dropped may be the distortion under another name, a crop, or a turn of the image, and the camera without
-it looks as good as with it. So a file is understood when each of its keys was read, or is known not to matter: by its
-words, such as ``date`` or ``rms``, or by the list of its format.
+Errors name file, place and key, ``camchain.yaml, cam0, resolution``. What is left over does not matter, or is refused
+by name. A key that is dropped may be the distortion under another name, a crop, or a turn of the image, and the camera
+without it looks as good as with it. So a file is understood when each of its keys was read, or is known not to matter:
+by its words, such as ``date`` or ``rms``, or by the list of its format.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.cameras.calibration.parsing import (
+    chosen,
+    chosen_model,
+    matrix,
+    numbers,
+    size_from_width_height,
+)
+from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.core import FileFormatError, short_repr
 
-__all__ = ["SETTINGS", "Keys", "check_understood", "noted"]
+__all__ = ["SETTINGS", "Keys", "as_keys", "check_understood", "noted"]
 
 _NEVER_MATTER = re.compile(
     "(time|date|stamp|timestamp|comment|note|description|author|error|rms|residual|board|square|marker|chessboard|charuco|aruco"
@@ -36,19 +49,33 @@ SETTINGS = "(?!(?i:crop|roi|binning|scale|resiz|downs|flip|rotat|undist))"
 
 
 class Keys(dict[Any, Any]):
-    """A mapping of a file that remembers which keys were read, and which were asked for in vain."""
+    """A mapping of a file. All of its methods raise ``FileFormatError`` for what is not there or makes no sense.
 
-    def __init__(self) -> None:
+    Attributes:
+        where: the file and the place of the mapping in it, in errors.
+        read: keys that were read.
+        missed: keys that were asked for in vain.
+    """
+
+    def __init__(self, where: str = "") -> None:
         super().__init__()
+        self.where = where
         self.read: set[Any] = set()
         self.missed: set[str] = set()
+        self.layers: tuple[Keys, ...] = ()
+        """Mappings that these stand for, the first one that has a key counts."""
 
     def __getitem__(self, key: Any) -> Any:
+        for layer in self.layers:
+            if key in layer:
+                return layer[key]
         value = super().__getitem__(key)
         self.read.add(key)
         return value
 
     def __contains__(self, key: Any) -> bool:
+        if self.layers:
+            return any(key in layer for layer in self.layers)
         found = super().__contains__(key)
         if not found:
             self.missed.add(str(key))
@@ -59,25 +86,117 @@ class Keys(dict[Any, Any]):
         self.read.clear()
         self.missed.clear()
 
+    def over(self, below: Keys) -> Keys:
+        """These keys, and behind them those of another mapping; at the place of these."""
+        both = Keys(self.where)
+        both.update(below)
+        both.update(self)
+        both.layers = (self, below)
+        return both
+
+    def at(self, *keys: str) -> str:
+        """Where keys stand, in errors."""
+        return f"{self.where}, {' and '.join(keys)}"
+
     def get(self, key: Any, default: Any = None) -> Any:
         """The value of a key, which counts as read."""
         there = key in self
         return self[key] if there else default
 
+    def entry(self, key: str) -> Any:
+        """The value of a key that must be there."""
+        if key not in self:
+            raise FileFormatError(
+                f"{self.where}: the key {key!r} is missing; found {', '.join(map(str, self)) or 'none'}"
+            )
+        return self[key]
 
-def noted(value: Any, known: dict[int, Any] | None = None) -> Any:
+    def inner(self, key: str) -> Keys:
+        """The mapping under a key."""
+        return as_keys(self.entry(key), self.at(key))
+
+    def several(self, key: str) -> list[Keys]:
+        """The mappings of a list, at least one."""
+        values = self.entry(key)
+        if not isinstance(values, list) or not values:
+            raise FileFormatError(
+                f"{self.at(key)}: expected a list of at least one entry, got {short_repr(values)}"
+            )
+        return [as_keys(value, f"{self.at(key)}[{index}]") for index, value in enumerate(values)]
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """The finite number under a key, which must be there unless there is a ``default``."""
+        if default is not None and key not in self:
+            return default
+        return numbers(self.entry(key), self.at(key), 1)[0]
+
+    def count(self, key: str, most: int, default: float | None = None) -> int:
+        """A whole number from 1 to ``most``."""
+        found = self.number(key, default)
+        if found != int(found) or not 1 <= found <= most:
+            raise FileFormatError(f"{self.at(key)}: expected a count from 1 to {most}, got {found:g}")
+        return int(found)
+
+    def numbers(self, key: str, count: int | None = None) -> list[float]:
+        """A list of finite numbers."""
+        return numbers(self.entry(key), self.at(key), count)
+
+    def matrix(self, key: str, count: int | None = None) -> list[float]:
+        """The numbers of a matrix, row by row, as ``parsing.matrix`` has them."""
+        return matrix(self.entry(key), self.at(key), count)
+
+    def coefficients(self, key: str, count: int) -> list[float]:
+        """So many coefficients of a distortion; of none the key may be missing, and says 0 where it is there."""
+        if count:
+            return self.numbers(key, count)
+        if (more := self.get(key)) and any(numbers(more, self.at(key))):
+            raise FileFormatError(
+                f"{self.at(key)}: expected none with the distortion_model none, got {short_repr(more)}"
+            )
+        return []
+
+    def pose(self, key: str) -> Float[Tensor, "4 4"]:
+        """A rigid transform (4, 4), float64, of 4 or 3 rows of 4 numbers, as ``transform_from_rows`` has them."""
+        value, where = self.entry(key), self.at(key)
+        return transform_from_rows(matrix(value, where) if isinstance(value, Keys) else value, where)
+
+    def size(self, *keys: str) -> tuple[int, int]:
+        """(height, width) of an image, from the keys of width and height, or the one of both."""
+        sides = [self.entry(key) for key in keys]
+        return size_from_width_height(sides if len(keys) > 1 else sides[0], self.at(*keys))
+
+    def chosen(self, key: str, choices: Iterable[str], default: str | None = None) -> str:
+        """One of the words ``choices``, or ``default`` where the key is not there."""
+        return chosen(self.entry(key) if default is None else self.get(key, default), choices, self.at(key))
+
+    def model(self, key: str, choices: Iterable[str], default: str | None = None) -> str:
+        """The one of a format's names of models that is meant, or ``default`` where the key is not there."""
+        value = self.entry(key) if default is None else self.get(key, default)
+        return chosen_model(value, choices, self.at(key))
+
+
+def as_keys(value: Any, where: str) -> Keys:
+    """``value`` if it is a mapping of a file, else ``FileFormatError``; ``where`` names the place in it."""
+    if not isinstance(value, Keys):
+        raise FileFormatError(f"{where}: expected keys with values, got {type(value).__name__}")
+    return value
+
+
+def noted(value: Any, where: str, known: dict[int, Any] | None = None) -> Any:
     """What was parsed, with ``Keys`` in place of all mappings; what stands at two places stays one thing."""
     known = {} if known is None else known
-    if not isinstance(value, dict | list) or id(value) in known:
+    if not isinstance(value, dict | list) or isinstance(value, Keys) or id(value) in known:
         return known.get(id(value), value)
     if isinstance(value, dict):
-        keys = known[id(value)] = Keys()
+        keys = known[id(value)] = Keys(where)
         for key, inner in value.items():
-            dict.__setitem__(keys, key, noted(inner, known))
+            dict.__setitem__(keys, key, noted(inner, f"{where}, {key!s:.80}", known))
         return keys
     several: list[Any] = []
     known[id(value)] = several
-    several.extend(noted(inner, known) for inner in value)
+    for index, inner in enumerate(value):  # most are lists of numbers, which need no names
+        is_number = isinstance(inner, int | float)
+        several.append(inner if is_number else noted(inner, f"{where}[{index}]", known))
     return several
 
 

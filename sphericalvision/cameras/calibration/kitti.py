@@ -15,22 +15,16 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import torch
-
-from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys, check_understood
+from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import (
-    errors_of_file,
-    focal_lengths,
     numbers,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
-from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
 
@@ -65,26 +59,21 @@ def contents(path: Path, options: Options) -> Contents:
     indices = sorted(match[1] for key in table if (match := re.fullmatch(r"K_(\d\d)", key)))
     if not indices:
         raise FileFormatError(f"{path}: the key 'K_00' is missing; found {', '.join(table)}")
-    cameras: dict[str, Camera] = {}
-    poses = []
+    found = Gathered(options)
     for index in indices:
         where = f"{path}, line {table[f'K_{index}'][0]}, K_{index}"
         fx, skew, cx, _, fy, cy, *last = get(f"K_{index}", 9)
         if skew or last != [0.0, 0.0, 1.0]:
             raise FileFormatError(f"{where}: expected fx 0 cx 0 fy cy 0 0 1")
-        focal_length = torch.tensor(focal_lengths([fx, fy], where), dtype=torch.float64)
-        size = size_from_width_height(
-            get(f"S_{index}", 2), f"{path}, line {table[f'S_{index}'][0]}, S_{index}"
-        )
-        with errors_of_file(where):
-            camera = BrownConradyCamera(focal_length, [cx, cy], get(f"D_{index}", 5), size)
-        cameras[f"cam{int(index)}"] = bounded(camera, options.max_angle, where)
-        rotation, position = get(f"R_{index}", 9), get(f"T_{index}", 3)
-        rows = [[*rotation[3 * row : 3 * row + 3], position[row]] for row in range(3)]
-        where = f"{path}, line {table[f'R_{index}'][0]}, R_{index}"
-        poses.append(invert_transform(transform_from_rows(rows, where)))
+        sides = get(f"S_{index}", 2)
+        size = size_from_width_height(sides, f"{path}, line {table[f'S_{index}'][0]}, S_{index}")
+        camera = distorted("radtan", [fx, fy, cx, cy, *get(f"D_{index}", 5)], size, where)
+        turn, place = get(f"R_{index}", 9), get(f"T_{index}", 3)
+        rows = [[*turn[3 * row : 3 * row + 3], place[row]] for row in range(3)]
+        pose = transform_from_rows(rows, f"{path}, line {table[f'R_{index}'][0]}, R_{index}")
+        found.add(f"cam{int(index)}", camera, where, invert_transform(pose))
     check_understood(table, str(path), r"corner_dist|(S_rect|R_rect|P_rect|P)_\d\d")
-    return Contents(cameras, torch.stack(poses))
+    return found.contents
 
 
 register_format(

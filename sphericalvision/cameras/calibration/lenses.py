@@ -2,7 +2,8 @@
 """The lenses of a file format: a table of its names, our classes and the order of numbers, read in both directions.
 
 Numbers have the names that the intrinsics of a camera model declare: fx fy cx cy, k1 k2 p1 p2 and so on, or that of the
-intrinsic itself, such as xi. In a table ``gamma=fx`` is a number that the file calls gamma.
+intrinsic itself, such as xi. In a table ``gamma=fx`` is a number that the file calls gamma. Of a unified camera
+``alpha=xi`` is α = ξ / (1 + ξ), and the focal lengths are then f = γ / (1 + ξ).
 """
 
 from __future__ import annotations
@@ -79,6 +80,10 @@ class Lens:
         """What our class calls them."""
         return tuple(word.split("=")[-1] for word in self.numbers.split())
 
+    @property
+    def _has_alpha(self) -> bool:
+        return self.model == "unified" and "alpha" in self.keys
+
     def camera(
         self,
         numbers: Sequence[float],
@@ -97,6 +102,10 @@ class Lens:
         if self.model == "atan" and numbers[self.names.index("omega")] == 0:  # which stands for no distortion
             return Lens(self.name, "pinhole", "fx fy cx cy").camera(numbers[:4], image_size, where, max_angle)
         given = dict.fromkeys(self.zeros.split(), 0.0) | dict(zip(self.names, numbers, strict=False))
+        if self._has_alpha:
+            if not 0 <= given["xi"] < 1:
+                raise FileFormatError(f"{where}, alpha: expected a number in [0, 1), got {given['xi']:g}")
+            given |= {name: given[name] / (1 - given["xi"]) for name in ("fx", "fy", "xi")}
         if skew is not None:
             given["skew"] = skew
         if "f" in given:
@@ -135,6 +144,8 @@ class Lens:
                 found = [] if value is None else numbers_of(value)
                 given |= zip(names, found * 2 if name == "focal_length" else found, strict=False)
         beyond |= {name: value for name, value in given.items() if value and name not in self.names}
+        if self._has_alpha:
+            given |= {name: given[name] / (1 + given["xi"]) for name in ("fx", "fy", "xi")}
         return [given.get(name, 0.0) for name in self.names], beyond
 
 

@@ -15,22 +15,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.opencv_keys import matrix
 from sphericalvision.cameras.calibration.parsing import (
-    entry,
-    mapping,
     metres_per,
-    number,
-    size_from_width_height,
 )
-from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import ArgumentError, FileFormatError
 
 __all__ = ["contents", "recognizes"]
@@ -42,17 +33,14 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "nb_camera" in content or any(isinstance(c, dict) and "camera_pose_matrix" in c for c in cameras)
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed file.
 
     Raises:
         ArgumentError: poses are wanted and the unit of the translations is not given.
     """
-    count = number(content, "nb_camera", str(path))
-    if count != int(count) or not 1 <= count <= 1000:
-        raise FileFormatError(f"{path}, nb_camera: expected a count from 1 to 1000, got {count:g}")
-    names = [f"camera_{index}" for index in range(int(count))]
-    several = [mapping(entry(content, name, str(path)), f"{path}, {name}") for name in names]
+    names = [f"camera_{index}" for index in range(content.count("nb_camera", 1000))]
+    several = [content.inner(name) for name in names]
     if len({str(values.get("camera_group")) for values in several}) > 1:
         raise FileFormatError(f"{path}, camera_group: the groups have no common frame; keep one of them")
     if options.translation_unit is None:
@@ -60,34 +48,21 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
             f"translation_unit: {path} does not tell the unit of camera_pose_matrix, which is that of the board; pass "
             "'m', 'cm' or 'mm'"
         )
-    cameras: dict[str, Camera] = {}
-    poses = []
+    found = Gathered(options)
     for name, values in zip(names, several, strict=True):
-        where = f"{path}, {name}"
-        (fx, skew, cx), (zero, fy, cy), last = _rows(
-            entry(values, "camera_matrix", where), f"{where}, camera_matrix"
-        )
+        fx, skew, cx, zero, fy, cy, *last = values.matrix("camera_matrix", 9)
         if skew or zero or last != [0.0, 0.0, 1.0]:
-            raise FileFormatError(f"{where}, camera_matrix: expected fx 0 cx 0 fy cy 0 0 1")
-        more = matrix(entry(values, "distortion_vector", where), f"{where}, distortion_vector")
-        kind = number(values, "distortion_type", where)
+            raise FileFormatError(f"{values.at('camera_matrix')}: expected fx 0 cx 0 fy cy 0 0 1")
+        numbers = [fx, fy, cx, cy, *values.matrix("distortion_vector")]
+        kind = values.number("distortion_type")
         if kind not in (0, 1):
-            raise FileFormatError(f"{where}, distortion_type: expected 0 or 1, got {kind:g}")
-        size = size_from_width_height(
-            [entry(values, f"img_{side}", where) for side in ("width", "height")], where
-        )
-        lens = distorted("equidistant" if kind else "radtan", [fx, fy, cx, cy, *more], size, where)
-        cameras[name] = bounded(lens, options.max_angle, where)
-        where = f"{where}, camera_pose_matrix"
-        pose = transform_from_rows(matrix(entry(values, "camera_pose_matrix", where), where, 16), where)
+            raise FileFormatError(f"{values.at('distortion_type')}: expected 0 or 1, got {kind:g}")
+        size = values.size("img_width", "img_height")
+        camera = distorted("equidistant" if kind else "radtan", numbers, size, values.where)
+        pose = values.pose("camera_pose_matrix")
         pose[:3, 3] *= metres_per(options.translation_unit)
-        poses.append(pose)
-    return Contents(cameras, torch.stack(poses))
-
-
-def _rows(value: Any, where: str) -> list[list[float]]:
-    found = matrix(value, where, 9)
-    return [found[:3], found[3:6], found[6:]]
+        found.add(name, camera, values.where, pose)
+    return found.contents
 
 
 register_format(

@@ -26,20 +26,17 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens
 from sphericalvision.cameras.calibration.parsing import (
     chosen,
-    entry,
-    mapping,
     numbers,
     size_from_width_height,
     view_name,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import FileFormatError
 
@@ -73,30 +70,27 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The calibration of a file, or the sensors of a chunk; the chunk's cameras by label if poses are wanted."""
     if "calibration" in content:
-        return Contents({path.stem: _camera(content["calibration"], {}, str(path), options)})
-    chunk = mapping(content["document"]["chunk"], f"{path}, chunk")
-    sensors: dict[str, Camera] = {}
+        camera = _camera(content.inner("calibration"), Keys(), str(path))
+        return Gathered(options).add(path.stem, camera, str(path)).contents
+    chunk = content.inner("document").inner("chunk")
+    sensors = Gathered(options)
     offsets: dict[str, torch.Tensor] = {}
     for sensor in _each(chunk.get("sensors"), "sensor"):
-        name = str(sensor.get("id"))
-        where = f"{path}, sensor {name:.80}"
+        name = f"cam{sensor.get('id')}"
+        where = f"{path}, sensor {sensor.get('id')!s:.80}"
         if found := list(_each(sensor, "calibration")):  # the adjusted one stands last
             sensor["calibration"] = found[-1:]
-            sensors[name] = _camera(sensor["calibration"][0], sensor, where, options)
+            sensors.add(name, _camera(sensor["calibration"][0], sensor, where), where)
         if "rotation" in sensor or "location" in sensor:
-            turn, place = (
-                _floats(entry(sensor, key, where), f"{where}, {key}") for key in ("rotation", "location")
-            )
+            turn, place = (_floats(sensor.entry(key), f"{where}, {key}") for key in ("rotation", "location"))
             rows = [[*turn[3 * row : 3 * row + 3], *place[row : row + 1]] for row in range(3)]
             offsets[name] = transform_from_rows(rows, f"{where}, rotation and location")
-    if not sensors:
+    if not sensors.cameras:
         raise FileFormatError(f"{path}: no sensor with a calibration in it")
-    if not options.rig:
-        return Contents({f"cam{name}": camera for name, camera in sensors.items()})
-    return _of_cameras(chunk, sensors, offsets, path)
+    return _of_cameras(chunk, sensors.cameras, offsets, path) if options.rig else sensors.contents
 
 
 def _each(values: Any, key: str) -> Iterator[Keys]:
@@ -112,14 +106,14 @@ def _floats(value: Any, where: str, count: int | None = None) -> list[float]:
 
 
 def _of_cameras(
-    chunk: Any, sensors: dict[str, Camera], offsets: dict[str, torch.Tensor], path: Path
+    chunk: Keys, sensors: dict[str, Camera], offsets: dict[str, torch.Tensor], path: Path
 ) -> Contents:
     elements = {str(camera.get("id")): camera for camera in _cameras_in(chunk.get("cameras"))}
     components = {str(part.get("id")): part for part in _each(chunk.get("components"), "component")}
     cameras: dict[str, Camera] = {}
     poses, used = [], set()
     for camera in elements.values():
-        sensor, name = str(camera.get("sensor_id")), view_name(camera.get("label") or camera.get("id"))
+        sensor, name = f"cam{camera.get('sensor_id')}", view_name(camera.get("label") or camera.get("id"))
         where = f"{path}, camera {name!r:.80}"
         master = elements.get(str(camera.get("master_id", camera.get("id"))))
         if master is None:
@@ -137,7 +131,7 @@ def _of_cameras(
         if "transform" not in camera:
             if sensor not in offsets:
                 raise FileFormatError(
-                    f"{where}: has a master, and sensor {sensor} neither rotation nor location"
+                    f"{where}: has a master, and its sensor {sensor} neither rotation nor location"
                 )
             pose = pose @ offsets[sensor]
         used.add(str(master.get("component_id")))
@@ -174,7 +168,7 @@ def _metres(chunk: Any, component: Any, path: Path) -> float:
     return found[-1] if found else 1.0
 
 
-def _camera(values: Any, sensor: Any, where: str, options: Options) -> Camera:
+def _camera(values: Keys, sensor: Keys, where: str) -> Camera:
     def get(key: str) -> float:
         return _floats(values[key], f"{where}, {key}", 1)[0] if key in values else 0.0
 
@@ -183,11 +177,12 @@ def _camera(values: Any, sensor: Any, where: str, options: Options) -> Camera:
     kind = chosen(kinds.pop() if kinds else "frame", _TYPES, f"{where}, type")
     if kinds:
         raise FileFormatError(f"{where}, type: {kind} and {' and '.join(kinds)} are told; keep the right one")
-    sizes = [place["resolution"] for place in (values, sensor) if "resolution" in place]
-    sides = [[entry(size, key, f"{where}, resolution") for key in ("width", "height")] for size in sizes]
-    if "width" in values or "height" in values or not sides:
-        sides.append([get("width"), get("height")])
-    size, *others = {size_from_width_height(side, f"{where}, width and height") for side in sides}
+    told_sizes = [place.inner("resolution") for place in (values, sensor) if "resolution" in place]
+    sizes = {told.size("width", "height") for told in told_sizes}
+    if "width" in values or "height" in values or not sizes:
+        sides = [get("width"), get("height")]
+        sizes.add(size_from_width_height(sides, f"{where}, width and height"))
+    size, *others = sizes
     if others:
         raise FileFormatError(f"{where}, resolution: {size} and {others[0]} are told; keep the right one")
     if kind == "spherical":
@@ -210,13 +205,11 @@ def _camera(values: Any, sensor: Any, where: str, options: Options) -> Camera:
                 f"{where}: an {kind} with k1 k2 k3 p1 p2 k4 = {found} has no camera here; calibrate without them, or "
                 "as equidistant_fisheye"
             )
-        camera = _EQUISOLID.camera(plane, size, where)
-    elif kind != "frame":
-        camera = _FISHEYE.camera([*plane, *found], size, where)
-    else:
-        lens = _FRAME if any(found) else _PLAIN
-        camera = lens.camera([*plane, *found[:5]], size, where, skew=b2 or None)
-    return bounded(camera, options.max_angle, where)
+        return _EQUISOLID.camera(plane, size, where)
+    if kind != "frame":
+        return _FISHEYE.camera([*plane, *found], size, where)
+    lens = _FRAME if any(found) else _PLAIN
+    return lens.camera([*plane, *found[:5]], size, where, skew=b2 or None)
 
 
 register_format(

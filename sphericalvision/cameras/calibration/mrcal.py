@@ -16,13 +16,11 @@ from pathlib import Path
 
 import torch
 
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import Keys, check_understood, noted
+from sphericalvision.cameras.calibration.keys import as_keys, check_understood, noted
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.parsing import chosen, entry, numbers, size_from_width_height
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle
 
@@ -51,22 +49,16 @@ def contents(path: Path, options: Options) -> Contents:
     """The camera of a file, called like it, and its pose."""
     where = str(path)
     try:
-        values = noted(ast.literal_eval(read_text(path).strip()))
+        values = as_keys(noted(ast.literal_eval(read_text(path).strip()), where), where)
     except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError) as error:
         raise FileFormatError(f"{path}: not a literal of Python ({error!s:.200}); is it truncated?") from None
-    if not isinstance(values, Keys):
-        raise FileFormatError(f"{path}: expected keys with values")
-    model = chosen(entry(values, "lensmodel", where), _MODELS, f"{where}, lensmodel")
-    kind, count = _MODELS[model]
-    found = numbers(entry(values, "intrinsics", where), f"{where}, intrinsics", count)
-    size = size_from_width_height(entry(values, "imagersize", where), f"{where}, imagersize")
-    camera = bounded(distorted(kind, found, size, where), options.max_angle, where)
+    kind, count = _MODELS[values.chosen("lensmodel", _MODELS)]
+    camera = distorted(kind, values.numbers("intrinsics", count), values.size("imagersize"), where)
     key = "rt_cam_ref" if "rt_cam_ref" in values else "extrinsics"
-    turn = torch.tensor(numbers(entry(values, key, where), f"{where}, {key}", 6), dtype=torch.float64)
+    turn = torch.tensor(values.numbers(key, 6), dtype=torch.float64)
     check_understood(values, where, "valid_intrinsics_region|icam_intrinsics|optimization_inputs")
-    return Contents(
-        {path.stem: camera}, invert_transform(transform_from_axis_angle(turn[:3], turn[3:]))[None]
-    )
+    pose = invert_transform(transform_from_axis_angle(turn[:3], turn[3:]))
+    return Gathered(options).add(path.stem, camera, where, pose).contents
 
 
 register_format(

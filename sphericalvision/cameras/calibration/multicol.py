@@ -24,14 +24,12 @@ from typing import Any
 
 import torch
 
-from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import load_keys
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import SETTINGS, check_understood
+from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
 from sphericalvision.cameras.calibration.ocam_text import check_inverse
-from sphericalvision.cameras.calibration.parsing import errors_of_file, number, size_from_width_height
-from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.cameras.calibration.parsing import errors_of_file
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.geometry import transform_from_quaternion
@@ -48,71 +46,57 @@ def recognizes(content: dict[str, Any]) -> bool:
     return any(re.match(r"(Camera\.(a|pol|I[wh]|nr(inv)?pol)|CameraSystem\.)", str(key)) for key in content)
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file, or the rig of one with poses, whose cameras are in files beside it.
 
     Raises:
         MissingFileError: there are poses, but the file of a camera is not beside them.
     """
-    if any(str(key).startswith("CameraSystem.") for key in content):
-        return _rig(content, path, options)
-    camera = bounded(_camera(content, str(path)), options.max_angle, str(path))
-    return Contents({path.stem: camera})
-
-
-def _rig(content: dict[str, Any], path: Path, options: Options) -> Contents:
-    cameras: dict[str, Camera] = {}
-    rows = []
-    for index in range(_count(content, "CameraSystem.nrCams", str(path))):
+    found = Gathered(options)
+    if not any(str(key).startswith("CameraSystem.") for key in content):
+        return found.add(path.stem, _camera(content), str(path)).contents
+    for index in range(content.count("CameraSystem.nrCams", 100)):
         name = f"cam{index + 1}"
         keys = [f"CameraSystem.{name}_{place}" for place in range(1, 7)]
-        rows.append([number(content, key, str(path)) for key in keys])
+        row = torch.tensor([content.number(key) for key in keys], dtype=torch.float64)
         file = check_file(path.with_name(_CAMERA_FILE.format(index=index)), f"the camera of {keys[0][:-2]}")
         values = load_keys(file, "keys like Camera.a0")
-        cameras[name] = bounded(_camera(values, str(file)), options.max_angle, str(file))
+        camera = _camera(values)
         check_understood(values, str(file), _IGNORED)
-    table = torch.tensor(rows, dtype=torch.float64)
-    quaternion = torch.cat((torch.ones_like(table[:, :1]), table[:, :3]), dim=-1)  # (1, c) up to its length
-    return Contents(cameras, transform_from_quaternion(quaternion, table[:, 3:]))
+        quaternion = torch.cat((row.new_ones(1), row[:3]))  # (1, c) up to its length
+        found.add(name, camera, str(file), transform_from_quaternion(quaternion, row[3:]))
+    return found.contents
 
 
-def _count(content: dict[str, Any], key: str, where: str) -> int:
-    value = number(content, key, where)
-    if value != int(value) or not 1 <= value <= 100:
-        raise FileFormatError(f"{where}, {key}: expected a count from 1 to 100, got {value:g}")
-    return int(value)
-
-
-def _polynomial(content: dict[str, Any], name: str, count_key: str, where: str) -> torch.Tensor:
+def _polynomial(content: Keys, name: str, count_key: str) -> torch.Tensor:
     """Coefficients ``Camera.<name>0``, ... as many as are announced."""
-    count = _count(content, count_key, where)
+    count = content.count(count_key, 100)
     if f"Camera.{name}{count}" in content:
         raise FileFormatError(
-            f"{where}, {count_key}: announces {count} coefficients, but Camera.{name}{count} is there"
+            f"{content.at(count_key)}: announces {count} coefficients, but Camera.{name}{count} is there"
         )
-    found = [number(content, f"Camera.{name}{power}", where) for power in range(count)]
+    found = [content.number(f"Camera.{name}{power}") for power in range(count)]
     return torch.tensor(found, dtype=torch.float64)
 
 
-def _camera(content: dict[str, Any], where: str) -> OCamCamera:
-    direct = _polynomial(content, "a", "Camera.nrpol", where)
-    inverse = _polynomial(content, "pol", "Camera.nrinvpol", where)
-    c, d, e, u0, v0 = (number(content, f"Camera.{key}", where) for key in ("c", "d", "e", "u0", "v0"))
+def _camera(content: Keys) -> OCamCamera:
+    direct = _polynomial(content, "a", "Camera.nrpol")
+    inverse = _polynomial(content, "pol", "Camera.nrinvpol")
+    c, d, e, u0, v0 = (content.number(f"Camera.{key}") for key in ("c", "d", "e", "u0", "v0"))
     if not c > 0:
-        raise FileFormatError(f"{where}, Camera.c: expected a number above 0, near 1, got {c:g}")
-    size = [content.get(key) for key in ("Camera.Iw", "Camera.Ih")]
-    image_size = size_from_width_height(size, f"{where}, Camera.Iw and Camera.Ih")
+        raise FileFormatError(f"{content.at('Camera.c')}: expected a number above 0, near 1, got {c:g}")
+    size = content.size("Camera.Iw", "Camera.Ih")
     powers = torch.arange(len(direct), dtype=torch.float64)
-    with errors_of_file(where):
+    with errors_of_file(content.where):
         camera = OCamCamera(
             polynomial=direct * c ** (1 - powers),
             inverse_polynomial=inverse * c,
             principal_point=[u0, v0],
             affine=[1 / c, e / c, d / c],
-            image_size=image_size,
+            image_size=size,
             max_angle=torch.pi,
         )
-    return check_inverse(camera, where)
+    return check_inverse(camera, content.where)
 
 
 register_format(

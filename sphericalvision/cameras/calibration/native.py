@@ -19,10 +19,9 @@ import torch
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys, as_keys, noted
 from sphericalvision.cameras.calibration.parsing import (
-    entry,
     errors_of_file,
-    mapping,
     numbers,
     size_from_width_height,
 )
@@ -80,29 +79,28 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
         >>> camera_from_dict(camera_to_dict(EquirectangularCamera((160, 320))), "here").image_size
         (160, 320)
     """
-    name = entry(values, "model", where)
+    values = as_keys(noted(values, where), where)
+    name = values.entry("model")
     model = camera_model(name) if isinstance(name, str) else None
     if model is None:
         raise FileFormatError(
             f"{where}, model: expected one of {', '.join(camera_model_names())}, got {short_repr(name)}"
         )
     dtype = dtype or torch.get_default_dtype()
-    height, width = numbers(entry(values, "image_size", where), f"{where}, image_size", 2)
-    arguments: dict[str, Any] = {
-        "image_size": size_from_width_height([width, height], f"{where}, image_size")
-    }
+    sides = values.numbers("image_size", 2)
+    arguments: dict[str, Any] = {"image_size": size_from_width_height(sides[::-1], values.at("image_size"))}
     options = (key for key in model.option_names if key in values or key not in model.default_names)
-    arguments |= {key: entry(values, key, where) for key in options}
+    arguments |= {key: values.entry(key) for key in options}
     for key in model.intrinsic_names:
         if key in model.default_names and key not in values:
             continue
-        value = entry(values, key, where)
+        value = values.entry(key)
         if value is not None or key not in model.optional_names:
-            parsed = numbers(value, f"{where}, {key}")
+            parsed = values.numbers(key)
             value = torch.tensor(parsed if isinstance(value, list) else parsed[0], dtype=dtype)
         arguments[key] = value
     if _takes_max_angle(model):
-        arguments["max_angle"] = numbers(entry(values, "max_angle", where), f"{where}, max_angle", 1)[0]
+        arguments["max_angle"] = values.number("max_angle")
     try:
         with errors_of_file(where):
             return model(**arguments)
@@ -141,14 +139,14 @@ def recognizes(content: dict[str, Any]) -> bool:
     return content.get("format") in (CAMERA_FORMAT, RIG_FORMAT)
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera or the rig of a parsed file; masks are looked up beside ``path``.
 
     Raises:
         FileFormatError: a key is missing or its value makes no sense; the message names file and key.
         MissingFileError: a mask is named that does not exist.
     """
-    version = entry(content, "version", str(path))
+    version = content.entry("version")
     if version != VERSION:
         raise FileFormatError(
             f"{path}, version: this release reads version {VERSION}, got {short_repr(version)}"
@@ -157,18 +155,14 @@ def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
         return Contents({path.stem: _limited(camera_from_dict(content, str(path), options.dtype), options)})
     cameras: dict[str, Camera] = {}
     poses, masks = [], {}
-    entries = entry(content, "cameras", str(path))
-    if not isinstance(entries, list) or not entries:
-        raise FileFormatError(f"{path}, cameras: expected a list of at least one camera, got {entries!r:.80}")
-    for index, values in enumerate(entries):
-        where = f"{path}, cameras[{index}]"
-        name = str(entry(values, "name", where))
+    for values in content.several("cameras"):
+        name = str(values.entry("name"))
         if name in cameras:
-            raise FileFormatError(f"{where}, name: a second camera named {short_repr(name)}")
-        cameras[name] = _limited(camera_from_dict(mapping(values, where), where, options.dtype), options)
-        rows = entry(values, "world_from_camera", where)
+            raise FileFormatError(f"{values.at('name')}: a second camera named {short_repr(name)}")
+        cameras[name] = _limited(camera_from_dict(values, values.where, options.dtype), options)
+        rows = values.entry("world_from_camera")
         flat = [value for row in rows for value in row] if _is_matrix(rows) else rows
-        poses.append(numbers(flat, f"{where}, world_from_camera", 16))
+        poses.append(numbers(flat, values.at("world_from_camera"), 16))
         if values.get("mask"):
             masks[name] = read_mask(path.parent / str(values["mask"]), cameras[name].image_size)
     return Contents(cameras, torch.tensor(poses, dtype=torch.float64).reshape(-1, 4, 4), masks)

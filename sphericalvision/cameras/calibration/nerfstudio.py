@@ -17,17 +17,14 @@ References:
 from __future__ import annotations
 
 import math
-from collections import ChainMap
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import write_json
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import (
     PANORAMA,
     Lens,
@@ -37,18 +34,12 @@ from sphericalvision.cameras.calibration.lenses import (
     models_of,
 )
 from sphericalvision.cameras.calibration.parsing import (
-    chosen,
-    entry,
     focal_lengths,
-    mapping,
-    number,
-    size_from_width_height,
     view_name,
 )
-from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV, transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, FileFormatError, short_repr
+from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_mask
 
 __all__ = ["contents", "recognizes", "write_nerfstudio"]
@@ -90,65 +81,54 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "frames" in content and "cameras" not in content and not (frames and is_other)
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """A camera for each frame if poses are wanted, else the lenses.
 
     Raises:
         ArgumentError: the size of the images is neither in the file nor given.
     """
-    frames = content["frames"]
-    if not isinstance(frames, list) or not frames:
-        raise FileFormatError(
-            f"{path}, frames: expected a list of at least one frame, got {short_repr(frames)}"
-        )
-    own = [bool(_OWN & set(mapping(frame, f"{path}, frames[{i}]"))) for i, frame in enumerate(frames)]
+    frames = content.several("frames")
+    own = [bool(_OWN & set(frame)) for frame in frames]
     for key in ("scale", "applied_scale"):
-        if key in content and number(content, key, str(path)) != 1:
+        if content.number(key, 1) != 1:
             raise FileFormatError(
-                f"{path}, {key}: expected 1, got {content[key]}; divide the positions by it"
+                f"{content.at(key)}: expected 1, got {content[key]}; divide the positions by it"
             )
-    shared = None
-    if not all(own):
-        shared = _camera(content, str(path), options)
-    cameras: dict[str, Camera] = {}
-    poses, masks = [], {}
-    for index, frame in enumerate(frames):
-        where = f"{path}, frames[{index}]"
-        name = view_name(entry(frame, "file_path", where))
-        if name in cameras:
-            raise FileFormatError(f"{where}, file_path: a second frame named {short_repr(name)}")
-        cameras[name] = (
-            shared if shared and not own[index] else _camera(ChainMap(frame, content), where, options)
-        )
+    shared = None if all(own) else _camera(content, options)
+    found = Gathered(options)
+    for frame, has_own in zip(frames, own, strict=True):
+        name = view_name(frame.entry("file_path"))
+        camera = shared if shared and not has_own else _camera(frame.over(content), options)
+        found.add(name, camera, frame.where, frame.pose("transform_matrix") @ OPENGL_FROM_OPENCV)
         mask = frame.get("mask_path")
         if mask and (path.parent / str(mask)).is_file():
-            masks[name] = read_mask(path.parent / str(mask), cameras[name].image_size)
-        pose = transform_from_rows(entry(frame, "transform_matrix", where), f"{where}, transform_matrix")
-        poses.append(pose @ OPENGL_FROM_OPENCV)
+            found.masks[name] = read_mask(path.parent / str(mask), camera.image_size)
     if not options.rig and shared and not any(own):
-        return Contents({"cam1": shared})
-    return Contents(cameras, torch.stack(poses), masks)
+        return Gathered(options).add("cam1", shared, content.where).contents
+    return found.contents
 
 
-def _camera(values: Mapping[str, Any], where: str, options: Options) -> Camera:
+def _camera(values: Keys, options: Options) -> Camera:
     """The lens of a frame, or of all: a frame's own keys stand for those at the top."""
-    size = _image_size(values, where, options)
-    height, width = size
+    has_size = "w" in values or "h" in values
+    height, width = size = values.size("w", "h") if has_size else options.given_size(values.where, "w and h")
     is_fisheye = values.get("is_fisheye", False)
     kind = values.get("camera_model") or ("OPENCV_FISHEYE" if is_fisheye else "OPENCV")
-    kind = "OPENCV" if kind in ("SIMPLE_RADIAL", "RADIAL") else chosen(kind, _KINDS, f"{where}, camera_model")
+    if kind in ("SIMPLE_RADIAL", "RADIAL"):
+        kind = "OPENCV"
+    elif values.get("camera_model"):
+        kind = values.chosen("camera_model", _KINDS)
     if is_fisheye and kind != "OPENCV_FISHEYE":
         raise FileFormatError(
-            f"{where}, is_fisheye and camera_model: tell different models; keep the right one"
+            f"{values.at('is_fisheye', 'camera_model')}: tell different models; keep the right one"
         )
     if kind == PANORAMA.name:
-        return PANORAMA.camera([], size, where)
-    middle = {"cx": width / 2, "cy": height / 2}
-    center = [(number(values, key, where) if key in values else middle[key]) - 0.5 for key in middle]
-    plane = [*_focal_lengths(values, width, height, kind == "OPENCV_FISHEYE", where), *center]
+        return PANORAMA.camera([], size, values.where)
+    center = [values.number(key, side / 2) - 0.5 for key, side in (("cx", width), ("cy", height))]
+    plane = [*_focal_lengths(values, width, height, kind == "OPENCV_FISHEYE"), *center]
 
     def get(*keys: str) -> list[float]:
-        return [number(values, key, where) if values.get(key) is not None else 0.0 for key in keys]
+        return [values.number(key) if values.get(key) is not None else 0.0 for key in keys]
 
     given = [key for key in ("k1", "k2", "k3", "k4") if values.get(key) is not None]
     gaps = [key for key in ("k1", "k2", "k3", "k4")[: len(given)] if key not in given]
@@ -157,52 +137,49 @@ def _camera(values: Mapping[str, Any], where: str, options: Options) -> Camera:
     ]
     if gaps:
         raise FileFormatError(
-            f"{where}: the key {gaps[0]!r} is missing, and others of the distortion are there"
+            f"{values.where}: the key {gaps[0]!r} is missing, and others of the distortion are there"
         )
     if kind == "OPENCV_FISHEYE" and any(get("p1", "p2")):
-        raise FileFormatError(f"{where}, p1 and p2: expected 0 of a fisheye, got {get('p1', 'p2')}")
+        raise FileFormatError(f"{values.at('p1', 'p2')}: expected 0 of a fisheye, got {get('p1', 'p2')}")
     if kind != "OPENCV_FISHEYE":
         if k4 := get("k4")[0]:
-            raise FileFormatError(f"{where}, k4: expected 0 of the camera_model {kind}, got {k4:g}")
+            raise FileFormatError(f"{values.at('k4')}: expected 0 of the camera_model {kind}, got {k4:g}")
         more = any(get("k1", "k2", "k3", "p1", "p2"))
         if more and kind != "OPENCV":
-            raise FileFormatError(f"{where}, camera_model: {kind} with k1, k2, k3, p1 or p2; is it OPENCV?")
+            raise FileFormatError(
+                f"{values.at('camera_model')}: {kind} with k1, k2, k3, p1 or p2; is it OPENCV?"
+            )
         if not more:
             kind = "PINHOLE"
     lens = lens_called(_LENSES, kind)
-    return bounded(lens.camera([*plane, *get(*lens.keys[4:])], size, where), options.max_angle, where)
+    return lens.camera([*plane, *get(*lens.keys[4:])], size, values.where)
 
 
-def _image_size(values: Mapping[str, Any], where: str, options: Options) -> tuple[int, int]:
-    if "w" in values or "h" in values:
-        return size_from_width_height([entry(values, key, where) for key in ("w", "h")], f"{where}, w and h")
-    return options.given_size(where, "w and h")
-
-
-def _focal_lengths(
-    values: Mapping[str, Any], width: int, height: int, is_fisheye: bool, where: str
-) -> list[float]:
+def _focal_lengths(values: Keys, width: int, height: int, is_fisheye: bool) -> list[float]:
     """Along u and v, each as a focal length, else from the angle of view, else as the other one.
 
     What a frame says in one of these ways counts before what the top says in the other. Files say both; they have to
     agree, but for fisheyes, of which programs mean several things by the angle.
     """
-    levels = values.maps if isinstance(values, ChainMap) else [values]
     found: list[float] = []
     for key, angle, side in (("fl_x", "camera_angle_x", width), ("fl_y", "camera_angle_y", height)):
-        level = next((part for part in levels if key in part or angle in part), {})
-        half = number(level, angle, where) / 2 if angle in level else None
+        level = next((part for part in values.layers or (values,) if key in part or angle in part), Keys())
+        half = level.number(angle) / 2 if angle in level else None
         if key in level:
-            found.append(number(level, key, where))
+            found.append(level.number(key))
         if half is not None and not (key in level and is_fisheye):
             if not 0 < half < math.pi / 2:
-                raise FileFormatError(f"{where}, {angle}: expected radians between 0 and π, got {2 * half:g}")
+                raise FileFormatError(
+                    f"{values.at(angle)}: expected radians between 0 and π, got {2 * half:g}"
+                )
             found.append(side / 2 / math.tan(half))
             if key in level and abs(found.pop() - found[-1]) > 0.01 * found[-1]:
-                raise FileFormatError(f"{where}: {key} and {angle} tell different lenses; keep the right one")
+                raise FileFormatError(
+                    f"{values.where}: {key} and {angle} tell different lenses; keep the right one"
+                )
     if not found:
-        entry(values, "fl_x", where)
-    return focal_lengths([found[0], found[-1]], where)
+        values.entry("fl_x")
+    return focal_lengths([found[0], found[-1]], values.where)
 
 
 def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:

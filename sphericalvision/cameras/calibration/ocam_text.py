@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.lenses import check_holds, numbers_of
@@ -24,7 +24,6 @@ from sphericalvision.cameras.calibration.parsing import (
     numbers,
     size_from_width_height,
 )
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import transform_from_axis_angle
@@ -74,7 +73,7 @@ def contents(path: Path, options: Options) -> Contents:
         raise ArgumentError(
             f"translation_unit: {path} is one camera without a translation, got {options.translation_unit!r}"
         )
-    return Contents({path.stem: _ocam(path, options.max_angle)})
+    return Gathered(options).add(path.stem, _ocam(path), str(path)).contents
 
 
 def _counted(values: list[float], where: str) -> list[float]:
@@ -97,7 +96,6 @@ def make_ocam(
     center: list[float],
     affine: list[float],
     size: list[float],
-    max_angle: float | None,
     where: str,
 ) -> OCamCamera:
     """A camera from numbers as files hold them: polynomials with their count in front, centre as (row, column)."""
@@ -113,7 +111,7 @@ def make_ocam(
             image_size=image_size,
             max_angle=math.pi,
         )
-    return bounded(check_inverse(camera, where), max_angle, where)
+    return check_inverse(camera, where)
 
 
 def check_inverse(camera: OCamCamera, where: str) -> OCamCamera:
@@ -135,7 +133,7 @@ def check_inverse(camera: OCamCamera, where: str) -> OCamCamera:
     return camera
 
 
-def _ocam(path: Path, max_angle: float | None) -> OCamCamera:
+def _ocam(path: Path) -> OCamCamera:
     lines = data_lines(path)
     if len(lines) < len(_LINES):
         last = lines[-1][0] if lines else 0
@@ -154,7 +152,7 @@ def _ocam(path: Path, max_angle: float | None) -> OCamCamera:
     )
     for values, (number, _), name in zip((direct, inverse), lines, _LINES, strict=False):
         _counted(values, f"{path}, line {number}, {name}")
-    return make_ocam(direct, inverse, center, affine, size, max_angle, str(path))
+    return make_ocam(direct, inverse, center, affine, size, str(path))
 
 
 def _natural(path: Path) -> list[int | str]:
@@ -180,15 +178,13 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
             f"{poses_path}: holds {len(lines)} poses, but the folder has {len(files)} cameras "
             f"({', '.join(file.name for file in files)}); one line for each camera expected"
         )
-    rows = [numbers(words, f"{poses_path}, line {number}", 6) for number, words in lines]
-    poses = torch.tensor(rows, dtype=torch.float64)
-    world_from_camera = transform_from_axis_angle(poses[:, :3], poses[:, 3:] * unit)
-    angle = STEREO_SETS_MAX_ANGLE if options.max_angle is None else options.max_angle
-    cameras: dict[str, Camera] = {
-        f"cam{file.stem.removeprefix('ocam').lstrip('_') or number}": _ocam(file, angle)
-        for number, file in enumerate(files, start=1)
-    }
-    return Contents(cameras, world_from_camera)
+    found = Gathered(options)
+    for place, (file, (number, words)) in enumerate(zip(files, lines, strict=True), start=1):
+        name = f"cam{file.stem.removeprefix('ocam').lstrip('_') or place}"
+        row = torch.tensor(numbers(words, f"{poses_path}, line {number}", 6), dtype=torch.float64)
+        pose = transform_from_axis_angle(row[:3], row[3:] * unit)
+        found.add(name, _ocam(file), str(file), pose, STEREO_SETS_MAX_ANGLE)
+    return found.contents
 
 
 def ocam_numbers(camera: Camera, format: str) -> dict[str, list[float]]:

@@ -14,23 +14,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import SETTINGS
+from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.opencv_keys import matrix
 from sphericalvision.cameras.calibration.parsing import (
-    chosen_model,
-    entry,
     focal_lengths,
-    numbers,
-    size_from_width_height,
 )
-from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 
 __all__ = ["contents", "recognizes"]
 
@@ -44,26 +34,17 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed file."""
-    cameras: dict[str, Camera] = {}
-    poses = []
-    for index, values in enumerate(content["cameras"]):
-        where = f"{path}, cameras[{index}]"
-        plane = [
-            *focal_lengths(numbers(entry(values, "focal_length", where), f"{where}, focal_length", 2), where),
-            *numbers(entry(values, "principal_point", where), f"{where}, principal_point", 2),
-        ]
-        kind = entry(values, "distortion_type", where)
-        more = matrix(entry(values, "distortion_coefficients", where), f"{where}, distortion_coefficients")
-        size = size_from_width_height(entry(values, "image_dimension", where), f"{where}, image_dimension")
-        if "cam_model" in values:
-            chosen_model(values["cam_model"], ("pinhole",), f"{where}, cam_model")
-        camera = distorted(kind, plane + more, size, f"{where}, distortion_type")
-        cameras[f"cam{index}"] = bounded(camera, options.max_angle, where)
-        pose = entry(values, "T_SC", where)
-        poses.append(transform_from_rows(pose, f"{where}, T_SC"))
-    return Contents(cameras, torch.stack(poses))
+    found = Gathered(options)
+    for index, values in enumerate(content.several("cameras")):
+        numbers = focal_lengths(values.numbers("focal_length", 2), values.where)
+        numbers += values.numbers("principal_point", 2) + values.matrix("distortion_coefficients")
+        values.model("cam_model", ("pinhole",), default="pinhole")
+        where = values.at("distortion_type")
+        camera = distorted(values.entry("distortion_type"), numbers, values.size("image_dimension"), where)
+        found.add(f"cam{index}", camera, values.where, values.pose("T_SC"))
+    return found.contents
 
 
 register_format(

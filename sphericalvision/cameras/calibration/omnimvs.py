@@ -15,11 +15,11 @@ from typing import Any
 
 import torch
 
-from sphericalvision.cameras.base import Camera, check_single
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.base import check_single
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
-from sphericalvision.cameras.calibration.parsing import chosen, entry, numbers
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
@@ -41,48 +41,39 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed ``config.yaml``; cameras are named ``cam<cam_id>``.
 
     ``invalid_mask`` images, white where a pixel must not be used, are read where they exist; they are seldom shipped.
     """
-    cameras: dict[str, Camera] = {}
-    poses, masks = [], {}
-    entries = entry(content, "cameras", str(path))
-    if not isinstance(entries, list) or not entries:
-        raise FileFormatError(f"{path}, cameras: expected a list of at least one camera")
-    for index, values in enumerate(entries):
-        where = f"{path}, cameras[{index}]"
-        name = f"cam{entry(values, 'cam_id', where)}"
-        where += f" ({name})"
-        if name in cameras:
-            raise FileFormatError(f"{where}: a second camera with this cam_id")
-        cameras[name] = _camera(values, where, options.max_angle)
-        poses.append(numbers(entry(values, "pose", where), f"{where}, pose", 6))
+    found = Gathered(options)
+    for values in content.several("cameras"):
+        name = f"cam{values.entry('cam_id')}"
+        values.where += f" ({name:.80})"
+        camera, view = _camera(values), None
+        if values.get("max_fov") is not None and options.max_angle is None:
+            view = math.radians(values.number("max_fov")) / 2
+            if not math.radians(2 * math.pi) < 2 * view <= 2 * math.pi:
+                raise FileFormatError(
+                    f"{values.at('max_fov')}: expected degrees up to 360, got {values['max_fov']}; are these radians?"
+                )
+        pose = torch.tensor(values.numbers("pose", 6), dtype=torch.float64)
+        found.add(name, camera, values.where, transform_from_axis_angle(pose[:3], pose[3:]), view)
         mask = values.get("invalid_mask")
         if mask and (path.parent / str(mask)).is_file():
-            masks[name] = read_mask(path.parent / str(mask), cameras[name].image_size, usable="black")
-    table = torch.tensor(poses, dtype=torch.float64)
-    return Contents(cameras, transform_from_axis_angle(table[:, :3], table[:, 3:]), masks)
+            found.masks[name] = read_mask(path.parent / str(mask), camera.image_size, usable="black")
+    return found.contents
 
 
-def _camera(values: Any, where: str, max_angle: float | None) -> OCamCamera:
-    chosen(values.get("model", "ocam"), ("ocam",), f"{where}, model")
-    if (view := values.get("max_fov")) is not None and max_angle is None:
-        max_angle = math.radians(numbers(view, f"{where}, max_fov", 1)[0]) / 2
-        if not math.radians(2 * math.pi) < 2 * max_angle <= 2 * math.pi:
-            raise FileFormatError(
-                f"{where}, max_fov: expected degrees up to 360, got {view}; are these radians?"
-            )
-    inverse = numbers(values["inv_poly"], f"{where}, inv_poly") if values.get("inv_poly") else None
+def _camera(values: Keys) -> OCamCamera:
+    values.chosen("model", ("ocam",), default="ocam")
     return make_ocam(
-        numbers(entry(values, "poly", where), f"{where}, poly"),
-        inverse,
-        numbers(entry(values, "center", where), f"{where}, center", 2),
-        numbers(entry(values, "affine", where), f"{where}, affine", 3),
-        numbers(entry(values, "image_size", where), f"{where}, image_size", 2),
-        max_angle,
-        where,
+        values.numbers("poly"),
+        values.numbers("inv_poly") if values.get("inv_poly") else None,
+        values.numbers("center", 2),
+        values.numbers("affine", 3),
+        values.numbers("image_size", 2),
+        values.where,
     )
 
 

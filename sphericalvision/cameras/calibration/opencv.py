@@ -23,11 +23,13 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import STRUCTURED, load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import check_holds, distorted, numbers_of
 from sphericalvision.cameras.calibration.opencv_keys import (
     DISTORTION,
@@ -37,21 +39,16 @@ from sphericalvision.cameras.calibration.opencv_keys import (
     SIZE,
     TRANSLATION,
     find,
-    matrix,
     rotation,
 )
 from sphericalvision.cameras.calibration.parsing import (
-    entry,
     errors_of_file,
     focal_lengths,
-    mapping,
     metres_per,
     model_meant,
-    number,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import checked_rigid
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import invert_transform
@@ -83,48 +80,50 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera or the two cameras of a parsed file.
 
     Raises:
         ArgumentError: the unit of the translation, or the size of the images, is neither in the file nor given.
     """
     _add_other_half(content, path)
+    where, found = str(path), Gathered(options)
     if find(content, MATRIX):
-        where = str(path)
-        camera = _as_published(_camera(content, "", where, options), content, where)
-        name = str(content.get("camera_name") or "cam1")
-        return Contents({name: bounded(camera, options.max_angle, where)})
-    cameras = {}
-    for index in ("1", "2"):
-        where = f"{path}, camera {index}"
-        cameras[f"cam{index}"] = bounded(_camera(content, index, where, options), options.max_angle, where)
-    rotation_key = find(content, ROTATION, where=str(path))
-    translation_key = find(content, TRANSLATION, where=str(path))
-    if rotation_key is None or translation_key is None:
-        return Contents(cameras)
+        camera = _as_published(_camera(content, "", where, options), content)
+        return found.add(str(content.get("camera_name") or "cam1"), camera, where).contents
+    lenses = [_camera(content, index, f"{path}, camera {index}", options) for index in ("1", "2")]
+    poses = _poses(content, options)
+    for index, (camera, pose) in enumerate(zip(lenses, poses, strict=True), start=1):
+        found.add(f"cam{index}", camera, f"{path}, camera {index}", pose)
+    return found.contents
+
+
+def _poses(content: Keys, options: Options) -> tuple[Tensor | None, Tensor | None]:
+    """Of both cameras, if the file has them."""
+    where = content.where
+    turn, place = find(content, ROTATION, where=where), find(content, TRANSLATION, where=where)
+    if turn is None or place is None:
+        return None, None
     unit = content.get("translation_unit") or options.translation_unit
     if options.rig and options.translation_unit not in (None, unit):
         raise ArgumentError(
-            f"translation_unit: {path} says {unit!r:.80} itself, got {options.translation_unit!r}; leave it out"
+            f"translation_unit: {where} says {unit!r:.80} itself, got {options.translation_unit!r}; leave it out"
         )
     if unit is None:
         raise ArgumentError(
-            f"translation_unit: {path} does not tell the unit of {translation_key}, which is that of the calibration "
+            f"translation_unit: {where} does not tell the unit of {place}, which is that of the calibration "
             "board's squares; pass 'm', 'cm' or 'mm'"
         )
     second_from_first = torch.eye(4, dtype=torch.float64)
-    second_from_first[:3, :3] = rotation(content[rotation_key], f"{path}, {rotation_key}")
-    with errors_of_file(str(path)):
+    second_from_first[:3, :3] = rotation(content[turn], content.at(turn))
+    with errors_of_file(where):
         metres = metres_per(str(unit))
-    found = matrix(content[translation_key], f"{path}, {translation_key}", 3)
-    second_from_first[:3, 3] = torch.tensor(found, dtype=torch.float64) * metres
-    checked_rigid(second_from_first, f"{path}, {rotation_key}")
-    first = torch.eye(4, dtype=torch.float64)
-    return Contents(cameras, torch.stack((first, invert_transform(second_from_first))))
+    second_from_first[:3, 3] = torch.tensor(content.matrix(place, 3), dtype=torch.float64) * metres
+    checked_rigid(second_from_first, content.at(turn))
+    return torch.eye(4, dtype=torch.float64), invert_transform(second_from_first)
 
 
-def _add_other_half(content: dict[str, Any], path: Path) -> None:
+def _add_other_half(content: Keys, path: Path) -> None:
     """OpenCV's stereo sample writes intrinsics and extrinsics into two files side by side."""
     other = path.with_name(f"{_PAIRS.get(path.stem, path.stem)}{path.suffix}")
     if path.stem in _PAIRS and other.is_file():
@@ -133,46 +132,43 @@ def _add_other_half(content: dict[str, Any], path: Path) -> None:
             content.setdefault(key, value)
 
 
-def _as_published(camera: Camera, content: Mapping[str, Any], where: str) -> Camera:
+def _as_published(camera: Camera, content: Keys) -> Camera:
     """The camera of a part of the image, made smaller, where a message of ROS says that it was."""
-    roi = content.get("roi")
-    if roi is not None:
-        keys = ("x_offset", "y_offset", "width", "height")
-        left, top, width, height = (int(number(roi, key, f"{where}, roi")) for key in keys)
-        mapping(roi, where).get("do_rectify")  # which is for those who rectify
+    if content.get("roi") is not None:
+        roi = content.inner("roi")
+        left, top, width, height = (
+            int(roi.number(key)) for key in ("x_offset", "y_offset", "width", "height")
+        )
+        roi.get("do_rectify")  # which is for those who rectify
         if any((left, top, width, height)):
-            with errors_of_file(f"{where}, roi"):
+            with errors_of_file(roi.where):
                 camera = camera.cropped(top, left, height, width)
-    binning = [
-        int(number(content, key, where)) if key in content else 1 for key in ("binning_x", "binning_y")
-    ]
-    across, down = (max(count, 1) for count in binning)
+    across, down = (max(int(content.number(key, 1)), 1) for key in ("binning_x", "binning_y"))
     height, width = camera.image_size
     if height % down or width % across:
         raise FileFormatError(
-            f"{where}, binning_x and binning_y: {across} and {down} divide no {width} x {height}"
+            f"{content.at('binning_x', 'binning_y')}: {across} and {down} divide no {width} x {height}"
         )
     return camera.resized((height // down, width // across)) if across * down > 1 else camera
 
 
-def _image_size(content: Mapping[str, Any], index: str, where: str, options: Options) -> tuple[int, int]:
+def _image_size(content: Keys, index: str, where: str, options: Options) -> tuple[int, int]:
     for suffix in dict.fromkeys((index, "")):
         width = find(content, ("imagewidth", "width", "imgwidth"), suffix, where)
         height = find(content, ("imageheight", "height", "imgheight"), suffix, where)
         both = find(content, SIZE, suffix, where)
-        keys = [width or f"image_width{suffix}", height or f"image_height{suffix}"] if width or height else []
-        sides = [entry(content, key, where) for key in keys]
+        sides = (width or f"image_width{suffix}", height or f"image_height{suffix}")
+        told = {content.size(*sides)} if width or height else set()
         if both:
-            size = size_from_width_height(matrix(content[both], f"{where}, {both}", 2), f"{where}, {both}")
-            if not sides or size == size_from_width_height(sides, f"{where}, {width} and {height}"):
-                return size
+            told.add(size_from_width_height(content.matrix(both, 2), content.at(both)))
+        if len(told) > 1:
             raise FileFormatError(f"{where}: {both} and {width}, {height} differ; keep the right ones")
-        if sides:
-            return size_from_width_height(sides, f"{where}, {width} and {height}")
+        if told:
+            return told.pop()
     return options.given_size(where, "image_width and image_height")
 
 
-def _kind(content: Mapping[str, Any], index: str, where: str, distortion_key: str, count: int) -> str:
+def _kind(content: Keys, index: str, where: str, distortion_key: str, count: int) -> str:
     """The model: what all keys say together that tell it, or else the one that has so many coefficients."""
     told = {"xi": "omni"} if find(content, ("xi",), index) else {}
     is_plain = False
@@ -198,32 +194,32 @@ def _kind(content: Mapping[str, Any], index: str, where: str, distortion_key: st
     return {0: "none", 8: "rational_polynomial", 12: "thin_prism", 14: "tilted"}.get(count, "radtan")
 
 
-def _camera(content: Mapping[str, Any], index: str, where: str, options: Options) -> Camera:
+def _camera(content: Keys, index: str, where: str, options: Options) -> Camera:
     key = find(content, MATRIX, index, where)
     if key is None:
         raise FileFormatError(
             f"{where}: the camera matrix is missing (camera_matrix{index}, K{index} or M{index}); found "
             f"{', '.join(map(str, content))}"
         )
-    fx, skew, cx, _, fy, cy, *last = matrix(content[key], f"{where}, {key}", 9)
+    fx, skew, cx, _, fy, cy, *last = content.matrix(key, 9)
     if last != [0.0, 0.0, 1.0]:
         raise FileFormatError(f"{where}, {key}: expected 0 0 1 in the last row, got {last}")
     focal_lengths([fx, fy], f"{where}, {key}")
     size = _image_size(content, index, where, options)
     distortion_key = find(content, DISTORTION, index, where)
     numbers = [fx, fy, cx, cy]
-    coefficients = matrix(content[distortion_key], f"{where}, {distortion_key}") if distortion_key else []
+    coefficients = content.matrix(distortion_key) if distortion_key else []
     kind = _kind(content, index, where, distortion_key or "", len(coefficients))
     if kind == "omni":
         xi = find(content, ("xi",), index, where) or "xi"
-        numbers += matrix(entry(content, xi, where), f"{where}, {xi}", 1)
-    if abs(skew) <= 1e-9 * abs(fx):
-        return distorted(kind, numbers + coefficients, size, f"{where}, {distortion_key or key}")
-    if kind not in ("omni", "equidistant"):
+        numbers += content.matrix(xi, 1)
+    has_skew = abs(skew) > 1e-9 * abs(fx)
+    if has_skew and kind not in ("omni", "equidistant"):
         raise FileFormatError(
             f"{where}, {key}: a skew of {skew:g} is for fisheye and omnidirectional cameras; OpenCV's others have none"
         )
-    return distorted(kind, numbers + coefficients, size, f"{where}, {distortion_key or key}", skew)
+    place = f"{where}, {distortion_key or key}"
+    return distorted(kind, numbers + coefficients, size, place, skew if has_skew else None)
 
 
 def write_opencv(cameras: Camera | CameraRig, path: str | Path) -> None:

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.calibration.parsing import numbers
+from sphericalvision.cameras.calibration.parsing import matrix
 from sphericalvision.core import FileFormatError
 
 __all__ = ["DISTORTION", "MATRIX", "MODEL", "ROTATION", "SIZE", "TRANSLATION", "find", "matrix", "rotation"]
@@ -54,30 +54,6 @@ def find(content: Mapping[Any, Any], names: tuple[str, ...], index: str = "", wh
 
 def _plain(value: Any, where: str) -> Any:
     return matrix(value, where) if isinstance(value, Mapping | list) else str(value)
-
-
-def matrix(value: Any, where: str, count: int | None = None) -> list[float]:
-    """The numbers of a matrix, row by row: a FileStorage matrix, nested lists, or one list."""
-    if isinstance(value, Mapping):
-        missing = [key for key in ("rows", "cols", "data") if key not in value]
-        if missing:
-            raise FileFormatError(
-                f"{where}: expected a matrix of rows, cols and data, {missing[0]} is missing"
-            )
-        rows, columns = numbers([value["rows"], value["cols"]], f"{where}, rows and cols", 2)
-        data = value["data"]
-        found = [] if rows * columns == 0 else numbers(data, f"{where}, data")
-        if rows * columns != len(found):
-            raise FileFormatError(
-                f"{where}: announces {rows:g} x {columns:g} numbers but holds {len(found)}; is the file truncated?"
-            )
-    else:
-        if isinstance(value, list) and all(isinstance(row, list) for row in value):
-            value = [number for row in value for number in row]
-        found = [] if value == [] else numbers(value, where)
-    if count is not None and len(found) != count:
-        raise FileFormatError(f"{where}: expected {count} numbers, got {len(found)}")
-    return found
 
 
 def rotation(value: Any, where: str) -> Float[Tensor, "3 3"]:

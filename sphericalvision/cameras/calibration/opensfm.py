@@ -18,19 +18,13 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import (
-    chosen,
-    entry,
-    mapping,
-    number,
-    numbers,
-    size_from_width_height,
     view_name,
 )
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle
@@ -55,50 +49,46 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The lenses by name; or if poses are wanted, a camera for each shot."""
-    lenses = mapping(content["cameras"] if "shots" in content else content, f"{path}, cameras")
-    cameras = {str(name): _camera(lenses[name], f"{path}, {name}", options) for name in lenses}
+    lenses = content.inner("cameras") if "shots" in content else content
+    cameras = Gathered(options)
+    for name in lenses:
+        cameras.add(str(name), _camera(lenses.inner(name)), lenses.at(name))
     if not options.rig or "shots" not in content:
-        return Contents(cameras)
-    shots = content["shots"]
-    named: dict[str, Camera] = {}
-    poses = []
-    for file in mapping(shots, f"{path}, shots"):
-        where, shot = f"{path}, shots, {file}", shots[file]
-        lens, name = str(entry(shot, "camera", where)), view_name(file)
-        if lens not in cameras or not name or name in named:
+        return cameras.contents
+    shots, found = content.inner("shots"), Gathered(options)
+    for file in shots:
+        shot = shots.inner(file)
+        lens, name = str(shot.entry("camera")), view_name(file)
+        if lens not in cameras.cameras or not name:
             raise FileFormatError(
-                f"{where}: expected its own name and a camera that is there, got {short_repr(lens)}"
+                f"{shot.where}: expected a name and a camera that is there, got {short_repr(lens)}"
             )
         if shot.get("orientation", 1) not in (0, 1):
-            raise FileFormatError(f"{where}, orientation: expected 1, an image that is not turned")
-        parts = [
-            numbers(entry(shot, key, where), f"{where}, {key}", 3) for key in ("rotation", "translation")
-        ]
+            raise FileFormatError(f"{shot.at('orientation')}: expected 1, an image that is not turned")
+        parts = [shot.numbers(key, 3) for key in ("rotation", "translation")]
         turn, place = torch.tensor(parts, dtype=torch.float64)
-        named[name] = cameras[lens]
-        poses.append(invert_transform(transform_from_axis_angle(turn, place)))
-    if not named:
+        pose = invert_transform(transform_from_axis_angle(turn, place))
+        found.add(name, cameras.cameras[lens], shot.where, pose)
+    if not found.cameras:
         raise FileFormatError(f"{path}, shots: expected at least one")
-    return Contents(named, torch.stack(poses))
+    return found.contents
 
 
-def _camera(values: Any, where: str, options: Options) -> Camera:
-    kind = chosen(
-        entry(values, "projection_type", where), (*_MODELS, *_PANORAMAS), f"{where}, projection_type"
-    )
-    size = size_from_width_height([entry(values, key, where) for key in ("width", "height")], where)
+def _camera(values: Keys) -> Camera:
+    kind = values.chosen("projection_type", (*_MODELS, *_PANORAMAS))
+    size = values.size("width", "height")
     if kind in _PANORAMAS:
         return EquirectangularCamera(size)
     side = max(size)
     focal = ("focal_x", "focal_y") if "focal_x" in values or "focal" not in values else ("focal", "focal")
-    fx, fy = (side * number(values, key, where) for key in focal)
-    u, v = (side * number(values, key, where) if key in values else 0.0 for key in ("c_x", "c_y"))
+    fx, fy = (side * values.number(key) for key in focal)
+    u, v = (side * values.number(key, 0.0) for key in ("c_x", "c_y"))
     lens, keys = _MODELS[kind]
-    more = [0.0 if key == "0" else number(values, key, where) for key in keys.split()]
-    camera = distorted(lens, [fx, fy, size[1] / 2 - 0.5 + u, size[0] / 2 - 0.5 + v, *more], size, where)
-    return bounded(camera, options.max_angle, where)
+    more = [0.0 if key == "0" else values.number(key) for key in keys.split()]
+    plane = [fx, fy, size[1] / 2 - 0.5 + u, size[0] / 2 - 0.5 + v]
+    return distorted(lens, [*plane, *more], size, values.where)
 
 
 register_format(

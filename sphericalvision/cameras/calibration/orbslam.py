@@ -19,18 +19,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import SETTINGS
+from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_of, models_of, numbers_of
-from sphericalvision.cameras.calibration.opencv_keys import matrix
-from sphericalvision.cameras.calibration.parsing import (
-    entry,
-    number,
-    size_from_width_height,
-)
-from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
@@ -53,44 +45,37 @@ def recognizes(content: dict[str, Any]) -> bool:
     return any(key in content for key in ("Camera1.fx", "Camera.fx", "Camera.type"))
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera or the two cameras of a parsed file, and their poses as far as the file has any."""
     first = "Camera1" if any(str(key).startswith("Camera1.") for key in content) else "Camera"
-    cameras: dict[str, Camera] = {}
-    for name, prefix in (("cam1", first), ("cam2", "Camera2")):
-        if name == "cam1" or "Camera2.fx" in content:
-            where = f"{path}, {prefix}"
-            cameras[name] = bounded(_camera(content, prefix, where), options.max_angle, where)
-    body, stereo = _transform(content, _BODY, path), _transform(content, _STEREO, path)
+    body, stereo = _transform(content, _BODY), _transform(content, _STEREO)
     start = torch.eye(4, dtype=torch.float64) if body is None else body
-    if len(cameras) == 2 and stereo is not None:
-        return Contents(cameras, torch.stack((start, start @ stereo)))
-    return Contents(cameras, body[None] if len(cameras) == 1 and body is not None else None)
+    found = Gathered(options)
+    if "Camera2.fx" not in content:
+        return found.add("cam1", _camera(content, first), content.at(first), body).contents
+    found.add("cam1", _camera(content, first), content.at(first), start)
+    second = None if stereo is None else start @ stereo
+    return found.add("cam2", _camera(content, "Camera2"), content.at("Camera2"), second).contents
 
 
-def _transform(content: dict[str, Any], keys: tuple[str, ...], path: Path) -> Tensor | None:
-    for key in keys:
-        if key in content:
-            return transform_from_rows(matrix(content[key], f"{path}, {key}"), f"{path}, {key}")
-    return None
+def _transform(content: Keys, keys: tuple[str, ...]) -> Tensor | None:
+    return next((content.pose(key) for key in keys if key in content), None)
 
 
-def _camera(content: dict[str, Any], prefix: str, where: str) -> Camera:
-    kind = entry(content, "Camera.type", where)
+def _camera(content: Keys, prefix: str) -> Camera:
+    kind = content.entry("Camera.type")
     kinds = {lens.name.lower(): lens for lens in reversed(_LENSES)}
     if not isinstance(kind, str) or kind.lower() not in kinds:
         raise FileFormatError(
-            f"{where}: Camera.type: expected PinHole, KannalaBrandt8 or Rectified, got {short_repr(kind)}"
+            f"{content.at('Camera.type')}: expected PinHole, KannalaBrandt8 or Rectified, got {short_repr(kind)}"
         )
     lens = kinds[kind.lower()]
-    sides = [entry(content, key, where) for key in ("Camera.width", "Camera.height")]
-    size = size_from_width_height(sides, f"{where}: Camera.width and Camera.height")
     if lens.name == "PinHole" and f"{prefix}.k1" not in content:
         lens = kinds["rectified"]
     elif lens.name == "PinHole" and f"{prefix}.k3" in content:
         lens = _LENSES[-1]
-    found = [number(content, f"{prefix}.{key}", where) for key in lens.keys]
-    return lens.camera(found, size, where)
+    found = [content.number(f"{prefix}.{key}") for key in lens.keys]
+    return lens.camera(found, content.size("Camera.width", "Camera.height"), content.at(prefix))
 
 
 def write_orbslam(cameras: Camera | CameraRig, path: str | Path) -> None:

@@ -19,13 +19,11 @@ __all__ = [
     "check_radius",
     "chosen",
     "chosen_model",
-    "entry",
     "errors_of_file",
     "focal_lengths",
-    "mapping",
+    "matrix",
     "metres_per",
     "model_meant",
-    "number",
     "numbers",
     "size_from_width_height",
     "view_name",
@@ -68,9 +66,28 @@ def numbers(values: Any, where: str, count: int | None = None) -> list[float]:
     return result
 
 
-def number(values: Any, key: str, where: str) -> float:
-    """The finite number under a key that must be there."""
-    return numbers(entry(values, key, where), f"{where}, {key}", 1)[0]
+def matrix(value: Any, where: str, count: int | None = None) -> list[float]:
+    """The numbers of a matrix, row by row: a FileStorage matrix, nested lists, or one list."""
+    if isinstance(value, Mapping):
+        missing = [key for key in ("rows", "cols", "data") if key not in value]
+        if missing:
+            raise FileFormatError(
+                f"{where}: expected a matrix of rows, cols and data, {missing[0]} is missing"
+            )
+        rows, columns = numbers([value["rows"], value["cols"]], f"{where}, rows and cols", 2)
+        data = value["data"]
+        found = [] if rows * columns == 0 else numbers(data, f"{where}, data")
+        if rows * columns != len(found):
+            raise FileFormatError(
+                f"{where}: announces {rows:g} x {columns:g} numbers but holds {len(found)}; is the file truncated?"
+            )
+    else:
+        if isinstance(value, list) and all(isinstance(row, list) for row in value):
+            value = [number for row in value for number in row]
+        found = [] if value == [] else numbers(value, where)
+    if count is not None and len(found) != count:
+        raise FileFormatError(f"{where}: expected {count} numbers, got {len(found)}")
+    return found
 
 
 def focal_lengths(values: list[float], where: str) -> list[float]:
@@ -137,22 +154,6 @@ def chosen_model(value: Any, choices: Iterable[str], where: str) -> str:
 
 def _listed(words: tuple[str, ...]) -> str:
     return " or ".join(words) if len(words) < 3 else f"one of {', '.join(words)}"
-
-
-def mapping(value: Any, where: str) -> Mapping[str, Any]:
-    """``value`` if it is a mapping, else ``FileFormatError``."""
-    if not isinstance(value, Mapping):
-        raise FileFormatError(f"{where}: expected keys with values, got {type(value).__name__}")
-    return value
-
-
-def entry(values: Any, key: str, where: str) -> Any:
-    """The value of a key that must be there; the error names file, place and key."""
-    if key not in mapping(values, where):
-        raise FileFormatError(
-            f"{where}: the key {key!r} is missing; found {', '.join(map(str, values)) or 'none'}"
-        )
-    return values[key]
 
 
 _IMAGE = re.compile(

@@ -22,10 +22,10 @@ from typing import Any
 
 import torch
 
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.parsing import entry, errors_of_file, numbers
-from sphericalvision.cameras.calibration.visible_part import bounded
+from sphericalvision.cameras.calibration.keys import Keys
+from sphericalvision.cameras.calibration.parsing import errors_of_file, numbers
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, short_repr
 
@@ -37,30 +37,28 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "taylor_coefficient" in content
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file, called by its ``camera_name``.
 
     Raises:
         ArgumentError: the size of the images is not given.
     """
-    where = str(path)
-    taylor = numbers(entry(content, "taylor_coefficient", where), f"{where}, taylor_coefficient")
+    where, taylor = content.where, content.numbers("taylor_coefficient")
     if not taylor[0] > 0:
         raise FileFormatError(
             f"{where}, taylor_coefficient: expected the first one above 0, got {taylor[0]:g}"
         )
-    u, v = numbers(entry(content, "distortion_center", where), f"{where}, distortion_center", 2)
-    c, d, e = _stretch(entry(content, "stretch_matrix", where), f"{where}, stretch_matrix")
+    center = content.numbers("distortion_center", 2)
+    c, d, e = _stretch(content.entry("stretch_matrix"), content.at("stretch_matrix"))
     size = options.given_size(where)
     with errors_of_file(where):
         direct = [-value * c ** (1 - power) for power, value in enumerate(taylor)]
         affine = [1 / c, e / c, d / c]
         polynomial = torch.tensor(direct, dtype=torch.float64)
-        camera = OCamCamera(polynomial, None, [u, v], affine, size, math.pi)
+        camera = OCamCamera(polynomial, None, center, affine, size, math.pi)
     name = content.get("camera_name")
-    return Contents(
-        {name if isinstance(name, str) and name else path.stem: bounded(camera, options.max_angle, where)}
-    )
+    name = name if isinstance(name, str) and name else path.stem
+    return Gathered(options).add(name, camera, where).contents
 
 
 def _stretch(rows: Any, where: str) -> tuple[float, float, float]:

@@ -18,18 +18,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import once, parse_xml, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import check_understood, noted
+from sphericalvision.cameras.calibration.keys import Keys, check_understood, noted
 from sphericalvision.cameras.calibration.lenses import Lens
-from sphericalvision.cameras.calibration.parsing import entry, numbers
+from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
@@ -63,14 +61,14 @@ def contents(path: Path, options: Options) -> Contents:
         if element.tag.startswith(_XCR):
             pairs.append((element.tag, element.text or ""))
         pairs += [(key, text) for key, text in element.attrib.items() if _XCR in key]
-    values = noted(once(((key.removeprefix(_XCR), text) for key, text in pairs), path))
-    camera = bounded(_camera(values, path, options), options.max_angle, str(path))
-    pose = _pose(values, path) if "Rotation" in values or "Position" in values else None
+    values = noted(once(((key.removeprefix(_XCR), text) for key, text in pairs), path), str(path))
+    camera = _camera(values, path, options)
+    pose = _pose(values) if "Rotation" in values or "Position" in values else None
     check_understood(values, str(path), _IGNORED)
-    return Contents({path.stem: camera}, pose)
+    return Gathered(options).add(path.stem, camera, str(path), pose).contents
 
 
-def _camera(values: dict[str, str], path: Path, options: Options) -> Camera:
+def _camera(values: Keys, path: Path, options: Options) -> Camera:
     def get(key: str, default: str | None = None, count: int | None = 1) -> list[float]:
         found = values.get(key, default)
         if found is None:
@@ -106,14 +104,15 @@ def _camera(values: dict[str, str], path: Path, options: Options) -> Camera:
     return _BROWN.camera([*plane, k1, k2, k3, t1, t2], size, str(path))
 
 
-def _pose(values: dict[str, str], path: Path) -> Tensor:
-    turn, position = (entry(values, key, str(path)) for key in ("Rotation", "Position"))
-    rows = torch.tensor(numbers(turn.split(), f"{path}, Rotation", 9), dtype=torch.float64)
-    position = numbers(position.split(), f"{path}, Position", 3)
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = rows.reshape(3, 3).T
-    pose[:3, 3] = torch.tensor(position, dtype=torch.float64)
-    return transform_from_rows(pose.flatten().tolist(), f"{path}, Rotation")[None]
+def _pose(values: Keys) -> Tensor:
+    turn, place = (
+        numbers(values.entry(key).split(), values.at(key), count)
+        for key, count in (("Rotation", 9), ("Position", 3))
+    )
+    rows = [
+        [*turn[row::3], place[row]] for row in range(3)
+    ]  # its transpose takes the camera's axes to the world
+    return transform_from_rows(rows, values.at("Rotation"))
 
 
 register_format(

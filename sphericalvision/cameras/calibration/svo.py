@@ -16,17 +16,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import SETTINGS
+from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.opencv_keys import matrix
-from sphericalvision.cameras.calibration.parsing import chosen, entry, mapping, number, size_from_width_height
-from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "recognizes"]
@@ -43,59 +37,47 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras, called by their labels, and poses of a parsed file."""
-    if "scale" in content and number(content, "scale", str(path)) != 1:
+    if content.number("scale", 1) != 1:
         raise FileFormatError(
             f"{path}, scale: expected 1, got {content['scale']}; the numbers are those of images before the program "
             "makes them smaller: leave it out to read these"
         )
+    found = Gathered(options)
     if "cam_model" in content:
-        return Contents({path.stem: bounded(_first_age(content, str(path)), options.max_angle, str(path))})
-    cameras: dict[str, Camera] = {}
-    poses = []
-    wheres = [f"{path}, cameras[{index}]" for index in range(len(content["cameras"]))]
-    lenses = [
-        mapping(entry(values, "camera", where), f"{where}, camera")
-        for values, where in zip(content["cameras"], wheres, strict=True)
-    ]
+        return found.add(path.stem, _first_age(content), content.where).contents
+    cameras = content.several("cameras")
+    lenses = [values.inner("camera") for values in cameras]
     names = [str(lens.get("label") or f"cam{index}") for index, lens in enumerate(lenses)]
     if len(set(names)) < len(names):
         names = [f"cam{index}" for index in range(len(names))]
-    for name, lens, values, where in zip(names, lenses, content["cameras"], wheres, strict=True):
-        cameras[name] = bounded(_camera(lens, where), options.max_angle, where)
-        pose = matrix(entry(values, "T_B_C", where), f"{where}, T_B_C", 16)
-        poses.append(transform_from_rows(pose, f"{where}, T_B_C"))
-    return Contents(cameras, torch.stack(poses))
+    for name, lens, values in zip(names, lenses, cameras, strict=True):
+        found.add(name, _camera(lens), values.where, values.pose("T_B_C"))
+    return found.contents
 
 
-def _camera(values: Any, where: str) -> Camera:
-    chosen(entry(values, "type", where), ("pinhole",), f"{where}, type")
-    size = size_from_width_height(
-        [entry(values, f"image_{side}", where) for side in ("width", "height")], where
-    )
-    plane = matrix(entry(values, "intrinsics", where), f"{where}, intrinsics", 4)
-    distortion = entry(values, "distortion", where)
-    kind = chosen(
-        entry(distortion, "type", f"{where}, distortion"), _DISTORTIONS, f"{where}, distortion, type"
-    )
-    more = matrix(distortion.get("parameters", []), f"{where}, distortion, parameters")
-    return distorted(kind, plane + more, size, f"{where}, distortion, parameters")
+def _camera(values: Keys) -> Camera:
+    values.chosen("type", ("pinhole",))
+    size, plane = values.size("image_width", "image_height"), values.matrix("intrinsics", 4)
+    distortion = values.inner("distortion")
+    kind = distortion.chosen("type", _DISTORTIONS)
+    more = distortion.matrix("parameters") if "parameters" in distortion else []
+    return distorted(kind, plane + more, size, distortion.at("parameters"))
 
 
-def _first_age(content: Any, where: str) -> Camera:
-    kind = chosen(content["cam_model"], ("ATAN", "Pinhole"), f"{where}, cam_model")
-    width, height = (number(content, f"cam_{side}", where) for side in ("width", "height"))
-    size = size_from_width_height([width, height], f"{where}, cam_width and cam_height")
-    fx, fy, cx, cy = (number(content, f"cam_{key}", where) for key in ("fx", "fy", "cx", "cy"))
+def _first_age(content: Keys) -> Camera:
+    kind = content.chosen("cam_model", ("ATAN", "Pinhole"))
+    height, width = size = content.size("cam_width", "cam_height")
+    fx, fy, cx, cy = (content.number(f"cam_{key}") for key in ("fx", "fy", "cx", "cy"))
     if kind == "ATAN":
         plane = [fx * width, fy * height, cx * width - 0.5, cy * height - 0.5]
-        return distorted("fov", [*plane, number(content, "cam_d0", where)], size, where)
+        return distorted("fov", [*plane, content.number("cam_d0")], size, content.where)
     keys = [f"cam_d{index}" for index in range(4)]
     if not any(key in content for key in keys):
-        return distorted("none", [fx, fy, cx, cy], size, where)
-    more = [number(content, key, where) for key in keys]
-    return distorted("radtan", [fx, fy, cx, cy, *more], size, where)
+        return distorted("none", [fx, fy, cx, cy], size, content.where)
+    more = [content.number(key) for key in keys]
+    return distorted("radtan", [fx, fy, cx, cy, *more], size, content.where)
 
 
 register_format(

@@ -14,16 +14,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration import camodocal
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import SETTINGS
-from sphericalvision.cameras.calibration.opencv_keys import matrix
-from sphericalvision.cameras.calibration.parsing import entry, number, size_from_width_height
-from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.core import FileFormatError, check_file, short_repr
 
 __all__ = ["contents", "recognizes"]
@@ -34,38 +28,32 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "cam0_calib" in content or "num_of_cam" in content
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The cameras ``cam0`` and ``cam1`` of a parsed file, and their poses.
 
     Raises:
         MissingFileError: the file of a camera is not where this one says.
     """
-    cameras: dict[str, Camera] = {}
-    poses = []
+    found = Gathered(options)
     count = 2 if "cam1_calib" in content else 1
-    if number(content, "num_of_cam", str(path)) != count if "num_of_cam" in content else False:
-        raise FileFormatError(f"{path}, num_of_cam: expected {count}, as many as there are names of files")
+    if content.number("num_of_cam", count) != count:
+        raise FileFormatError(
+            f"{content.at('num_of_cam')}: expected {count}, as many as there are names of files"
+        )
     for index in range(count):
         name, key = f"cam{index}", f"cam{index}_calib"
-        file_name = entry(content, key, str(path))
+        file_name = content.entry(key)
         if not isinstance(file_name, str) or not file_name or "\0" in file_name:
-            raise FileFormatError(f"{path}, {key}: expected the name of a file, got {short_repr(file_name)}")
-        file = check_file(path.parent / file_name, f"the calibration of {name}, which {path} names")
-        cameras[name] = camodocal.camera_in(file, options)
-        sides = [content[key] for key in ("image_width", "image_height") if key in content]
-        if (
-            sides
-            and size_from_width_height(sides, f"{path}, image_width and image_height")
-            != cameras[name].image_size
-        ):
             raise FileFormatError(
-                f"{path}, image_width and image_height: differ from those of {file}; correct one"
+                f"{content.at(key)}: expected the name of a file, got {short_repr(file_name)}"
             )
-        where = f"{path}, body_T_{name}"
-        poses.append(
-            transform_from_rows(matrix(entry(content, f"body_T_{name}", str(path)), where, 16), where)
-        )
-    return Contents(cameras, torch.stack(poses))
+        file = check_file(path.parent / file_name, f"the calibration of {name}, which {path} names")
+        camera = camodocal.camera_in(file)
+        sides = ("image_width", "image_height")
+        if any(side in content for side in sides) and content.size(*sides) != camera.image_size:
+            raise FileFormatError(f"{content.at(*sides)}: differ from those of {file}; correct one")
+        found.add(name, camera, str(file), content.pose(f"body_T_{name}"))
+    return found.contents
 
 
 register_format(

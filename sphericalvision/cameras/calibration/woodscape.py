@@ -17,23 +17,17 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.parsing import (
-    chosen,
-    entry,
     errors_of_file,
-    mapping,
-    number,
-    numbers,
-    size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
-from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
-from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
 
@@ -46,37 +40,29 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: dict[str, Any], path: Path, options: Options) -> Contents:
+def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file, called by its ``name``, and its pose if the file has one."""
-    where = f"{path}, intrinsic"
-    values = mapping(entry(content, "intrinsic", str(path)), where)
-    chosen(values.get("model", "radial_poly"), ("radial_poly",), f"{where}, model")
-    order = number(values, "poly_order", where) if "poly_order" in values else 4
-    if order != int(order) or not 1 <= order <= 20:
-        raise FileFormatError(f"{where}, poly_order: expected a count from 1 to 20, got {order:g}")
-    coefficients = [number(values, f"k{power}", where) for power in range(1, int(order) + 1)]
-    height, width = size_from_width_height(
-        [entry(values, "width", where), entry(values, "height", where)], f"{where}, width and height"
-    )
+    values = content.inner("intrinsic")
+    values.chosen("model", ("radial_poly",), default="radial_poly")
+    powers = range(1, values.count("poly_order", 20, default=4) + 1)
+    coefficients = torch.tensor([values.number(f"k{power}") for power in powers], dtype=torch.float64)
+    height, width = size = values.size("width", "height")
     center = [
-        number(values, "cx_offset", where) + width / 2 - 0.5,
-        number(values, "cy_offset", where) + height / 2 - 0.5,
+        values.number("cx_offset") + width / 2 - 0.5,
+        values.number("cy_offset") + height / 2 - 0.5,
     ]
-    aspect = number(values, "aspect_ratio", where) if "aspect_ratio" in values else 1.0
-    with errors_of_file(where):
-        polynomial = torch.tensor(coefficients, dtype=torch.float64)
-        camera = RadialPolynomialCamera(polynomial, center, aspect, (height, width))
-    camera = bounded(camera, options.max_angle, where)
+    aspect = values.number("aspect_ratio", 1.0)
+    with errors_of_file(values.where):
+        camera = RadialPolynomialCamera(coefficients, center, aspect, size)
     name = str(content.get("name") or path.stem)
-    return Contents({name: camera}, _pose(content, path) if "extrinsic" in content else None)
+    pose = _pose(content.inner("extrinsic")) if "extrinsic" in content else None
+    return Gathered(options).add(name, camera, values.where, pose).contents
 
 
-def _pose(content: dict[str, Any], path: Path) -> torch.Tensor:
-    where = f"{path}, extrinsic"
-    values = content["extrinsic"]
-    x, y, z, w = numbers(entry(values, "quaternion", where), f"{where}, quaternion", 4)
-    translation = numbers(entry(values, "translation", where), f"{where}, translation", 3)
-    return transform_from_numbers([w, x, y, z], translation, f"{where}, quaternion (x, y, z, w)")[None]
+def _pose(values: Keys) -> Tensor:
+    x, y, z, w = values.numbers("quaternion", 4)
+    where = f"{values.at('quaternion')} (x, y, z, w)"
+    return transform_from_numbers([w, x, y, z], values.numbers("translation", 3), where)
 
 
 def files_of_rig(folder: Path) -> list[Path]:

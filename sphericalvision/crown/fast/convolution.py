@@ -18,40 +18,21 @@ References:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.crown.fast.registering import register_operator
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve, planar_kernel
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve
 
 __all__ = ["Scaling", "convolution", "convolution_gradients", "hex_convolution", "plain_convolution"]
 
 Scaling = tuple[Tensor | None, Tensor | None]
 
-_A, _B = math.sqrt(0.5), math.sqrt(2.0)
-
-# From three taps along a line to factors of F(3, 3) and of F(4, 3). The transforms of values are in winograd_lines.h.
-_PLANE_TAPS = (
-    (1 / 2, 0.0, 0.0),
-    (-1 / 2, -1 / 2, -1 / 2),
-    (-1 / 6, 1 / 6, -1 / 6),
-    (1 / 6, 1 / 3, 2 / 3),
-    (0.0, 0.0, 1.0),
-)
-_LINE_TAPS = (
-    (1.0, 0.0, 0.0),
-    (-2 / 3, -2 / 3 * _A, -1 / 3),
-    (-2 / 3, 2 / 3 * _A, -1 / 3),
-    (1 / 6, _B / 6, 1 / 3),
-    (1 / 6, -_B / 6, 1 / 3),
-    (0.0, 0.0, 1.0),
-)
+_TAPS = [list(sum(taps, ())) for taps in (COL_TAPS, ROW_TAPS)]
+"""Which tap is at which of nine places, of col and of row rectangles."""
 
 
 def convolution(
@@ -81,13 +62,15 @@ def convolution(
     Returns:
         ``(B, N, h, w, O)``; of values at vertices five for each sample.
     """
-    volumes, factors = _volumes(given, places), _factors(weight, across)
+    volumes = _volumes(given, places)
     batch, depth, height, width, _ = volumes.shape
     if places is not None:
         batch, height, width = 5 * batch, *places.shape[1:]
     result = given.new_empty(batch, depth, height - 2 * border, width - 2 * border, len(weight))
     shift = bias if bias is None else bias.contiguous()
-    _operators().hex_convolve(volumes, factors, shift, relu, int(border), result, places, *scaling)
+    _operators().hex_convolve(
+        volumes, weight.contiguous(), _TAPS[across], shift, relu, int(border), result, places, *scaling
+    )
     return result
 
 
@@ -108,19 +91,14 @@ def convolution_gradients(
     found: list[Tensor | None] = [None] * 4
     if wanted[0]:
         found[0] = by_given = given.new_zeros(given.shape)
-        factors, to = _factors(weight, across, adjoint=True), _volumes(by_given, places)
-        _operators().hex_convolve_backward_given(gradient, factors, int(border), to, places)
-    if wanted[1]:
-        line, plane = _transforms(across, weight.shape[-1] // 7, weight.dtype)
-        out, channels, _ = weight.shape
-        # A part for every thread, added up in the end in the same order.
-        parts = weight.new_zeros(
-            torch.get_num_threads(), len(line), len(plane), channels, out + -out % _lanes()
+        _operators().hex_convolve_backward_given(
+            gradient, weight.contiguous(), _TAPS[across], int(border), _volumes(by_given, places), places
         )
-        _operators().hex_convolve_backward_weight(volumes, gradient, int(border), parts, places, *scaling)
-        by_factor = (parts[0] if len(parts) == 1 else parts.sum(0)).flatten(2)  # the adjoint of `_factors`
-        by_tap = line.T @ torch.bmm(plane.T.expand(len(line), -1, -1), by_factor).flatten(1)
-        found[1] = by_tap.view(-1, channels, parts.shape[-1])[..., :out].permute(2, 1, 0).contiguous()
+    if wanted[1]:
+        found[1] = by_weight = torch.empty_like(weight, memory_format=torch.contiguous_format)
+        _operators().hex_convolve_backward_weight(
+            volumes, gradient, _TAPS[across], int(border), by_weight, places, *scaling
+        )
     if wanted[2]:
         found[2] = gradient.sum((0, 1, 2, 3))
     return found
@@ -154,42 +132,7 @@ def _operators() -> Any:
     return torch.ops.sphericalvision
 
 
-def _lanes() -> int:
-    """Channels of a vector, up to a multiple of which the last dimension of factors is filled."""
-    return int(_operators().lanes())
-
-
 def _volumes(values: Tensor, places: Tensor | None = None) -> Tensor:
     """View values as volumes ``(B, N, h, w, C)``, channels together in memory; vertices as volumes of one row."""
     volumes = values if places is None else values.unsqueeze(2)
     return volumes if volumes.stride(-1) == 1 else volumes.contiguous()
-
-
-def _factors(weight: Tensor, across: bool, adjoint: bool = False) -> Tensor:
-    """A weight as factors of products, ``(1 or 6, 23, in, out)``, for the convolution or its ``adjoint``.
-
-    First along the hypotheses, then in the plane: a sixth of the arithmetic of one product with both.
-    """
-    line, plane = _transforms(across, weight.shape[-1] // 7, weight.dtype)
-    by_tap = weight.permute((2, 0, 1) if adjoint else (2, 1, 0))
-    by_tap = F.pad(by_tap, (0, -by_tap.shape[-1] % _lanes())).contiguous()
-    by_plane = line @ by_tap.view(line.shape[1], -1)
-    factors = torch.bmm(plane.expand(len(line), -1, -1), by_plane.view(len(line), 7, -1))
-    return factors.view(len(line), len(plane), *by_tap.shape[1:])
-
-
-@lru_cache(maxsize=8)
-@torch.inference_mode(False)  # kept for training, too
-def _transforms(across: bool, depth: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """From taps to factors along the hypotheses, ``(1 or 6, depth)``, and in the plane, ``(23, 7)``, on the CPU."""
-
-    def table(rows: tuple[tuple[float, ...], ...]) -> Tensor:
-        return torch.tensor(rows, dtype=torch.float64, device="cpu")
-
-    line, plane = table(_LINE_TAPS if depth > 1 else ((1.0,),)), table(_PLANE_TAPS)
-    # Every tap by itself as a planar kernel (7, 3, 3), of which the first and the last place are none.
-    single = planar_kernel(torch.eye(7, dtype=torch.float64, device="cpu"), ROW_TAPS if across else COL_TAPS)
-    slots = torch.einsum("ri,sj,tij->rst", plane, plane, single).flatten(0, 1)[
-        1:-1
-    ]  # the others are always zero
-    return line.to(dtype), slots.to(dtype)

@@ -12,7 +12,9 @@
 //   products [23][tile] --F(3, 3)--> planes [6][row][column] --F(4, 3)--> results
 //
 // so that every given value is read, and every result written, once, in the order of memory, and nothing between leaves the
-// caches. The factors of the hypotheses take turns at the middle, so that a sixth of the weight is in use at a time. Borders
+// caches. The factors of the hypotheses take turns at the middle, so that a sixth of the weight is in use at a time. The
+// weight is made anew for every call, taps --F(4, 3)--> kernels [6][3][3] --F(3, 3)--> factors [6][23], in the order in
+// which it is read: that is cheaper than to know whether one that was kept is still the same. Borders
 // are repeated while reading, not copied around. Gradients are the adjoints, step by step in reverse, and need as many
 // products. Images are volumes of one hypothesis, which F(4, 3) leaves out.
 
@@ -34,6 +36,7 @@ namespace {
 using lanes::LANES, lanes::load, lanes::store, lanes::Vec;
 using volumes::CHARTS, volumes::inside, volumes::Volumes;
 
+constexpr int64_t HEXAGON = 7;                // taps of a hypothesis
 constexpr int64_t SIDE = 3, GIVEN = 5;       // results and given values along a side of a tile
 constexpr int64_t SLOTS = GIVEN * GIVEN - 2;  // products of a tile, without the first and the last, which are zero
 constexpr int64_t TILES = 36;                 // at a time: enough to pay for reading a weight, few enough to stay in cache
@@ -56,11 +59,13 @@ template <typename T>
 constexpr int CHANNELS = 4;
 #endif
 
-// Planes of factors, hypotheses that these make, and hypotheses before those.
+// Planes of factors, hypotheses that these make, hypotheses before those, and hypotheses that a tap is of.
 template <int F>
 constexpr int64_t MADE = F == 6 ? 4 : 1;
 template <int F>
 constexpr int64_t BEFORE = F == 6 ? 1 : 0;
+template <int F>
+constexpr int64_t TAP_HYPOTHESES = F == 6 ? 3 : 1;
 
 // Rows of tiles of a group of hypotheses of a rectangle; which strip in hand it is, and the first of its tiles there.
 struct Strip {
@@ -350,10 +355,106 @@ void from_tiles(const Tiles<T>& tiles, const int64_t first, const Planes<T>& pla
   });
 }
 
+constexpr auto TAPS_TO_FACTORS = [](const auto& in, auto& out) { winograd::taps_to_factors(in, out); };
+constexpr auto TAPS_TO_FACTORS_ADJOINT = [](const auto& in, auto& out) { winograd::taps_to_factors_adjoint(in, out); };
 constexpr auto TO_FACTORS = [](const auto& in, auto& out) { winograd::to_factors(in, out); };
 constexpr auto TO_FACTORS_ADJOINT = [](const auto& in, auto& out) { winograd::to_factors_adjoint(in, out); };
 constexpr auto TO_RESULTS = [](const auto& in, auto& out) { winograd::to_results(in, out); };
 constexpr auto TO_RESULTS_ADJOINT = [](const auto& in, auto& out) { winograd::to_results_adjoint(in, out); };
+
+// A weight (O, C, 7 or 21) from given channels to results; backwards from results to given channels. Which tap is where in
+// a kernel of 3 x 3 is said by `taps`; those from HEXAGON on are none.
+template <typename T>
+struct Weight {
+  T* data;
+  at::IntArrayRef taps;
+  int64_t channels, results, by_channel, by_result;
+
+  Weight(const at::Tensor& weight, const at::IntArrayRef taps, const bool backwards)
+      : data(const_cast<T*>(weight.const_data_ptr<T>())),
+        taps(taps),
+        channels(weight.size(backwards ? 0 : 1)),
+        results(weight.size(backwards ? 1 : 0)),
+        by_channel(weight.stride(backwards ? 0 : 1)),
+        by_result(weight.stride(backwards ? 1 : 0)) {}
+
+  int64_t blocks() const { return (results + LANES - 1) / LANES; }
+  int64_t in_block(const int64_t block) const { return std::min(LANES, results - block * LANES); }
+  T* at(const int64_t channel, const int64_t result) const { return data + channel * by_channel + result * by_result; }
+};
+
+// What tiles are multiplied with, and gradients of it: [plane, slot][VECTORS blocks of results][channel][vector], so that
+// every pass over channels reads memory that lies together.
+template <typename T>
+struct Factors {
+  T* data;
+  int64_t channels, blocks;
+
+  static int64_t number(const int64_t planes, const int64_t channels, const int64_t blocks) {
+    return planes * SLOTS * channels * blocks * LANES;
+  }
+  // Vectors from a block on that are multiplied together: the last may be alone.
+  int64_t together(const int64_t block) const { return std::min<int64_t>(VECTORS<T>, blocks - block / VECTORS<T> * VECTORS<T>); }
+  T* at(const int64_t slot, const int64_t channel, const int64_t block) const {
+    const int64_t first = block / VECTORS<T> * VECTORS<T>;
+    return data + ((slot * blocks + first) * channels + channel * together(block) + block - first) * LANES;
+  }
+};
+
+// Taps to factors: first along the hypotheses, then in the plane.
+template <typename T, int F>
+void make_factors(const Weight<T>& weight, const Factors<T>& factors) {
+  constexpr int DEPTH = TAP_HYPOTHESES<F>;
+  at::parallel_for(0, weight.channels * weight.blocks(), 16, [&](const int64_t begin, const int64_t end) {
+    for (int64_t task = begin; task < end; ++task) {
+      const int64_t channel = task / weight.blocks(), block = task % weight.blocks();
+      Vec<T> tap[HEXAGON][DEPTH]{}, by_plane[HEXAGON][F];
+      for (int64_t lane = 0; lane < weight.in_block(block); ++lane) {
+        const T* from = weight.at(channel, block * LANES + lane);
+        for (int t = 0; t < HEXAGON; ++t)
+          for (int k = 0; k < DEPTH; ++k) tap[t][k][lane] = from[k * HEXAGON + t];
+      }
+      for (int t = 0; t < HEXAGON; ++t) winograd::taps_to_factors<T>(tap[t], by_plane[t]);
+      for (int k = 0; k < F; ++k) {
+        Vec<T> kernel[SIDE][SIDE]{}, x[GIVEN][GIVEN];
+        for (int i = 0; i < SIDE * SIDE; ++i)
+          if (weight.taps[i] < HEXAGON) kernel[i / SIDE][i % SIDE] = by_plane[weight.taps[i]][k];
+        along_both(kernel, x, TAPS_TO_FACTORS);
+        for (int slot = 0; slot < SLOTS; ++slot)
+          store(factors.at(k * SLOTS + slot, channel, block), x[(slot + 1) / GIVEN][(slot + 1) % GIVEN]);
+      }
+    }
+  });
+}
+
+// The adjoint of `make_factors`, of the sum of several parts, which lie one after the other; always in the same order.
+template <typename T, int F>
+void write_weight_gradient(const Factors<T>& parts, const int64_t number, const Weight<T>& grad) {
+  constexpr int DEPTH = TAP_HYPOTHESES<F>;
+  const int64_t size = Factors<T>::number(F, parts.channels, parts.blocks);
+  at::parallel_for(0, grad.channels * grad.blocks(), 16, [&](const int64_t begin, const int64_t end) {
+    for (int64_t task = begin; task < end; ++task) {
+      const int64_t channel = task / grad.blocks(), block = task % grad.blocks();
+      Vec<T> tap[HEXAGON][DEPTH], by_plane[HEXAGON][F];
+      for (int k = 0; k < F; ++k) {
+        Vec<T> kernel[SIDE][SIDE], x[GIVEN][GIVEN]{};
+        for (int slot = 0; slot < SLOTS; ++slot) {
+          const T* from = parts.at(k * SLOTS + slot, channel, block);
+          for (int64_t part = 0; part < number; ++part) x[(slot + 1) / GIVEN][(slot + 1) % GIVEN] += load(from + part * size);
+        }
+        along_both(x, kernel, TAPS_TO_FACTORS_ADJOINT);
+        for (int i = 0; i < SIDE * SIDE; ++i)
+          if (grad.taps[i] < HEXAGON) by_plane[grad.taps[i]][k] = kernel[i / SIDE][i % SIDE];
+      }
+      for (int t = 0; t < HEXAGON; ++t) winograd::taps_to_factors_adjoint<T>(by_plane[t], tap[t]);
+      for (int64_t lane = 0; lane < grad.in_block(block); ++lane) {
+        T* to = grad.at(channel, block * LANES + lane);
+        for (int t = 0; t < HEXAGON; ++t)
+          for (int k = 0; k < DEPTH; ++k) to[k * HEXAGON + t] = tap[t][k][lane];
+      }
+    }
+  });
+}
 
 // Multiply P tiles with the weights (C, O') of V vectors of results.
 template <typename T, int P, int V>
@@ -397,23 +498,19 @@ inline void multiply_some(const int64_t tiles, const T* given, const int64_t cha
   }
 }
 
-// All products of tiles with weights (SLOTS, C, O'), O' a multiple of sixteen.
+// All products of tiles with the factors of plane k.
 template <typename T>
-void multiply(const Tiles<T>& given, const int64_t channels, const T* weight, const Tiles<T>& made) {
-  const int64_t weight_step = made.blocks * LANES, parts = (given.number + TOGETHER<T> - 1) / TOGETHER<T>;
-  for (int64_t slot = 0; slot < SLOTS; ++slot, weight += channels * weight_step) {
+void multiply(const Tiles<T>& given, const Factors<T>& factors, const int k, const Tiles<T>& made) {
+  const int64_t parts = (given.number + TOGETHER<T> - 1) / TOGETHER<T>;
+  for (int64_t slot = 0; slot < SLOTS; ++slot) {
     for (int64_t block = 0; block < made.blocks; block += VECTORS<T>) {
+      const bool full = factors.together(block) == VECTORS<T>;
+      const auto some = full ? multiply_some<T, TOGETHER<T>, VECTORS<T>> : multiply_some<T, TOGETHER<T>, 1>;
       for (int64_t part = 0; part < parts; ++part) {  // as even as can be
         const int64_t first = part * given.number / parts, last = (part + 1) * given.number / parts;
-        const T *from = given.at(slot, 0, first), *factor = weight + block * LANES;
-        T* to = made.at(slot, block, first);
-        if (block + VECTORS<T> <= made.blocks) {
-          multiply_some<T, TOGETHER<T>, VECTORS<T>>(last - first, from, channels, given.block_step(), factor, weight_step,
-                                                    to, made.block_step());
-        } else {
-          multiply_some<T, TOGETHER<T>, 1>(last - first, from, channels, given.block_step(), factor, weight_step, to,
-                                           made.block_step());
-        }
+        some(last - first, given.at(slot, 0, first), factors.channels, given.block_step(),
+             factors.at(k * SLOTS + slot, 0, block), factors.together(block) * LANES, made.at(slot, block, first),
+             made.block_step());
       }
     }
   }
@@ -444,21 +541,18 @@ inline void add_sum_over_tiles(const T* given, const T* grad, const int64_t grad
   }
 }
 
-// The gradient of weights (SLOTS, C, O') of one factor.
+// The gradient of the factors of plane k.
 template <typename T>
-void add_weight_gradient(const Tiles<T>& given, const Tiles<T>& grad, const int64_t channels, T* total) {
-  const int64_t step = grad.blocks * LANES;
-  for (int64_t slot = 0; slot < SLOTS; ++slot, total += channels * step) {
-    for (int64_t channel = 0; channel < channels; channel += CHANNELS<T>) {
-      const int64_t count = std::min<int64_t>(CHANNELS<T>, channels - channel);
+void add_factor_gradient(const Tiles<T>& given, const Tiles<T>& grad, const int k, const Factors<T>& totals) {
+  for (int64_t slot = 0; slot < SLOTS; ++slot) {
+    for (int64_t channel = 0; channel < totals.channels; channel += CHANNELS<T>) {
+      const int64_t count = std::min<int64_t>(CHANNELS<T>, totals.channels - channel);
       const T* from = given.at(slot, channel / LANES, 0) + channel % LANES;
       for (int64_t block = 0; block < grad.blocks; block += VECTORS<T>) {
-        T* to = total + channel * step + block * LANES;
-        if (block + VECTORS<T> <= grad.blocks) {
-          add_sum_over_tiles<T, VECTORS<T>>(from, grad.at(slot, block, 0), grad.block_step(), given.number, count, to, step);
-        } else {
-          add_sum_over_tiles<T, 1>(from, grad.at(slot, block, 0), grad.block_step(), given.number, count, to, step);
-        }
+        const bool full = totals.together(block) == VECTORS<T>;
+        (full ? add_sum_over_tiles<T, VECTORS<T>> : add_sum_over_tiles<T, 1>)(
+            from, grad.at(slot, block, 0), grad.block_step(), given.number, count,
+            totals.at(k * SLOTS + slot, channel, block), totals.together(block) * LANES);
       }
     }
   }
@@ -479,28 +573,26 @@ void for_strips(const Grid& grid, const int64_t number, const At& at, const Func
 }
 
 template <typename T, int F>
-void forward(const Volumes<T>& given, const Scaling<T>& scaling, const T* weight, const T* bias, const bool rectify,
+void forward(const Volumes<T>& given, const Scaling<T>& scaling, const Factors<T>& factors, const T* bias, const bool rectify,
              const int64_t border, const Volumes<T>& results) {
   const Grid grid(results, MADE<F>);
-  const int64_t size = SLOTS * given.channels * results.blocks * LANES;
   for_strips(grid, grid.size(), [&](const int64_t i) { return grid.strip(i); }, [&](std::vector<Strip> strips) {
     const Hand<T, F> hand(grid, std::move(strips), given.blocks, results.blocks);
     const Tiles<T> tiles = hand.given_tiles(), products = hand.result_tiles();
     for (const Strip& strip : hand.strips) read_given<T, F>(given, scaling, strip, border, hand.given(strip));
     for (int k = 0; k < F; ++k) {
       for (const Strip& strip : hand.strips) to_tiles<GIVEN>(hand.given(strip), k, tiles, strip.tile, TO_FACTORS);
-      multiply(tiles, given.channels, weight + k * size, products);
+      multiply(tiles, factors, k, products);
       for (const Strip& strip : hand.strips) from_tiles<SIDE>(products, strip.tile, hand.results(strip), k, TO_RESULTS);
     }
     for (const Strip& strip : hand.strips) write_results<T, F>(hand.results(strip), strip, bias, rectify, results);
   });
 }
 
-// The adjoint with respect to what is given, added to `grad_given`. The weight is (F, SLOTS, O, C').
+// The adjoint with respect to what is given, added to `grad_given`. The factors are those of the weight backwards.
 template <typename T, int F>
-void backward_given(const Volumes<T>& grad, const T* weight, const int64_t border, const Volumes<T>& grad_given) {
+void backward_given(const Volumes<T>& grad, const Factors<T>& factors, const int64_t border, const Volumes<T>& grad_given) {
   const Grid grid(grad, MADE<F>);
-  const int64_t size = SLOTS * grad.channels * grad_given.blocks * LANES;
   // Neighbouring strips and neighbouring groups of hypotheses add to the same places, those after next do not: even ones
   // and odd ones take turns. So do rectangles that add to the same vertices.
   const int64_t charts = grad_given.places ? CHARTS : 1;
@@ -516,7 +608,7 @@ void backward_given(const Volumes<T>& grad, const T* weight, const int64_t borde
       for (const Strip& strip : hand.strips) read_gradients<T, F>(grad, strip, hand.results(strip));
       for (int k = 0; k < F; ++k) {
         for (const Strip& strip : hand.strips) to_tiles<SIDE>(hand.results(strip), k, products, strip.tile, TO_RESULTS_ADJOINT);
-        multiply(products, grad.channels, weight + k * size, tiles);
+        multiply(products, factors, k, tiles);
         for (const Strip& strip : hand.strips) from_tiles<GIVEN>(tiles, strip.tile, hand.given(strip), k, TO_FACTORS_ADJOINT);
       }
       for (const Strip& strip : hand.strips) add_to_given<T, F>(hand.given(strip), strip, border, grad_given);
@@ -524,16 +616,16 @@ void backward_given(const Volumes<T>& grad, const T* weight, const int64_t borde
   }
 }
 
-// The adjoint with respect to the weight, (parts, F, SLOTS, C, O'): a part for each thread, summed up by who calls, always in
-// the same order.
+// The adjoint with respect to the factors: a part for each thread, one after the other in memory.
 template <typename T, int F>
-void backward_weight(const Volumes<T>& given, const Scaling<T>& scaling, const Volumes<T>& grad, const int64_t border, T* totals,
-                     const int64_t parts) {
+void backward_factors(const Volumes<T>& given, const Scaling<T>& scaling, const Volumes<T>& grad, const int64_t border,
+                      const Factors<T>& totals, const int64_t parts) {
   const Grid grid(grad, MADE<F>);
-  const int64_t size = SLOTS * given.channels * grad.blocks * LANES;
+  const int64_t size = Factors<T>::number(F, totals.channels, totals.blocks);
   const int64_t together = std::max<int64_t>(1, 3 * TILES / (grid.most_rows() * grid.columns));
   at::parallel_for(0, parts, 1, [&](const int64_t begin, const int64_t end) {
     for (int64_t part = begin; part < end; ++part) {
+      const Factors<T> own{totals.data + part * size, totals.channels, totals.blocks};
       const int64_t last = (part + 1) * grid.size() / parts;
       for (int64_t first = part * grid.size() / parts; first < last; first += together) {
         std::vector<Strip> strips;
@@ -549,19 +641,17 @@ void backward_weight(const Volumes<T>& given, const Scaling<T>& scaling, const V
             to_tiles<GIVEN>(hand.given(strip), k, tiles, strip.tile, TO_FACTORS);
             to_tiles<SIDE>(hand.results(strip), k, upstream, strip.tile, TO_RESULTS_ADJOINT);
           }
-          add_weight_gradient(tiles, upstream, given.channels, totals + (part * F + k) * size);
+          add_factor_gradient(tiles, upstream, k, own);
         }
       }
     }
   });
 }
 
-int64_t padded(const int64_t channels) { return (channels + LANES - 1) / LANES * LANES; }
-
 // Check what belongs together and return whether hypotheses go through Winograd's transforms.
-bool check(const at::Tensor& given, const at::Tensor& weight, const at::Tensor& result, const int64_t border,
-           const std::optional<at::Tensor>& places, const int64_t weight_place) {
-  TORCH_CHECK(given.dim() == 5 && result.dim() == 5 && weight.dim() == weight_place + 4, "expected volumes (B, D, h, w, C)");
+bool check(const at::Tensor& given, const at::Tensor& weight, const at::IntArrayRef taps, const at::Tensor& result,
+           const int64_t border, const std::optional<at::Tensor>& places) {
+  TORCH_CHECK(given.dim() == 5 && result.dim() == 5, "expected volumes (B, D, h, w, C)");
   TORCH_CHECK(given.scalar_type() == result.scalar_type() && given.scalar_type() == weight.scalar_type(),
               "expected one precision, got ", given.scalar_type(), ", ", result.scalar_type(), " and ", weight.scalar_type());
   TORCH_CHECK(!places || (places->dim() == 3 && places->size(0) == CHARTS && places->is_contiguous() && !border &&
@@ -571,61 +661,94 @@ bool check(const at::Tensor& given, const at::Tensor& weight, const at::Tensor& 
   TORCH_CHECK((border == 0 || border == 1) && given.size(0) * (places ? CHARTS : 1) == result.size(0) &&
                   given.size(1) == result.size(1) && height == result.size(2) + 2 * border && width == result.size(3) + 2 * border,
               "given values and results do not fit: ", given.sizes(), " and ", result.sizes());
-  const int64_t planes = weight.size(weight_place);
-  TORCH_CHECK((planes == 6 || (planes == 1 && given.size(1) == 1)) && weight.is_contiguous() &&
-                  weight.size(weight_place + 1) == SLOTS,
-              "weight: expected (6 or 1, ", SLOTS, ", C, O), got ", weight.sizes());
-  return planes == 6;
+  TORCH_CHECK(weight.dim() == 3 && weight.stride(2) == 1 && weight.size(0) == result.size(4) && weight.size(1) == given.size(4) &&
+                  (weight.size(2) == 3 * HEXAGON || (weight.size(2) == HEXAGON && given.size(1) == 1)),
+              "weight: expected (", result.size(4), ", ", given.size(4), ", 21, or 7 for images), got ", weight.sizes());
+  // Two products of a tile are left out because these two corners are empty.
+  TORCH_CHECK(taps.size() == SIDE * SIDE && taps[0] == HEXAGON && taps[8] == HEXAGON, "taps: expected nine without two corners");
+  for (const int64_t tap : taps) TORCH_CHECK(tap >= 0 && tap <= HEXAGON, "taps: expected 0 to 7, got ", taps);
+  return weight.size(2) != HEXAGON;
 }
 
-void hex_convolve(const at::Tensor& given, const at::Tensor& weight, const std::optional<at::Tensor>& bias, const bool rectify,
-               const int64_t border, at::Tensor result, const std::optional<at::Tensor>& places,
-               const std::optional<at::Tensor>& factor, const std::optional<at::Tensor>& offset) {
-  const bool transformed = check(given, weight, result, border, places, 0);
-  TORCH_CHECK(weight.size(2) == given.size(4) && weight.size(3) == padded(result.size(4)), "weight does not fit");
+// Factors of a weight, with memory of their own.
+template <typename T, int F>
+struct MadeFactors : Factors<T> {
+  at::Tensor memory;
+
+  MadeFactors(const at::Tensor& weight, const at::IntArrayRef taps, const bool backwards) {
+    const Weight<T> view(weight, taps, backwards);
+    this->channels = view.channels, this->blocks = view.blocks();
+    memory = weight.new_empty({Factors<T>::number(F, view.channels, view.blocks())});
+    this->data = memory.mutable_data_ptr<T>();
+    make_factors<T, F>(view, *this);
+  }
+};
+
+// Call `one(planes)` for six planes of factors or for one, a number that the compiler knows.
+template <typename Function>
+void for_planes(const bool transformed, const Function& one) {
+  transformed ? one(std::integral_constant<int, 6>()) : one(std::integral_constant<int, 1>());
+}
+
+void hex_convolve(const at::Tensor& given, const at::Tensor& weight, const at::IntArrayRef taps,
+                  const std::optional<at::Tensor>& bias, const bool rectify, const int64_t border, at::Tensor result,
+                  const std::optional<at::Tensor>& places, const std::optional<at::Tensor>& factor,
+                  const std::optional<at::Tensor>& offset) {
+  const bool transformed = check(given, weight, taps, result, border, places);
   TORCH_CHECK(!bias || (bias->is_contiguous() && bias->numel() == result.size(4) && bias->scalar_type() == given.scalar_type()),
               "bias: expected ", result.size(4), " values");
   AT_DISPATCH_FLOATING_TYPES(given.scalar_type(), "hex_convolve", [&] {
     const Volumes<scalar_t> from(given, "given", places), to(result, "result");
+    const Scaling<scalar_t> scaling(factor, offset, from);
     const scalar_t* shift = bias ? bias->const_data_ptr<scalar_t>() : nullptr;
-    (transformed ? forward<scalar_t, 6> : forward<scalar_t, 1>)(
-        from, Scaling<scalar_t>(factor, offset, from), weight.const_data_ptr<scalar_t>(), shift, rectify, border, to);
+    for_planes(transformed, [&](auto planes) {
+      constexpr int F = decltype(planes)::value;
+      const MadeFactors<scalar_t, F> factors(weight, taps, false);
+      forward<scalar_t, F>(from, scaling, factors, shift, rectify, border, to);
+    });
   });
 }
 
-void hex_convolve_backward_given(const at::Tensor& grad, const at::Tensor& weight, const int64_t border, at::Tensor grad_given,
-                                 const std::optional<at::Tensor>& places) {
-  const bool transformed = check(grad_given, weight, grad, border, places, 0);
-  TORCH_CHECK(weight.size(2) == grad.size(4) && weight.size(3) == padded(grad_given.size(4)), "weight does not fit");
+void hex_convolve_backward_given(const at::Tensor& grad, const at::Tensor& weight, const at::IntArrayRef taps,
+                                 const int64_t border, at::Tensor grad_given, const std::optional<at::Tensor>& places) {
+  const bool transformed = check(grad_given, weight, taps, grad, border, places);
   AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "hex_convolve_backward_given", [&] {
     const Volumes<scalar_t> from(grad, "grad"), to(grad_given, "grad_given", places);
-    (transformed ? backward_given<scalar_t, 6> : backward_given<scalar_t, 1>)(
-        from, weight.const_data_ptr<scalar_t>(), border, to);
+    for_planes(transformed, [&](auto planes) {
+      constexpr int F = decltype(planes)::value;
+      backward_given<scalar_t, F>(from, MadeFactors<scalar_t, F>(weight, taps, true), border, to);
+    });
   });
 }
 
-void hex_convolve_backward_weight(const at::Tensor& given, const at::Tensor& grad, const int64_t border, at::Tensor parts,
-                                  const std::optional<at::Tensor>& places, const std::optional<at::Tensor>& factor,
-                                  const std::optional<at::Tensor>& offset) {
-  const bool transformed = check(given, parts, grad, border, places, 1);
-  TORCH_CHECK(parts.size(3) == given.size(4) && parts.size(4) == padded(grad.size(4)), "parts do not fit");
-  AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "hex_convolve_backward_weight", [&] {
+void hex_convolve_backward_weight(const at::Tensor& given, const at::Tensor& grad, const at::IntArrayRef taps,
+                                  const int64_t border, at::Tensor grad_weight, const std::optional<at::Tensor>& places,
+                                  const std::optional<at::Tensor>& factor, const std::optional<at::Tensor>& offset) {
+  const bool transformed = check(given, grad_weight, taps, grad, border, places);
+  AT_DISPATCH_FLOATING_TYPES(given.scalar_type(), "hex_convolve_backward_weight", [&] {
     const Volumes<scalar_t> from(given, "given", places), upstream(grad, "grad");
-    (transformed ? backward_weight<scalar_t, 6> : backward_weight<scalar_t, 1>)(
-        from, Scaling<scalar_t>(factor, offset, from), upstream, border, parts.mutable_data_ptr<scalar_t>(), parts.size(0));
+    const Scaling<scalar_t> scaling(factor, offset, from);
+    for_planes(transformed, [&](auto planes) {
+      constexpr int F = decltype(planes)::value;
+      const Weight<scalar_t> to(grad_weight, taps, false);
+      const int64_t parts = at::get_num_threads();
+      at::Tensor sums = grad.new_zeros({parts, Factors<scalar_t>::number(F, to.channels, to.blocks())});
+      const Factors<scalar_t> totals{sums.mutable_data_ptr<scalar_t>(), to.channels, to.blocks()};
+      backward_factors<scalar_t, F>(from, scaling, upstream, border, totals, parts);
+      write_weight_gradient<scalar_t, F>(totals, parts, to);
+    });
   });
 }
 
 }  // namespace
 
 TORCH_LIBRARY_FRAGMENT(sphericalvision, library) {
-  library.def("lanes() -> int", [] { return LANES; });
-  library.def("hex_convolve(Tensor given, Tensor weight, Tensor? bias, bool rectify, int border, Tensor(a!) result, "
-              "Tensor? places=None, Tensor? factor=None, Tensor? offset=None) -> ()");
-  library.def("hex_convolve_backward_given(Tensor grad, Tensor weight, int border, Tensor(a!) grad_given, "
+  library.def("hex_convolve(Tensor given, Tensor weight, int[] taps, Tensor? bias, bool rectify, int border, "
+              "Tensor(a!) result, Tensor? places=None, Tensor? factor=None, Tensor? offset=None) -> ()");
+  library.def("hex_convolve_backward_given(Tensor grad, Tensor weight, int[] taps, int border, Tensor(a!) grad_given, "
               "Tensor? places=None) -> ()");
-  library.def("hex_convolve_backward_weight(Tensor given, Tensor grad, int border, Tensor(a!) parts, Tensor? places=None, "
-              "Tensor? factor=None, Tensor? offset=None) -> ()");
+  library.def("hex_convolve_backward_weight(Tensor given, Tensor grad, int[] taps, int border, Tensor(a!) grad_weight, "
+              "Tensor? places=None, Tensor? factor=None, Tensor? offset=None) -> ()");
 }
 
 TORCH_LIBRARY_IMPL(sphericalvision, CPU, library) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Winograd's F(4, 3) for one line of values: six given ones d become six factors, six products m four results y; and F(3, 3):
-// five given ones become five factors, five products three results. Those that end in _adjoint are for gradients.
-// The matrices for taps, and why these points, are in convolution.py.
+// five given ones become five factors, five products three results. A weight's three taps g become as many factors as values
+// do. Those that end in _adjoint are for gradients. Why these points, is in convolution.py.
 
 #pragma once
 
@@ -16,6 +16,32 @@ template <typename T>
 constexpr T HALF = static_cast<T>(0.5);
 template <typename T>
 constexpr T FIVE_HALVES = static_cast<T>(2.5);
+
+template <typename T>
+constexpr T THIRD = static_cast<T>(1. / 3);
+template <typename T>
+constexpr T SIXTH = static_cast<T>(1. / 6);
+
+// Three taps to six factors.
+template <typename T, typename V>
+inline void taps_to_factors(const V (&g)[3], V (&x)[6]) {
+  const V even_a = -2 * THIRD<T> * g[0] - THIRD<T> * g[2], odd_a = -2 * THIRD<T> * A<T> * g[1];
+  const V even_b = SIXTH<T> * g[0] + THIRD<T> * g[2], odd_b = SIXTH<T> * B<T> * g[1];
+  x[0] = g[0];
+  x[1] = even_a + odd_a;
+  x[2] = even_a - odd_a;
+  x[3] = even_b + odd_b;
+  x[4] = even_b - odd_b;
+  x[5] = g[2];
+}
+
+template <typename T, typename V>
+inline void taps_to_factors_adjoint(const V (&x)[6], V (&g)[3]) {
+  const V sum_a = x[1] + x[2], sum_b = x[3] + x[4];
+  g[0] = x[0] - 2 * THIRD<T> * sum_a + SIXTH<T> * sum_b;
+  g[1] = SIXTH<T> * B<T> * (x[3] - x[4]) - 2 * THIRD<T> * A<T> * (x[1] - x[2]);
+  g[2] = THIRD<T> * (sum_b - sum_a) + x[5];
+}
 
 // Six values that are given to as many factors.
 template <typename T, typename V>
@@ -72,8 +98,30 @@ template <typename T, typename V>
 inline void to_results(const V (&m)[1], V (&y)[1]) { y[0] = m[0]; }
 template <typename T, typename V>
 inline void to_results_adjoint(const V (&y)[1], V (&m)[1]) { m[0] = y[0]; }
+template <typename T, typename V>
+inline void taps_to_factors(const V (&g)[1], V (&x)[1]) { x[0] = g[0]; }
+template <typename T, typename V>
+inline void taps_to_factors_adjoint(const V (&x)[1], V (&g)[1]) { g[0] = x[0]; }
 
 // F(3, 3) with the points 0, 1, -1, 2 and infinity.
+template <typename V>
+inline void taps_to_factors(const V (&g)[3], V (&x)[5]) {
+  const V ends = g[0] + g[2];
+  x[0] = g[0] / 2;
+  x[1] = -(ends + g[1]) / 2;
+  x[2] = (g[1] - ends) / 6;
+  x[3] = (g[0] + 2 * g[1] + 4 * g[2]) / 6;
+  x[4] = g[2];
+}
+
+template <typename V>
+inline void taps_to_factors_adjoint(const V (&x)[5], V (&g)[3]) {
+  const V half = x[1] / 2, minus = x[2] / 6, two = x[3] / 6;
+  g[0] = x[0] / 2 - half - minus + two;
+  g[1] = minus - half + 2 * two;
+  g[2] = 4 * two - half - minus + x[4];
+}
+
 template <typename V>
 inline void to_factors(const V (&d)[5], V (&x)[5]) {
   const V odd = d[1] - d[3];

@@ -139,17 +139,21 @@ def test_operators_pass_the_checks_of_torch() -> None:
 def test_operators_refuse_what_does_not_fit() -> None:
     operators = torch.ops.sphericalvision
     given, result = torch.zeros(1, 6, 6, 6, 18), torch.zeros(1, 6, 6, 6, 5)
-    wide = torch.zeros(6, 23, 18, 5 + -5 % operators.lanes())
-    operators.hex_convolve(given, wide, None, False, 0, result)
+    weight, taps = torch.zeros(5, 18, 21), list(sum(COL_TAPS, ()))
+    operators.hex_convolve(given, weight, taps, None, False, 0, result)
     for wrong in (
-        (given.double(), wide, None, False, 0, result),
-        (given.movedim(-1, 1).contiguous().movedim(1, -1), wide, None, False, 0, result),
-        (given[..., :7], wide, None, False, 0, result),
-        (given, wide[..., :3].contiguous(), None, False, 0, result),
-        (given, wide[:1].contiguous(), None, False, 0, result),
-        (given, wide, torch.zeros(6), False, 0, result),
-        (given, wide, None, False, 0, result[:, :5]),
-        (given[0], wide, None, False, 0, result),
+        (given.double(), weight, taps, None, False, 0, result),
+        (given.movedim(-1, 1).contiguous().movedim(1, -1), weight, taps, None, False, 0, result),
+        (given[..., :7], weight, taps, None, False, 0, result),
+        (given, weight[:3], taps, None, False, 0, result),
+        (given, weight[..., :7], taps, None, False, 0, result),
+        (given, weight.mT.contiguous().mT, taps, None, False, 0, result),
+        (given, weight, [6, *taps[1:]], None, False, 0, result),
+        (given, weight, [7, 8, *taps[2:]], None, False, 0, result),
+        (given, weight, taps[:7], None, False, 0, result),
+        (given, weight, taps, torch.zeros(6), False, 0, result),
+        (given, weight, taps, None, False, 0, result[:, :5]),
+        (given[0], weight, taps, None, False, 0, result),
     ):
         with pytest.raises(RuntimeError):
             operators.hex_convolve(*wrong)

@@ -56,14 +56,16 @@ class Unfold(torch.autograd.Function):
 
 
 class Fold(torch.autograd.Function):
-    """Sum each vertex over all its places, and multiply by ``share (V,)``, if given; the adjoint is ``Unfold``."""
+    """Sum each vertex over its places, or take their mean if their ``share (V,)`` is given; adjoint of ``Unfold``."""
 
     @staticmethod
     def forward(ctx: Any, col: Tensor, row: Tensor, share: Tensor | None) -> Tensor:
         ctx.channels_fastest = col.stride(2) == 1
         ctx.save_for_backward(share)
-        total = sum_over_places(col, row)
-        total = _fold(col, row) if total is None else total
+        total = sum_over_places(col, row, share is not None)
+        if total is not None:
+            return total
+        total = _fold(col, row)
         return total if share is None else total.mul_(share)
 
     @staticmethod

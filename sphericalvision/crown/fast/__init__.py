@@ -5,6 +5,7 @@
 ``door``               what the layers ask, and when operators step in
 ``convolution``        2D and 3D convolutions with a seventh to a third of the multiplications, as operators of torch
 ``normalization``      normalisation and ReLU in two passes over memory each way, and within the convolution after them
+``vertices``           sums of each vertex over its places in the crown
 ``registering``        functions as operators of torch; gradients of gradients, by plain formulas
 ``build``              compiling beside the work, and the cache
 =====================  ==============================================================================================
@@ -14,8 +15,16 @@ from sphericalvision.crown.fast.door import (
     convolve_rectangles,
     convolve_vertices,
     normalize,
+    normalized_mean,
     settled_way,
     sum_over_places,
 )
 
-__all__ = ["convolve_rectangles", "convolve_vertices", "normalize", "settled_way", "sum_over_places"]
+__all__ = [
+    "convolve_rectangles",
+    "convolve_vertices",
+    "normalize",
+    "normalized_mean",
+    "settled_way",
+    "sum_over_places",
+]

@@ -7,10 +7,7 @@ precision once they are compiled, under ``"require"`` wherever they can.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
@@ -19,14 +16,19 @@ from torch.utils.checkpoint import checkpoint
 from sphericalvision.core import way_of_kernels
 from sphericalvision.crown.fast.build import operators_ready
 from sphericalvision.crown.fast.convolution import hex_convolution
-from sphericalvision.crown.fast.normalization import crown_normalization
-from sphericalvision.crown.places import level_of_rectangles, place_ids
+from sphericalvision.crown.fast.normalization import crown_normalization, crown_normalized_mean
+from sphericalvision.crown.fast.vertices import Pair, over_places, vertices_at_places
 from sphericalvision.crown.taps import ROW_TAPS, Taps, convolve
 from sphericalvision.icosphere import level_from_num_vertices
 
-__all__ = ["convolve_rectangles", "convolve_vertices", "normalize", "settled_way", "sum_over_places"]
-
-Pair = tuple[Tensor, Tensor]
+__all__ = [
+    "convolve_rectangles",
+    "convolve_vertices",
+    "normalize",
+    "normalized_mean",
+    "settled_way",
+    "sum_over_places",
+]
 
 
 def _operators_fit(values: Float[Tensor, " ..."], weight: Float[Tensor, " ..."]) -> bool:
@@ -113,44 +115,23 @@ def convolve_vertices(
             hex_convolution(volumes, weight, bias, across, False, relu, places).unflatten(0, (-1, 5)),
             values.ndim + 2,
         )
-        for across, places in enumerate(_places(level_from_num_vertices(values.shape[-1])))
+        for across, places in enumerate(vertices_at_places(level_from_num_vertices(values.shape[-1])))
     )
     return col, row
 
 
 def sum_over_places(
-    col: Float[Tensor, "B 5 C *N h w"], row: Float[Tensor, "B 5 C *N w h"]
+    col: Float[Tensor, "B 5 C *N h w"], row: Float[Tensor, "B 5 C *N w h"], mean: bool
 ) -> Float[Tensor, "B C *N V"] | None:
-    """Sum each vertex over all its places, without derivatives; None where operators do not fit."""
+    """Sum each vertex over all its places, or take the mean; without derivatives, None where operators do not fit."""
     if not _operators_fit(col, row):
         return None
-    starts, places = _by_vertex(level_of_rectangles(col))
-    volumes = [
-        x if x.stride(-1) == 1 else x.contiguous() for x in (_inward(y).flatten(0, 1) for y in (col, row))
-    ]
-    batch, depth = len(col), volumes[0].shape[1]
-    total = col.new_empty(batch, depth, 1, len(starts) - 1, col.shape[2])
-    torch.ops.sphericalvision.sum_over_places(*volumes, starts, places, total)
-    return total.squeeze(2).movedim(-1, 1) if col.ndim == 6 else total[:, 0, 0].mT
+    return _of_vertices(over_places(_inward(col), _inward(row), mean), col.ndim)
 
 
-@lru_cache(maxsize=16)
-@torch.inference_mode(False)
-def _by_vertex(level: int) -> Pair:
-    """The places of each vertex one after the other, and where those of each vertex begin, int32 on the CPU."""
-    vertices = place_ids(level, torch.device("cpu")).flatten()
-    # A stable order, so that sums of a vertex are always added in the same order.
-    starts = F.pad(vertices.bincount().cumsum(0), (1, 0))
-    return starts.int(), vertices.argsort(stable=True).int()
-
-
-@lru_cache(maxsize=16)
-@torch.inference_mode(False)  # kept for training, too
-def _places(level: int) -> Pair:
-    """Vertices at the places of col and of row rectangles, int32 on the CPU: at level 7 half a megabyte each."""
-    n = 2**level
-    col, row = place_ids(level, torch.device("cpu")).int().split(5)
-    return col.view(5, 2 * n + 1, n + 1), row.view(5, n + 1, 2 * n + 1)
+def _of_vertices(values: Tensor, ndim: int) -> Tensor:
+    """View ``(B, N, V, C)`` as those of rectangles of ``ndim`` dimensions, ``(B, C, [N,] V)``."""
+    return values.movedim(-1, 1) if ndim == 6 else values[:, 0].mT
 
 
 def normalize(
@@ -179,9 +160,24 @@ def normalize(
     first, second, mean, variance = crown_normalization(
         _inward(col), _inward(row), norm.weight, norm.bias, weight, bias, norm.eps, per_sample, relu
     )
-    if norm.training and norm.running_mean is not None:
-        _track(norm, mean[0], variance[0], 2 * col.numel() // col.shape[2])
+    _track(norm, mean, variance, col)
     return _outward(first, col.ndim), _outward(second, col.ndim)
+
+
+def normalized_mean(
+    col: Float[Tensor, "B 5 C *N h w"],
+    row: Float[Tensor, "B 5 C *N w h"],
+    norm: _BatchNorm,
+    per_sample: bool,
+) -> Float[Tensor, "B C *N V"] | None:
+    """The mean of each vertex over its places in a normalised crown, which is not written; arguments as above."""
+    if norm.weight is None or not _operators_fit(col, norm.weight):
+        return None
+    means, mean, variance = crown_normalized_mean(
+        _inward(col), _inward(row), norm.weight, norm.bias, norm.eps, per_sample
+    )
+    _track(norm, mean, variance, col)
+    return _of_vertices(means, col.ndim)
 
 
 def settled_way() -> str:
@@ -194,12 +190,14 @@ def settled_way() -> str:
 
 
 @torch.no_grad()
-def _track(norm: _BatchNorm, mean: Tensor, variance: Tensor, places: int) -> None:
+def _track(norm: _BatchNorm, mean: Tensor, variance: Tensor, col: Tensor) -> None:
     """Let running statistics take a step towards those of a batch, as ``forward`` does in training mode."""
-    assert norm.running_mean is not None
+    if not norm.training or norm.running_mean is None:
+        return
     assert norm.running_var is not None
     assert norm.num_batches_tracked is not None
     norm.num_batches_tracked.add_(1)
     rate = 1 / float(norm.num_batches_tracked) if norm.momentum is None else norm.momentum
-    norm.running_mean.lerp_(mean, rate)
-    norm.running_var.lerp_(variance * (places / (places - 1)), rate)
+    places = 2 * col.numel() // col.shape[2]
+    norm.running_mean.lerp_(mean[0], rate)
+    norm.running_var.lerp_(variance[0] * (places / (places - 1)), rate)

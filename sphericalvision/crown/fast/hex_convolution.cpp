@@ -34,7 +34,7 @@
 namespace {
 
 using lanes::LANES, lanes::load, lanes::store, lanes::Vec;
-using volumes::CHARTS, volumes::inside, volumes::Volumes;
+using volumes::CHARTS, volumes::inside, volumes::Scaling, volumes::Volumes;
 
 constexpr int64_t HEXAGON = 7;                // taps of a hypothesis
 constexpr int64_t SIDE = 3, GIVEN = 5;       // results and given values along a side of a tile
@@ -162,34 +162,6 @@ struct Hand {
   Tiles<T> result_tiles() const { return tiles(3, result_blocks); }
 };
 
-// Normalisation and ReLU of given values, a factor and an offset (B or 1, C) for each channel, while they are read: cheaper
-// than to write them, and nobody needs to keep them. Without a factor values are as they are.
-template <typename T>
-struct Scaling {
-  const T *factor = nullptr, *offset = nullptr;
-  int64_t samples = 1, batch, channels;
-
-  Scaling(const std::optional<at::Tensor>& factors, const std::optional<at::Tensor>& offsets, const Volumes<T>& given)
-      : batch(given.batch), channels(given.channels) {
-    if (!factors) return;
-    for (const at::Tensor& table : {*factors, offsets.value()})
-      TORCH_CHECK(table.dim() == 2 && table.is_contiguous() && table.size(1) == channels && batch % table.size(0) == 0 &&
-                      table.sizes() == factors->sizes(),
-                  "factor and offset: expected (samples or 1, ", channels, "), got ", table.sizes());
-    factor = factors->const_data_ptr<T>(), offset = offsets->const_data_ptr<T>(), samples = factors->size(0);
-  }
-
-  template <int F>
-  void apply(Vec<T> (&values)[F], const int64_t b, const int64_t block, const int64_t count) const {
-    const int64_t at = b * samples / batch * channels + block * LANES;
-    const Vec<T> a = load(factor + at, count), shift = load(offset + at, count), zero{};
-    for (int k = 0; k < F; ++k) {
-      const Vec<T> value = values[k] * a + shift;
-      values[k] = value < zero ? zero : value;  // NaN stays
-    }
-  }
-};
-
 // Along the hypotheses: given values of a strip and around it to planes of factors.
 template <typename T, int F>
 void read_given(const Volumes<T>& given, const Scaling<T>& scaling, const Strip& strip, const int64_t border,
@@ -205,7 +177,8 @@ void read_given(const Volumes<T>& given, const Scaling<T>& scaling, const Strip&
         const int64_t count = given.in_block(block);
         Vec<T> d[F], x[F];
         for (int k = 0; k < F; ++k) d[k] = load(from + depth[k], count);
-        if (scaling.factor) scaling.apply(d, strip.b, block, count);
+        if (scaling.factor)
+          for (Vec<T>& value : d) value = lanes::rectified<T>(scaling.scaled(value, strip.b, block, count));
         winograd::to_factors<T>(d, x);
         for (int k = 0; k < F; ++k) store(to + k * planes.step(), x[k]);
       }
@@ -252,7 +225,7 @@ void write_results(const Planes<T>& planes, const Strip& strip, const T* bias, c
         winograd::to_results<T>(m, y);
         for (int64_t k = 0; k < deep; ++k) {
           const Vec<T> value = y[k] + shift;
-          store(to + k * results.deep, rectify ? Vec<T>(value < Vec<T>{} ? Vec<T>{} : value) : value, count);  // NaN stays
+          store(to + k * results.deep, rectify ? lanes::rectified<T>(value) : value, count);
         }
       }
     }

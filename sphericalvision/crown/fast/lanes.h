@@ -57,4 +57,10 @@ inline void store(T* to, const Vec<T>& value, const int64_t count = LANES) {
   std::memcpy(to, &value, count * sizeof(T));
 }
 
+// The ReLU; NaN stays.
+template <typename T>
+inline Vec<T> rectified(const Vec<T>& value) {
+  return value < Vec<T>{} ? Vec<T>{} : value;
+}
+
 }  // namespace lanes

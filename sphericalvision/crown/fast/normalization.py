@@ -22,8 +22,10 @@ from torch import Tensor
 
 from sphericalvision.crown.fast.convolution import convolution, convolution_gradients, plain_convolution
 from sphericalvision.crown.fast.registering import register_operator
+from sphericalvision.crown.fast.vertices import level_of_crown, over_places, vertex_shares, vertices_at_places
+from sphericalvision.crown.places import places_per_vertex, sum_over_places
 
-__all__ = ["crown_normalization"]
+__all__ = ["crown_normalization", "crown_normalized_mean"]
 
 CHUNK = 128
 """Places whose moments the operator takes at once; ``normalization.cpp`` has the same number."""
@@ -76,15 +78,10 @@ def _normalization(
 def _gradients(
     upstream: Sequence[Tensor], inputs: Sequence[Any], kept: Sequence[Tensor], wanted: Sequence[bool]
 ) -> list[Tensor | None]:
-    """Gradients of col, row, scale, shift, weight and bias.
-
-    A place has a gradient of its own and, through mean and variance, a share of the sums of all places'. All in all
-    that is, per channel, ``factor * gradient + by_value * value + constant``.
-    """
+    """Gradients of col, row, scale, shift, weight and bias."""
     col, row, scale, shift, weight, bias, eps, per_sample, relu = inputs
     mean, variance = kept
-    values = _places((col, row))
-    factor, offset = _scaling(mean, variance, scale, shift, eps)
+    values, scaling = _places((col, row)), _scaling(mean, variance, scale, shift, eps)
     gradients, by_weight = _places(upstream), [None, None]
     # Backwards through the convolutions, which make what they were given once more while they read.
     if weight is not None:
@@ -94,32 +91,59 @@ def _gradients(
                 (x.view(like.shape).flatten(0, 1), weight, bias, across, False, False, None),
                 (),
                 (True, *wanted[4:]),
-                (factor, offset),
+                scaling,
             )
             for gradient, x, like, across in zip(upstream, values, (col, row), (False, True), strict=True)
         ]
         gradients = [kind[0].view(x.shape) for kind, x in zip(kinds, values, strict=True)]
         by_weight = [None if a is None else a + b for a, b in list(zip(*kinds, strict=True))[1:3]]
+    # What the convolutions returned is nobody else's, and is written over.
+    found = [torch.empty_like(x) for x in values] if weight is None else gradients
+    places = (None, None)
+    sums = _through_statistics(
+        gradients, values, places, found, mean, variance, scaling, eps, per_sample, relu
+    )
+    first, second = (x.view(like.shape) for x, like in zip(found, (col, row), strict=True))
+    return [first, second, *sums, *by_weight]
+
+
+def _through_statistics(
+    gradients: Sequence[Tensor],
+    values: list[Tensor],
+    places: Sequence[Tensor | None],
+    found: Sequence[Tensor],
+    mean: Tensor,
+    variance: Tensor,
+    scaling: tuple[Tensor, Tensor],
+    eps: float,
+    per_sample: bool,
+    relu: bool,
+) -> tuple[Tensor, Tensor]:
+    """Write the gradients of values to ``found``, and return those of scale and shift.
+
+    A place has a gradient of its own and, through mean and variance, a share of the sums of all places'. All in all
+    that is, per channel, ``factor * gradient + by_value * value + constant``. Gradients at vertices are looked up at
+    ``places``.
+    """
+    factor, offset = scaling
     # The first pass: sums of all places, a row for every chunk, added up in the same order by any number of threads.
     over = (1,) if per_sample else (0, 1)
     operators, invert = torch.ops.sphericalvision, (variance + eps).rsqrt()
     total, along = torch.zeros_like(mean), torch.zeros_like(mean)
-    for g, x in zip(gradients, values, strict=True):
+    for g, x, at in zip(gradients, values, places, strict=True):
         totals = _per_chunk(x)
         products = torch.empty_like(totals)
-        operators.gradient_sums(g, x, factor, offset, relu, mean, totals, products)
+        operators.gradient_sums(g, x, factor, offset, relu, mean, totals, products, at)
         total += totals.sum(over)
         along += products.sum(over)
     along *= invert  # the sum of gradients times normalised values
     number = _number(values, per_sample)
     by_value = -factor * invert * along / number
     constant = -factor * total / number - by_value * mean
-    # The second pass. What the convolutions returned is nobody else's, and is written over.
-    found = [torch.empty_like(x) for x in values] if weight is None else gradients
-    for g, x, result in zip(gradients, values, found, strict=True):
-        operators.normalized_gradient(g, x, factor, offset, relu, by_value, constant, result)
-    first, second = (x.view(like.shape) for x, like in zip(found, (col, row), strict=True))
-    return [first, second, along.sum(0), total.sum(0), *by_weight]
+    # The second pass.
+    for g, x, at, result in zip(gradients, values, places, found, strict=True):
+        operators.normalized_gradient(g, x, factor, offset, relu, by_value, constant, result, at)
+    return along.sum(0), total.sum(0)
 
 
 def _plainly(*inputs: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -150,6 +174,57 @@ crown_normalization = register_operator(
     _gradients,
     _plainly,
     results=2,
+)
+
+
+def _normalized_mean(
+    col: Tensor, row: Tensor, scale: Tensor, shift: Tensor, eps: float, per_sample: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The mean of each vertex over its places in a normalised crown; arguments and statistics as above.
+
+    That is the mean in the crown, normalised: one multiplication and one addition for a vertex, which has two places.
+    So neither what is normalised nor, in the backward pass, its gradient is ever written.
+
+    Returns:
+        ``(B, N, V, C)``; mean and biased variance, ``(B or 1, C)``, which are not differentiable.
+    """
+    mean, variance = _moments(_places((col, row)), per_sample)
+    return over_places(col, row, True, _scaling(mean, variance, scale, shift, eps)), mean, variance
+
+
+def _gradients_of_mean(
+    upstream: Sequence[Tensor], inputs: Sequence[Any], kept: Sequence[Tensor], wanted: Sequence[bool]
+) -> list[Tensor | None]:
+    """Gradients of col, row, scale and shift."""
+    col, row, scale, shift, eps, per_sample = inputs
+    mean, variance = kept
+    level = level_of_crown(col)
+    shared = (upstream[0] * vertex_shares(level, col.dtype)).contiguous()
+    values = _places((col, row))
+    found = [torch.empty_like(x) for x in values]
+    scaling = _scaling(mean, variance, scale, shift, eps)
+    places = vertices_at_places(level)
+    sums = _through_statistics(
+        (shared, shared), values, places, found, mean, variance, scaling, eps, per_sample, False
+    )
+    return [found[0].view(col.shape), found[1].view(row.shape), *sums]
+
+
+def _mean_plainly(*inputs: Any) -> tuple[Tensor, Tensor, Tensor]:
+    """The same as ``_normalized_mean`` in plain torch."""
+    *crown, scale, shift, eps, per_sample = inputs
+    col, row, *moments = _plainly(*crown, scale, shift, None, None, eps, per_sample, False)
+    pair = [x.movedim(-1, 2) for x in (col, row)]
+    means = sum_over_places(*pair) / places_per_vertex(level_of_crown(col), col)
+    return means.movedim(1, -1), moments[0], moments[1]
+
+
+crown_normalized_mean = register_operator(
+    "crown_normalized_mean(Tensor col, Tensor row, Tensor scale, Tensor shift, float eps, bool per_sample) "
+    "-> (Tensor, Tensor, Tensor)",
+    _normalized_mean,
+    _gradients_of_mean,
+    _mean_plainly,
 )
 
 

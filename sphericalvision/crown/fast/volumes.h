@@ -56,6 +56,29 @@ struct Volumes {
   int64_t in_block(const int64_t block) const { return std::min(LANES, channels - block * LANES); }
 };
 
+// Factors and offsets of values, (B or 1, C), by which they are normalised while they are read: cheaper than to write them, and
+// nobody needs to keep them. Without a factor values are as they are.
+template <typename T>
+struct Scaling {
+  const T *factor = nullptr, *offset = nullptr;
+  int64_t samples = 1, batch, channels;
+
+  Scaling(const std::optional<at::Tensor>& factors, const std::optional<at::Tensor>& offsets, const Volumes<T>& values)
+      : batch(values.batch), channels(values.channels) {
+    if (!factors) return;
+    for (const at::Tensor& table : {*factors, offsets.value()})
+      TORCH_CHECK(table.dim() == 2 && table.is_contiguous() && table.size(1) == channels && batch % table.size(0) == 0 &&
+                      table.sizes() == factors->sizes(),
+                  "factor and offset: expected (samples or 1, ", channels, "), got ", table.sizes());
+    factor = factors->const_data_ptr<T>(), offset = offsets->const_data_ptr<T>(), samples = factors->size(0);
+  }
+
+  lanes::Vec<T> scaled(const lanes::Vec<T>& value, const int64_t b, const int64_t block, const int64_t count) const {
+    const int64_t at = b * samples / batch * channels + block * LANES;
+    return value * lanes::load(factor + at, count) + lanes::load(offset + at, count);
+  }
+};
+
 // What to do with a row or column outside: it is there (the border was given), or the outermost one is repeated.
 inline int64_t inside(const int64_t place, const int64_t size) { return std::clamp<int64_t>(place, 0, size - 1); }
 

@@ -264,6 +264,21 @@ def test_convolutions_are_differentiable_twice(stride: int, way: str) -> None:
             assert all(gradient is not None and gradient.abs().max() > 0 for gradient in second)
 
 
+@by_each_way
+@each([case("features", lambda: FeatureExtractor(3, 3, "instance"), 3, V2)])
+def test_transforms_of_functions(case: FastCase, way: str) -> None:
+    """``torch.func.grad`` through strides, too, which knows no hooks of saved tensors."""
+    function, inputs = case.function(torch.float64), case.inputs(1, torch.float64)
+
+    def loss(values: Tensor) -> Tensor:
+        return function(values).square().sum()
+
+    with kernels("reference"):
+        wanted = torch.func.grad(loss)(inputs)
+    with kernels(way):
+        torch.testing.assert_close(torch.func.grad(loss)(inputs), wanted)
+
+
 @each(NETWORKS)
 def test_operators_are_left_alone_unless_asked_for(case: FastCase, monkeypatch: pytest.MonkeyPatch) -> None:
     def entered(*_: Any) -> None:

@@ -24,6 +24,7 @@ from sphericalvision.icosphere import level_from_num_vertices
 __all__ = [
     "convolve_rectangles",
     "convolve_vertices",
+    "forgets",
     "normalize",
     "normalized_mean",
     "settled_way",
@@ -75,7 +76,7 @@ def convolve_rectangles(
         result = _outward(result.unflatten(0, (-1, 5)), rectangles.ndim)
         return result.relu() if relu and keeps else result
     images = rectangles.flatten(0, 1)
-    if keeps and images.requires_grad and settled_way() in ("auto", "require"):
+    if keeps and images.requires_grad and forgets():
         # A border that is copied around is not kept: who reads that which is copied keeps it anyway.
         result = checkpoint(convolve, images, weight, taps, bias, stride, border, use_reentrant=False)
     else:
@@ -187,6 +188,12 @@ def settled_way() -> str:
     """
     way = way_of_kernels()
     return way if way != "auto" or operators_ready(way) else "plain"
+
+
+def forgets() -> bool:
+    """Whether training computes twice what takes memory and little time: where operators are, and torch allows it."""
+    transformed = torch._C._are_functorch_transforms_active()  # they know no hooks of saved tensors
+    return settled_way() in ("auto", "require") and not transformed and not torch.compiler.is_compiling()
 
 
 @torch.no_grad()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -12,9 +13,9 @@ from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
 
 from sphericalvision.core import ArgumentError, kernels
-from sphericalvision.crown.fast import settled_way
+from sphericalvision.crown.fast import forgets, settled_way
 
-__all__ = ["RecomputedModule", "recomputes", "set_kernel_options"]
+__all__ = ["RecomputedModule", "forget_inside", "recomputes", "set_kernel_options"]
 
 
 class RecomputedModule(nn.Module):
@@ -43,12 +44,27 @@ class RecomputedModule(nn.Module):
         if not (self.recompute and self.training and torch.is_grad_enabled()):
             return run(*inputs)
 
-        way = settled_way()  # the same ways twice: else other tensors would be kept than are wanted
+        return _compute_twice(run, self, *inputs)
 
-        def contexts() -> tuple[AbstractContextManager[None], AbstractContextManager[None]]:
-            return kernels(way), _Again(self, way)
 
-        return checkpoint(run, *inputs, use_reentrant=False, context_fn=contexts)
+def forget_inside(module: nn.Module, *inputs: Any) -> Any:
+    """Apply a module that training had better compute twice: where it holds much memory for the time that it takes.
+
+    Only where operators in C++ are in use; by layers in torch and by the readable formulas nothing is done twice.
+    """
+    if module.training and torch.is_grad_enabled() and forgets():
+        return _compute_twice(module, module, *inputs)
+    return module(*inputs)
+
+
+def _compute_twice(run: Callable[..., Any], module: nn.Module, *inputs: Any) -> Any:
+    """Call ``run``, which applies a module, keep its inputs alone, and call it once more in the backward pass."""
+    way = settled_way()  # the same ways twice: else other tensors would be kept than are wanted
+
+    def contexts() -> tuple[AbstractContextManager[None], AbstractContextManager[None]]:
+        return kernels(way), _Again(module, way)
+
+    return checkpoint(run, *inputs, use_reentrant=False, context_fn=contexts)
 
 
 class _Again(AbstractContextManager[None]):

@@ -228,6 +228,24 @@ def test_training_keeps_what_is_given_to_a_block_and_to_its_normalisations(norm:
 
 
 @needs_compiler
+def test_training_keeps_nothing_inside_the_finest_blocks() -> None:
+    """Of a ``FeatureExtractor``: as many tensors however many of them there are."""
+    images, kept = torch.randn(1, 3, V2, requires_grad=True), []
+    for blocks in (1, 3):
+        features, sizes = FeatureExtractor(4), list[int]()
+
+        def keep(tensor: Tensor, sizes: list[int] = sizes) -> Tensor:
+            sizes.append(tensor.nbytes)
+            return tensor
+
+        features.fine = features.fine[:blocks]
+        with kernels("require"), torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+            features(images)
+        kept.append(sizes)
+    assert kept[0] == kept[1]
+
+
+@needs_compiler
 def test_any_number_of_threads_has_the_same_gradients() -> None:
     """Each thread sums up its part of the gradient of a weight."""
     layer = HexConv3d(5, 6)

@@ -14,6 +14,7 @@
 from sphericalvision.crown.fast.door import (
     convolve_rectangles,
     convolve_vertices,
+    forgets,
     normalize,
     normalized_mean,
     settled_way,
@@ -23,6 +24,7 @@ from sphericalvision.crown.fast.door import (
 __all__ = [
     "convolve_rectangles",
     "convolve_vertices",
+    "forgets",
     "normalize",
     "normalized_mean",
     "settled_way",

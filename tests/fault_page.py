@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import torch
 
-from sphericalvision.cameras import ring_rig, save_rig
+from sphericalvision.cameras import ring_rig
 from sphericalvision.capture import Depth
 from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.sources.frames import Selection
@@ -27,7 +27,7 @@ from sphericalvision.core import SphericalVisionError
 from sphericalvision.models import RefinedSweepNet, SemiGlobalSweep, load_weights, save_weights
 from sphericalvision.scenes import read_mesh_scene
 from tests.recipes.conftest import run_recipe
-from tests.recipes.test_faults import FAULTS
+from tests.recipes.test_faults import FAULTS, write_capture
 from tests.test_misuse import misuse, misuses
 
 __all__ = ["PAGE", "page"]
@@ -82,7 +82,7 @@ def said_by_commands() -> list[tuple[str, str]]:
     found = []
     for recipe, words, _ in FAULTS:
         with tempfile.TemporaryDirectory() as folder:
-            save_rig(ring_rig(4, 0.2, (32, 32)), Path(folder) / "capture/config.yaml")
+            write_capture(Path(folder))
             printed = io.StringIO()
             with (
                 contextlib.redirect_stderr(printed),

@@ -39,26 +39,6 @@ def test_words_that_are_no_file_names_stay() -> None:
     assert quote_paths(words) == words
 
 
-def test_missing_and_damaged_checkpoints_are_named(failing: Failing, tmp_path: Path) -> None:
-    assert "nowhere.ckpt: no such file" in failing("evaluate", "checkpoint=nowhere.ckpt")
-    (tmp_path / "half.ckpt").write_bytes(b"PK\x03\x04 half a file")
-    assert "half.ckpt: is not a checkpoint of sphericalvision-train" in failing(
-        "evaluate", "checkpoint=half.ckpt"
-    )
-    (tmp_path / "notes.txt").write_text("?")
-    assert ".safetensors" in failing("evaluate", "checkpoint=notes.txt")
-
-
-def test_wrong_values_name_their_key(failing: Failing, weights: Path) -> None:
-    assert "split: expected one of" in failing("evaluate", f"checkpoint={weights}", "split=trian")
-    assert "device: " in failing("evaluate", f"checkpoint={weights}", "device=nonsense")
-    assert "scheduler=linear: there is no such option" in failing("train", "scheduler=linear")
-    assert "_recorded" not in failing("train", "data=spirs")  # a base of files, not a set
-    overlap = failing("train", "experiment=quickstart", "data.val_seed=10")
-    assert "data.val_seed" in overlap
-    assert "expected one of" in failing("train", "experiment=quickstart", *TINY_SCENES, "data.kind=garden")
-
-
 def test_a_terminal_without_the_letters_of_a_name_is_none_to_fail_on(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
     monkeypatch.setattr("sys.stdout", terminal)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -82,17 +81,6 @@ def test_without_output_nothing_is_written(
     printed = " ".join(capsys.readouterr().out.split())
     assert "80.0°" in printed, "what is kept of the field of view"
     assert sorted(path.name for path in calibration.parent.iterdir()) == ["rig.yaml"]
-
-
-def test_mistakes_are_told_in_one_paragraph(failing: Callable[..., str], calibration: Path) -> None:
-    assert "calibration=..." in failing("convert")
-    assert "nowhere.yaml" in failing("convert", "calibration=nowhere.yaml")
-    words = (f"calibration={calibration}",)
-    assert "front, right, back, left" in failing("convert", *words, "camera=up")
-    assert "kannala_brandt" in failing("convert", *words, "to=kb4")
-    assert "before 90°" in failing("convert", *words, "to=pinhole", "fit_angle_deg=95")
-    assert "colmap" in failing("convert", *words, "camera=left", "format=docx", "output=a")
-    assert "depths" in failing("inspect", f"calibration={calibration}", "depths=[0]")
 
 
 def test_a_rig_is_inspected(run: Run, calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:

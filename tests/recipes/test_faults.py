@@ -49,7 +49,8 @@ WRONG_VALUES = (
     ),
     ("predict", RIG, "images="),
     ("predict", "images=x", "calibration="),
-    ("inspect", RIG, "level=-1 level=99 picture_depths=[-1] depths=[] depths=[nan] depths=[far] cameras=[]"),
+    ("inspect", RIG, "level=-1 level=99 picture_depths=[-1] depths=[] depths=[0] depths=[nan] cameras=[]"),
+    ("inspect", RIG, "depths=[far]"),
     ("convert", "", "calibration="),
     ("convert", RIG, "fit_angle_deg=0 max_angle_deg=1000 translation_unit=inch camera=nobody"),
     ("calibrate", "images=*.png board=7x5 square=0.03", "field_of_view_deg=400"),
@@ -100,15 +101,34 @@ FAULTS = (
     ("inspect", "calibration=none.yaml", "none.yaml: no such file or folder"),
     ("convert", f"{RIG} output=.", "output: . is a folder"),
     ("convert", f"{RIG} to=pinhole fit_angle_deg=100", "fit_angle_deg: a PinholeCamera ends before 90"),
+    ("convert", f"{RIG} to=kb4", "'kannala_brandt'"),
+    ("convert", f"{RIG} camera=cam1 format=docx output=a", "colmap"),
+    ("convert", "", "calibration=..."),
+    ("render", "output=x kind=garden", "kind: expected one of"),
+    ("evaluate", "checkpoint=nowhere.ckpt", "nowhere.ckpt: no such file"),
+    ("evaluate", "checkpoint=capture/half.ckpt", "half.ckpt: is not a checkpoint of sphericalvision-train"),
+    ("evaluate", "checkpoint=capture/notes.txt", ".safetensors"),
+    ("evaluate", "checkpoint=icosweepnet-small device=nonsense", "device: expected"),
+    ("train", "scheduler=linear", "scheduler=linear: there is no such option"),
+    ("train", "data=spirs", "known are capture, "),
+    ("train", "experiment=quickstart data.val_seed=10", "data.val_seed"),
+    ("train", "experiment=quickstart rig.image_size=[32,32] data.kind=garden", "expected one of"),
 )
 """Command, words, and a part of what is said."""
+
+
+def write_capture(folder: Path) -> None:
+    """A calibration, and files that are no checkpoints."""
+    save_rig(ring_rig(4, 0.2, (32, 32)), folder / "capture/config.yaml")
+    (folder / "capture/half.ckpt").write_bytes(b"PK\x03\x04 half a file")
+    (folder / "capture/notes.txt").write_text("?")
 
 
 @pytest.mark.parametrize(("recipe", "words", "said"), FAULTS)
 def test_wrong_words_are_told_in_a_paragraph(
     failing: Callable[..., str], tmp_path: Path, recipe: str, words: str, said: str
 ) -> None:
-    save_rig(ring_rig(4, 0.2, (32, 32)), tmp_path / "capture/config.yaml")
+    write_capture(tmp_path)
     message = failing(recipe, *words.split()).partition("Error: ")[2].strip()
     assert said in message
     assert len(message.splitlines()) <= 2

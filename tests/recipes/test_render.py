@@ -112,12 +112,6 @@ def test_frames_from_elsewhere_are_not_mixed_with(failing: Callable[..., str], t
     assert "no rendered.yaml tells" in failing("render", "output=set", "num_frames=2", *TINY)
 
 
-def test_wrong_values_are_named(failing: Callable[..., str]) -> None:
-    assert "num_frames" in failing("render", "num_frames=0")
-    assert "png, tiff or null" in failing("render", "release=jpg")
-    assert "kind" in failing("render", "kind=garden", *TINY)
-
-
 def test_a_frame_depends_on_its_seed_alone() -> None:
     rig = make_ring(image_size=(16, 16))
     first = RenderedFrames(rig, [5], first_seed=0, samples_per_pixel=1, height=16)[0]

@@ -44,19 +44,6 @@ def random_primitives(count: int, generator: torch.Generator, shapes: tuple[str,
     return pack(parts)
 
 
-def inside(primitives: Primitives, row: int, points: Tensor) -> Tensor:
-    """Membership in one solid, straight from its definition."""
-    x, y, z = (
-        ((points - primitives.center[row]) @ primitives.rotation[row].T) / primitives.half[row]
-    ).unbind(-1)
-    shape = SHAPES[int(primitives.shape[row])]
-    if shape == "box":
-        return (x.abs() <= 1) & (y.abs() <= 1) & (z.abs() <= 1)
-    if shape == "ellipsoid":
-        return x**2 + y**2 + z**2 <= 1
-    return (x**2 + z**2 <= 1) & (y.abs() <= 1)
-
-
 def test_sphere_distance_in_closed_form(generator: torch.Generator) -> None:
     center, radius = torch.tensor([0.3, -0.4, 3.0], dtype=torch.float64), 0.7
     ball = pack([Part("ellipsoid", tuple(center.tolist()), (radius,) * 3)]).to(dtype=torch.float64)
@@ -100,25 +87,6 @@ def test_rectangle_ends_where_its_half_size_says() -> None:
     assert hit.tolist() == [0, -1, 0, -1, -1]
 
 
-def test_agrees_with_marching_along_the_ray(generator: torch.Generator) -> None:
-    """An oracle without any formula for intersections: steps of 1 mm, and membership by definition."""
-    primitives = random_primitives(6, generator, ("box", "ellipsoid", "cylinder"))
-    directions = torch.nn.functional.normalize(
-        primitives.center.repeat(20, 1) + 0.4 * torch.randn(120, 3, generator=generator), dim=-1
-    )
-    steps = torch.arange(1, 8000) * 1e-3
-    points = steps[:, None, None] * directions
-    solid = torch.stack([inside(primitives, row, points) for row in range(len(primitives))]).any(0)
-    marched = torch.where(solid.any(0), steps[solid.float().argmax(0)], torch.inf)
-    hit = trace(primitives, torch.zeros(3), directions)
-    # A ray may graze an edge between two steps.
-    both = marched.isfinite() & hit.distance.isfinite()
-    assert (marched.isfinite() == hit.distance.isfinite()).float().mean() > 0.95
-    assert both.sum() > 30
-    error = (marched - hit.distance)[both]
-    assert ((error > -1e-3) & (error < 2e-3)).float().mean() > 0.95
-
-
 def test_neighbouring_rays_meet_what_they_meet_alone(generator: torch.Generator) -> None:
     """A chunk of rays in a narrow cone looks at the primitives around the cone only; own origins turn that off."""
     primitives, limit = random_primitives(40, generator), 4.0
@@ -132,30 +100,6 @@ def test_neighbouring_rays_meet_what_they_meet_alone(generator: torch.Generator)
         hidden = shadowed(primitives, directions, torch.full((200,), limit))
         clear = (narrow.distance - limit).abs() > 1e-3
         assert torch.equal(hidden[clear], (narrow.distance < limit)[clear])
-
-
-def test_nearest_of_many_is_the_least_of_each_alone(generator: torch.Generator) -> None:
-    primitives = random_primitives(40, generator)
-    directions = unit_vectors(3000, generator)
-    alone = torch.stack(
-        [trace(primitives.select(torch.tensor([k])), torch.zeros(3), directions).distance for k in range(40)]
-    )
-    hit = trace(primitives, torch.zeros(3), directions)
-    torch.testing.assert_close(hit.distance, alone.amin(0))
-    met = hit.primitive >= 0
-    assert torch.equal(met, hit.distance.isfinite())
-    torch.testing.assert_close(alone.gather(0, hit.primitive.clamp(min=0)[None])[0][met], hit.distance[met])
-
-
-def test_shared_origin_equals_one_origin_a_ray(generator: torch.Generator) -> None:
-    primitives, directions = random_primitives(20, generator), unit_vectors(2000, generator)
-    origin = torch.tensor([0.1, -0.2, 0.3])
-    one, (distance, row) = (
-        trace(primitives, origin, directions),
-        trace_each(primitives, origin.expand(2000, 3), directions),
-    )
-    torch.testing.assert_close(one.distance, distance, rtol=1e-4, atol=1e-4)
-    assert (one.primitive == row).float().mean() > 0.999
 
 
 def test_more_rays_than_a_chunk_in_any_shape(generator: torch.Generator) -> None:

@@ -82,26 +82,6 @@ def test_min_depth_scales_the_scene(make_rig: Callable[..., CameraRig]) -> None:
     assert ((first["images"] - second["images"]).abs() < 0.05).float().mean() > 0.98
 
 
-def test_cached_and_fresh_samples_are_equal(rig: CameraRig, tmp_path: Path) -> None:
-    fresh = SceneDataset(2, rig, level=3, kind="mixed")
-    cached = SceneDataset(2, rig, level=3, kind="mixed", cache_dir=tmp_path)
-    for index in range(2):
-        assert same(fresh[index], cached[index])
-        assert same(fresh[index], cached[index])
-    assert len(list(tmp_path.rglob("*.npz"))) == 4  # images, and depths
-
-
-def test_the_cache_is_read(rig: CameraRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = SceneDataset(1, rig, level=3, cache_dir=tmp_path)
-    first = data[0]
-
-    def fail(*_: object) -> None:
-        raise AssertionError("rendered again")
-
-    monkeypatch.setattr(SceneDataset, "_render", fail)
-    assert same(first, SceneDataset(1, rig, level=3, cache_dir=tmp_path)[0])
-
-
 def test_another_parameter_never_reads_a_stale_sample(
     make_rig: Callable[..., CameraRig], tmp_path: Path
 ) -> None:

@@ -133,12 +133,6 @@ def test_consistent_scales_pass(tmp_path: Path, min_depth: float, radius: float)
         check_scale(tmp_path, release, min_depth, radius)
 
 
-@pytest.mark.parametrize(("min_depth", "radius"), [(0.55, 0.60), (1.65, 0.20), (0.55, 20.0)])
-def test_mixed_scales_are_refused_with_both_numbers(tmp_path: Path, min_depth: float, radius: float) -> None:
-    with pytest.raises(FileFormatError, match=f"minimum depth {min_depth:g} m, rig radius {radius:.3g} m"):
-        check_scale(tmp_path, RELEASES["png"], min_depth, radius)
-
-
 @pytest.mark.parametrize(
     ("text", "fault"),
     [

@@ -175,16 +175,6 @@ def test_cameras_of_different_sizes_are_augmented_pixel_by_pixel() -> None:
     torch.testing.assert_close(result["b"][:, :4, :5], result["a"])
 
 
-def test_outside_the_field_of_view_stays_zero_after_augmentation() -> None:
-    images = torch.rand(4, 3, 162) - 0.5
-    images[:, :, :50] = 0.0
-    seen = (torch.arange(162) >= 50).expand(4, 162)
-    result = PhotometricAugmentation()({"images": images, "seen": seen})["images"]
-    assert (result[:, :, :50] == 0).all()
-    assert (result[:, :, 50:] != images[:, :, 50:]).any()
-    assert result.abs().max() <= 1
-
-
 def test_wrong_order_and_wrong_images_are_refused(rig: CameraRig, with_truth: Make) -> None:
     sample = with_truth(rig)
     with pytest.raises(ArgumentError, match="belongs before ToSphere"):

@@ -95,17 +95,6 @@ def test_limits_are_a_part_of_the_whole_for_grid_and_camera_alike() -> None:
     assert strip.image_edges == "around"
 
 
-@pytest.mark.parametrize("grid", [square(4, 16, DOUBLE), square(8, 16, DOUBLE)], ids=repr)
-def test_values_are_linear_between_centres_and_continue_around(grid: Equirectangular) -> None:
-    values = torch.randn(2, 3, *grid.shape, generator=torch.Generator().manual_seed(0), dtype=DOUBLE)
-    centres = grid.sample(values, grid.directions.flatten(0, 1))
-    torch.testing.assert_close(centres.unflatten(-1, grid.shape), values, rtol=0, atol=1e-12)
-    behind = torch.tensor([[0.0, 0.0, -1.0]], dtype=DOUBLE)  # between the last column and the first, two rows
-    middle = values[..., grid.height // 2 - 1 : grid.height // 2 + 1, :]
-    expected = middle[..., [0, -1]].mean((-2, -1))
-    torch.testing.assert_close(grid.sample(values, behind)[..., 0], expected)
-
-
 def test_the_outermost_rows_are_repeated_beyond_the_latitudes() -> None:
     """What is on the other side of the sphere has no part in the half pixel up to the edge, nor beyond it."""
     grid = square(4, 16, DOUBLE)
@@ -134,13 +123,6 @@ def test_resampling_tells_what_a_part_of_the_sphere_does_not_show() -> None:
     assert resample_mask(whole, part).all()
     onto = resample(values, whole, part)
     torch.testing.assert_close(onto, part.rows_of(values), rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("height", [32, 16])
-def test_pixel_centres_find_themselves(height: int) -> None:
-    grid = square(height, 64, DOUBLE)
-    assert torch.equal(grid.nearest(grid.directions).flatten(), torch.arange(height * 64))
-    assert grid.contains(grid.directions).all()
 
 
 def test_nearest_in_longitude_and_latitude_by_brute_force(generator: torch.Generator) -> None:

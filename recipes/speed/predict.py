@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
+from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.capture.sources.frames import Selection
@@ -102,12 +103,9 @@ def preset_config(name: str, device: torch.device) -> DictConfig:
 
 
 def _on_threads(predictor: Predictor, images: Mapping[str, Tensor], threads: int) -> None:
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    try:
+    with threads_kept():
+        torch.set_num_threads(threads)
         predictor(images)
-    finally:
-        torch.set_num_threads(before)
 
 
 def predict(config: DictConfig, device: torch.device) -> Iterator[Comparison]:

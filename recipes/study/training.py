@@ -26,6 +26,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from sphericalvision.core import ArgumentError, SphericalVisionError, check_choice
 from sphericalvision.recipes.app.cli import console
+from sphericalvision.recipes.app.help import walk
 from sphericalvision.recipes.app.words import own_configs, quote_paths
 
 __all__ = [
@@ -228,18 +229,14 @@ def flat_config(config: DictConfig) -> dict[str, Any]:
         >>> flat_config(OmegaConf.create({"output": "here", "data": {"kind": "room"}, "seed": 0}))
         {'data.kind': 'room', 'seed': 0}
     """
-    flat: dict[str, Any] = {}
-
-    def walk(node: Any, prefix: str) -> None:
-        for key, value in node.items():
-            name = f"{prefix}{key}"
-            if isinstance(value, dict) and value:
-                walk(value, f"{name}.")
-            elif name not in CHANGES_NOTHING and not name.startswith(ROOMS) and not name.endswith(NAMES):
-                flat[name] = value
-
-    walk(OmegaConf.to_container(config, resolve=True, throw_on_missing=False), "")
-    return flat
+    return {
+        name: value
+        for name, value in walk(OmegaConf.to_container(config, resolve=True, throw_on_missing=False))
+        if not (isinstance(value, dict) and value)
+        and name not in CHANGES_NOTHING
+        and not name.startswith(ROOMS)
+        and not name.endswith(NAMES)
+    }
 
 
 def check_alike(trainings: list[Training]) -> list[str]:

@@ -136,16 +136,7 @@ class OmniMVS(DepthNetwork):
         rig: CameraRig | PanoramaTables,
         seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None,
     ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``.
-
-        Args:
-            images: ``(B, n, 1 or 3, H, W)`` of the size that the cameras are calibrated for.
-            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
-            seen: ``([B,] n, H, W)``, True where the images show something.
-
-        Raises:
-            ShapeError: if the images have another shape than the network or the rig asks for.
-        """
+        """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``, as ``DepthNetwork.predict``."""
         self.check_images(images, seen)
         tables = self.sweep.tables_for(images, rig)
         features = self.extract_features(images)

@@ -120,15 +120,9 @@ class RomniStereo(DepthNetwork):
         rig: CameraRig | PanoramaTables,
         seen: Bool[Tensor, "B 4 H W"] | Bool[Tensor, "4 H W"] | None = None,
     ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``.
+        """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``, as ``DepthNetwork.predict``.
 
-        Args:
-            images: ``(B, 4, 1 or 3, H, W)``, front, right, back and left, of the size that they are calibrated for.
-            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
-            seen: ``([B,] 4, H, W)``, True where the images show something.
-
-        Raises:
-            ShapeError: if the images have another shape than the network or the rig asks for.
+        Images are those of the cameras in front, to the right, behind and to the left, in this order.
         """
         tables, maps = self._inputs(images, rig, seen)
         indices = self.refined(*self.volumes(maps, tables))

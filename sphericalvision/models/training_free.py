@@ -46,16 +46,9 @@ class _WithoutTraining(DepthNetwork):
         rig: CameraRig | Any,
         seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
     ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, V)``; none has a gradient.
+        """Return index, confidence and whether two cameras saw it, each ``(B, V)``, without gradients.
 
-        Args:
-            images: ``(B, n, 3, V_level)``.
-            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
-            seen: ``([B,] n, V_level)``, True where the images show something. When not given, all that fields of view
-                and masks of the rig hold was seen.
-
-        Raises:
-            ShapeError: if the images have another shape than the network or the rig asks for.
+        As ``DepthNetwork.predict``; without ``seen``, all that fields of view and masks of the rig hold was seen.
         """
         self.check_images(images, seen)
         return self._estimate(images, self.tables(rig) if isinstance(rig, CameraRig) else rig, seen)

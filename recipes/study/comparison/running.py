@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +14,7 @@ import torch
 from joblib import Parallel, delayed
 from omegaconf import DictConfig
 
+from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import write_image
@@ -118,7 +118,8 @@ def record_of(frames: TrackFrames, method: Method, folder: Path | None) -> Recor
 def run_track(frames: TrackFrames, methods: Sequence[Method], folder: Path | None) -> Mapping[str, Record]:
     """Score methods on frames of a track, those that are not in ``folder`` yet; the records by method."""
     records = {method.name: record_of(frames, method, folder) for method in methods}
-    with one_thread():
+    with threads_kept():
+        torch.set_num_threads(1)  # for times that mean something
         return evaluate(methods, frames, PlaceErrors(frames.size.level), records, count_cost=True)
 
 
@@ -173,14 +174,3 @@ def _methods(words: tuple[str, ...], level: int, folder: Path) -> list[Method]:
 @lru_cache(maxsize=1)
 def _aligner_identity() -> str:
     return identity_of(aligner())
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """One thread of torch, for times that mean something."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -11,24 +11,14 @@ import pytest
 import torch
 
 from sphericalvision.cameras import (
-    BrownConradyCamera,
-    KannalaBrandtCamera,
-    UnifiedCamera,
     read_camera,
     read_cameras,
     read_rig,
 )
 from sphericalvision.core import MissingFileError
 from tests.cameras.calibration_samples import (
-    assert_projects,
-    camodocal_kannala_brandt,
-    camodocal_pinhole,
-    directions,
     dump,
     mei,
-    opencv_fisheye,
-    opencv_omnidir,
-    opencv_plain,
 )
 
 POSES = """image_00: 1 0 0 1.57 0 1 0 0.05 0 0 1 -1.55
@@ -42,31 +32,6 @@ def write_opencv_like(path: Path, content: dict[str, Any]) -> Path:
     dump(path, content)
     path.write_text(f"%YAML:1.0\n---\n{path.read_text()}")
     return path
-
-
-def test_mei_projects_as_omnidir(tmp_path: Path) -> None:
-    camera = read_camera(write_opencv_like(tmp_path / "image_02.yaml", mei()), dtype=torch.float64)
-    assert isinstance(camera, UnifiedCamera)
-    assert camera.image_size == (1400, 1400)
-    matrix = [[1336.3, 0, 716.9], [0, 1335.8, 705.8], [0, 0, 1]]
-    rays = directions(85.0)
-    assert_projects(camera, opencv_omnidir(rays, matrix, 2.2134, [0.0168, 1.6549, 4.2e-4, 4.3e-4]), rays)
-
-
-def test_pinhole_projects_as_opencv(tmp_path: Path) -> None:
-    camera = read_camera(dump(tmp_path / "cam0.yaml", camodocal_pinhole()), dtype=torch.float64)
-    assert type(camera) is BrownConradyCamera
-    matrix = [[461.6, 0, 362.7], [0, 460.2, 246.0], [0, 0, 1]]
-    rays = directions(25.0)
-    assert_projects(camera, opencv_plain(rays, matrix, [-0.277, 0.067, 0.00088, 0.00012]), rays)
-
-
-def test_kannala_brandt_projects_as_opencv_fisheye(tmp_path: Path) -> None:
-    camera = read_camera(dump(tmp_path / "cam0.yaml", camodocal_kannala_brandt()), dtype=torch.float64)
-    assert type(camera) is KannalaBrandtCamera
-    matrix = [[190.98, 0, 254.93], [0, 190.97, 256.9], [0, 0, 1]]
-    rays = directions(85.0)
-    assert_projects(camera, opencv_fisheye(rays, matrix, [0.0035, 0.0007, -0.002, 0.0002]), rays)
 
 
 def test_several_cameras_in_one_file(tmp_path: Path) -> None:
@@ -100,22 +65,6 @@ def test_poses_without_cameras_say_what_is_missing(tmp_path: Path) -> None:
 def test_camera_without_pose_makes_no_rig(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"holds one camera without poses, .* use read_camera"):
         read_rig(dump(tmp_path / "image_02.yaml", mei()))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"model_type": "SCARAMUZZA"}, "model_type: expected one of MEI, PINHOLE, KANNALA_BRANDT"),
-        ({"mirror_parameters": {}}, "mirror_parameters: the key 'xi' is missing"),
-        ({"mirror_parameters": {"xi": -2.0}}, "xi: expected numbers above -1"),
-        ({"image_width": 0}, "image_width and image_height: expected the width and height"),
-        ({"projection_parameters": {"gamma1": 1.0}}, "projection_parameters: the key"),
-    ],
-)
-def test_broken_file_names_file_and_key(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=r"image_02\.yaml") as caught:
-        read_camera(dump(tmp_path / "image_02.yaml", mei(**changes)))
-    assert message in str(caught.value)
 
 
 def test_field_of_view_ends_where_the_model_does(tmp_path: Path) -> None:

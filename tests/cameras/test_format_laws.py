@@ -104,14 +104,17 @@ def test_each_model_of_a_format_is_tried(tmp_path: Path, format: FileFormat) -> 
         assert written, model
 
 
+@pytest.mark.parametrize("turn", [[0.0, 1.2, 0.1], [0.0, 3.14, 1e-3], [1e-9, 0.0, 0.0]], ids=str)
 @pytest.mark.parametrize("format", [f for f in FORMATS if f.write_rig], ids=lambda format: format.name)
-def test_a_rig_is_read_back_as_written(tmp_path: Path, format: FileFormat) -> None:
-    """Up to the frame of the world: where each camera is, seen from the first one."""
+def test_a_rig_is_read_back_as_written(tmp_path: Path, format: FileFormat, turn: list[float]) -> None:
+    """Up to the frame of the world, with the masks if the format holds any: where each is, seen from the first one."""
     model = "ocam" if format.name == "omnimvs" else "pinhole"
     lens = next(case for case in LENSES if case.make(1.0).model == model)
-    turns = torch.tensor([[0.1, -0.2, 0.3], [0.0, 1.2, 0.1]], dtype=torch.float64)
+    turns = torch.tensor([[0.1, -0.2, 0.3], turn], dtype=torch.float64)
     poses = transform_from_axis_angle(turns, torch.tensor([[0.1, 0.0, 0.02], [-0.1, 0.05, 0.0]]).double())
-    rig = CameraRig([lens.make(s).to(torch.float64) for s in (1.0, 1.1)], poses)
+    cameras = [lens.make(s).to(torch.float64) for s in (1.0, 1.1)]
+    mask = torch.rand(cameras[0].image_size, generator=torch.Generator().manual_seed(0)) > 0.5
+    rig = CameraRig(cameras, poses, {"cam2": mask} if format.holds_masks else None)
     path = tmp_path / PATHS.get(format.name, "rig.yaml") if format.name != "asl" else tmp_path
     save_rig(rig, path, format.name)
     again = read_rig(path, max_angle=0.7, dtype=torch.float64)
@@ -119,7 +122,9 @@ def test_a_rig_is_read_back_as_written(tmp_path: Path, format: FileFormat) -> No
     for camera, other in zip(rig.cameras.values(), again.cameras.values(), strict=True):
         same(camera.with_max_angle(0.7), other)
     relative = [invert_transform(r.world_from_camera[0]) @ r.world_from_camera[1] for r in (rig, again)]
-    torch.testing.assert_close(relative[1], relative[0], rtol=0, atol=1e-9)
+    torch.testing.assert_close(relative[1], relative[0], rtol=0, atol=1e-12)
+    assert list(again.masks) == (again.names[1:] if format.holds_masks else [])
+    assert all(torch.equal(found, mask) for found in again.masks.values())
 
 
 def test_a_name_is_given_once() -> None:

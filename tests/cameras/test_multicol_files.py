@@ -81,24 +81,6 @@ def test_missing_camera_of_a_system_is_named(tmp_path: Path) -> None:
         read_rig(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"Camera.nrpol": 6}, "the key 'Camera.a5' is missing"),
-        ({"Camera.nrinvpol": 3}, "Camera.nrinvpol: announces 3 coefficients, but Camera.pol3 is there"),
-        ({"Camera.nrpol": 0.5}, "Camera.nrpol: expected a count"),
-        ({"Camera.c": 0.0}, "Camera.c: expected a number above 0"),
-        ({"Camera.a0": 209.2}, "first coefficient of an OCam polynomial is negative"),
-        ({"Camera.Iw": None}, "Camera.Iw and Camera.Ih: expected numbers"),
-        ({"Camera.u0": "middle"}, "Camera.u0: expected numbers"),
-    ],
-)
-def test_broken_file_names_file_and_key(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=r"camera\.yaml") as caught:
-        read_camera(write(tmp_path / "camera.yaml", multicol(**changes)))
-    assert message in str(caught.value)
-
-
 def test_keys_without_a_space_before_their_value_are_read(tmp_path: Path) -> None:
     """As in files that MultiCol-SLAM publishes: ``Camera.a0:-209.07``, which is no pair to YAML."""
     path = write(tmp_path / "spaced.yaml", multicol())

@@ -13,25 +13,20 @@ import torch
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
-    CameraRig,
     KannalaBrandtCamera,
     PinholeCamera,
     UnifiedCamera,
     read_camera,
     read_rig,
-    ring_rig,
     save_camera,
-    save_rig,
 )
 from sphericalvision.core import ArgumentError
 from tests.cameras.calibration_samples import (
-    FISHEYE,
     MATRIX,
     OMNIDIR,
     QUARTER_TURN,
     assert_projects,
     directions,
-    opencv_fisheye,
     opencv_omnidir,
     opencv_plain,
     opencv_stereo,
@@ -47,48 +42,6 @@ KB = [0.0035, 0.0007, -0.002, 0.0002]
 def write(path: Path, **values: Any) -> Path:
     path.write_text(opencv_yaml(**values))
     return path
-
-
-@pytest.mark.parametrize("distortion", [PLAIN[:4], PLAIN, RATIONAL], ids=len)
-def test_plain(tmp_path: Path, distortion: list[float]) -> None:
-    path = write(tmp_path / "camera.yml", **SIZE, camera_matrix=MATRIX, distortion_coefficients=distortion)
-    camera = read_camera(path, dtype=torch.float64)
-    assert type(camera) is BrownConradyCamera
-    assert camera.image_size == (240, 320)
-    rays = directions(28.0)
-    assert_projects(camera, opencv_plain(rays, MATRIX, distortion), rays)
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"fisheye_model": 1, "camera_matrix": FISHEYE, "distortion_coefficients": KB},
-        {"distortion_model": "equidistant", "camera_matrix": FISHEYE, "distortion_coefficients": KB},
-        {"K": FISHEYE, "D": KB},
-    ],
-    ids=["the tutorial's flag", "ROS's name", "names of cv2.fisheye"],
-)
-def test_fisheye(tmp_path: Path, values: dict[str, Any]) -> None:
-    camera = read_camera(
-        write(tmp_path / "camera.yaml", image_width=512, image_height=512, **values), dtype=torch.float64
-    )
-    assert type(camera) is KannalaBrandtCamera
-    rays = directions(85.0)
-    assert_projects(camera, opencv_fisheye(rays, FISHEYE, KB), rays)
-
-
-def test_flag_decides_between_four_coefficients(tmp_path: Path) -> None:
-    plain = write(tmp_path / "camera.yaml", **SIZE, fisheye_model=0, K=MATRIX, D=PLAIN[:4])
-    assert type(read_camera(plain)) is BrownConradyCamera
-
-
-def test_omnidir(tmp_path: Path) -> None:
-    distortion = [-0.1, 0.02, 1e-3, -2e-3]
-    path = write(tmp_path / "omni.yaml", image_width=640, image_height=480, K=OMNIDIR, D=distortion, xi=[1.2])
-    camera = read_camera(path, dtype=torch.float64)
-    assert type(camera) is UnifiedCamera
-    rays = directions(80.0)
-    assert_projects(camera, opencv_omnidir(rays, OMNIDIR, 1.2, distortion), rays)
 
 
 @pytest.mark.parametrize("kind", ["fisheye", "omnidir"])
@@ -130,10 +83,6 @@ def test_keys_are_known_in_the_spellings_of_the_samples(tmp_path: Path, spelling
     camera = read_camera(write(tmp_path / "camera.yaml", cameraResolution=[320, 240], **values))
     assert type(camera) is BrownConradyCamera
     assert camera.image_size == (240, 320)
-
-
-def test_matrix_without_distortion_is_a_pinhole(tmp_path: Path) -> None:
-    assert type(read_camera(write(tmp_path / "camera.yaml", **SIZE, K=MATRIX))) is PinholeCamera
 
 
 def test_image_size_can_be_given_where_the_file_does_not_tell(tmp_path: Path) -> None:
@@ -235,56 +184,6 @@ def test_omnidir_stereo_sample_with_rotation_vector(tmp_path: Path) -> None:
     rig = read_rig(path, translation_unit="m", image_size=(480, 640))
     assert {type(camera) for camera in rig.cameras.values()} == {UnifiedCamera}
     torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0, 0]), rtol=0, atol=1e-6)
-
-
-def test_pair_is_read_back_as_written_without_a_unit(tmp_path: Path) -> None:
-    both = cameras()
-    poses = ring_rig(2, radius=0.1).to(torch.float64).world_from_camera
-    poses = torch.linalg.inv(poses[0]) @ poses  # the first camera is the world, as in the format
-    rig = CameraRig({"cam1": both["fisheye"], "cam2": both["omnidir"]}, poses)
-    save_rig(rig, tmp_path / "stereo.yaml", format="opencv")
-    again = read_rig(tmp_path / "stereo.yaml", dtype=torch.float64)
-    torch.testing.assert_close(again.world_from_camera, poses, rtol=0, atol=1e-15)
-    for name, camera in rig.cameras.items():
-        assert again.cameras[name].with_max_angle(camera.max_angle).equals(camera)
-
-
-def test_what_opencv_cannot_hold_is_refused(tmp_path: Path) -> None:
-    rig = CameraRig([cameras()["plain"]] * 3, torch.eye(4, dtype=torch.float64).repeat(3, 1, 1))
-    with pytest.raises(ValueError, match="one camera or two, this rig has 3"):
-        save_rig(rig, tmp_path / "rig.yaml", format="opencv")
-    with pytest.raises(ValueError, match=r"expected the suffix \.yaml"):
-        save_camera(cameras()["plain"], tmp_path / "camera.txt", format="opencv")
-    with_k3 = UnifiedCamera([300.0, 300.0], [159.5, 119.5], 1.0, [0.1, 0.0, 0.0, 0.0, 0.01], (240, 320))
-    with pytest.raises(ValueError, match="holds 4 numbers of distortion"):
-        save_camera(with_k3, tmp_path / "camera.yaml", format="opencv")
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"camera_matrix": [[300.0, 0.5, 159.0], [0, 300, 119], [0, 0, 1]]},
-            "camera_matrix: a skew of 0.5 is for fisheye",
-        ),
-        ({"camera_matrix": [[300.0, 0, 159.0], [0, 300, 119]]}, "camera_matrix: expected 9 numbers, got 6"),
-        ({"camera_matrix": [[300.0, 0, 159], [0, 300, 119], [0, 0, 2]]}, "camera_matrix: expected 0 0 1"),
-        ({"distortion_coefficients": [0.1, 0.2]}, "distortion_coefficients"),
-        ({"image_width": "wide"}, "image_width and image_height: expected numbers"),
-    ],
-)
-def test_broken_file_names_file_and_key(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
-    values = {**SIZE, "camera_matrix": MATRIX, "distortion_coefficients": PLAIN, **changes}
-    with pytest.raises(ValueError, match=r"camera\.yaml") as caught:
-        read_camera(write(tmp_path / "camera.yaml", **values))
-    assert message in str(caught.value)
-
-
-def test_matrix_shorter_than_announced_is_refused(tmp_path: Path) -> None:
-    text = opencv_yaml(**SIZE, camera_matrix=MATRIX).replace(", 1.0 ]", " ]")
-    (tmp_path / "camera.yaml").write_text(text)
-    with pytest.raises(ValueError, match="camera_matrix: announces 3 x 3 numbers but holds 8"):
-        read_camera(tmp_path / "camera.yaml")
 
 
 def test_pair_without_transform_makes_no_rig(tmp_path: Path) -> None:

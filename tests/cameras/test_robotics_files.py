@@ -13,55 +13,28 @@ import torch
 from sphericalvision.cameras import (
     CameraRig,
     KannalaBrandtCamera,
-    PinholeCamera,
     read_camera,
     read_rig,
     save_rig,
 )
 from tests.cameras.calibration_samples import (
-    FISHEYE,
     KITTI,
     RIGHT_OF_FIRST,
     asl,
-    assert_projects,
-    directions,
     dump,
     flat,
     mei,
-    opencv_fisheye,
-    opencv_plain,
     orbslam,
 )
 
 
-def test_kitti_cameras_are_opencvs_and_stand_where_it_says(tmp_path: Path) -> None:
+def test_kitti_cameras_stand_where_it_says(tmp_path: Path) -> None:
     """Coordinates of camera 0 to camera 1: x1 = R x0 + T; what is ahead of the second is to the right of the first."""
     (tmp_path / "calib_cam_to_cam.txt").write_text(KITTI)
     rig = read_rig(tmp_path, dtype=torch.float64)
-    rays = directions(25.0)
-    matrix = [[989.5, 0, 702.0], [0, 987.8, 245.6], [0, 0, 1]]
-    distortion = [-0.36, 0.19, 0.0004, -0.0005, -0.06]
-    assert_projects(rig.cameras["cam1"], opencv_plain(rays, matrix, distortion), rays)
     assert rig.cameras["cam0"].image_size == (512, 1392)
     torch.testing.assert_close(rig.positions[1], torch.tensor([0.537, 0.0, 0.0], dtype=torch.float64))
     torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("D_01: -0.36 ", "D_01: ", "line 13, D_01: expected 5 numbers, got 4"),
-        ("T_01: 0", "T_01: nan", "line 15, T_01: expected finite numbers"),
-        ("S_00: 1392", "S_09: 1392", "the key 'S_00' is missing; found calib_time, corner_dist, S_09"),
-        ("R_01: 0 0 -1", "R_01: 0 0 -2", "line 14, R_01: expected a rotation"),
-        ("K_01: 989.5 0.0", "K_01: 989.5 0.5", "line 12, K_01: expected fx 0 cx 0 fy cy 0 0 1"),
-        ("T_01:", "T_00:", "line 15: expected a key of its own first, got 'T_00:'"),
-    ],
-)
-def test_broken_line_of_kitti_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
-    (tmp_path / "calib_cam_to_cam.txt").write_text(KITTI.replace(old, new, 1))
-    with pytest.raises(ValueError, match=rf"calib_cam_to_cam\.txt[,:] {message}"):
-        read_rig(tmp_path)
 
 
 def test_asl_cameras_of_a_folder_are_a_rig(tmp_path: Path) -> None:
@@ -72,23 +45,10 @@ def test_asl_cameras_of_a_folder_are_a_rig(tmp_path: Path) -> None:
     assert rig.names == ["cam0", "cam1"]
     torch.testing.assert_close(rig.positions[1], torch.tensor([0.1, 0.0, 0.02], dtype=torch.float64))
     torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
-    rays = directions(30.0)
-    matrix = [[458.6, 0, 367.2], [0, 457.3, 248.4], [0, 0, 1]]
-    assert_projects(rig.cameras["cam0"], opencv_plain(rays, matrix, asl()["distortion_coefficients"]), rays)
 
 
-def test_asl_of_another_sensor_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"sensor\.yaml, sensor_type: expected camera, got 'imu'"):
-        read_camera(dump(tmp_path / "sensor.yaml", asl(sensor_type="imu")))
-
-
-@pytest.mark.parametrize("kind", ["KannalaBrandt8", "PinHole"])
-def test_orbslam_cameras_are_opencvs(tmp_path: Path, kind: str) -> None:
-    rig = read_rig(dump(tmp_path / "stereo.yaml", orbslam(kind)), dtype=torch.float64)
-    rays = directions(30.0)
-    numbers = [value for key, value in orbslam(kind).items() if key.startswith("Camera2.")][4:]
-    oracle = opencv_fisheye if kind == "KannalaBrandt8" else opencv_plain
-    assert_projects(rig.cameras["cam2"], oracle(rays, FISHEYE, numbers), rays)
+def test_orbslam_first_camera_is_the_world(tmp_path: Path) -> None:
+    rig = read_rig(dump(tmp_path / "stereo.yaml", orbslam()), dtype=torch.float64)
     torch.testing.assert_close(rig.world_from_camera[1], torch.tensor(RIGHT_OF_FIRST, dtype=torch.float64))
 
 
@@ -129,15 +89,6 @@ def test_orbslam_reads_what_is_written_for_it(tmp_path: Path) -> None:
     assert [found[f"Camera2.{key}"].real() for key in ("fx", "cy", "k3")] == [190.25 + 0.25, 256.5, -0.125]
     assert (found["Camera.width"].real(), found["Camera.height"].real()) == (640, 512)
     np.testing.assert_array_equal(found["Stereo.T_c1_c2"].mat(), pose.double().numpy())
-
-
-def test_orbslam_holds_two_of_one_model(tmp_path: Path) -> None:
-    fisheye = KannalaBrandtCamera([100.0, 100.0], [49.5, 49.5], [0.0] * 4, (100, 100), 1.5)
-    rig = CameraRig(
-        [fisheye, PinholeCamera([100.0, 100.0], [49.5, 49.5], (100, 100))], torch.eye(4).repeat(2, 1, 1)
-    )
-    with pytest.raises(ValueError, match="two of one model"):
-        save_rig(rig, tmp_path / "settings.yaml", "orbslam")
 
 
 def test_vins_takes_cameras_from_files_beside_it(tmp_path: Path) -> None:

@@ -10,11 +10,15 @@ import torch
 
 from sphericalvision.cameras import (
     BrownConradyCamera,
+    Camera,
     CameraRig,
+    DoubleSphereCamera,
     FisheyeCamera,
     KannalaBrandtCamera,
+    OCamCamera,
     PinholeCamera,
     RadialPolynomialCamera,
+    UnifiedCamera,
     read_camera,
     read_rig,
     ring_rig,
@@ -57,6 +61,52 @@ def test_model_that_no_other_format_has_is_sent_to_native(tmp_path: Path, format
     with pytest.raises(ValueError, match=rf"'{format}' has no radial_polynomial model.*Write it as 'native'"):
         save_rig(pair, tmp_path / "rig.yaml", format=format)
     assert not list(tmp_path.iterdir())
+
+
+def rig_of(*cameras: Camera) -> CameraRig:
+    return CameraRig(list(cameras), torch.eye(4).repeat(len(cameras), 1, 1))
+
+
+PINHOLE = PinholeCamera([300.0, 300.0], CENTER, SIZE)
+FISHEYE = FisheyeCamera("equisolid", 100.0, [1.0, 1.0], SIZE, 1.0)
+SPHERE = DoubleSphereCamera([100.0, 100.0], CENTER, -0.2, 0.6, SIZE, 1.5)
+MEI = UnifiedCamera([100.0, 100.0], CENTER, 1.0, [0.1, 0.0, 0.0, 0.0, 0.01], SIZE)
+OCAM = OCamCamera([-100.0, 0.0, 0.0025], None, CENTER, [1.0, 0.0, 0.0], SIZE, 1.0)
+KB = KannalaBrandtCamera([100.0, 100.0], CENTER, [0.0] * 4, SIZE, 1.5)
+PRISM = BrownConradyCamera([300.0, 300.0], CENTER, [*[0.0] * 8, 0.01, 0, 0, 0], SIZE, 0.4)
+
+
+@pytest.mark.parametrize(
+    ("format", "thing", "message"),
+    [
+        ("kalibr", FISHEYE, r"'kalibr' has no fisheye model.*'native'.*convert\(to=\.\.\.\)"),
+        ("kalibr", PLAIN, "holds fx fy cx cy k1 k2 p1 p2, and this one has k3="),
+        ("basalt", OCAM, r"'basalt' has no ocam model.*'native' or 'ocamcalib' or 'omnimvs'"),
+        ("basalt", MEI, "holds fx fy cx cy xi, and this one has k1="),
+        ("colmap", SPHERE, r"'basalt' or 'kalibr'.*camera\.convert\(to=\.\.\.\)"),
+        ("colmap", PRISM, "this one has s1="),
+        ("opencv", MEI, "holds 4 numbers of distortion"),
+        ("opencv", rig_of(PLAIN, PLAIN, PLAIN), "one camera or two, this rig has 3"),
+        ("ocamcalib", FISHEYE, r"'ocamcalib' has no fisheye model, it has ocam.*camera\.convert"),
+        ("ocamcalib", OCAM, "fit_inverse_polynomial"),
+        ("omnimvs", rig_of(OCAM), "fit_inverse_polynomial"),
+        ("omnimvs", rig_of(FISHEYE), "'omnimvs' has no fisheye model"),
+        ("orbslam", rig_of(KB, PINHOLE), "two of one model"),
+        ("nerfstudio", rig_of(KB, PINHOLE), "nerfstudio has one camera model for all frames"),
+        ("nerfstudio", rig_of(FISHEYE), "'nerfstudio' has no fisheye model"),
+    ],
+)
+def test_what_a_format_cannot_hold_is_refused_with_a_way_out(
+    tmp_path: Path, format: str, thing: Camera | CameraRig, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        (save_camera if isinstance(thing, Camera) else save_rig)(thing, tmp_path / "file.yaml", format)  # type: ignore[operator]
+    assert not list(tmp_path.iterdir())
+
+
+def test_opencv_tells_its_kind_of_file_by_the_suffix(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"expected the suffix \.yaml"):
+        save_camera(PLAIN, tmp_path / "camera.txt", format="opencv")
 
 
 def test_masks_that_are_not_written_are_told(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -67,28 +66,3 @@ def test_without_pose_it_is_a_camera(tmp_path: Path) -> None:
         read_rig(path)
     with pytest.raises(ValueError, match="no pose of this camera"):
         read_rig(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"model": "rectilinear"}, "intrinsic, model: expected radial_poly, got 'rectilinear'"),
-        ({"k3": None}, "intrinsic, k3: expected numbers"),
-        ({"poly_order": 5}, "intrinsic: the key 'k5' is missing"),
-        ({"poly_order": 0.5}, "poly_order: expected a count"),
-        ({"k1": -1.0}, "intrinsic: polynomial: expected"),
-        ({"aspect_ratio": 0.0}, "intrinsic: aspect_ratio: expected numbers above 0"),
-        ({"width": 0.0}, "width and height: expected the width and height"),
-    ],
-)
-def test_broken_file_names_file_and_key(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=r"FV\.json") as caught:
-        read_camera(dump(tmp_path / "FV.json", woodscape(**changes)))
-    assert message in str(caught.value)
-
-
-def test_quaternion_that_is_none_is_refused(tmp_path: Path) -> None:
-    content = woodscape()
-    content["extrinsic"]["quaternion"] = [0.5, 0.5, 0.5, 0.0]
-    with pytest.raises(ValueError, match=r"quaternion \(x, y, z, w\): expected a quaternion of length 1"):
-        read_rig(dump(tmp_path / "FV.json", content))

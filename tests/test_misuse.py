@@ -540,6 +540,8 @@ make_seamless(torch.nn.Upsample(scale_factor=2, mode='bilinear')) -> module: Ups
 # icosphere
 Icosphere(1.5) -> level: expected an integer
 Icosphere(True) -> level: expected an integer
+TriangleLocator(-1) -> level: expected an integer from 0
+TriangleLocator(11) -> level: expected an integer from 0
 # sweep
 inverse_depth_hypotheses(2.5, 0.5) -> num_hypotheses: got 2\.5
 inverse_depth_hypotheses(8, 5e-324) -> min_depth: 5e-324

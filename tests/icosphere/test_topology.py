@@ -143,13 +143,6 @@ def test_golden_vertices_faces_and_charts(golden: Path) -> None:
             assert np.array_equal(order[1:-1].view(5, 2 * n, n), unfold[f"drop_ne{level}"])
 
 
-@pytest.mark.parametrize("level", [0, 3, 6])
-def test_solid_angles_sum_to_the_sphere(level: int) -> None:
-    angles = Icosphere(level, dtype=torch.float64).solid_angles
-    assert angles.sum().item() == pytest.approx(4 * np.pi, rel=1e-12)
-    assert angles.min() > 0
-
-
 def test_solid_angles_integrate_smooth_functions() -> None:
     ico = Icosphere(5, dtype=torch.float64)
     y_squared = (ico.vertices[:, 1].square() * ico.solid_angles).sum()

@@ -106,27 +106,6 @@ def test_what_is_interpolated_from_unseen_vertices_is_not_seen(generator: torch.
     assert there[:, 2].sum() < tables[2].sum()
 
 
-@pytest.mark.parametrize("order", [(1, 0, 2, 3), (3, 1, 0, 2)])
-def test_the_order_of_cameras_does_not_matter(order: tuple[int, ...], generator: torch.Generator) -> None:
-    tables = tables_of(ring_rig(4).to(torch.float64))
-    images = torch.randn(1, 4, 3, 642, generator=generator, dtype=torch.float64)
-    there = correlation_evidence(images, tables)
-    again = correlation_evidence(images[:, order], tables.permuted(torch.tensor(order)))
-    torch.testing.assert_close(again, there)
-
-
-def test_a_batch_equals_a_loop_with_one_rig_or_a_rig_a_sample(generator: torch.Generator) -> None:
-    rigs = [all_around(3), ring_rig(3).to(torch.float64)]
-    images = torch.randn(2, 3, 3, 642, generator=generator, dtype=torch.float64)
-    each = tables_of(CameraRig.stack(rigs))
-    several = correlation_evidence(images, each)
-    shared = correlation_evidence(images, tables_of(rigs[1]))
-    for sample, rig in enumerate(rigs):
-        one = images[sample : sample + 1]
-        torch.testing.assert_close(several[sample], correlation_evidence(one, tables_of(rig))[0])
-        torch.testing.assert_close(shared[sample], correlation_evidence(one, tables_of(rigs[1]))[0])
-
-
 def test_is_differentiable_in_the_images(generator: torch.Generator) -> None:
     tables = tables_of(all_around(3), level=0, number=2, feature_level=1)
     images = torch.randn(1, 3, 1, 42, generator=generator, dtype=torch.float64, requires_grad=True)

@@ -58,15 +58,6 @@ def test_turning_rig_and_panorama_by_whole_pixels_rolls_the_sweep(generator: tor
         torch.testing.assert_close(turned, sweep(maps, rig).roll(columns, -1), rtol=0, atol=1e-6)
 
 
-def test_a_rig_a_sample_equals_one_after_the_other(generator: torch.Generator) -> None:
-    rigs = [random_rig(generator), random_rig(generator)]
-    sweep = PanoramaSweep((4, 8), num_hypotheses=4, min_depth=0.5)
-    maps = torch.randn(2, 3, 2, SIZE[0] // 2, SIZE[1] // 2, dtype=DOUBLE, generator=generator)
-    together = sweep(maps, CameraRig.stack(rigs))
-    for sample, rig in enumerate(rigs):
-        torch.testing.assert_close(together[sample], sweep(maps[sample : sample + 1], rig)[0])
-
-
 def test_masked_pixels_are_out_of_view(generator: torch.Generator) -> None:
     rig = random_rig(generator)
     upper = torch.zeros(SIZE, dtype=torch.bool)

@@ -90,15 +90,6 @@ def test_infinity_looks_in_the_same_direction_from_everywhere(generator: torch.G
     torch.testing.assert_close(values[..., 0, :], features, rtol=0, atol=1e-5)
 
 
-def test_prepared_tables_replace_the_rig(generator: torch.Generator) -> None:
-    rig = random_rig(generator)
-    sweep = SphereSweep(2, 4, 0.5)
-    features = torch.randn(2, 3, 2, 162, dtype=DOUBLE, generator=generator)
-    direct, prepared = sweep(features, rig), sweep(features, sweep.tables(rig))
-    assert torch.equal(direct.values, prepared.values)
-    assert torch.equal(direct.seen, prepared.seen)
-
-
 def test_a_rig_a_sample_equals_one_sample_at_a_time(generator: torch.Generator) -> None:
     rigs = [random_rig(generator) for _ in range(2)]
     sweep = SphereSweep(2, 4, 0.5)

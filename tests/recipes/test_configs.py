@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
 
 import sphericalvision.conf
@@ -20,6 +19,7 @@ from sphericalvision.recipes.app.keys import type_of
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from sphericalvision.scenes.rendered_frames import RenderedFrames
+from tests.recipes.tiny import composed
 
 CONF = Path(sphericalvision.conf.__file__).parent
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
@@ -32,8 +32,7 @@ DELTAS = ("experiment", "debug", "hparams", "launcher")
 
 
 def train_config(*overrides: str) -> DictConfig:
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        return compose("train", list(overrides))
+    return composed("train", *overrides)
 
 
 @pytest.fixture(scope="module")
@@ -190,8 +189,7 @@ def test_every_key_is_explained(path: Path) -> None:
     ],
 )
 def test_every_command_composes(name: str) -> None:
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        config = compose(name)
+    config = composed(name)
     assert "output" in config
     assert OmegaConf.is_config(config)
 

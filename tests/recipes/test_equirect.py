@@ -9,13 +9,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from hydra import compose, initialize_config_module
 
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.data import OmniStereoDataset, collate_samples
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
-from tests.recipes.tiny import TINY_SCENES, Run
+from tests.recipes.tiny import TINY_SCENES, Run, composed
 
 TINY_PANORAMAS = ("rig=equirect4", "rig.image_size=[16,32]")
 
@@ -71,8 +70,7 @@ def test_a_file_where_a_rig_is_named_and_the_other_way_round(failing: Callable[.
 
 def fisheye_scenes(*words: str) -> SceneDataModule:
     tiny = [word for word in TINY_SCENES if "batch_size" not in word]
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        config = compose("train", ["data=fisheye_scenes", "data.cache_dir=null", *tiny, *words])
+    config = composed("train", "data=fisheye_scenes", "data.cache_dir=null", *tiny, *words)
     data: SceneDataModule = build(config.data)
     data.serve(build(config.model))
     return data

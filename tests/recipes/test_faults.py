@@ -7,12 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_module
 
 from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.commands.train import instantiate_run
-from tests.recipes.tiny import TINY_TRAINING
+from tests.recipes.tiny import TINY_TRAINING, composed
 
 RIG = "calibration=capture/config.yaml"
 
@@ -161,8 +160,7 @@ PARTS = (
 
 @pytest.mark.parametrize(("words", "said"), PARTS)
 def test_wrong_words_are_told_by_the_part_that_takes_them(tmp_path: Path, words: str, said: str) -> None:
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        config = compose("train", [*TINY_TRAINING, *words.split()])
+    config = composed("train", *TINY_TRAINING, *words.split())
     with pytest.raises(ArgumentError) as raised:
         instantiate_run(config, tmp_path)
     assert said in str(raised.value)

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 from pytorch_lightning.loggers import CSVLogger
 
@@ -24,7 +23,7 @@ from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.own_files import import_own_files
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.scenes.rendered_frames import RenderedFrames
-from tests.recipes.tiny import TINY_SCENES, Run
+from tests.recipes.tiny import TINY_SCENES, Run, composed
 
 Words = tuple[str, ...]
 NETWORK = ("model.level=3", "model.num_hypotheses=4", "model.feature_channels=2", "trainer.accelerator=cpu")
@@ -46,8 +45,7 @@ def test_another_data_set_takes_the_place_of_the_experiments(run: Run, tmp_path:
         "model=omnimvs_small",
         "optimizer=sgd",
     ):
-        with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-            config = compose("train", ["experiment=quickstart", word])
+        config = composed("train", "experiment=quickstart", word)
         group = word.partition("=")[0]
         assert build(config[group], group) is not None
 
@@ -215,8 +213,7 @@ def test_loggers_that_cannot_begin_are_told_before_anything_is_rendered(
 
 @pytest.mark.parametrize("logger", ["csv", "tensorboard", "none"])
 def test_loggers_are_made(logger: str, tmp_path: Path) -> None:
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        config = compose("train", [f"logger={logger}", f"paths.run={tmp_path}"])
+    config = composed("train", f"logger={logger}", f"paths.run={tmp_path}")
     for name, node in (config.get("logger") or {}).items():
         assert type(build(node, name)).__name__.lower().startswith(name)
 

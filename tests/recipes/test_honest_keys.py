@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 import torch
 import yaml
-from hydra import compose, initialize_config_module
 from hydra.utils import get_class
 from omegaconf import DictConfig, OmegaConf
 
@@ -24,7 +23,7 @@ from sphericalvision.recipes.app.keys import ONLY_WITH, unused_key
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.app.words import quote_paths
 from tests.recipes.board_pictures import COLUMNS, ROWS, SQUARE, write_boards
-from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run
+from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, composed
 
 RIG = "calibration=c/rig.yaml"
 IMAGES = "images=c/{camera}/{frame:05d}.png"
@@ -141,8 +140,7 @@ def test_every_key_is_looked_at_or_refused(
     with contextlib.suppress(SystemExit):
         run(name, *overrides)
     assert looked_at
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        config = compose(name, quote_paths(overrides))
+    config = composed(name, *quote_paths(overrides))
     keys = [str(key) for key in config if key not in NAMED]
     forgotten = [key for key in keys if key not in looked_at and not unused_key(name, config, [key])]
     assert forgotten == []
@@ -157,8 +155,7 @@ def test_keys_that_do_not_count_are_refused(name: str, key: str, needed: str) ->
         name, ["data=omnihouse"]
     )
     words = words if name in ("predict", "calibrate", "train", "evaluate", "study") else []
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        config = compose(name, words)
+    config = composed(name, *words)
     message = unused_key(name, config, [key])
     assert message is not None
     needed = needed.partition("|")[0]
@@ -184,8 +181,7 @@ DATA = (
 def test_every_key_of_data_is_looked_at_or_refused(
     words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        config = compose("train", list(words))
+    config = composed("train", *words)
     if "cache_dir" in config.data:
         config.data.cache_dir = str(tmp_path)
     kind, found = get_class(config.data._target_), set()

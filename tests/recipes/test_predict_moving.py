@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from hydra import compose, initialize_config_module
 
 from sphericalvision.cameras import EquirectangularCamera, read_trajectory, ring_rig, save_rig
 from sphericalvision.capture import Predictor
@@ -20,7 +19,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image, write_image, write_mask
 from sphericalvision.recipes.app.captures import open_moving
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, composed
 
 SIZE = (24, 48)
 NUMBER = 7
@@ -77,20 +76,16 @@ def of_drive(drive: Path) -> list[str]:
 
 def keys(capture: Path, **given: Any) -> dict[str, Any]:
     """Those of ``predict`` that say where the images and their poses are."""
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        words = [
-            f"images={capture / 'walk'}",
-            f"poses={capture / 'poses.txt'}",
-            "calibration=equirectangular",
-        ]
-        return {**compose("predict", words), **given}
+    return {**composed("predict", *inputs(capture)), **given}
+
+
+def inputs(capture: Path) -> tuple[str, ...]:
+    return "calibration=equirectangular", f"images={capture / 'walk'}", f"poses={capture / 'poses.txt'}"
 
 
 def words(capture: Path) -> list[str]:
     return [
-        "calibration=equirectangular",
-        f"images={capture / 'walk'}",
-        f"poses={capture / 'poses.txt'}",
+        *inputs(capture),
         "up=z",
         "spacing=0.1",
         "method=semi_global",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from hydra import compose, initialize_config_module
+from hydra import initialize_config_module
 from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError
@@ -21,6 +21,7 @@ from sphericalvision.recipes.speed import network as bench_network
 from sphericalvision.recipes.speed import predict as bench_predict
 from sphericalvision.recipes.speed.command import measure_speed
 from sphericalvision.recipes.speed.measuring import OURS, Comparison, added_memory, measure
+from tests.recipes.tiny import composed
 
 CPU = torch.device("cpu")
 
@@ -28,8 +29,7 @@ CPU = torch.device("cpu")
 def config(*overrides: str) -> DictConfig:
     tiny = "settings=[[3,4]]", "feature_channels=2", "image_size=[32,32]", "seconds=1e-9", "num_frames=2"
     small = "convolution_settings=[[3,2]]", "num_points=50", "image_sides=[32]"
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        return compose("speed", [*tiny, *small, *overrides])
+    return composed("speed", *tiny, *small, *overrides)
 
 
 def test_the_old_name_says_the_new_one_and_does_the_same(failing: Callable[..., str]) -> None:

@@ -38,7 +38,7 @@ from sphericalvision.recipes.study.report import angle_plot, panel_sheet
 from sphericalvision.recipes.study.tables import study_tables
 from sphericalvision.recipes.study.training import training_config, training_words
 from sphericalvision.scenes.rendered_frames import RenderedFrames
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, composed
 
 ANGLES = (0.0, 45.0)
 
@@ -392,8 +392,7 @@ def test_images_on_disk_are_turned(
     left_out = {r["angle_deg"]: r["errors"]["points"]["left_out"] for r in results}
     assert left_out[0.0] < 1
     assert 10 < left_out[45.0] < 40
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        config = compose("study", [*disk[:2], f"data.root='{tmp_path / 'house'}'", disk[3]])
+    config = composed("study", *disk[:2], f"data.root='{tmp_path / 'house'}'", disk[3])
     _, frames = study_frames(config, View("fisheye", 45.0))
     sample = frames[0]
     assert sample["fisheye"].shape == (4, 3, 32, 32)
@@ -451,8 +450,7 @@ def test_trainings_of_a_preset_differ_in_the_model_alone(preset: str) -> None:
 
 
 def test_a_constant_needs_a_training_set() -> None:
-    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        config = compose("study", ["preset=tiny", "models.constant.train=null"])
+    config = composed("study", "preset=tiny", "models.constant.train=null")
     with pytest.raises(ArgumentError, match=r"models\.constant\.train"):
         study_models(config)
 

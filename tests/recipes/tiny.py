@@ -6,6 +6,9 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable
 
+from hydra import compose, initialize_config_module
+from omegaconf import DictConfig
+
 TINY_SCENES = (
     "rig.image_size=[32,32]",
     "data.num_train=3",
@@ -27,6 +30,12 @@ TINY_TRAINING = (
 )
 
 Run = Callable[..., None]
+
+
+def composed(command: str, *words: str) -> DictConfig:
+    """The configuration of a command with these words."""
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        return compose(command, list(words))
 
 
 def command_after(printed: str, label: str) -> list[str]:

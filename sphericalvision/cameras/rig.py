@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection
-from sphericalvision.cameras.checks import check_poses, check_rotation
+from sphericalvision.cameras.checks import check_image, check_poses, check_rotation
 from sphericalvision.cameras.masks import is_usable, resized_mask, stack_masks
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.core import (
@@ -38,7 +38,7 @@ from sphericalvision.geometry import (
 )
 from sphericalvision.geometry.directions import holds
 
-__all__ = ["CameraRig", "ring_rig"]
+__all__ = ["CameraRig", "check_images_of", "ring_rig"]
 
 
 class CameraRig:
@@ -459,6 +459,18 @@ def ring_rig(
     poses = transform_from_axis_angle(torch.stack((zero, longitude, zero), -1), position)
     exact = poses.round(decimals=12) + 0.0  # quarter turns without rounding, and no negative zeros
     return CameraRig([camera] * num_cameras, exact.to(torch.get_default_dtype()))
+
+
+def check_images_of(
+    rig: CameraRig, images: Mapping[str, Tensor], name: str = "images", shape: str = "(*b, c, h, w)"
+) -> None:
+    """Raise ``ArgumentError`` unless there is an image of each camera, and ``ShapeError`` for one of another size."""
+    if set(images) != set(rig.cameras):
+        raise ArgumentError(
+            f"{name}: expected one for each of {', '.join(rig.names)}, got {', '.join(map(str, images))}"
+        )
+    for camera_name, camera in rig.cameras.items():
+        check_image(f"{name}[{camera_name!r}]", images[camera_name], camera.image_size, shape)
 
 
 def _stack_cameras(name: str, cameras: list[Camera]) -> Camera:

@@ -13,10 +13,9 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.checks import check_image
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
-from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.lookup import ImageLookup
 
@@ -90,22 +89,18 @@ def sample_sphere(
         (torch.Size([4, 3, 1]), [True, True, False, True])
     """
     values, lookups = [], sphere_lookups(rig, directions, antialias)
-    for (name, image), lookup in zip(_in_order(rig, images).items(), lookups, strict=True):
-        check_image(f"images[{name!r}]", image, lookup.image_size)
+    for image, lookup in zip(_in_order(rig, images), lookups, strict=True):
         values.append(lookup(image, fill))
     return torch.stack(values, -3), torch.stack([lookup.seen for lookup in lookups], -2)
 
 
-def _in_order(rig: CameraRig, images: Mapping[str, Tensor] | Sequence[Tensor]) -> dict[str, Tensor]:
-    if isinstance(images, Mapping):
-        if set(images) != set(rig.cameras):
-            raise ArgumentError(
-                f"images: expected one for each of {', '.join(rig.names)}, got {', '.join(map(str, images))}"
-            )
-        return {name: images[name] for name in rig.names}
-    if len(images) != len(rig):
-        raise ArgumentError(f"images: expected {len(rig)}, one for each camera, got {len(images)}")
-    return dict(zip(rig.names, images, strict=True))
+def _in_order(rig: CameraRig, images: Mapping[str, Tensor] | Sequence[Tensor]) -> list[Tensor]:
+    if not isinstance(images, Mapping):
+        if len(images) != len(rig):
+            raise ArgumentError(f"images: expected {len(rig)}, one for each camera, got {len(images)}")
+        images = dict(zip(rig.names, images, strict=True))
+    check_images_of(rig, images)
+    return [images[name] for name in rig.names]
 
 
 def _shrinking(camera: Camera, directions: Tensor) -> int:

@@ -89,9 +89,9 @@ def test_target_files_of_kalibr_are_read(tmp_path: Path) -> None:
     [
         (("'aprilgrid'", "circlegrid"), ("circlegrid", "aprilgrid or checkerboard")),
         (("tagSize: 0.08", "tagSize: 80000"), ("tagSize", "80000")),
-        (("tagCols: 3", "tagCols: 3.5"), ("tagCols", "whole number")),
+        (("tagCols: 3", "tagCols: 3.5"), ("tagCols", "expected a count")),
         (("tagCols: 3", "tagCols: 900"), ("587 tags", "900")),
-        (("tagSpacing: 0.3", ""), ("tagSpacing", "None")),
+        (("tagSpacing: 0.3", ""), ("tagSpacing", "missing")),
         (("tagRows: 2", "tagRows: 2\nmirrored: true"), ("mirrored",)),
     ],
 )

@@ -42,6 +42,8 @@ _SMALL = 4_000_000
 """Pixels of an image that is also searched at twice its size, for markers with less than three pixels a bit."""
 _THRESHOLDS = 31, 121
 """Pixels of the squares in which a dark pixel is darker than the mean."""
+_LARGEST = 9999
+"""Number of a target file; more is taken for a damaged one."""
 
 
 class Corners(NamedTuple):
@@ -286,24 +288,19 @@ def read_board(path: str | Path) -> Board:
     path = check_file(path, "a target file of Kalibr")
     content = load_keys(path, "target_type and the keys of a target of Kalibr")
 
-    def number(key: str, whole: bool = False) -> Any:
-        value = content.get(key)
-        kinds = (int,) if whole else (int, float)
-        if isinstance(value, bool) or not isinstance(value, kinds) or not 0 < value < 1e4:
-            raise FileFormatError(
-                f"{path}, {key}: expected a {'whole ' * whole}number above 0, got {value!r}"
-            )
+    def positive(key: str) -> float:
+        if not 0 < (value := content.number(key)) < _LARGEST:
+            raise FileFormatError(f"{content.at(key)}: expected a number above 0, got {value:g}")
         return value
 
     kind = content.get("target_type")
     try:
         if kind == "aprilgrid":
-            tags = number("tagCols", True), number("tagRows", True)
-            board: Board = AprilGrid(*tags, number("tagSize"), number("tagSpacing"))
+            tags = content.count("tagCols", _LARGEST), content.count("tagRows", _LARGEST)
+            board: Board = AprilGrid(*tags, positive("tagSize"), positive("tagSpacing"))
         elif kind == "checkerboard":
-            counts = number("targetCols", True), number("targetRows", True)
-            sides = number("colSpacingMeters"), number("rowSpacingMeters")
-            board = Checkerboard(*counts, sides)
+            counts = content.count("targetCols", _LARGEST), content.count("targetRows", _LARGEST)
+            board = Checkerboard(*counts, (positive("colSpacingMeters"), positive("rowSpacingMeters")))
         else:
             raise FileFormatError(
                 f"{path}, target_type: expected aprilgrid or checkerboard, got {kind!r}"

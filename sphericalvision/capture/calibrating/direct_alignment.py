@@ -24,7 +24,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
-from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.capture.calibrating.turns import rightness, rotations, turned
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import icosphere_vertices
@@ -332,10 +332,7 @@ def _check(
     """The frames' dimensions."""
     if len(rig) < 2:
         raise ArgumentError("rig: expected two or more cameras that see the same things, got one")
-    if set(images) != set(rig.names):
-        raise ArgumentError(
-            f"images: expected one for each of {', '.join(rig.names)}, got {', '.join(map(str, images))}"
-        )
+    check_images_of(rig, images)
     if directions.ndim != 2 or directions.shape[-1] != 3:
         raise ShapeError(f"directions: expected shape (V, 3), got {tuple(directions.shape)}")
     number = len(directions)
@@ -347,14 +344,10 @@ def _check(
         )
     frames = tuple(inverse_depth.shape[:-1])
     for name, image in images.items():
-        size = rig.cameras[name].image_size
-        if (
-            image.ndim != 3 + len(frames)
-            or tuple(image.shape[: len(frames)]) != frames
-            or tuple(image.shape[-2:]) != size
-        ):
+        if tuple(image.shape[:-3]) != frames:
             before = "".join(f"{frame}, " for frame in frames)
+            height, width = image.shape[-2:]
             raise ShapeError(
-                f"images[{name!r}]: expected shape ({before}c, {size[0]}, {size[1]}), got {tuple(image.shape)}"
+                f"images[{name!r}]: expected shape ({before}c, {height}, {width}), got {tuple(image.shape)}"
             )
     return frames

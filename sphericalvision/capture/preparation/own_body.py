@@ -22,8 +22,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import check_single
-from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.cameras.rig import CameraRig, check_images_of
+from sphericalvision.core import ArgumentError
 
 __all__ = ["OwnBody", "find_own_body"]
 
@@ -296,7 +296,7 @@ def _keep(
     kept: list[dict[str, Floats]] = []
     step = 1
     for number, images in enumerate(frames):
-        _check(rig, images)
+        check_images_of(rig, images, "frames", "(c, h, w)")
         if number % step:
             continue
         if len(kept) == MOST:
@@ -322,20 +322,6 @@ def _different(
                 continue
         views.append(images)
     return views
-
-
-def _check(rig: CameraRig, images: Mapping[str, Tensor]) -> None:
-    if set(images) != set(rig.cameras):
-        raise ArgumentError(
-            f"frames: expected an image for each of {', '.join(rig.names)}, got {', '.join(map(str, images))}"
-        )
-    for name, camera in rig.cameras.items():
-        height, width = camera.image_size
-        if images[name].ndim != 3 or tuple(images[name].shape[-2:]) != (height, width):
-            raise ShapeError(
-                f"frames: expected the shape (c, {height}, {width}) of {name} as calibrated, got "
-                f"{tuple(images[name].shape)}"
-            )
 
 
 def _nothing(rig: CameraRig, num_views: int, reason: str) -> OwnBody:

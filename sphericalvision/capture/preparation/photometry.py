@@ -23,9 +23,9 @@ from sphericalvision.cameras.conversion.fit import cap
 from sphericalvision.cameras.masks import resized_mask
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
-from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.cameras.sphere_images import sphere_lookups
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 
@@ -223,17 +223,7 @@ class Photometer:
         Args:
             images: as of ``calibrate_photometry``; so are the errors.
         """
-        cameras = self.rig.cameras
-        if set(images) != set(cameras):
-            raise ArgumentError(
-                f"images: expected one for each of {', '.join(cameras)}, got {', '.join(map(str, images))}"
-            )
-        for name, camera in cameras.items():
-            if images[name].ndim < 3 or tuple(images[name].shape[-2:]) != camera.image_size:
-                raise ShapeError(
-                    f"images[{name!r}]: expected shape (*b, c, {camera.image_size[0]}, {camera.image_size[1]}) as "
-                    f"calibrated, got {tuple(images[name].shape)}"
-                )
+        check_images_of(self.rig, images)
         small = averaged(self._small, images)
         frames = [
             small[name].reshape(-1, *small[name].shape[-3:]) * inside for name, inside in self._inside.items()

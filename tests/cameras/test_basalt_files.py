@@ -12,8 +12,10 @@ import torch
 from sphericalvision.cameras import (
     BrownConradyCamera,
     read_camera,
+    read_rig,
     save_camera,
 )
+from sphericalvision.io.images import write_mask
 from tests.cameras.calibration_samples import (
     assert_projects,
     basalt,
@@ -23,6 +25,21 @@ from tests.cameras.calibration_samples import (
 )
 
 CENTER = (254.96, 256.89)
+
+
+def test_a_camera_sees_as_far_as_its_mask(tmp_path: Path) -> None:
+    mask = torch.zeros(512, 512, dtype=torch.bool)
+    mask[134:376, 150:350] = True
+    (tmp_path / "cam0").mkdir()
+    write_mask(tmp_path / "cam0" / "mask.png", mask)
+    rig = read_rig(dump(tmp_path / "calibration.json", basalt("ds", "kb4")), dtype=torch.float64)
+    assert rig.names == ["cam0", "cam1"]
+    assert torch.equal(rig.masks["cam0"], mask)
+    corners = torch.cartesian_prod(torch.tensor([150.0, 349.0]), torch.tensor([134.0, 375.0])).double()
+    directions = rig.cameras["cam0"].unproject(corners).directions
+    widest = torch.atan2(directions[:, :2].norm(dim=-1), directions[:, 2]).max()
+    torch.testing.assert_close(rig.max_angles[0], widest)
+    assert read_rig(tmp_path, max_angle=1.0).max_angles.tolist() == [1.0, 1.0]
 
 
 RADTAN8 = {"k1": 0.4, "k2": -2.5, "p1": 6e-4, "p2": -3e-4, "k3": 1.6, "k4": 0.28, "k5": -2.3, "k6": 1.5}

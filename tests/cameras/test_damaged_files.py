@@ -56,7 +56,6 @@ from tests.cameras.calibration_samples import (
     woodscape,
 )
 from tests.cameras.test_calibration import OCAM, omnimvs
-from tests.cameras.test_calibration import basalt as basalt_rig
 
 JUNK: list[Any] = [
     "words", "", None, [], {}, [[]], float("nan"), float("inf"), -1.0, 0.0, 1e300, True, [1.0], {"a": 1},
@@ -107,7 +106,7 @@ CONTENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "lens.json": gyroflow,
     "spires.yaml": spires,
     "config.yaml": omnimvs,
-    "basalt.json": basalt_rig,
+    "basalt.json": lambda: basalt("ds", "kb4"),
     "rig.yaml": own_rig,
     "stereo.yaml": opencv_values,
     "stereo.json": lambda: opencv_values(

@@ -35,11 +35,15 @@ from tests.cameras.calibration_samples import (
     kalibr,
     kannala_brandt,
     mei,
+    okvis,
     opencv_fisheye,
     opencv_omnidir,
     opencv_plain,
     opencv_yaml,
+    opensfm,
     orbslam,
+    spires,
+    svo,
     transforms,
 )
 
@@ -162,6 +166,15 @@ LENSES = {
         tuple(aria()["CameraCalibrations"][1]["Projection"]["Params"]), "camera-rgb",
     ),
     "nerfstudio": Lens("transforms.json", transforms(), *EQUIDISTANT),  # whose file is half a pixel off
+    **{
+        name: Lens(file, content, "kannala_brandt", 50, kannala_brandt, (*plane, *KB4), camera)
+        for name, file, content, plane, camera in (
+            ("okvis", "okvis.yaml", okvis(), PLANE, "cam0"),
+            ("svo", "svo.yaml", svo(), PLANE, "cam0"),
+            ("spires", "spires.yaml", spires(), PLANE, "front"),
+            ("opensfm", "cameras.json", opensfm()["cameras"], [192.0, 192.64, 320.78, 254.86], "lens"),
+        )
+    },
     "adapter": Lens("DS.yml", adapter(), "double_sphere", 50, double_sphere, (*PLANE, -0.17, 0.593)),
     **{
         f"gyroflow, asymmetrical={free}": Lens(

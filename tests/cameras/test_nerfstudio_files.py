@@ -27,16 +27,6 @@ from tests.cameras.calibration_samples import (
 )
 
 
-def test_frames_are_a_rig_in_opencvs_axes(tmp_path: Path) -> None:
-    """Of an OpenGL camera the columns are right, up and backward; ahead and down here are their opposites."""
-    rig = read_rig(dump(tmp_path / "transforms.json", transforms()), dtype=torch.float64)
-    assert rig.names == ["images/frame_00001", "images/frame_00002"]
-    torch.testing.assert_close(rig.axes, torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]).double())
-    torch.testing.assert_close(rig.positions, torch.tensor([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0]]).double())
-    down = torch.stack([pose[:3, 1] for pose in rig.world_from_camera])
-    torch.testing.assert_close(down, torch.tensor([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]).double())
-
-
 def test_angle_of_view_stands_for_a_focal_length(tmp_path: Path) -> None:
     """The synthetic NeRF scenes have nothing else, and not even a size."""
     content = {"camera_angle_x": math.pi / 2, "frames": transforms()["frames"]}

@@ -18,7 +18,6 @@ from sphericalvision.cameras import (
     save_rig,
 )
 from tests.cameras.calibration_samples import (
-    KITTI,
     RIGHT_OF_FIRST,
     asl,
     dump,
@@ -26,15 +25,6 @@ from tests.cameras.calibration_samples import (
     mei,
     orbslam,
 )
-
-
-def test_kitti_cameras_stand_where_it_says(tmp_path: Path) -> None:
-    """Coordinates of camera 0 to camera 1: x1 = R x0 + T; what is ahead of the second is to the right of the first."""
-    (tmp_path / "calib_cam_to_cam.txt").write_text(KITTI)
-    rig = read_rig(tmp_path, dtype=torch.float64)
-    assert rig.cameras["cam0"].image_size == (512, 1392)
-    torch.testing.assert_close(rig.positions[1], torch.tensor([0.537, 0.0, 0.0], dtype=torch.float64))
-    torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
 
 
 def test_asl_cameras_of_a_folder_are_a_rig(tmp_path: Path) -> None:
@@ -45,11 +35,6 @@ def test_asl_cameras_of_a_folder_are_a_rig(tmp_path: Path) -> None:
     assert rig.names == ["cam0", "cam1"]
     torch.testing.assert_close(rig.positions[1], torch.tensor([0.1, 0.0, 0.02], dtype=torch.float64))
     torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
-
-
-def test_orbslam_first_camera_is_the_world(tmp_path: Path) -> None:
-    rig = read_rig(dump(tmp_path / "stereo.yaml", orbslam()), dtype=torch.float64)
-    torch.testing.assert_close(rig.world_from_camera[1], torch.tensor(RIGHT_OF_FIRST, dtype=torch.float64))
 
 
 def test_orbslam_body_becomes_the_world(tmp_path: Path) -> None:

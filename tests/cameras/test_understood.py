@@ -29,14 +29,9 @@ from sphericalvision.cameras import (
 from sphericalvision.cameras.calibration.keys import check_understood, noted
 from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError
 from tests.cameras.calibration_samples import (
-    KB4,
     MRCAL,
-    PLANE,
-    assert_projects,
-    directions,
     dump,
     kalibr,
-    kannala_brandt,
     svo_of_one,
     transforms,
     with_size,
@@ -476,22 +471,29 @@ def test_slave_sensors_of_metashape_have_their_masters_pose_and_their_own(tmp_pa
     assert float(rig.positions[1, 2] - rig.positions[0, 2]) == pytest.approx(-0.05)
 
 
-@pytest.mark.parametrize(
-    "name", ["okvis.yaml", "svo.yaml", "spires.yaml", "mc_calib.yaml", "reconstruction.json"]
-)
-def test_poses_of_other_programs_are_camera_to_world(tmp_path: Path, name: str) -> None:
-    """The second camera stands 11 cm to the right of the first and looks to the right, in every convention."""
-    path = tmp_path / name
-    path.write_text(write(CONTENTS[name](), name))
-    rig = read_rig(path, dtype=torch.float64, translation_unit="mm" if name.startswith("mc") else None)
-    expected = torch.tensor([[0.0, 0.0, 0.0], [0.11, 0.0, 0.0]], dtype=torch.float64)
-    torch.testing.assert_close(rig.positions, expected, rtol=0, atol=1e-12)
+SECOND = {  # file -> where its second camera stands, of whose samples all look to the right
+    **dict.fromkeys(("okvis.yaml", "svo.yaml", "spires.yaml", "mc_calib.yaml"), (0.11, 0.0, 0.0)),
+    **dict.fromkeys(("reconstruction.json", "settings.yaml"), (0.11, 0.0, 0.0)),
+    **dict.fromkeys(("transforms.json", "basalt.json", "stereo.yaml", "chunk.xml"), (0.1, 0.0, 0.0)),
+    "device.json": (0.1, 0.0, 0.02),
+    "config.yaml": (0.2, 0.0, 0.0),
+    "calib_cam_to_cam.txt": (0.537, 0.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("name", SECOND)
+def test_poses_are_camera_to_world_in_metres(tmp_path: Path, name: str) -> None:
+    """In every convention the first camera looks ahead, and the second to the right; both are upright."""
+    (tmp_path / name).write_text((TEXTS | OTHER_TEXTS)[name])
+    unit = "mm" if name in ("mc_calib.yaml", "stereo.yaml") else None
+    rig = read_rig(tmp_path / name, dtype=torch.float64, translation_unit=unit)
+    ahead = torch.eye(3, dtype=torch.float64)
+    right = torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=torch.float64)
     torch.testing.assert_close(
-        rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64), rtol=0, atol=1e-9
+        rig.world_from_camera[:2, :3, :3], torch.stack((ahead, right)), rtol=0, atol=1e-9
     )
-    rays = directions(50.0)
-    plane = [192.0, 192.64, 320.78, 254.86] if name.startswith("rec") else PLANE
-    assert_projects(next(iter(rig.cameras.values())), kannala_brandt(rays, *plane, *KB4), rays)
+    assert rig.positions[0, :2].tolist() == [0.0, 0.0]
+    torch.testing.assert_close(rig.positions[1], torch.tensor(SECOND[name]).double(), rtol=0, atol=1e-8)
 
 
 def test_lenses_of_svo_and_mrcal(tmp_path: Path) -> None:

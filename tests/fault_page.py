@@ -27,7 +27,7 @@ from sphericalvision.core import SphericalVisionError
 from sphericalvision.models import RefinedSweepNet, SemiGlobalSweep, load_weights, save_weights
 from sphericalvision.scenes import read_mesh_scene
 from tests.recipes.conftest import run_recipe
-from tests.recipes.test_faults import FAULTS, write_capture
+from tests.recipes.test_faults import FAULTS, write_wrong_files
 from tests.test_misuse import misuse, misuses
 
 __all__ = ["PAGE", "page"]
@@ -82,7 +82,7 @@ def said_by_commands() -> list[tuple[str, str]]:
     found = []
     for recipe, words, _ in FAULTS:
         with tempfile.TemporaryDirectory() as folder:
-            write_capture(Path(folder))
+            write_wrong_files(Path(folder))
             printed = io.StringIO()
             with (
                 contextlib.redirect_stderr(printed),

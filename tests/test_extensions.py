@@ -6,16 +6,14 @@ They lie in an empty folder, are found by their entry points, and used by comman
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 
 from sphericalvision.io.images import write_image
+from tests.processes import python
 
 GLASS = Path(__file__).parent / "plugin/glass"
 
@@ -131,22 +129,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def python(folder: Path, *words: str) -> str:
-    environment = {**os.environ, "PYTHONPATH": str(folder / "site"), "OMP_NUM_THREADS": "1"}
-    result = subprocess.run(
-        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    return result.stdout
-
-
 def command(folder: Path, name: str, *words: str) -> str:
-    return python(folder, "-m", f"sphericalvision.recipes.{name}", *words)
+    return python("-m", f"sphericalvision.recipes.{name}", *words, folder=folder, path=folder / "site")
 
 
 @pytest.mark.slow
 def test_extensions_of_one_file_each_work_from_every_command(folder: Path) -> None:
-    python(folder, "-c", RIG)
+    python("-c", RIG, folder=folder, path=folder / "site")
     command(folder, "convert", "calibration=rig.json", "output=rig.yaml")
     assert "equisolid_lens" in (folder / "rig.yaml").read_text()
     command(folder, "convert", "calibration=rig.yaml", "output=again.json", "format=odd")

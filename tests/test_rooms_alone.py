@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
+
+from tests.processes import python
 
 LOADED = """
 import sys
@@ -40,10 +39,7 @@ ROOMS = {
 
 
 def loaded(module: str) -> set[str]:
-    result = subprocess.run(
-        [sys.executable, "-c", LOADED, module], capture_output=True, text=True, check=True
-    )
-    return set(result.stdout.split())
+    return set(python("-c", LOADED, module).split())
 
 
 @pytest.mark.parametrize("module", ROOMS)
@@ -71,4 +67,4 @@ assert {"native", "kalibr"} <= set(CAMERA_FORMATS) & set(RIG_FORMATS)
 from sphericalvision.models.weights.registry import network_class
 assert network_class("semi-global-sweep").__name__ == "SemiGlobalSweep"
 """
-    subprocess.run([sys.executable, "-c", program], check=True)
+    python("-c", program)

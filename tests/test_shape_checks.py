@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import textwrap
 from pathlib import Path
@@ -14,6 +13,7 @@ import torch
 
 from sphericalvision import losses, viz
 from sphericalvision.icosphere import Icosphere, locate
+from tests.processes import python
 from tests.shape_checks import AnnotationError, CheckingLoader
 
 EXAMPLE = '''
@@ -165,4 +165,4 @@ def test_nothing_is_checked_outside_the_tests() -> None:
         assert not hasattr(icosphere.Icosphere.sample, "__wrapped__")
         assert not any(name.startswith("tests") or "beartype" in name for name in sys.modules)
     """
-    subprocess.run([sys.executable, "-c", textwrap.dedent(program)], check=True)
+    python("-c", textwrap.dedent(program))

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -14,6 +13,7 @@ import pytest
 import torch
 
 from sphericalvision.io.images import write_image
+from tests.processes import python
 
 PLUGIN = Path(__file__).parent
 
@@ -33,14 +33,6 @@ WORDS = (
     "trainer.accelerator=cpu",
     "logger=csv",
 )
-
-PROGRAM = """
-import sys
-from importlib import import_module
-command, *words = sys.argv[1:]
-sys.argv = ["sphericalvision-" + command, *words]
-import_module("sphericalvision.recipes." + command).main()
-"""
 
 RIG = """
 import torch
@@ -79,33 +71,27 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return target
 
 
-def python(installed: Path, folder: Path, *words: str) -> str:
-    """Run Python with the package installed; gives what it printed."""
-    environment = {**os.environ, "PYTHONPATH": str(installed), "OMP_NUM_THREADS": "1"}
-    result = subprocess.run(
-        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    return result.stdout
-
-
 @pytest.mark.slow
 def test_a_network_and_a_camera_of_somebody_elses(installed: Path, tmp_path: Path) -> None:
     """Trained, evaluated, saved, loaded and predicted with; nothing of it stands in this package."""
-    printed = python(installed, tmp_path, "-c", PROGRAM, "train", *WORDS, "output=run")
+
+    def command(name: str, *words: str) -> str:
+        return python("-m", f"sphericalvision.recipes.{name}", *words, folder=tmp_path, path=installed)
+
+    printed = command("train", *WORDS, "output=run")
     weights = tmp_path / "run/checkpoints/best.safetensors"
     assert "Evaluate: sphericalvision-evaluate" in printed
     load = f"from sphericalvision.models import load_weights as l; print(repr(l({str(weights)!r}).hyperparameters))"
-    assert python(installed, tmp_path, "-c", load).strip() == (
+    assert python("-c", load, folder=tmp_path, path=installed).strip() == (
         "{'level': 3, 'num_hypotheses': 4, 'min_depth': 0.55, 'width': 3}"
     )
     data = [word for word in WORDS if word.startswith(("data.", "rig."))]
     words = (*data, "data.num_test=2", f"checkpoint={weights}", "split=val", "output=table")
-    python(installed, tmp_path, "-c", PROGRAM, "evaluate", *words)
+    command("evaluate", *words)
     (evaluated,) = json.loads((tmp_path / "table/metrics.json").read_text()).values()
     (validated,) = json.loads((tmp_path / "run/validation.json").read_text()).values()
     assert evaluated == pytest.approx(validated, abs=1e-4)
-    python(installed, tmp_path, "-c", RIG)
+    python("-c", RIG, folder=tmp_path, path=installed)
     assert "equisolid_lens" in (tmp_path / "rig.yaml").read_text()
     for number in range(1, 5):
         write_image(tmp_path / f"cam{number}.png", torch.rand(3, 32, 32))
@@ -116,5 +102,5 @@ def test_a_network_and_a_camera_of_somebody_elses(installed: Path, tmp_path: Pat
         "output=out",
         "height=16",
     )
-    python(installed, tmp_path, "-c", PROGRAM, "predict", *words)
+    command("predict", *words)
     assert (tmp_path / "out/depth.npz").is_file()

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import torch
 
-from sphericalvision.cameras import CameraRig, ring_rig, save_rig
-from sphericalvision.data import write_image
+from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.scenes import make_scene, render_rig
+from tests.recipes.tiny import write_capture
 
 __all__ = ["FRAMES", "KNOCKED", "true_rig", "write_knocked_capture"]
 
@@ -30,8 +30,5 @@ def true_rig(degrees: float = 1.0) -> CameraRig:
 def write_knocked_capture(folder: Path, degrees: float = 1.0) -> None:
     """``rig.yaml``, as calibrated, and ``cam1/00000.png`` and so on."""
     rig = true_rig(degrees)
-    for frame in range(FRAMES):
-        for name, image in render_rig(make_scene("floating", seed=5 + frame), rig, 1).items():
-            (folder / name).mkdir(parents=True, exist_ok=True)
-            write_image(folder / name / f"{frame:05d}.png", image)
-    save_rig(KNOCKED, folder / "rig.yaml")
+    frames = (render_rig(make_scene("floating", seed=5 + frame), rig, 1) for frame in range(FRAMES))
+    write_capture(folder, KNOCKED, *frames, file="{camera}/{frame:05d}.png")

@@ -116,7 +116,7 @@ FAULTS = (
 """Command, words, and a part of what is said."""
 
 
-def write_capture(folder: Path) -> None:
+def write_wrong_files(folder: Path) -> None:
     """A calibration, and files that are no checkpoints."""
     save_rig(ring_rig(4, 0.2, (32, 32)), folder / "capture/config.yaml")
     (folder / "capture/half.ckpt").write_bytes(b"PK\x03\x04 half a file")
@@ -127,7 +127,7 @@ def write_capture(folder: Path) -> None:
 def test_wrong_words_are_told_in_a_paragraph(
     failing: Callable[..., str], tmp_path: Path, recipe: str, words: str, said: str
 ) -> None:
-    write_capture(tmp_path)
+    write_wrong_files(tmp_path)
     message = failing(recipe, *words.split()).partition("Error: ")[2].strip()
     assert said in message
     assert len(message.splitlines()) <= 2

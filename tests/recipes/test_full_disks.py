@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from sphericalvision.cameras import ring_rig, save_rig
-from sphericalvision.io.images import read_image, write_image
+from sphericalvision.cameras import ring_rig
+from sphericalvision.io.images import read_image
 from sphericalvision.scenes import make_scene, render_rig
-from tests.recipes.tiny import TINY_TRAINING, Run
+from tests.recipes.tiny import TINY_TRAINING, Run, write_capture
 
 pytestmark = pytest.mark.slow
 
@@ -36,9 +36,7 @@ COMMANDS = {
 def capture(tmp_path: Path) -> Path:
     """A rig and one image of each of its cameras."""
     rig = ring_rig(4, image_size=(32, 32))
-    save_rig(rig, tmp_path / "capture/rig.yaml")
-    for name, image in render_rig(make_scene("bare", seed=1), rig).items():
-        write_image(tmp_path / "capture" / f"{name}.png", image)
+    write_capture(tmp_path / "capture", rig, render_rig(make_scene("bare", seed=1), rig), file="{camera}.png")
     return tmp_path
 
 

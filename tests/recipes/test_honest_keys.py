@@ -14,16 +14,15 @@ import yaml
 from hydra.utils import get_class
 from omegaconf import DictConfig, OmegaConf
 
-from sphericalvision.cameras import save_camera, save_rig
+from sphericalvision.cameras import save_camera
 from sphericalvision.capture.preparation.preparation import Preparation
-from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app import command
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.keys import ONLY_WITH, unused_key
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.app.words import quote_paths
 from tests.recipes.board_pictures import COLUMNS, ROWS, SQUARE, write_boards
-from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, composed
+from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, composed, write_capture
 
 RIG = "calibration=c/rig.yaml"
 IMAGES = "images=c/{camera}/{frame:05d}.png"
@@ -91,13 +90,10 @@ NAMED = ("hydra", "output", "rig", "paths", "tags")
 def capture(tmp_path: Path, weights: Path) -> None:
     """A rig, two frames of its cameras, and poses for those of one."""
     rig = make_ring(4, radius=0.2, image_size=(24, 32))
-    save_rig(rig, tmp_path / "c/rig.yaml")
     save_camera(rig.cameras["cam1"], tmp_path / "c/lens.yaml")
     generator = torch.Generator().manual_seed(1)
-    for name in rig.names:
-        for frame in range(4):
-            image = torch.rand(3, 24, 32, generator=generator)
-            write_image(tmp_path / f"c/{name}/{frame:05d}.png", image)
+    frames = ({name: torch.rand(3, 24, 32, generator=generator) for name in rig.names} for _ in range(4))
+    write_capture(tmp_path / "c", rig, *frames, file="{camera}/{frame:05d}.png")
     poses = (f"{frame} 0 {0.1 * frame} 0 0 0 0 1" for frame in range(4))
     (tmp_path / "c/poses.txt").write_text("\n".join(poses))
 

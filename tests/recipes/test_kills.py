@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from sphericalvision.cameras import ring_rig, save_rig
-from sphericalvision.io.images import read_image, write_image
+from sphericalvision.cameras import ring_rig
+from sphericalvision.io.images import read_image
 from sphericalvision.scenes import make_scene, render_rig
 from tests.recipes.conftest import run_recipe
-from tests.recipes.tiny import TINY_TRAINING
+from tests.recipes.tiny import TINY_TRAINING, write_capture
 
 pytestmark = pytest.mark.slow
 
@@ -50,10 +50,8 @@ VARY = (".lock", "config.yaml", ".log", "events", ".pt", "multirun.yaml")
 def capture(tmp_path: Path) -> Path:
     """A rig and a few frames."""
     rig = ring_rig(3, image_size=(32, 32))
-    save_rig(rig, tmp_path / "capture/rig.yaml")
-    for frame in range(8):
-        for name, image in render_rig(make_scene("bare", seed=frame), rig).items():
-            write_image(tmp_path / "capture" / name / f"{frame:03d}.png", image)
+    frames = (render_rig(make_scene("bare", seed=seed), rig) for seed in range(8))
+    write_capture(tmp_path / "capture", rig, *frames, file="{camera}/{frame:03d}.png")
     return tmp_path
 
 

@@ -26,7 +26,7 @@ from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.scenes.disturbances import CameraDisturbance
 from sphericalvision.sphere import Equirectangular
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, write_capture
 
 SIZE = (40, 48)
 
@@ -100,11 +100,8 @@ def test_depth_scales_with_the_rig(run: Run, capture: Path, weights: Path, tmp_p
 def test_the_nearest_hypothesis_is_found_in_the_images(run: Run, weights: Path, tmp_path: Path) -> None:
     """A small rig in a hall: scaled from the rig's radius, the nearest hypothesis would waste nearly all others."""
     rig = make_ring(4, radius=0.05, image_size=(96, 96))
-    folder = tmp_path / "hall"
     scene = make_scene("hall", seed=3)
-    for number, picture in enumerate(render_rig(scene, rig, 2).values(), 1):
-        write_image(folder / f"cam{number}" / "00003.png", picture)
-    rig.to_yaml(folder / "rig.yaml")
+    folder = write_capture(tmp_path / "hall", rig, render_rig(scene, rig, 2), file="{camera}/00003.png")
     run("predict", *words(folder, weights, "out"), "min_depth=scene")
     nearest = OmegaConf.load(tmp_path / "out/config.yaml").min_depth
     truth = ray_depth(scene, rig.center, Icosphere(4).vertices).quantile(0.02)
@@ -117,9 +114,8 @@ def test_what_is_compensated_is_said(
     rig = make_ring(4, radius=0.2, image_size=(96, 96))
     pictures = render_rig(make_scene("room", seed=3), rig, 2)
     for folder, factor in ((tmp_path / "even", 1.0), (tmp_path / "dark", 0.6)):
-        for number, picture in enumerate(pictures.values(), 1):
-            write_image(folder / f"cam{number}" / "00003.png", picture * (factor if number == 1 else 1.0))
-        rig.to_yaml(folder / "rig.yaml")
+        taken = {**pictures, "cam1": factor * pictures["cam1"]}
+        write_capture(folder, rig, taken, file="{camera}/00003.png")
     run("predict", *words(tmp_path / "even", weights, "out"), "outputs=[npz]")
     assert "compensates" not in capsys.readouterr().out
     run("predict", *words(tmp_path / "dark", weights, "out"), "outputs=[npz]")
@@ -158,8 +154,7 @@ def test_knocked_cameras_are_turned_and_it_is_said(
     pictures = render_rig(make_scene("room", seed=5), rig)
     fault = CameraDisturbance(pose_error=math.radians(1))
     wrong = fault({"images": pictures, "rig": rig}, torch.Generator().manual_seed(2))["rig"]
-    for number, picture in enumerate(pictures.values(), 1):
-        write_image(tmp_path / f"c/cam{number}/00003.png", picture)
+    write_capture(tmp_path / "c", rig, pictures, file="{camera}/00003.png")
     common = [
         f"images={tmp_path}/c/cam{{camera}}/{{frame:05d}}.png",
         "checkpoint=icosweepnet-small",
@@ -329,10 +324,7 @@ def test_a_torn_table_of_consistency_loses_its_last_line_alone(tmp_path: Path) -
 def test_colours_stay_those_of_the_first_frame(run: Run, tmp_path: Path) -> None:
     """Whoever goes on writes the pictures that a run without interruption writes."""
     rig = ring_rig(3, image_size=(32, 32))
-    save_rig(rig, tmp_path / "rig.yaml")
-    for frame, seed in enumerate((0, 2)):
-        for name, image in render_rig(make_scene("bare", seed=seed), rig).items():
-            write_image(tmp_path / name / f"{frame}.png", image)
+    write_capture(tmp_path, rig, *(render_rig(make_scene("bare", seed=seed), rig) for seed in (0, 2)))
     settings = ["calibration=rig.yaml", "images={camera}/{frame}.png", "method=semi_global", "level=4"]
     settings += ["min_depth=0.5", "height=16", "outputs=[depth]"]
     for more in (["output=all"], ["output=parts", "stop=1"], ["output=parts", "skip_existing=true"]):

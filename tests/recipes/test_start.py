@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.rigs import make_ring
+from tests.processes import python
+from tests.recipes.tiny import write_capture
 
 LIGHTNING = ("pytorch_lightning", "lightning_fabric", "tensorboard", "torch._inductor")
 SCENES = ("skimage", "kornia", "scipy")
@@ -35,8 +36,7 @@ HEAVY = ("torch", "numpy", "kornia", "matplotlib", "pytorch_lightning", "spheric
 def imported(program: str) -> set[str]:
     """Names of the modules that a program of its own ends up with."""
     report = f"{program}\nimport sys; print('\\nMODULES', *sys.modules)"
-    result = subprocess.run([sys.executable, "-c", report], capture_output=True, text=True, check=True)
-    return set(result.stdout.rpartition("MODULES ")[2].split())
+    return set(python("-c", report).rpartition("MODULES ")[2].split())
 
 
 SLOW = ("train", "evaluate", "demo")
@@ -68,9 +68,7 @@ def test_one_frame_is_predicted_without_what_it_does_not_need(
 ) -> None:
     """Not only what the files import: what the work does, from the calibration to the point cloud."""
     rig = make_ring(image_size=(32, 32))
-    rig.to_yaml(tmp_path / "rig.yaml")
-    for name in rig.names:
-        write_image(tmp_path / f"{name}.png", torch.rand(3, 32, 32))
+    write_capture(tmp_path, rig, {name: torch.rand(3, 32, 32) for name in rig.names}, file="{camera}.png")
     words = [
         "x",
         "calibration=rig.yaml",

@@ -12,11 +12,11 @@ import pytest
 import torch
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.io.images import read_image, write_image
+from sphericalvision.io.images import read_image
 from sphericalvision.models import OmniMVS, load_weights, save_weights
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.rigs import make_ring
-from tests.recipes.tiny import TINY_SCENES, Run, command_after
+from tests.recipes.tiny import TINY_SCENES, Run, command_after, write_capture
 
 WORDS = (
     "experiment=omnimvs_small",
@@ -90,9 +90,8 @@ def test_networks_are_not_mixed_up(
 def test_a_capture_becomes_depth_within_the_band(run: Run, tmp_path: Path) -> None:
     net = OmniMVS(4, feature_channels=1, output_size=(16, 64), num_scales=2, aggregation="variance")
     path = save_weights(net, tmp_path / "band.safetensors")
-    make_ring(4, radius=0.2, image_size=(40, 48)).to_yaml(tmp_path / "rig.yaml")
-    for number in range(1, 5):
-        write_image(tmp_path / f"cam{number}.png", torch.rand(3, 40, 48))
+    rig = make_ring(4, radius=0.2, image_size=(40, 48))
+    write_capture(tmp_path, rig, {name: torch.rand(3, 40, 48) for name in rig.names}, file="{camera}.png")
     images = f"images={tmp_path}/cam{{camera}}.png"
     run(
         "predict",

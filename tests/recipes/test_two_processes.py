@@ -4,9 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +14,7 @@ from hypothesis import strategies as st
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.datamodules.base import TrainingStream, even_batches
+from tests.processes import python
 from tests.recipes.tiny import Run
 
 Words = tuple[str, ...]
@@ -67,13 +65,7 @@ def test_each_sample_is_validated_once_and_nobody_waits(number: int, batch_size:
 
 def train(folder: Path, *words: str) -> str:
     """Train in a process of its own, which starts the other; gives what was printed."""
-    command = [sys.executable, "-m", "sphericalvision.recipes.train", *words]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    result = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600, check=False
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    return result.stdout
+    return python("-m", "sphericalvision.recipes.train", *words, folder=folder)
 
 
 def state(folder: Path) -> dict[str, torch.Tensor]:

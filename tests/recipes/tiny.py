@@ -4,10 +4,15 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, save_rig
+from sphericalvision.io.images import write_image
 
 TINY_SCENES = (
     "rig.image_size=[32,32]",
@@ -36,6 +41,17 @@ def composed(command: str, *words: str) -> DictConfig:
     """The configuration of a command with these words."""
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         return compose(command, list(words))
+
+
+def write_capture(
+    folder: Path, rig: CameraRig, *frames: Mapping[str, Tensor], file: str = "{camera}/{frame}.png"
+) -> Path:
+    """A rig's calibration as ``rig.yaml``, and its images, frame by frame; gives the folder."""
+    save_rig(rig, folder / "rig.yaml")
+    for frame, images in enumerate(frames):
+        for name, image in images.items():
+            write_image(folder / file.format(camera=name, frame=frame), image)
+    return folder
 
 
 def command_after(printed: str, label: str) -> list[str]:

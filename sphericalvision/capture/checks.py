@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import torch
@@ -64,13 +63,11 @@ def capture_warnings(depth: Depth) -> list[str]:
 
 def overlap_warning(depth: Depth) -> str | None:
     """Return what to say if two cameras see little of the sphere."""
-    areas = depth.network.grid.solid_angles
-    share = float((areas * depth.seen).sum()) / (4 * math.pi)
-    if share >= ENOUGH_SEEN:
+    if depth.share_seen >= ENOUGH_SEEN:
         return None
     return (
-        f"Two cameras see {100 * share:.0f} % of all directions at the depth estimated; elsewhere depth is a guess. "
-        "If the cameras overlap more than that, their fields of view (max_angle) or masks are too narrow."
+        f"Two cameras see {100 * depth.share_seen:.0f} % of all directions at the depth estimated; elsewhere depth is "
+        "a guess. If the cameras overlap more than that, their fields of view (max_angle) or masks are too narrow."
     )
 
 

@@ -119,6 +119,11 @@ class Depth:
         """``*b``: no dimensions for one frame."""
         return tuple(self.index.shape[: self.index.ndim - len(self.network.grid.shape)])
 
+    @property
+    def share_seen(self) -> float:
+        """Of one frame, the share of the sphere, by solid angle, that two cameras see at the depth estimated."""
+        return float((_areas(self.network.grid) * self.seen).sum()) / (4 * math.pi)
+
     def __len__(self) -> int:
         if not self.batch_shape:
             raise TypeError("Depth of one frame has no length; a batch of images has")
@@ -266,6 +271,13 @@ def positive(inverse_depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         tensor([8.3886e+06, 2.0000e+00])
     """
     return inverse_depth.clamp(min=INVERSE_DEPTH_OFFSET)
+
+
+@lru_cache(maxsize=4)
+@torch.inference_mode(False)
+def _areas(grid: Icosphere | Equirectangular) -> Tensor:
+    """Solid angles of a grid, which frames share."""
+    return grid.solid_angles
 
 
 @lru_cache(maxsize=4)

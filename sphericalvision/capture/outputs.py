@@ -9,7 +9,7 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,10 +26,8 @@ from sphericalvision.capture.points import SurfacePoints
 from sphericalvision.capture.rerun_log import RerunLog
 from sphericalvision.capture.viewer import Timeline, near_end_of, save_viewer
 from sphericalvision.core import FileFormatError, check_choice
-from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import atomic_write, write_bytes
-from sphericalvision.io.images import write_image
-from sphericalvision.sphere import Equirectangular
+from sphericalvision.io.images import as_bytes, write_image
 from sphericalvision.viz.color import colorize
 from sphericalvision.viz.figure import add_scale_bar
 from sphericalvision.viz.panorama import confidence_strength, depth_panorama, rgb_panorama
@@ -122,8 +120,8 @@ class Views:
         """Colours ``(h, w, 3)``, uint8, as of cameras with one exposure and lenses without vignetting."""
         light = self.depth.compensations[0].light if self.depth.compensations else None
         if light is None:
-            return _as_bytes(self.colors[0])
-        return _as_bytes(self._panorama_of(light.corrected(self.depth.rig, self.depth.images))[0])
+            return as_bytes(self.colors[0])
+        return as_bytes(self._panorama_of(light.corrected(self.depth.rig, self.depth.images))[0])
 
     def _panorama_of(self, images: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         there = {name: image.cpu() for name, image in images.items()}
@@ -136,19 +134,6 @@ class Views:
         return depth_panorama(
             image.depth, self.near, strength=confidence_strength(image.confidence, image.seen)
         )
-
-    @property
-    def share_seen(self) -> float:
-        """Share of the sphere, by solid angle, that two cameras see at the depth estimated."""
-        areas = _areas(self.depth.network.grid)
-        return float((areas * self.depth.seen).sum()) / (4 * math.pi)
-
-
-@lru_cache(maxsize=4)
-@torch.inference_mode(False)
-def _areas(grid: Icosphere | Equirectangular) -> Tensor:
-    """Solid angles of a grid, which frames share."""
-    return grid.solid_angles
 
 
 def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> list[Path]:
@@ -304,7 +289,7 @@ class Outputs:
                 self._warn(depth)
                 if "panorama" in self.settings.outputs or "panorama_video" in self.settings.outputs:
                     self.seam = float(depth.depth[depth.seen].nanmedian())
-            self.shares.append(views.share_seen)
+            self.shares.append(depth.share_seen)
             for output, (name, picture_of) in _VIDEOS.items():
                 if output in self.settings.outputs:
                     if output not in self._videos:
@@ -424,12 +409,8 @@ class _Video:
         self._number += 1
 
 
-def _as_bytes(colors: Tensor) -> npt.NDArray[Any]:
-    return (colors.clamp(0, 1) * 255).round().byte().movedim(0, -1).numpy()
-
-
 def _colors_above_depth(views: Views) -> npt.NDArray[Any]:
-    colors, depth = _as_bytes(views.colors[0]), views.depth_picture
+    colors, depth = as_bytes(views.colors[0]), views.depth_picture
     side = (depth.shape[1] - colors.shape[1]) // 2  # the scale may be wider than a small panorama
     colors = np.pad(
         colors, ((0, 0), (side, depth.shape[1] - colors.shape[1] - side), (0, 0)), constant_values=255

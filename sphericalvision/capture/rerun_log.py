@@ -8,13 +8,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Self
 
-import numpy as np
 import torch
-from torch import Tensor
 
 from sphericalvision.capture.depth import Depth
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
+from sphericalvision.io.images import as_bytes
 from sphericalvision.viz.panorama import rgb_panorama
 
 __all__ = ["RerunLog"]
@@ -64,10 +63,10 @@ class RerunLog:
         images = {name: image.cpu() for name, image in depth.images.items()}
         for name, pose in zip(rig.names, rig.world_from_camera.float().numpy(), strict=True):
             stream.log(f"world/{name}", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
-            stream.log(f"world/{name}/image", rr.Image(_pixels(images[name])).compress())
+            stream.log(f"world/{name}/image", rr.Image(as_bytes(images[name])).compress())
         panorama = depth.panorama(self.height)
         colors, _ = rgb_panorama(rig, images, self.height, panorama.depth.cpu())
-        stream.log("color", rr.Image(_pixels(colors)).compress())
+        stream.log("color", rr.Image(as_bytes(colors)).compress())
         stream.log("depth", rr.DepthImage(panorama.measured.nan_to_num(0.0).cpu().numpy(), meter=1.0))
         sure = panorama.confidence.where(panorama.seen, 0.0)
         stream.log("confidence", rr.Image((255 * sure.clamp(0, 1)).round().byte().cpu().numpy()))
@@ -79,11 +78,6 @@ class RerunLog:
         """Finish the file."""
         self._stream.disconnect()
         self._writing.__exit__(None, None, None)
-
-
-def _pixels(image: Tensor) -> np.ndarray[Any, Any]:
-    """uint8 ``(h, w, 3)`` of ``(3, h, w)`` in [0, 1]."""
-    return (255 * image.clamp(0, 1)).round().byte().movedim(0, -1).numpy()  # type: ignore[no-any-return]
 
 
 def _rerun() -> ModuleType:

@@ -20,8 +20,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.capture.depth import Depth
 from sphericalvision.io.files import write_bytes
+from sphericalvision.io.images import as_bytes
 from sphericalvision.sweep import index_from_depth
 from sphericalvision.viz.color import colorize, depth_to_color, error_to_color, fade, near_end
 from sphericalvision.viz.panorama import confidence_strength, rgb_panorama
@@ -146,7 +148,7 @@ class Timeline:
         sure = panorama.confidence.where(panorama.seen, math.nan).cpu()
         strength = confidence_strength(panorama.confidence, panorama.seen).cpu()
         pictures = {
-            "image": (colors.clamp(0, 1) * 255).byte().movedim(0, -1).numpy(),
+            "image": as_bytes(colors),
             "depth": fade(depth_to_color(panorama.depth, self.near), strength),
             "confidence": colorize(sure.numpy(), "viridis"),
         }
@@ -208,12 +210,7 @@ def rows_like(rig: CameraRig) -> int:
         >>> rows_like(CameraRig([EquirectangularCamera((100, 200))], torch.eye(4)[None]))
         100
     """
-    steps = []
-    for camera in rig.to("cpu").cameras.values():
-        middle = torch.tensor(camera.image_size[::-1], dtype=torch.float32) / 2
-        here, there = camera.unproject(torch.stack((middle, middle + torch.tensor([1.0, 0.0])))).directions
-        steps.append(float((there - here).norm()))
-    return round(math.pi / min(steps))
+    return round(math.pi * max(pixels_a_radian(camera) for camera in rig.cameras.values()))
 
 
 def _data_url(picture: npt.NDArray[Any]) -> str:

@@ -22,6 +22,7 @@ from sphericalvision.io.files import write_bytes
 
 __all__ = [
     "MAX_PIXELS",
+    "as_bytes",
     "read_image",
     "read_image_size",
     "read_mask",
@@ -206,11 +207,21 @@ def write_image(path: str | Path, image: Tensor | Array) -> None:
                 f"image: expected a float tensor (3, h, w) or (1, h, w), got {image.dtype} "
                 f"{tuple(image.shape)}"
             )
-        levels = (image.detach().clamp(0, 1) * 255).round().to(torch.uint8).cpu()
-        image = levels.permute(1, 2, 0).numpy()
+        image = as_bytes(image)
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise ShapeError(f"image: expected uint8 (h, w) or (h, w, 3), got {image.dtype} {image.shape}")
     write_pages(path, [image[..., 0] if image.ndim == 3 and image.shape[-1] == 1 else image])
+
+
+def as_bytes(image: Float[Tensor, "c h w"]) -> Array:
+    """Return an image ``(c, h, w)`` in [0, 1] as uint8 ``(h, w, c)``; values beyond are clipped.
+
+    Examples:
+        >>> as_bytes(torch.tensor([[[0.5, 2.0]]])).tolist()
+        [[[128], [255]]]
+    """
+    levels: Array = (image.detach().clamp(0, 1) * 255).round().to(torch.uint8).cpu().movedim(0, -1).numpy()
+    return levels
 
 
 def write_mask(path: str | Path, mask: Bool[Tensor, "h w"]) -> None:

@@ -248,8 +248,8 @@ def test_training_keeps_nothing_inside_the_finest_blocks() -> None:
 @needs_compiler
 def test_any_number_of_threads_has_the_same_gradients() -> None:
     """Each thread sums up its part of the gradient of a weight."""
-    layer = HexConv3d(5, 6)
-    values = torch.randn(2, 5, 6, V2)
+    layer = HexConv3d(5, 6).double()
+    values = torch.randn(2, 5, 6, V2, dtype=torch.float64)
     before, found = torch.get_num_threads(), []
     try:
         for threads in (1, 3):
@@ -258,7 +258,7 @@ def test_any_number_of_threads_has_the_same_gradients() -> None:
                 found.append(torch.autograd.grad(layer(values).square().sum(), layer.weight)[0])
     finally:
         torch.set_num_threads(before)
-    torch.testing.assert_close(*found, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(*found, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("stride", [1, 2])

@@ -39,7 +39,7 @@ using volumes::CHARTS, volumes::inside, volumes::Scaling, volumes::Volumes;
 constexpr int64_t HEXAGON = 7;                // taps of a hypothesis
 constexpr int64_t SIDE = 3, GIVEN = 5;       // results and given values along a side of a tile
 constexpr int64_t SLOTS = GIVEN * GIVEN - 2;  // products of a tile, without the first and the last, which are zero
-constexpr int64_t TILES = 36;                 // at a time: enough to pay for reading a weight, few enough to stay in cache
+constexpr int64_t TILES = 24;                 // at a time: enough to pay for reading a weight, few enough to stay in cache
 
 // What is summed up at once has as many registers as there are: so many vectors of results for so many tiles, and in the
 // gradient of a weight so many vectors of results for so many given channels.
@@ -357,20 +357,21 @@ struct Weight {
 };
 
 // What tiles are multiplied with, and gradients of it: [plane, slot][VECTORS blocks of results][channel][vector], so that
-// every pass over channels reads memory that lies together.
+// every pass over channels reads memory that lies together. One vector more a slot: with a step that is a power of two those of
+// all slots, which are written together, would lie in one set of the cache.
 template <typename T>
 struct Factors {
   T* data;
   int64_t channels, blocks;
 
   static int64_t number(const int64_t planes, const int64_t channels, const int64_t blocks) {
-    return planes * SLOTS * channels * blocks * LANES;
+    return planes * SLOTS * (channels * blocks + 1) * LANES;
   }
   // Vectors from a block on that are multiplied together: the last may be alone.
   int64_t together(const int64_t block) const { return std::min<int64_t>(VECTORS<T>, blocks - block / VECTORS<T> * VECTORS<T>); }
   T* at(const int64_t slot, const int64_t channel, const int64_t block) const {
     const int64_t first = block / VECTORS<T> * VECTORS<T>;
-    return data + ((slot * blocks + first) * channels + channel * together(block) + block - first) * LANES;
+    return data + (slot * (blocks * channels + 1) + first * channels + channel * together(block) + block - first) * LANES;
   }
 };
 

@@ -6,6 +6,8 @@
 #include <ATen/Dispatch.h>
 #include <torch/library.h>
 
+#include <vector>
+
 #include "lanes.h"
 #include "volumes.h"
 
@@ -31,6 +33,14 @@ void sum_over_places(const at::Tensor& col, const at::Tensor& row, const at::Ten
   const int32_t *start = starts.const_data_ptr<int32_t>(), *place = places.const_data_ptr<int32_t>();
   AT_DISPATCH_FLOATING_TYPES(col.scalar_type(), "sum_over_places", [&] {
     const Volumes<scalar_t> kinds[2] = {{col, "col"}, {row, "row"}}, to(result, "result");
+    // Where the places of all vertices lie in the first sample's first hypothesis: divisions, once for all of them.
+    std::vector<const scalar_t*> first(places.numel());
+    for (int64_t i = 0; i < places.numel(); ++i) {
+      const int64_t rectangle = place[i] / size, at = place[i] % size;
+      TORCH_CHECK(place[i] >= 0 && rectangle < 2 * CHARTS, "places: expected numbers below ", 2 * CHARTS * size);
+      const Volumes<scalar_t>& kind = kinds[rectangle / CHARTS];
+      first[i] = kind.at(rectangle % CHARTS, 0, at / kind.width, at % kind.width, 0);
+    }
     const Scaling<scalar_t> scaling(factor, offset, to);
     at::parallel_for(0, to.batch * to.depth, 1, [&](const int64_t begin, const int64_t end) {
       for (int64_t task = begin; task < end; ++task) {
@@ -39,9 +49,8 @@ void sum_over_places(const at::Tensor& col, const at::Tensor& row, const at::Ten
           const scalar_t* from[2 * CHARTS];  // a pole has one in every rectangle, nobody has more
           int number = 0;
           for (int32_t i = start[vertex]; i < start[vertex + 1] && number < 2 * CHARTS; ++i) {
-            const int64_t rectangle = place[i] / size, at = place[i] % size;
-            const Volumes<scalar_t>& kind = kinds[rectangle / CHARTS];
-            from[number++] = kind.at(b * CHARTS + rectangle % CHARTS, depth, at / kind.width, at % kind.width, 0);
+            const Volumes<scalar_t>& kind = kinds[place[i] >= CHARTS * size];
+            from[number++] = first[i] + b * CHARTS * kind.next + depth * kind.deep;
           }
           for (int64_t block = 0; block < to.blocks; ++block) {
             const int64_t count = to.in_block(block);

@@ -14,15 +14,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.core import FileFormatError
 
-__all__ = ["contents", "recognizes"]
+__all__ = ["contents"]
 
 _LENSES = (
     Lens("ds", "double_sphere", "fx fy cx cy xi alpha"),
@@ -33,11 +32,6 @@ _LENSES = (
     Lens("radtan", "brown_conrady", "fx fy cx cy k1 k2 k3 p1 p2"),
     Lens("pinhole", "pinhole", "fx fy cx cy"),
 )
-
-
-def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has ``image`` and ``parameter``."""
-    return "image" in content and "parameter" in content
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
@@ -65,7 +59,7 @@ register_format(
     FileFormat(
         "adapter",
         "Fisheye-Calib-Adapter yaml",
-        recognizes_keys=recognizes,
+        recognizes_keys=has_all("image", "parameter"),
         contents_of_keys=contents,
         ignored="",
     )

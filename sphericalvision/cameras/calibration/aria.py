@@ -16,19 +16,18 @@ References:
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.core import FileFormatError, short_repr
 
-__all__ = ["contents", "recognizes"]
+__all__ = ["contents"]
 
 _LENSES = (
     Lens(
@@ -41,11 +40,6 @@ _LENSES = (
 )
 _SIZES = {"camera-slam": (480, 640), "camera-rgb": (2880, 2880), "camera-et": (240, 320)}
 """(height, width) by the beginning of the label."""
-
-
-def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has ``CameraCalibrations``."""
-    return "CameraCalibrations" in content
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
@@ -82,7 +76,7 @@ register_format(
     FileFormat(
         "aria",
         "Project Aria json",
-        recognizes_keys=recognizes,
+        recognizes_keys=has_all("CameraCalibrations"),
         contents_of_keys=contents,
         ignored=r"DeviceClassInfo|\w+Calibrations|\w*Origin\w*|.*/(Calibrated|SerialNumber|Description|Confidence|Time\w*)",
     )

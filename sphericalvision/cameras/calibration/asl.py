@@ -19,13 +19,13 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_any, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called, lens_of, models_of, numbers_of
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.io.files import write_yaml
 
-__all__ = ["contents", "files_of_rig", "recognizes", "write_asl_camera", "write_asl_rig"]
+__all__ = ["contents", "files_of_rig", "write_asl_camera", "write_asl_rig"]
 
 _NAME = "sensor.yaml"
 _LENSES = (
@@ -34,11 +34,6 @@ _LENSES = (
     Lens("equidistant", "kannala_brandt", "fu=fx fv=fy cu=cx cv=cy k1 k2 k3 k4"),
 )
 """By the model of distortion, whose numbers are a list of their own."""
-
-
-def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has a pose ``T_BS``, or says that it is of a sensor."""
-    return "T_BS" in content or "sensor_type" in content
 
 
 def files_of_rig(folder: Path) -> list[Path]:
@@ -107,7 +102,7 @@ register_format(
     FileFormat(
         "asl",
         f"EuRoC {_NAME}",
-        recognizes_keys=recognizes,
+        recognizes_keys=has_any("T_BS", "sensor_type"),
         contents_of_keys=contents,
         ignored="",
         files_of_rig=files_of_rig,

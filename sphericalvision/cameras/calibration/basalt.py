@@ -19,7 +19,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import write_json
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import (
     Lens,
@@ -37,7 +37,7 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import read_mask, write_mask
 
-__all__ = ["contents", "recognizes", "write_basalt"]
+__all__ = ["contents", "write_basalt"]
 
 _LENSES = (
     Lens("ds", "double_sphere", "fx fy cx cy xi alpha"),
@@ -49,11 +49,6 @@ _LENSES = (
     Lens("pinhole-radtan8", "brown_conrady", "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 rpmax"),
 )
 _POSITION, _QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
-
-
-def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has ``value0``, as everything that Basalt writes."""
-    return "value0" in content
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
@@ -129,7 +124,7 @@ register_format(
     FileFormat(
         "basalt",
         "Basalt json",
-        recognizes_keys=recognizes,
+        recognizes_keys=has_all("value0"),
         contents_of_keys=contents,
         ignored=r"value0/(\w*(accel|gyro|imu_update|mocap|marker|vignette)\w*|cam_time_offset_ns|view_offset)|value\d/cereal\w*",
         usual_names=("calibration.json",),

@@ -14,7 +14,16 @@ from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.extensions import Registry
 
-__all__ = ["ENTRY_POINTS", "FileFormat", "file_format", "file_formats", "known_formats", "register_format"]
+__all__ = [
+    "ENTRY_POINTS",
+    "FileFormat",
+    "file_format",
+    "file_formats",
+    "has_all",
+    "has_any",
+    "known_formats",
+    "register_format",
+]
 
 
 ENTRY_POINTS = "sphericalvision.formats"
@@ -75,6 +84,16 @@ def register_format(format: FileFormat) -> FileFormat:
     """
     FORMATS.add(format.name, format)
     return format
+
+
+def has_all(*keys: str) -> Callable[[dict[str, Any]], bool]:
+    """Whether a parsed file has all of these keys, for ``FileFormat.recognizes_keys``."""
+    return lambda content: all(key in content for key in keys)
+
+
+def has_any(*keys: str) -> Callable[[dict[str, Any]], bool]:
+    """The same for one of them."""
+    return lambda content: any(key in content for key in keys)
 
 
 def file_formats() -> list[FileFormat]:

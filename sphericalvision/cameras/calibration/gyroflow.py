@@ -13,20 +13,14 @@ References:
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.core import FileFormatError
 
-__all__ = ["contents", "recognizes"]
-
-
-def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has ``fisheye_params`` and ``calib_dimension``."""
-    return "fisheye_params" in content and "calib_dimension" in content
+__all__ = ["contents"]
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
@@ -57,7 +51,7 @@ register_format(
     FileFormat(
         "gyroflow",
         "Gyroflow lens profile",
-        recognizes_keys=recognizes,
+        recognizes_keys=has_all("fisheye_params", "calib_dimension"),
         contents_of_keys=contents,
         ignored=r"(?!(calib|crop|input|distortion|asym|digital_lens$|interpol|fisheye))[^/]+"
         r"|(calib_dimension|fisheye_params)/(radial_distortion_limit|RMS_error)|calibrated_by|calibrator_version|crop_factor|crop",

@@ -13,14 +13,13 @@ References:
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_any, register_format
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_of, models_of, numbers_of
 from sphericalvision.cameras.rig import CameraRig
@@ -28,7 +27,7 @@ from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import atomic_write
 
-__all__ = ["contents", "recognizes", "write_orbslam"]
+__all__ = ["contents", "write_orbslam"]
 
 _LENSES = (
     Lens("KannalaBrandt8", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
@@ -38,11 +37,6 @@ _LENSES = (
 )
 """An undistorted pinhole is written without k1, and then read as ``Rectified`` is."""
 _STEREO, _BODY = ("Stereo.T_c1_c2", "Tlr"), ("IMU.T_b_c1", "Tbc")
-
-
-def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has ``Camera1.fx``, or ``Camera.fx`` as it was called before."""
-    return any(key in content for key in ("Camera1.fx", "Camera.fx", "Camera.type"))
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
@@ -118,7 +112,7 @@ register_format(
     FileFormat(
         "orbslam",
         "ORB-SLAM3 settings",
-        recognizes_keys=recognizes,
+        recognizes_keys=has_any("Camera1.fx", "Camera.fx", "Camera.type"),
         contents_of_keys=contents,
         ignored=SETTINGS + r"(?!Camera|Stereo|IMU\.T|LEFT|RIGHT|T).*|ThDepth"
         r"|Camera\d?\.(fps|RGB|bf|b[Ff]ish[Ee]ye|newWidth|newHeight|imageScale|(overl|l)apping(Begin|End))|Stereo\.(ThDepth|b)",

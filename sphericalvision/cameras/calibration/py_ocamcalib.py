@@ -23,18 +23,13 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.parsing import errors_of_file, numbers
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, short_repr
 
-__all__ = ["contents", "recognizes"]
-
-
-def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file has ``taylor_coefficient``."""
-    return "taylor_coefficient" in content
+__all__ = ["contents"]
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
@@ -75,7 +70,7 @@ register_format(
     FileFormat(
         "py_ocamcalib",
         "py-OCamCalib json",
-        recognizes_keys=recognizes,
+        recognizes_keys=has_all("taylor_coefficient"),
         contents_of_keys=contents,
         ignored=r"valid|inverse_poly|extrinsics_t\w*|img_path|\w*_?images?_path",
     )

@@ -12,20 +12,14 @@ References:
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from sphericalvision.cameras.calibration import camodocal
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_any, register_format
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.core import FileFormatError, check_file, short_repr
 
-__all__ = ["contents", "recognizes"]
-
-
-def recognizes(content: dict[str, Any]) -> bool:
-    """Whether a parsed file names the calibration of its first camera."""
-    return "cam0_calib" in content or "num_of_cam" in content
+__all__ = ["contents"]
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
@@ -60,7 +54,7 @@ register_format(
     FileFormat(
         "vins",
         "VINS-Fusion estimator yaml",
-        recognizes_keys=recognizes,
+        recognizes_keys=has_any("cam0_calib", "num_of_cam"),
         contents_of_keys=contents,
         ignored=SETTINGS
         + "(?!image_|cam|body|num_of_cam|extrinsic|distortion|projection|model).*|image\\d?_topic",

@@ -14,6 +14,7 @@ from torch.utils.checkpoint import checkpoint
 
 from sphericalvision.core import ArgumentError, kernels
 from sphericalvision.crown.fast import forgets, settled_way
+from sphericalvision.crown.layout import Crown
 
 __all__ = ["RecomputedModule", "forget_inside", "recomputes", "set_kernel_options"]
 
@@ -47,14 +48,14 @@ class RecomputedModule(nn.Module):
         return _compute_twice(run, self, *inputs)
 
 
-def forget_inside(module: nn.Module, *inputs: Any) -> Any:
+def forget_inside(module: nn.Module, crown: Crown) -> Any:
     """Apply a module that training had better compute twice: where it holds much memory for the time that it takes.
 
     Only where operators in C++ are in use; by layers in torch and by the readable formulas nothing is done twice.
     """
-    if module.training and torch.is_grad_enabled() and forgets():
-        return _compute_twice(module, module, *inputs)
-    return module(*inputs)
+    if module.training and torch.is_grad_enabled() and forgets(crown.col):
+        return _compute_twice(module, module, crown)
+    return module(crown)
 
 
 def _compute_twice(run: Callable[..., Any], module: nn.Module, *inputs: Any) -> Any:
@@ -86,7 +87,7 @@ class _Again(AbstractContextManager[None]):
         block, before = self.open.pop()
         block.__exit__(*error)
         for buffer, value in zip(self.buffers, before, strict=True):
-            buffer.copy_(value)
+            buffer.data.copy_(value)  # see `_track` of the operators, why through ``data``
 
 
 def set_kernel_options(module: nn.Module, *, recompute: bool) -> None:

@@ -11,7 +11,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.core import kernels
 from sphericalvision.crown import Crown, from_crown, to_crown
+from sphericalvision.crown.fast import door
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.models.icosweepnet import CostRegularizer
@@ -109,6 +111,36 @@ def test_recomputing_changes_neither_gradients_nor_statistics(generator: torch.G
         torch.testing.assert_close(other.grad, one.grad, msg=name)
     for (name, one), other in zip(nets[0].named_buffers(), nets[1].buffers(), strict=True):
         torch.testing.assert_close(other, one, msg=name)
+
+
+@pytest.mark.parametrize("recompute", [False, True])
+def test_operators_may_become_ready_in_the_middle_of_a_training_step(
+    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch, recompute: bool
+) -> None:
+    net, batch, rig = small_net(num_cameras=4), images(generator, 1, 4), ring_rig(4)
+    net.train().configure(recompute=recompute)
+    asked, ready_after = 0, 0
+
+    def ready(way: str) -> bool:
+        nonlocal asked
+        asked += 1
+        return asked > ready_after and door_to_operators(way)
+
+    door_to_operators = door.operators_ready
+    monkeypatch.setattr(door, "operators_ready", ready)
+    with kernels("auto"):
+        for ready_after in (30, 90, 200):
+            asked = 0
+            net(batch, rig).sum().backward()
+            assert asked > ready_after
+
+
+def test_on_other_devices_training_computes_nothing_twice() -> None:
+    net, calls = small_net(num_cameras=4).to("meta").train(), []
+    net.features.fine.register_forward_hook(lambda *_: calls.append(1))
+    with kernels("require"):
+        net(torch.zeros(1, 4, 3, IMAGE_VERTICES, device="meta"), ring_rig(4).to("meta")).sum().backward()
+    assert len(calls) == 4  # one a camera
 
 
 def test_recomputing_reaches_every_block_and_can_be_taken_back() -> None:

@@ -76,7 +76,7 @@ def convolve_rectangles(
         result = _outward(result.unflatten(0, (-1, 5)), rectangles.ndim)
         return result.relu() if relu and keeps else result
     images = rectangles.flatten(0, 1)
-    if keeps and images.requires_grad and forgets():
+    if keeps and images.requires_grad and forgets(images):
         # A border that is copied around is not kept: who reads that which is copied keeps it anyway.
         result = checkpoint(convolve, images, weight, taps, bias, stride, border, use_reentrant=False)
     else:
@@ -190,8 +190,10 @@ def settled_way() -> str:
     return way if way != "auto" or operators_ready(way) else "plain"
 
 
-def forgets() -> bool:
+def forgets(values: Float[Tensor, " ..."]) -> bool:
     """Whether training computes twice what takes memory and little time: where operators are, and torch allows it."""
+    if values.device.type != "cpu":
+        return False
     transformed = torch._C._are_functorch_transforms_active()  # they know no hooks of saved tensors
     return settled_way() in ("auto", "require") and not transformed and not torch.compiler.is_compiling()
 
@@ -206,5 +208,7 @@ def _track(norm: _BatchNorm, mean: Tensor, variance: Tensor, col: Tensor) -> Non
     norm.num_batches_tracked.add_(1)
     rate = 1 / float(norm.num_batches_tracked) if norm.momentum is None else norm.momentum
     places = 2 * col.numel() // col.shape[2]
-    norm.running_mean.lerp_(mean[0], rate)
-    norm.running_var.lerp_(variance[0] * (places / (places - 1)), rate)
+    # Through ``data``, as torch's own layers do it: the formulas of a batch keep the running statistics without using
+    # them, and would take them for changed where a layer serves camera after camera and operators come in between.
+    norm.running_mean.data.lerp_(mean[0], rate)
+    norm.running_var.data.lerp_(variance[0] * (places / (places - 1)), rate)

@@ -262,6 +262,8 @@ def network_words(model: DictConfig) -> list[str]:
         return ["model.level=3", "model.width=2"]
     if target == "around":  # RefinedSweepNet.around, with the prior that ships
         return ["model.level=3", "model.widths=[4,4]", "model.blocks=1"]
+    if target == "RomniStereo":  # 16 hypotheses or more
+        return ["model.output_size=[20,40]", "model.num_hypotheses=16", "model.feature_channels=2"]
     size = ["model.output_size=[20,40]", "model.num_scales=2"] if target == "OmniMVS" else ["model.level=3"]
     return [*size, "model.num_hypotheses=4", "model.feature_channels=2"]
 

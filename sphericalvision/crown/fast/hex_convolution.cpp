@@ -361,11 +361,14 @@ struct Weight {
 // all slots, which are written together, would lie in one set of the cache.
 template <typename T>
 struct Factors {
+  at::Tensor memory;  // (parts, size)
   T* data;
-  int64_t channels, blocks;
+  int64_t channels, blocks, size;
 
-  static int64_t number(const int64_t planes, const int64_t channels, const int64_t blocks) {
-    return planes * SLOTS * (channels * blocks + 1) * LANES;
+  Factors(const at::Tensor& like, const Weight<T>& weight, const int64_t planes, const int64_t parts = 1)
+      : channels(weight.channels), blocks(weight.blocks()), size(planes * SLOTS * (channels * blocks + 1) * LANES) {
+    memory = like.new_empty({parts, size});
+    data = memory.mutable_data_ptr<T>();
   }
   // Vectors from a block on that are multiplied together: the last may be alone.
   int64_t together(const int64_t block) const { return std::min<int64_t>(VECTORS<T>, blocks - block / VECTORS<T> * VECTORS<T>); }
@@ -377,8 +380,10 @@ struct Factors {
 
 // Taps to factors: first along the hypotheses, then in the plane.
 template <typename T, int F>
-void make_factors(const Weight<T>& weight, const Factors<T>& factors) {
+Factors<T> make_factors(const at::Tensor& tensor, const at::IntArrayRef taps, const bool backwards) {
   constexpr int DEPTH = TAP_HYPOTHESES<F>;
+  const Weight<T> weight(tensor, taps, backwards);
+  const Factors<T> factors(tensor, weight, F);
   at::parallel_for(0, weight.channels * weight.blocks(), 16, [&](const int64_t begin, const int64_t end) {
     for (int64_t task = begin; task < end; ++task) {
       const int64_t channel = task / weight.blocks(), block = task % weight.blocks();
@@ -399,13 +404,14 @@ void make_factors(const Weight<T>& weight, const Factors<T>& factors) {
       }
     }
   });
+  return factors;
 }
 
-// The adjoint of `make_factors`, of the sum of several parts, which lie one after the other; always in the same order.
+// The adjoint of `make_factors`, of the sum of several parts, always in the same order.
 template <typename T, int F>
-void write_weight_gradient(const Factors<T>& parts, const int64_t number, const Weight<T>& grad) {
+void write_weight_gradient(const Factors<T>& parts, const Weight<T>& grad) {
   constexpr int DEPTH = TAP_HYPOTHESES<F>;
-  const int64_t size = Factors<T>::number(F, parts.channels, parts.blocks);
+  const int64_t number = parts.memory.size(0);
   at::parallel_for(0, grad.channels * grad.blocks(), 16, [&](const int64_t begin, const int64_t end) {
     for (int64_t task = begin; task < end; ++task) {
       const int64_t channel = task / grad.blocks(), block = task % grad.blocks();
@@ -414,7 +420,7 @@ void write_weight_gradient(const Factors<T>& parts, const int64_t number, const 
         Vec<T> kernel[SIDE][SIDE], x[GIVEN][GIVEN]{};
         for (int slot = 0; slot < SLOTS; ++slot) {
           const T* from = parts.at(k * SLOTS + slot, channel, block);
-          for (int64_t part = 0; part < number; ++part) x[(slot + 1) / GIVEN][(slot + 1) % GIVEN] += load(from + part * size);
+          for (int64_t part = 0; part < number; ++part) x[(slot + 1) / GIVEN][(slot + 1) % GIVEN] += load(from + part * parts.size);
         }
         along_both(x, kernel, TAPS_TO_FACTORS_ADJOINT);
         for (int i = 0; i < SIDE * SIDE; ++i)
@@ -590,16 +596,17 @@ void backward_given(const Volumes<T>& grad, const Factors<T>& factors, const int
   }
 }
 
-// The adjoint with respect to the factors: a part for each thread, one after the other in memory.
+// The adjoint with respect to the factors, added to parts of `totals`, one for each thread.
 template <typename T, int F>
 void backward_factors(const Volumes<T>& given, const Scaling<T>& scaling, const Volumes<T>& grad, const int64_t border,
-                      const Factors<T>& totals, const int64_t parts) {
+                      const Factors<T>& totals) {
   const Grid grid(grad, MADE<F>);
-  const int64_t size = Factors<T>::number(F, totals.channels, totals.blocks);
+  const int64_t parts = totals.memory.size(0);
   const int64_t together = std::max<int64_t>(1, 3 * TILES / (grid.most_rows() * grid.columns));
   at::parallel_for(0, parts, 1, [&](const int64_t begin, const int64_t end) {
     for (int64_t part = begin; part < end; ++part) {
-      const Factors<T> own{totals.data + part * size, totals.channels, totals.blocks};
+      Factors<T> own = totals;
+      own.data += part * totals.size;
       const int64_t last = (part + 1) * grid.size() / parts;
       for (int64_t first = part * grid.size() / parts; first < last; first += together) {
         std::vector<Strip> strips;
@@ -644,20 +651,6 @@ bool check(const at::Tensor& given, const at::Tensor& weight, const at::IntArray
   return weight.size(2) != HEXAGON;
 }
 
-// Factors of a weight, with memory of their own.
-template <typename T, int F>
-struct MadeFactors : Factors<T> {
-  at::Tensor memory;
-
-  MadeFactors(const at::Tensor& weight, const at::IntArrayRef taps, const bool backwards) {
-    const Weight<T> view(weight, taps, backwards);
-    this->channels = view.channels, this->blocks = view.blocks();
-    memory = weight.new_empty({Factors<T>::number(F, view.channels, view.blocks())});
-    this->data = memory.mutable_data_ptr<T>();
-    make_factors<T, F>(view, *this);
-  }
-};
-
 // Call `one(planes)` for six planes of factors or for one, a number that the compiler knows.
 template <typename Function>
 void for_planes(const bool transformed, const Function& one) {
@@ -677,8 +670,7 @@ void hex_convolve(const at::Tensor& given, const at::Tensor& weight, const at::I
     const scalar_t* shift = bias ? bias->const_data_ptr<scalar_t>() : nullptr;
     for_planes(transformed, [&](auto planes) {
       constexpr int F = decltype(planes)::value;
-      const MadeFactors<scalar_t, F> factors(weight, taps, false);
-      forward<scalar_t, F>(from, scaling, factors, shift, rectify, border, to);
+      forward<scalar_t, F>(from, scaling, make_factors<scalar_t, F>(weight, taps, false), shift, rectify, border, to);
     });
   });
 }
@@ -690,7 +682,7 @@ void hex_convolve_backward_given(const at::Tensor& grad, const at::Tensor& weigh
     const Volumes<scalar_t> from(grad, "grad"), to(grad_given, "grad_given", places);
     for_planes(transformed, [&](auto planes) {
       constexpr int F = decltype(planes)::value;
-      backward_given<scalar_t, F>(from, MadeFactors<scalar_t, F>(weight, taps, true), border, to);
+      backward_given<scalar_t, F>(from, make_factors<scalar_t, F>(weight, taps, true), border, to);
     });
   });
 }
@@ -705,11 +697,10 @@ void hex_convolve_backward_weight(const at::Tensor& given, const at::Tensor& gra
     for_planes(transformed, [&](auto planes) {
       constexpr int F = decltype(planes)::value;
       const Weight<scalar_t> to(grad_weight, taps, false);
-      const int64_t parts = at::get_num_threads();
-      at::Tensor sums = grad.new_zeros({parts, Factors<scalar_t>::number(F, to.channels, to.blocks())});
-      const Factors<scalar_t> totals{sums.mutable_data_ptr<scalar_t>(), to.channels, to.blocks()};
-      backward_factors<scalar_t, F>(from, scaling, upstream, border, totals, parts);
-      write_weight_gradient<scalar_t, F>(totals, parts, to);
+      const Factors<scalar_t> totals(grad, to, F, at::get_num_threads());
+      totals.memory.zero_();
+      backward_factors<scalar_t, F>(from, scaling, upstream, border, totals);
+      write_weight_gradient<scalar_t, F>(totals, to);
     });
   });
 }

@@ -76,13 +76,22 @@ def _normalization(
 
 
 def _gradients(
-    upstream: Sequence[Tensor], inputs: Sequence[Any], kept: Sequence[Tensor], wanted: Sequence[bool]
+    upstream: Sequence[Tensor],
+    inputs: Sequence[Any],
+    kept: Sequence[Tensor],
+    wanted: Sequence[bool],
+    places: Sequence[Tensor | None] = (None, None),
 ) -> list[Tensor | None]:
-    """Gradients of col, row, scale, shift, weight and bias."""
+    """Gradients of col, row, scale, shift, weight and bias.
+
+    A place has a gradient of its own, looked up at vertices with ``places``, and, through mean and variance, a share of
+    the sums of all places'. All in all that is, per channel, ``factor * gradient + by_value * value + constant``.
+    """
     col, row, scale, shift, weight, bias, eps, per_sample, relu = inputs
     mean, variance = kept
-    values, scaling = _places((col, row)), _scaling(mean, variance, scale, shift, eps)
-    gradients, by_weight = _places(upstream), [None, None]
+    values = _places((col, row))
+    factor, offset = _scaling(mean, variance, scale, shift, eps)
+    gradients, by_weight = (_places(upstream) if places[0] is None else upstream), [None, None]
     # Backwards through the convolutions, which make what they were given once more while they read.
     if weight is not None:
         kinds: list[Any] = [
@@ -91,41 +100,12 @@ def _gradients(
                 (x.view(like.shape).flatten(0, 1), weight, bias, across, False, False, None),
                 (),
                 (True, *wanted[4:]),
-                scaling,
+                (factor, offset),
             )
             for gradient, x, like, across in zip(upstream, values, (col, row), (False, True), strict=True)
         ]
         gradients = [kind[0].view(x.shape) for kind, x in zip(kinds, values, strict=True)]
         by_weight = [None if a is None else a + b for a, b in list(zip(*kinds, strict=True))[1:3]]
-    # What the convolutions returned is nobody else's, and is written over.
-    found = [torch.empty_like(x) for x in values] if weight is None else gradients
-    places = (None, None)
-    sums = _through_statistics(
-        gradients, values, places, found, mean, variance, scaling, eps, per_sample, relu
-    )
-    first, second = (x.view(like.shape) for x, like in zip(found, (col, row), strict=True))
-    return [first, second, *sums, *by_weight]
-
-
-def _through_statistics(
-    gradients: Sequence[Tensor],
-    values: list[Tensor],
-    places: Sequence[Tensor | None],
-    found: Sequence[Tensor],
-    mean: Tensor,
-    variance: Tensor,
-    scaling: tuple[Tensor, Tensor],
-    eps: float,
-    per_sample: bool,
-    relu: bool,
-) -> tuple[Tensor, Tensor]:
-    """Write the gradients of values to ``found``, and return those of scale and shift.
-
-    A place has a gradient of its own and, through mean and variance, a share of the sums of all places'. All in all
-    that is, per channel, ``factor * gradient + by_value * value + constant``. Gradients at vertices are looked up at
-    ``places``.
-    """
-    factor, offset = scaling
     # The first pass: sums of all places, a row for every chunk, added up in the same order by any number of threads.
     over = (1,) if per_sample else (0, 1)
     operators, invert = torch.ops.sphericalvision, (variance + eps).rsqrt()
@@ -140,10 +120,12 @@ def _through_statistics(
     number = _number(values, per_sample)
     by_value = -factor * invert * along / number
     constant = -factor * total / number - by_value * mean
-    # The second pass.
+    # The second pass. What the convolutions returned is nobody else's, and is written over.
+    found = [torch.empty_like(x) for x in values] if weight is None else gradients
     for g, x, at, result in zip(gradients, values, places, found, strict=True):
         operators.normalized_gradient(g, x, factor, offset, relu, by_value, constant, result, at)
-    return along.sum(0), total.sum(0)
+    first, second = (x.view(like.shape) for x, like in zip(found, (col, row), strict=True))
+    return [first, second, along.sum(0), total.sum(0), *by_weight]
 
 
 def _plainly(*inputs: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -196,18 +178,11 @@ def _gradients_of_mean(
     upstream: Sequence[Tensor], inputs: Sequence[Any], kept: Sequence[Tensor], wanted: Sequence[bool]
 ) -> list[Tensor | None]:
     """Gradients of col, row, scale and shift."""
-    col, row, scale, shift, eps, per_sample = inputs
-    mean, variance = kept
-    level = level_of_crown(col)
-    shared = (upstream[0] * vertex_shares(level, col.dtype)).contiguous()
-    values = _places((col, row))
-    found = [torch.empty_like(x) for x in values]
-    scaling = _scaling(mean, variance, scale, shift, eps)
-    places = vertices_at_places(level)
-    sums = _through_statistics(
-        (shared, shared), values, places, found, mean, variance, scaling, eps, per_sample, False
-    )
-    return [found[0].view(col.shape), found[1].view(row.shape), *sums]
+    *crown, scale, shift, eps, per_sample = inputs
+    level = level_of_crown(crown[0])
+    shared = (upstream[0] * vertex_shares(level, scale.dtype)).contiguous()
+    as_above = (*crown, scale, shift, None, None, eps, per_sample, False)
+    return _gradients((shared, shared), as_above, kept, wanted, vertices_at_places(level))[:4]
 
 
 def _mean_plainly(*inputs: Any) -> tuple[Tensor, Tensor, Tensor]:

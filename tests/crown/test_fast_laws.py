@@ -31,6 +31,7 @@ from sphericalvision.crown import (
     crown_conv2d,
     crown_conv3d,
     from_crown,
+    recompute,
     set_kernel_options,
     to_crown,
 )
@@ -183,6 +184,14 @@ def test_gradients_of_networks(case: FastCase, way: str) -> None:
     law_gradients_agree(case, 2, training=True, way=way)
 
 
+@needs_compiler
+@each([case for case in NETWORKS if "features" in case.name])
+def test_what_is_forgotten_changes_nothing(case: FastCase, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recompute, "LARGE", 1)
+    law_values_agree(case, 2, torch.float64, training=True, way="require")
+    law_gradients_agree(case, 2, training=True, way="require")
+
+
 @by_each_way
 @each(OPERATORS)
 def test_gradients_of_gradients(case: FastCase, way: str) -> None:
@@ -228,8 +237,9 @@ def test_training_keeps_what_is_given_to_a_block_and_to_its_normalisations(norm:
 
 
 @needs_compiler
-def test_training_keeps_nothing_inside_the_finest_blocks() -> None:
-    """Of a ``FeatureExtractor``: as many tensors however many of them there are."""
+def test_training_keeps_nothing_inside_the_finest_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a ``FeatureExtractor`` on large crowns: as many tensors however many blocks there are."""
+    monkeypatch.setattr(recompute, "LARGE", 1)
     images, kept = torch.randn(1, 3, V2, requires_grad=True), []
     for blocks in (1, 3):
         features, sizes = FeatureExtractor(4), list[int]()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.core import ArgumentError
+from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import registry
 from sphericalvision.scenes.recipes import make_scene, ray_depth, render_camera, render_directions
 from sphericalvision.scenes.registry import kind_of, register_scene, scene_kinds, scene_recipe
@@ -145,6 +147,22 @@ def test_ruins_are_partly_roofed_and_one_sees_far_between_their_walls() -> None:
     flat = torch.stack([ray_depth(scene, ORIGIN, around(-0.01, 720)) for scene in scenes])
     assert (flat < 6).float().mean() > 0.25
     assert ((flat > 50) & flat.isfinite()).any(1).float().mean() > 0.9
+
+
+def test_plain_places_have_few_colours_in_even_light_and_some_have_no_roof() -> None:
+    scenes = [make_scene("plain", seed) for seed in range(24)]
+    up = torch.stack([ray_depth(scene, ORIGIN, UP[None]) for scene in scenes])
+    assert 0.04 < up.isinf().float().mean() < 0.4
+    assert 0.3 < sum(len(scene.lamps.position) == 0 for scene in scenes) / 24 < 0.8
+
+    def colours(scene: Scene) -> int:
+        """How many different ones rays to all sides meet."""
+        rays = Icosphere(4).vertices
+        picture, depth = render_directions(scene, ORIGIN, rays), ray_depth(scene, ORIGIN, rays)
+        return len((picture[:, depth.isfinite()].T * 255).round().unique(dim=0))
+
+    shaded = [make_scene("room", seed) for seed in range(5)]
+    assert 4 * statistics.median(map(colours, scenes)) < statistics.median(map(colours, shaded))
 
 
 def test_fog_turns_what_is_far_into_the_sky_and_leaves_depth() -> None:

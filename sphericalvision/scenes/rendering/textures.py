@@ -29,7 +29,7 @@ PHOTOGRAPHS = (
 #: Procedural patterns, see `pattern`.
 PATTERNS = ("noise", "checks", "stripes", "bricks", "wood", "tiles", "mosaic", "dots", "marble", "weave")
 #: With those that only kinds of scenes draw which name them, so that seeds of older kinds stay as they are.
-ALL_PATTERNS = (*PATTERNS, "spectrum", "cells")
+ALL_PATTERNS = (*PATTERNS, "spectrum", "cells", "specks")
 #: Variants of each pattern in the bank, and side length of every texture in pixels.
 VARIANTS, SIZE = 4, 256
 
@@ -146,6 +146,10 @@ def pattern(name: str, generator: torch.Generator, size: int = SIZE) -> Tensor:
         near, which = away.topk(2, largest=False)
         joint = (near.diff(dim=-1)[:, 0] * len(points) ** 0.5 * 4).clamp(max=1)
         image = (joint * (0.35 + 0.65 * tone[which[:, 0]])).view(size, size) * (0.6 + 0.4 * grain)
+    elif name == "specks":
+        # Plaster, ceiling tiles or carpet: small dark spots, dense or sparse, on what is else of one tone.
+        share, fine = choose(2, 30) / 100, _value_noise(generator, size, (choose(24, 96),) * 2, octaves=2)
+        image = 1 - (fine > fine.quantile(1 - share)).float() * torch.rand(size, size, generator=generator)
     else:
         raise AssertionError(f"{name!r} is in PATTERNS but has no rule")
     return image.clamp(0, 1).expand(3, -1, -1)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from pathlib import Path
 
@@ -17,6 +18,15 @@ if "MUTANT_UNDER_TEST" not in os.environ:  # mutmut runs the tests again and aga
 
 # Tests are repeated to the last bit, whatever was compiled before; those of the operators ask for them.
 os.environ.setdefault("SPHERICALVISION_KERNELS", "plain")
+
+REGISTRIES = (
+    ("sphericalvision.cameras.registry", "MODELS"),
+    ("sphericalvision.cameras.calibration.formats", "FORMATS"),
+    ("sphericalvision.models.weights.registry", "NETWORKS"),
+    ("sphericalvision.scenes.registry", "KINDS"),
+    ("sphericalvision.scenes.disturbances", "DISTURBANCES"),
+    ("sphericalvision.sweep.aggregation", "AGGREGATIONS"),
+)
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)  # a run fails by a change alone
 settings.load_profile("repeatable")
@@ -42,3 +52,12 @@ def golden() -> Path:
 def generator() -> torch.Generator:
     """A random generator with a fixed seed."""
     return torch.Generator().manual_seed(0)
+
+
+@pytest.fixture
+def copied_registries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Examples add to copies of the registries: other tests look at all that is registered."""
+    for module, name in REGISTRIES:
+        registry = getattr(importlib.import_module(module), name)
+        registry.names()  # all of the package's own are imported
+        monkeypatch.setattr(registry, "things", dict(registry.things))

@@ -15,6 +15,7 @@ import yaml
 from tests.documented import PAGES, ROOT, blocks
 
 
+@pytest.mark.usefixtures("copied_registries")
 @pytest.mark.parametrize(
     "page",
     [page for page in PAGES if next(blocks(page, "python"), None) is not None],

@@ -138,10 +138,7 @@ def crown_block3d(
     check_dtype("volume", volume, first.conv.weight)
     if volume.shape[1] != channels:
         raise ShapeError(f"volume: expected {channels} channels (dimension 1), got {volume.shape[1]}")
-    if isinstance(second, CrownConvNorm3d) and not (second.norm.is_affine or second.relu):
-        change = second.norm.normalized_mean(convolve_twice(volume, first, second.conv))
-    else:
-        change = from_crown(convolve_twice(volume, first, second))
+    change = from_crown(convolve_twice(volume, first, second))
     if not residual:
         return change
     return volume + change if torch.is_grad_enabled() else change.add_(volume)

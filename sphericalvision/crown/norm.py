@@ -9,8 +9,8 @@ from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from sphericalvision.core import ShapeError, check_choice, check_dtype
-from sphericalvision.crown.fast import normalize, normalized_mean
-from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu, from_crown
+from sphericalvision.crown.fast import normalize
+from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu
 
 __all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
 
@@ -29,20 +29,6 @@ class _CrownBatchNorm(_BatchNorm):
 
     def normalize(self, crown: Crown, relu: bool = False) -> Crown:
         """Normalise a crown, and rectify it if asked for."""
-        self._check(crown)
-        pair = None if self.is_affine else normalize(*crown, self, self.per_sample, relu)
-        if pair is not None:
-            return Crown(*pair)
-        normalized = self._plainly(crown)
-        return crown_relu(normalized) if relu else normalized
-
-    def normalized_mean(self, crown: Crown) -> Tensor:
-        """Normalise a crown and return to vertices, as ``from_crown`` does; one step where operators are in use."""
-        self._check(crown)
-        means = None if self.is_affine else normalized_mean(*crown, self, self.per_sample)
-        return from_crown(self.normalize(crown)) if means is None else means
-
-    def _check(self, crown: Crown) -> None:
         check_crown(crown, self.spatial_dims)
         if crown.col.shape[2] != self.num_features:
             raise ShapeError(
@@ -50,6 +36,11 @@ class _CrownBatchNorm(_BatchNorm):
             )
         if self.affine:
             check_dtype("crown", crown.col, self.weight)
+        pair = None if self.is_affine else normalize(*crown, self, self.per_sample, relu)
+        if pair is not None:
+            return Crown(*pair)
+        normalized = self._plainly(crown)
+        return crown_relu(normalized) if relu else normalized
 
     def _plainly(self, crown: Crown) -> Crown:
         if self.is_affine:

@@ -314,7 +314,6 @@ def test_operators_are_left_alone_unless_asked_for(case: FastCase, monkeypatch: 
 
     monkeypatch.setattr(door, "hex_convolution", entered)
     monkeypatch.setattr(door, "crown_normalization", entered)
-    monkeypatch.setattr(door, "crown_normalized_mean", entered)
     function, inputs = case.function(torch.float32), case.inputs(1, torch.float32).requires_grad_()
     for way in ("reference", "plain"):
         with kernels(way):

@@ -16,7 +16,6 @@ from sphericalvision.crown.fast.door import (
     convolve_vertices,
     forgets,
     normalize,
-    normalized_mean,
     settled_way,
     sum_over_places,
 )
@@ -26,7 +25,6 @@ __all__ = [
     "convolve_vertices",
     "forgets",
     "normalize",
-    "normalized_mean",
     "settled_way",
     "sum_over_places",
 ]

@@ -16,7 +16,7 @@ from torch.utils.checkpoint import checkpoint
 from sphericalvision.core import way_of_kernels
 from sphericalvision.crown.fast.build import operators_ready
 from sphericalvision.crown.fast.convolution import hex_convolution
-from sphericalvision.crown.fast.normalization import crown_normalization, crown_normalized_mean
+from sphericalvision.crown.fast.normalization import crown_normalization
 from sphericalvision.crown.fast.vertices import Pair, over_places, vertices_at_places
 from sphericalvision.crown.taps import ROW_TAPS, Taps, convolve
 from sphericalvision.icosphere import level_from_num_vertices
@@ -26,7 +26,6 @@ __all__ = [
     "convolve_vertices",
     "forgets",
     "normalize",
-    "normalized_mean",
     "settled_way",
     "sum_over_places",
 ]
@@ -127,12 +126,8 @@ def sum_over_places(
     """Sum each vertex over all its places, or take the mean; without derivatives, None where operators do not fit."""
     if not _operators_fit(col, row):
         return None
-    return _of_vertices(over_places(_inward(col), _inward(row), mean), col.ndim)
-
-
-def _of_vertices(values: Tensor, ndim: int) -> Tensor:
-    """View ``(B, N, V, C)`` as those of rectangles of ``ndim`` dimensions, ``(B, C, [N,] V)``."""
-    return values.movedim(-1, 1) if ndim == 6 else values[:, 0].mT
+    total = over_places(_inward(col), _inward(row), mean).movedim(-1, 1)
+    return total if col.ndim == 6 else total.squeeze(2)
 
 
 def normalize(
@@ -163,22 +158,6 @@ def normalize(
     )
     _track(norm, mean, variance, col)
     return _outward(first, col.ndim), _outward(second, col.ndim)
-
-
-def normalized_mean(
-    col: Float[Tensor, "B 5 C *N h w"],
-    row: Float[Tensor, "B 5 C *N w h"],
-    norm: _BatchNorm,
-    per_sample: bool,
-) -> Float[Tensor, "B C *N V"] | None:
-    """The mean of each vertex over its places in a normalised crown, which is not written; arguments as above."""
-    if norm.weight is None or not _operators_fit(col, norm.weight):
-        return None
-    means, mean, variance = crown_normalized_mean(
-        _inward(col), _inward(row), norm.weight, norm.bias, norm.eps, per_sample
-    )
-    _track(norm, mean, variance, col)
-    return _of_vertices(means, col.ndim)
 
 
 def settled_way() -> str:

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Normalisation and the ReLU after it in two passes over memory each way, where layers of torch take nine and sixteen.
 //
-// Values are (B, P, C), channels next to each other. Statistics and factors are (B or 1, C): of each sample, or of all. A gradient
-// may be that of the mean over each vertex's places: it is then (B, N, V, C), divided by their number, and looked up at
-// `places`, the numbers of vertices (5, h, w) that the P = 5 * N * h * w places show.
+// Values are (B, P, C), channels next to each other. Statistics and factors are (B or 1, C): of each sample, or of all.
 
 #include <ATen/Parallel.h>
 #include <ATen/core/Tensor.h>
@@ -11,15 +9,12 @@
 #include <torch/library.h>
 
 #include <algorithm>
-#include <optional>
 
 #include "lanes.h"
-#include "volumes.h"
 
 namespace {
 
 using lanes::LANES, lanes::load, lanes::store, lanes::Vec;
-using volumes::Volumes;
 
 constexpr int64_t CHUNK = 128;  // places at a time, which stay in the first-level cache
 
@@ -37,31 +32,6 @@ void check(const at::Tensor& values, const at::Tensor& like) {
   TORCH_CHECK(values.dim() == 3 && values.is_contiguous() && values.sizes() == like.sizes() &&
                   values.scalar_type() == like.scalar_type(),
               "expected contiguous values (B, P, C) of one size and precision, got ", values.sizes(), " and ", like.sizes());
-}
-
-// A gradient (B, P, C) as volumes of one row, or (B, N, V, C) as volumes of vertices that `places` lay out.
-template <typename T>
-Volumes<T> upstream_of(const at::Tensor& gradient, const at::Tensor& values, const std::optional<at::Tensor>& places) {
-  TORCH_CHECK(gradient.dim() == (places ? 4 : 3), "gradient: expected (B, P, C), or (B, N, V, C) with places");
-  const Volumes<T> from(places ? gradient.unsqueeze(2) : gradient.unsqueeze(1).unsqueeze(1), "gradient", places);
-  TORCH_CHECK(gradient.size(0) == values.size(0) && from.channels == values.size(2) &&
-                  from.batch * from.depth * from.height * from.width == values.size(0) * values.size(1),
-              "expected gradients of values ", values.sizes(), ", got ", gradient.sizes());
-  return from;
-}
-
-// Where the gradients of a chunk's places lie.
-template <typename T>
-void find_chunk(const Volumes<T>& upstream, const Shape& shape, const int64_t sample, const int64_t chunk,
-                const T* (&found)[CHUNK]) {
-  const int64_t begin = shape.begin(chunk), number = shape.end(chunk) - begin, size = upstream.height * upstream.width;
-  int64_t at = begin % size, depth = begin / size % upstream.depth;
-  int64_t rectangle = sample * upstream.batch / shape.batch + begin / size / upstream.depth;
-  for (int64_t i = 0; i < number; ++i) {
-    found[i] = upstream.at(rectangle, depth, 0, at, 0);
-    if (++at == size) at = 0, ++depth;
-    if (depth == upstream.depth) depth = 0, ++rectangle;
-  }
 }
 
 // Rows of a table (B or 1, C).
@@ -144,26 +114,22 @@ inline Vec<T> where_positive(const Vec<T>& gradient, const Vec<T>& value, const 
 // Sums (B, chunks, C) of the gradient and of its products with values - mean; of the gradient where `scale_shift` gave more
 // than zero, if it rectified.
 void gradient_sums(const at::Tensor& gradient, const at::Tensor& values, const at::Tensor& factor, const at::Tensor& offset,
-                   const bool rectified, const at::Tensor& mean, at::Tensor totals, at::Tensor along,
-                   const std::optional<at::Tensor>& places) {
-  check(values, values);
+                   const bool rectified, const at::Tensor& mean, at::Tensor totals, at::Tensor along) {
+  check(gradient, values);
   for (const auto& table : {factor, offset, mean}) check_table(table, values);
   const Shape shape(values);
   AT_DISPATCH_FLOATING_TYPES(values.scalar_type(), "gradient_sums", [&] {
-    const scalar_t* all = values.const_data_ptr<scalar_t>();
-    const Volumes<scalar_t> upstream = upstream_of<scalar_t>(gradient, values, places);
+    const scalar_t *all = values.const_data_ptr<scalar_t>(), *upstream = gradient.const_data_ptr<scalar_t>();
     scalar_t *to_totals = totals.mutable_data_ptr<scalar_t>(), *to_along = along.mutable_data_ptr<scalar_t>();
     for_chunks(shape, [&](const int64_t sample, const int64_t chunk, const int64_t channel, const int64_t count) {
       const auto a = load(row_of<scalar_t>(factor, shape, sample) + channel, count);
       const auto b = load(row_of<scalar_t>(offset, shape, sample) + channel, count);
       const auto center = load(row_of<scalar_t>(mean, shape, sample) + channel, count);
       Vec<scalar_t> total{}, product{};
-      const scalar_t* found[CHUNK];
-      find_chunk(upstream, shape, sample, chunk, found);
       for (int64_t place = shape.begin(chunk); place < shape.end(chunk); ++place) {
         const int64_t at = (sample * shape.places + place) * shape.channels + channel;
         const auto value = load(all + at, count);
-        auto g = load(found[place - shape.begin(chunk)] + channel, count);
+        auto g = load(upstream + at, count);
         if (rectified) g = where_positive<scalar_t>(g, value, a, b);
         total += g;
         product += g * (value - center);
@@ -178,25 +144,23 @@ void gradient_sums(const at::Tensor& gradient, const at::Tensor& values, const a
 // gradient * factor + values * by_value + constant, the gradient counted as in `gradient_sums`. The result may be its memory.
 void normalized_gradient(const at::Tensor& gradient, const at::Tensor& values, const at::Tensor& factor,
                          const at::Tensor& offset, const bool rectified, const at::Tensor& by_value, const at::Tensor& constant,
-                         at::Tensor result, const std::optional<at::Tensor>& places) {
+                         at::Tensor result) {
+  check(gradient, values);
   check(result, values);
   for (const auto& table : {factor, offset, by_value, constant}) check_table(table, values);
   const Shape shape(values);
   AT_DISPATCH_FLOATING_TYPES(values.scalar_type(), "normalized_gradient", [&] {
-    const scalar_t* all = values.const_data_ptr<scalar_t>();
-    const Volumes<scalar_t> upstream = upstream_of<scalar_t>(gradient, values, places);
+    const scalar_t *all = values.const_data_ptr<scalar_t>(), *upstream = gradient.const_data_ptr<scalar_t>();
     scalar_t* to = result.mutable_data_ptr<scalar_t>();
     for_chunks(shape, [&](const int64_t sample, const int64_t chunk, const int64_t channel, const int64_t count) {
       const auto a = load(row_of<scalar_t>(factor, shape, sample) + channel, count);
       const auto b = load(row_of<scalar_t>(offset, shape, sample) + channel, count);
       const auto along = load(row_of<scalar_t>(by_value, shape, sample) + channel, count);
       const auto c = load(row_of<scalar_t>(constant, shape, sample) + channel, count);
-      const scalar_t* found[CHUNK];
-      find_chunk(upstream, shape, sample, chunk, found);
       for (int64_t place = shape.begin(chunk); place < shape.end(chunk); ++place) {
         const int64_t at = (sample * shape.places + place) * shape.channels + channel;
         const auto value = load(all + at, count);
-        auto g = load(found[place - shape.begin(chunk)] + channel, count);
+        auto g = load(upstream + at, count);
         if (rectified) g = where_positive<scalar_t>(g, value, a, b);
         store(to + at, Vec<scalar_t>(g * a + value * along + c), count);
       }
@@ -210,9 +174,9 @@ TORCH_LIBRARY_FRAGMENT(sphericalvision, library) {
   library.def("chunk_moments(Tensor values, Tensor(a!) sums, Tensor(b!) squares) -> ()");
   library.def("scale_shift(Tensor values, Tensor factor, Tensor offset, bool rectify, Tensor(a!) result) -> ()");
   library.def("gradient_sums(Tensor gradient, Tensor values, Tensor factor, Tensor offset, bool rectified, Tensor mean, "
-              "Tensor(a!) totals, Tensor(b!) along, Tensor? places=None) -> ()");
+              "Tensor(a!) totals, Tensor(b!) along) -> ()");
   library.def("normalized_gradient(Tensor gradient, Tensor values, Tensor factor, Tensor offset, bool rectified, "
-              "Tensor by_value, Tensor constant, Tensor(a!) result, Tensor? places=None) -> ()");
+              "Tensor by_value, Tensor constant, Tensor(a!) result) -> ()");
 }
 
 TORCH_LIBRARY_IMPL(sphericalvision, CPU, library) {

@@ -22,10 +22,8 @@ from torch import Tensor
 
 from sphericalvision.crown.fast.convolution import convolution, convolution_gradients, plain_convolution
 from sphericalvision.crown.fast.registering import register_operator
-from sphericalvision.crown.fast.vertices import level_of_crown, over_places, vertex_shares, vertices_at_places
-from sphericalvision.crown.places import places_per_vertex, sum_over_places
 
-__all__ = ["crown_normalization", "crown_normalized_mean"]
+__all__ = ["crown_normalization"]
 
 CHUNK = 128
 """Places whose moments the operator takes at once; ``normalization.cpp`` has the same number."""
@@ -76,22 +74,18 @@ def _normalization(
 
 
 def _gradients(
-    upstream: Sequence[Tensor],
-    inputs: Sequence[Any],
-    kept: Sequence[Tensor],
-    wanted: Sequence[bool],
-    places: Sequence[Tensor | None] = (None, None),
+    upstream: Sequence[Tensor], inputs: Sequence[Any], kept: Sequence[Tensor], wanted: Sequence[bool]
 ) -> list[Tensor | None]:
     """Gradients of col, row, scale, shift, weight and bias.
 
-    A place has a gradient of its own, looked up at vertices with ``places``, and, through mean and variance, a share of
-    the sums of all places'. All in all that is, per channel, ``factor * gradient + by_value * value + constant``.
+    A place has a gradient of its own and, through mean and variance, a share of the sums of all places'. All in all
+    that is, per channel, ``factor * gradient + by_value * value + constant``.
     """
     col, row, scale, shift, weight, bias, eps, per_sample, relu = inputs
     mean, variance = kept
     values = _places((col, row))
     factor, offset = _scaling(mean, variance, scale, shift, eps)
-    gradients, by_weight = (_places(upstream) if places[0] is None else upstream), [None, None]
+    gradients, by_weight = _places(upstream), [None, None]
     # Backwards through the convolutions, which make what they were given once more while they read.
     if weight is not None:
         kinds: list[Any] = [
@@ -110,10 +104,10 @@ def _gradients(
     over = (1,) if per_sample else (0, 1)
     operators, invert = torch.ops.sphericalvision, (variance + eps).rsqrt()
     total, along = torch.zeros_like(mean), torch.zeros_like(mean)
-    for g, x, at in zip(gradients, values, places, strict=True):
+    for g, x in zip(gradients, values, strict=True):
         totals = _per_chunk(x)
         products = torch.empty_like(totals)
-        operators.gradient_sums(g, x, factor, offset, relu, mean, totals, products, at)
+        operators.gradient_sums(g, x, factor, offset, relu, mean, totals, products)
         total += totals.sum(over)
         along += products.sum(over)
     along *= invert  # the sum of gradients times normalised values
@@ -122,8 +116,8 @@ def _gradients(
     constant = -factor * total / number - by_value * mean
     # The second pass. What the convolutions returned is nobody else's, and is written over.
     found = [torch.empty_like(x) for x in values] if weight is None else gradients
-    for g, x, at, result in zip(gradients, values, places, found, strict=True):
-        operators.normalized_gradient(g, x, factor, offset, relu, by_value, constant, result, at)
+    for g, x, result in zip(gradients, values, found, strict=True):
+        operators.normalized_gradient(g, x, factor, offset, relu, by_value, constant, result)
     first, second = (x.view(like.shape) for x, like in zip(found, (col, row), strict=True))
     return [first, second, along.sum(0), total.sum(0), *by_weight]
 
@@ -156,50 +150,6 @@ crown_normalization = register_operator(
     _gradients,
     _plainly,
     results=2,
-)
-
-
-def _normalized_mean(
-    col: Tensor, row: Tensor, scale: Tensor, shift: Tensor, eps: float, per_sample: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The mean of each vertex over its places in a normalised crown; arguments and statistics as above.
-
-    That is the mean in the crown, normalised: one multiplication and one addition for a vertex, which has two places.
-    So neither what is normalised nor, in the backward pass, its gradient is ever written.
-
-    Returns:
-        ``(B, N, V, C)``; mean and biased variance, ``(B or 1, C)``, which are not differentiable.
-    """
-    mean, variance = _moments(_places((col, row)), per_sample)
-    return over_places(col, row, True, _scaling(mean, variance, scale, shift, eps)), mean, variance
-
-
-def _gradients_of_mean(
-    upstream: Sequence[Tensor], inputs: Sequence[Any], kept: Sequence[Tensor], wanted: Sequence[bool]
-) -> list[Tensor | None]:
-    """Gradients of col, row, scale and shift."""
-    *crown, scale, shift, eps, per_sample = inputs
-    level = level_of_crown(crown[0])
-    shared = (upstream[0] * vertex_shares(level, scale.dtype)).contiguous()
-    as_above = (*crown, scale, shift, None, None, eps, per_sample, False)
-    return _gradients((shared, shared), as_above, kept, wanted, vertices_at_places(level))[:4]
-
-
-def _mean_plainly(*inputs: Any) -> tuple[Tensor, Tensor, Tensor]:
-    """The same as ``_normalized_mean`` in plain torch."""
-    *crown, scale, shift, eps, per_sample = inputs
-    col, row, *moments = _plainly(*crown, scale, shift, None, None, eps, per_sample, False)
-    pair = [x.movedim(-1, 2) for x in (col, row)]
-    means = sum_over_places(*pair) / places_per_vertex(level_of_crown(col), col)
-    return means.movedim(1, -1), moments[0], moments[1]
-
-
-crown_normalized_mean = register_operator(
-    "crown_normalized_mean(Tensor col, Tensor row, Tensor scale, Tensor shift, float eps, bool per_sample) "
-    "-> (Tensor, Tensor, Tensor)",
-    _normalized_mean,
-    _gradients_of_mean,
-    _mean_plainly,
 )
 
 

@@ -14,14 +14,12 @@
 namespace {
 
 using lanes::LANES, lanes::load, lanes::store, lanes::Vec;
-using volumes::CHARTS, volumes::Scaling, volumes::Volumes;
+using volumes::CHARTS, volumes::Volumes;
 
 // Sum each vertex over its places, `places[starts[v]]` to `places[starts[v + 1] - 1]`, or take their mean. Places are counted
-// through five col and five row rectangles; these are (B * 5, N, h, w, C) each, and the result (B, N, 1, V, C), which may be
-// multiplied by `factor` and moved by `offset`, (B or 1, C).
+// through five col and five row rectangles; these are (B * 5, N, h, w, C) each, and the result (B, N, 1, V, C).
 void sum_over_places(const at::Tensor& col, const at::Tensor& row, const at::Tensor& starts, const at::Tensor& places,
-                     const bool mean, at::Tensor result, const std::optional<at::Tensor>& factor,
-                     const std::optional<at::Tensor>& offset) {
+                     const bool mean, at::Tensor result) {
   const int64_t size = col.size(2) * col.size(3), vertices = result.size(3);
   TORCH_CHECK(col.dim() == 5 && row.dim() == 5 && result.dim() == 5 && col.size(0) == CHARTS * result.size(0) &&
                   row.size(0) == col.size(0) && row.size(2) * row.size(3) == size && result.size(2) == 1,
@@ -41,7 +39,6 @@ void sum_over_places(const at::Tensor& col, const at::Tensor& row, const at::Ten
       const Volumes<scalar_t>& kind = kinds[rectangle / CHARTS];
       first[i] = kind.at(rectangle % CHARTS, 0, at / kind.width, at % kind.width, 0);
     }
-    const Scaling<scalar_t> scaling(factor, offset, to);
     at::parallel_for(0, to.batch * to.depth, 1, [&](const int64_t begin, const int64_t end) {
       for (int64_t task = begin; task < end; ++task) {
         const int64_t b = task / to.depth, depth = task % to.depth;
@@ -57,7 +54,6 @@ void sum_over_places(const at::Tensor& col, const at::Tensor& row, const at::Ten
             Vec<scalar_t> sum{};
             for (int i = 0; i < number; ++i) sum += load(from[i] + block * LANES, count);
             if (mean) sum *= static_cast<scalar_t>(1) / static_cast<scalar_t>(number);
-            if (scaling.factor) sum = scaling.scaled(sum, b, block, count);
             store(to.at(b, depth, 0, vertex, block), sum, count);
           }
         }
@@ -69,8 +65,7 @@ void sum_over_places(const at::Tensor& col, const at::Tensor& row, const at::Ten
 }  // namespace
 
 TORCH_LIBRARY_FRAGMENT(sphericalvision, library) {
-  library.def("sum_over_places(Tensor col, Tensor row, Tensor starts, Tensor places, bool mean, Tensor(a!) result, "
-              "Tensor? factor=None, Tensor? offset=None) -> ()");
+  library.def("sum_over_places(Tensor col, Tensor row, Tensor starts, Tensor places, bool mean, Tensor(a!) result) -> ()");
 }
 
 TORCH_LIBRARY_IMPL(sphericalvision, CPU, library) { library.impl("sum_over_places", &sum_over_places); }

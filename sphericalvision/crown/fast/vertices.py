@@ -11,41 +11,27 @@ from torch import Tensor
 
 from sphericalvision.crown.places import place_ids
 
-__all__ = ["Pair", "level_of_crown", "over_places", "vertex_shares", "vertices_at_places"]
+__all__ = ["Pair", "over_places", "vertices_at_places"]
 
 Pair = tuple[Tensor, Tensor]
 
 
-def over_places(
-    col: Tensor, row: Tensor, mean: bool, scaling: Pair | tuple[None, None] = (None, None)
-) -> Tensor:
+def over_places(col: Tensor, row: Tensor, mean: bool) -> Tensor:
     """Sum each vertex over all its places, or take their mean.
 
     Args:
         col: ``(B, 5, N, h, w, C)``.
         row: ``(B, 5, N, w, h, C)``.
         mean: whether sums are divided by the number of places.
-        scaling: factors and offsets ``(B or 1, C)`` by which the result is multiplied and moved.
 
     Returns:
         ``(B, N, V, C)``.
     """
-    starts, places = _places_of_vertices(level_of_crown(col))
+    starts, places = _places_of_vertices((col.shape[-2] - 1).bit_length() - 1)
     volumes = [x if x.stride(-1) == 1 else x.contiguous() for x in (y.flatten(0, 1) for y in (col, row))]
     total = col.new_empty(len(col), col.shape[2], 1, len(starts) - 1, col.shape[-1])
-    torch.ops.sphericalvision.sum_over_places(*volumes, starts, places, mean, total, *scaling)
+    torch.ops.sphericalvision.sum_over_places(*volumes, starts, places, mean, total)
     return total.squeeze(2)
-
-
-def level_of_crown(col: Tensor) -> int:
-    """Level of the icosphere of rectangles ``(B, 5, N, 2n + 1, n + 1, C)``, where ``n = 2**level``."""
-    return (col.shape[-2] - 1).bit_length() - 1
-
-
-def vertex_shares(level: int, dtype: torch.dtype) -> Tensor:
-    """What a place counts in the mean of its vertex, ``(V, 1)``."""
-    starts, _ = _places_of_vertices(level)
-    return starts.diff().to(dtype).reciprocal()[:, None]
 
 
 @lru_cache(maxsize=16)

@@ -128,7 +128,6 @@ def test_operators_pass_the_checks_of_torch() -> None:
         (operators.hex_convolution, (draw(2, 1, 42, 3), draw(4, 3, 7), draw(4), True, False, False, across)),
         (operators.crown_normalization, (*crown, None, None, 1e-5, True, True)),
         (operators.crown_normalization, (*crown, draw(4, 3, 7), draw(4), 1e-5, False, True)),
-        (operators.crown_normalized_mean, (*crown, 1e-5, False)),
     ):
         torch.library.opcheck(
             operator.default,

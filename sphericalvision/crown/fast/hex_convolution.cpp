@@ -179,7 +179,7 @@ void read_given(const Volumes<T>& given, const Scaling<T>& scaling, const Strip&
         for (int k = 0; k < F; ++k) d[k] = load(from + depth[k], count);
         if (scaling.factor)
           for (Vec<T>& value : d) value = lanes::rectified<T>(scaling.scaled(value, strip.b, block, count));
-        winograd::to_factors<T>(d, x);
+        winograd::line<winograd::GIVEN<F>, false>(d, x);
         for (int k = 0; k < F; ++k) store(to + k * planes.step(), x[k]);
       }
     }
@@ -200,7 +200,7 @@ void add_to_given(const Planes<T>& planes, const Strip& strip, const int64_t bor
         const int64_t count = grad_given.in_block(block);
         Vec<T> x[F], d[F];
         for (int k = 0; k < F; ++k) x[k] = load(from + k * planes.step());
-        winograd::to_factors_adjoint<T>(x, d);
+        winograd::line<winograd::GIVEN<F>, true>(x, d);
         // One after the other: at the ends two of them are the same hypothesis.
         for (int k = 0; k < F; ++k) store(to + depth[k], Vec<T>(load(to + depth[k], count) + d[k]), count);
       }
@@ -222,7 +222,7 @@ void write_results(const Planes<T>& planes, const Strip& strip, const T* bias, c
         const Vec<T> shift = bias ? load(bias + block * LANES, count) : Vec<T>{};
         Vec<T> m[F], y[MADE<F>];
         for (int k = 0; k < F; ++k) m[k] = load(from + k * planes.step());
-        winograd::to_results<T>(m, y);
+        winograd::line<winograd::RESULTS<F>, false>(m, y);
         for (int64_t k = 0; k < deep; ++k) {
           const Vec<T> value = y[k] + shift;
           store(to + k * results.deep, rectify ? lanes::rectified<T>(value) : value, count);
@@ -246,26 +246,10 @@ void read_gradients(const Volumes<T>& grad, const Strip& strip, const Planes<T>&
         Vec<T> y[MADE<F>], m[F];
         for (int64_t k = 0; k < MADE<F>; ++k)
           y[k] = there && k < deep ? load(from + k * grad.deep, grad.in_block(block)) : Vec<T>{};
-        winograd::to_results_adjoint<T>(y, m);
+        winograd::line<winograd::RESULTS<F>, true>(y, m);
         for (int k = 0; k < F; ++k) store(to + k * planes.step(), m[k]);
       }
     }
-  }
-}
-
-// A transform of lines along both sides of a square.
-template <int FROM, int TO, typename V, typename Line>
-inline void along_both(const V (&in)[FROM][FROM], V (&out)[TO][TO], const Line& line) {
-  V half[FROM][TO], column[FROM], turned[TO];
-#pragma GCC unroll 5
-  for (int i = 0; i < FROM; ++i) line(in[i], half[i]);
-#pragma GCC unroll 5
-  for (int j = 0; j < TO; ++j) {
-#pragma GCC unroll 5
-    for (int i = 0; i < FROM; ++i) column[i] = half[i][j];
-    line(column, turned);
-#pragma GCC unroll 5
-    for (int i = 0; i < TO; ++i) out[i][j] = turned[i];
   }
 }
 
@@ -294,9 +278,10 @@ inline void for_tiles(const Planes<T>& planes, const int k, int64_t tile, const 
         one(block, tile, planes.at(k, SIDE * row, SIDE * column) + block * LANES);
 }
 
-// In a plane: places, SIZE x SIZE of them for a tile, to slots by a transform of lines.
-template <int SIZE, typename T, typename Line>
-void to_tiles(const Planes<T>& planes, const int k, const Tiles<T>& tiles, const int64_t first, const Line& line) {
+// In a plane: places, SIZE x SIZE of them for a tile, to slots.
+template <const auto& MATRIX, bool TRANSPOSED, typename T>
+void to_tiles(const Planes<T>& planes, const int k, const Tiles<T>& tiles, const int64_t first) {
+  constexpr int SIZE = TRANSPOSED ? SIDE : GIVEN;
   const int64_t right = planes.blocks * LANES, down = planes.columns * right;
   for_tiles(planes, k, first, [&](const int64_t block, const int64_t tile, const T* from) {
     Vec<T> d[SIZE][SIZE], x[GIVEN][GIVEN];
@@ -304,20 +289,21 @@ void to_tiles(const Planes<T>& planes, const int k, const Tiles<T>& tiles, const
     for (int i = 0; i < SIZE; ++i)
 #pragma GCC unroll 5
       for (int j = 0; j < SIZE; ++j) d[i][j] = load(from + i * down + j * right);
-    along_both(d, x, line);
+    winograd::square<MATRIX, TRANSPOSED>(d, x);
     store_tile<T>(x, tiles, block, tile);
   });
 }
 
 // In a plane: slots to places, which are added up where tiles overlap.
-template <int SIZE, typename T, typename Line>
-void from_tiles(const Tiles<T>& tiles, const int64_t first, const Planes<T>& planes, const int k, const Line& line) {
+template <const auto& MATRIX, bool TRANSPOSED, typename T>
+void from_tiles(const Tiles<T>& tiles, const int64_t first, const Planes<T>& planes, const int k) {
+  constexpr int SIZE = TRANSPOSED ? GIVEN : SIDE;
   const int64_t right = planes.blocks * LANES, down = planes.columns * right;
   if (SIZE > SIDE) std::fill_n(planes.at(k, 0, 0), planes.step(), T(0));
   for_tiles(planes, k, first, [&](const int64_t block, const int64_t tile, T* to) {
     Vec<T> x[GIVEN][GIVEN], d[SIZE][SIZE];
     load_tile<T>(tiles, block, tile, x);
-    along_both(x, d, line);
+    winograd::square<MATRIX, TRANSPOSED>(x, d);
 #pragma GCC unroll 5
     for (int i = 0; i < SIZE; ++i)
 #pragma GCC unroll 5
@@ -327,13 +313,6 @@ void from_tiles(const Tiles<T>& tiles, const int64_t first, const Planes<T>& pla
       }
   });
 }
-
-constexpr auto TAPS_TO_FACTORS = [](const auto& in, auto& out) { winograd::taps_to_factors(in, out); };
-constexpr auto TAPS_TO_FACTORS_ADJOINT = [](const auto& in, auto& out) { winograd::taps_to_factors_adjoint(in, out); };
-constexpr auto TO_FACTORS = [](const auto& in, auto& out) { winograd::to_factors(in, out); };
-constexpr auto TO_FACTORS_ADJOINT = [](const auto& in, auto& out) { winograd::to_factors_adjoint(in, out); };
-constexpr auto TO_RESULTS = [](const auto& in, auto& out) { winograd::to_results(in, out); };
-constexpr auto TO_RESULTS_ADJOINT = [](const auto& in, auto& out) { winograd::to_results_adjoint(in, out); };
 
 // A weight (O, C, 7 or 21) from given channels to results; backwards from results to given channels. Which tap is where in
 // a kernel of 3 x 3 is said by `taps`; those from HEXAGON on are none.
@@ -393,12 +372,12 @@ Factors<T> make_factors(const at::Tensor& tensor, const at::IntArrayRef taps, co
         for (int t = 0; t < HEXAGON; ++t)
           for (int k = 0; k < DEPTH; ++k) tap[t][k][lane] = from[k * HEXAGON + t];
       }
-      for (int t = 0; t < HEXAGON; ++t) winograd::taps_to_factors<T>(tap[t], by_plane[t]);
+      for (int t = 0; t < HEXAGON; ++t) winograd::line<winograd::TAPS<F>, false>(tap[t], by_plane[t]);
       for (int k = 0; k < F; ++k) {
         Vec<T> kernel[SIDE][SIDE]{}, x[GIVEN][GIVEN];
         for (int i = 0; i < SIDE * SIDE; ++i)
           if (weight.taps[i] < HEXAGON) kernel[i / SIDE][i % SIDE] = by_plane[weight.taps[i]][k];
-        along_both(kernel, x, TAPS_TO_FACTORS);
+        winograd::square<winograd::TAPS_5, false>(kernel, x);
         for (int slot = 0; slot < SLOTS; ++slot)
           store(factors.at(k * SLOTS + slot, channel, block), x[(slot + 1) / GIVEN][(slot + 1) % GIVEN]);
       }
@@ -422,11 +401,11 @@ void write_weight_gradient(const Factors<T>& parts, const Weight<T>& grad) {
           const T* from = parts.at(k * SLOTS + slot, channel, block);
           for (int64_t part = 0; part < number; ++part) x[(slot + 1) / GIVEN][(slot + 1) % GIVEN] += load(from + part * parts.size);
         }
-        along_both(x, kernel, TAPS_TO_FACTORS_ADJOINT);
+        winograd::square<winograd::TAPS_5, true>(x, kernel);
         for (int i = 0; i < SIDE * SIDE; ++i)
           if (grad.taps[i] < HEXAGON) by_plane[grad.taps[i]][k] = kernel[i / SIDE][i % SIDE];
       }
-      for (int t = 0; t < HEXAGON; ++t) winograd::taps_to_factors_adjoint<T>(by_plane[t], tap[t]);
+      for (int t = 0; t < HEXAGON; ++t) winograd::line<winograd::TAPS<F>, true>(by_plane[t], tap[t]);
       for (int64_t lane = 0; lane < grad.in_block(block); ++lane) {
         T* to = grad.at(channel, block * LANES + lane);
         for (int t = 0; t < HEXAGON; ++t)
@@ -561,9 +540,9 @@ void forward(const Volumes<T>& given, const Scaling<T>& scaling, const Factors<T
     const Tiles<T> tiles = hand.given_tiles(), products = hand.result_tiles();
     for (const Strip& strip : hand.strips) read_given<T, F>(given, scaling, strip, border, hand.given(strip));
     for (int k = 0; k < F; ++k) {
-      for (const Strip& strip : hand.strips) to_tiles<GIVEN>(hand.given(strip), k, tiles, strip.tile, TO_FACTORS);
+      for (const Strip& strip : hand.strips) to_tiles<winograd::GIVEN_5, false>(hand.given(strip), k, tiles, strip.tile);
       multiply(tiles, factors, k, products);
-      for (const Strip& strip : hand.strips) from_tiles<SIDE>(products, strip.tile, hand.results(strip), k, TO_RESULTS);
+      for (const Strip& strip : hand.strips) from_tiles<winograd::RESULTS_5, false>(products, strip.tile, hand.results(strip), k);
     }
     for (const Strip& strip : hand.strips) write_results<T, F>(hand.results(strip), strip, bias, rectify, results);
   });
@@ -587,9 +566,9 @@ void backward_given(const Volumes<T>& grad, const Factors<T>& factors, const int
       const Tiles<T> tiles = hand.given_tiles(), products = hand.result_tiles();
       for (const Strip& strip : hand.strips) read_gradients<T, F>(grad, strip, hand.results(strip));
       for (int k = 0; k < F; ++k) {
-        for (const Strip& strip : hand.strips) to_tiles<SIDE>(hand.results(strip), k, products, strip.tile, TO_RESULTS_ADJOINT);
+        for (const Strip& strip : hand.strips) to_tiles<winograd::RESULTS_5, true>(hand.results(strip), k, products, strip.tile);
         multiply(products, factors, k, tiles);
-        for (const Strip& strip : hand.strips) from_tiles<GIVEN>(tiles, strip.tile, hand.given(strip), k, TO_FACTORS_ADJOINT);
+        for (const Strip& strip : hand.strips) from_tiles<winograd::GIVEN_5, true>(tiles, strip.tile, hand.given(strip), k);
       }
       for (const Strip& strip : hand.strips) add_to_given<T, F>(hand.given(strip), strip, border, grad_given);
     });
@@ -619,8 +598,8 @@ void backward_factors(const Volumes<T>& given, const Scaling<T>& scaling, const 
         }
         for (int k = 0; k < F; ++k) {
           for (const Strip& strip : hand.strips) {
-            to_tiles<GIVEN>(hand.given(strip), k, tiles, strip.tile, TO_FACTORS);
-            to_tiles<SIDE>(hand.results(strip), k, upstream, strip.tile, TO_RESULTS_ADJOINT);
+            to_tiles<winograd::GIVEN_5, false>(hand.given(strip), k, tiles, strip.tile);
+            to_tiles<winograd::RESULTS_5, true>(hand.results(strip), k, upstream, strip.tile);
           }
           add_factor_gradient(tiles, upstream, k, own);
         }

@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.crown.fast import settled_way, sum_over_places
+from sphericalvision.crown.fast import settled_way
 from sphericalvision.crown.places import own_charts
 from sphericalvision.icosphere import level_from_num_vertices
 
@@ -62,9 +62,6 @@ class Fold(torch.autograd.Function):
     def forward(ctx: Any, col: Tensor, row: Tensor, share: Tensor | None) -> Tensor:
         ctx.channels_fastest = col.stride(2) == 1
         ctx.save_for_backward(share)
-        total = sum_over_places(col, row, share is not None)
-        if total is not None:
-            return total
         total = _fold(col, row)
         return total if share is None else total.mul_(share)
 

@@ -5,7 +5,6 @@
 ``door``               what the layers ask, and when operators step in
 ``convolution``        2D and 3D convolutions with a seventh to a third of the multiplications, as operators of torch
 ``normalization``      normalisation and ReLU in two passes over memory each way, and within the convolution after them
-``vertices``           sums of each vertex over its places in the crown
 ``registering``        functions as operators of torch; gradients of gradients, by plain formulas
 ``build``              compiling beside the work, and the cache
 =====================  ==============================================================================================
@@ -17,7 +16,6 @@ from sphericalvision.crown.fast.door import (
     forgets,
     normalize,
     settled_way,
-    sum_over_places,
 )
 
 __all__ = [
@@ -26,5 +24,4 @@ __all__ = [
     "forgets",
     "normalize",
     "settled_way",
-    "sum_over_places",
 ]

@@ -19,15 +19,24 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from sphericalvision.crown.fast.registering import register_operator
+from sphericalvision.crown.places import place_ids
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve
 
-__all__ = ["Scaling", "convolution", "convolution_gradients", "hex_convolution", "plain_convolution"]
+__all__ = [
+    "Scaling",
+    "convolution",
+    "convolution_gradients",
+    "hex_convolution",
+    "plain_convolution",
+    "vertices_at_places",
+]
 
 Scaling = tuple[Tensor | None, Tensor | None]
 
@@ -126,6 +135,15 @@ hex_convolution = register_operator(
     convolution_gradients,
     plain_convolution,
 )
+
+
+@lru_cache(maxsize=16)
+@torch.inference_mode(False)  # kept for training, too
+def vertices_at_places(level: int) -> tuple[Tensor, Tensor]:
+    """``places`` of col and of row rectangles, on the CPU: at level 7 half a megabyte each."""
+    n = 2**level
+    col, row = place_ids(level, torch.device("cpu")).int().split(5)
+    return col.view(5, 2 * n + 1, n + 1), row.view(5, n + 1, 2 * n + 1)
 
 
 def _operators() -> Any:

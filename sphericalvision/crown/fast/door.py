@@ -15,9 +15,8 @@ from torch.utils.checkpoint import checkpoint
 
 from sphericalvision.core import way_of_kernels
 from sphericalvision.crown.fast.build import operators_ready
-from sphericalvision.crown.fast.convolution import hex_convolution
+from sphericalvision.crown.fast.convolution import hex_convolution, vertices_at_places
 from sphericalvision.crown.fast.normalization import crown_normalization
-from sphericalvision.crown.fast.vertices import Pair, over_places, vertices_at_places
 from sphericalvision.crown.taps import ROW_TAPS, Taps, convolve
 from sphericalvision.icosphere import level_from_num_vertices
 
@@ -27,8 +26,10 @@ __all__ = [
     "forgets",
     "normalize",
     "settled_way",
-    "sum_over_places",
 ]
+
+
+Pair = tuple[Tensor, Tensor]
 
 
 def _operators_fit(values: Float[Tensor, " ..."], weight: Float[Tensor, " ..."]) -> bool:
@@ -118,16 +119,6 @@ def convolve_vertices(
         for across, places in enumerate(vertices_at_places(level_from_num_vertices(values.shape[-1])))
     )
     return col, row
-
-
-def sum_over_places(
-    col: Float[Tensor, "B 5 C *N h w"], row: Float[Tensor, "B 5 C *N w h"], mean: bool
-) -> Float[Tensor, "B C *N V"] | None:
-    """Sum each vertex over all its places, or take the mean; without derivatives, None where operators do not fit."""
-    if not _operators_fit(col, row):
-        return None
-    total = over_places(_inward(col), _inward(row), mean).movedim(-1, 1)
-    return total if col.ndim == 6 else total.squeeze(2)
 
 
 def normalize(

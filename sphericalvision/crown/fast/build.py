@@ -237,7 +237,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _compile(library: Path, before: list[str]) -> None:
-    """Write the library and its digest; a file takes its place when it is whole and on the disk."""
+    """Write the library and its digest; what does not reach the disk whole is told by the digest, and made anew."""
     root = Path(torch.__file__).parent
     headers = root / "include"
     include = ["-isystem", str(headers), "-isystem", str(headers / "torch" / "csrc" / "api" / "include")]
@@ -257,15 +257,7 @@ def _compile(library: Path, before: list[str]) -> None:
         digest.write_text(hashlib.sha256(made.read_bytes()).hexdigest())
         for path, to in ((made, library), (digest, _digest_file(library))):
             path.chmod(0o700)  # whatever others may do by the umask
-            with path.open("rb") as file:
-                os.fsync(file.fileno())
             path.replace(to)
-    if hasattr(os, "O_DIRECTORY"):  # the names, too
-        folder = os.open(library.parent, os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
 
 
 def _run_all(commands: Iterator[list[str]] | list[list[str]]) -> None:

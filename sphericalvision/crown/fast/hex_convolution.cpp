@@ -82,9 +82,7 @@ struct Grid {
         groups((results.depth + made - 1) / made),
         rows((results.height + SIDE - 1) / SIDE),
         columns((results.width + SIDE - 1) / SIDE),
-        parts((rows * columns + TILES - 1) / TILES) {
-    parts = std::min(parts, rows);
-  }
+        parts(std::min((rows * columns + TILES - 1) / TILES, rows)) {}
 
   int64_t size() const { return batch * groups * parts; }
   int64_t most_rows() const { return (rows + parts - 1) / parts; }
@@ -105,8 +103,6 @@ struct Planes {
     return data + ((plane * rows + row) * columns + column) * blocks * LANES;
   }
   int64_t step() const { return rows * columns * blocks * LANES; }
-  int64_t tile_rows() const { return rows / SIDE; }
-  int64_t tile_columns() const { return columns / SIDE; }
 };
 
 // Vectors of tiles, [slot][block][tile]. The step is odd: a power of two would put all slots into one set of the cache.
@@ -179,7 +175,7 @@ void read_given(const Volumes<T>& given, const Scaling<T>& scaling, const Strip&
         for (int k = 0; k < F; ++k) d[k] = load(from + depth[k], count);
         if (scaling.factor)
           for (Vec<T>& value : d) value = lanes::rectified<T>(scaling.scaled(value, strip.b, block, count));
-        winograd::line<winograd::GIVEN<F>, false>(d, x);
+        winograd::line<winograd::GIVEN_6, false>(d, x);
         for (int k = 0; k < F; ++k) store(to + k * planes.step(), x[k]);
       }
     }
@@ -200,7 +196,7 @@ void add_to_given(const Planes<T>& planes, const Strip& strip, const int64_t bor
         const int64_t count = grad_given.in_block(block);
         Vec<T> x[F], d[F];
         for (int k = 0; k < F; ++k) x[k] = load(from + k * planes.step());
-        winograd::line<winograd::GIVEN<F>, true>(x, d);
+        winograd::line<winograd::GIVEN_6, true>(x, d);
         // One after the other: at the ends two of them are the same hypothesis.
         for (int k = 0; k < F; ++k) store(to + depth[k], Vec<T>(load(to + depth[k], count) + d[k]), count);
       }
@@ -222,7 +218,7 @@ void write_results(const Planes<T>& planes, const Strip& strip, const T* bias, c
         const Vec<T> shift = bias ? load(bias + block * LANES, count) : Vec<T>{};
         Vec<T> m[F], y[MADE<F>];
         for (int k = 0; k < F; ++k) m[k] = load(from + k * planes.step());
-        winograd::line<winograd::RESULTS<F>, false>(m, y);
+        winograd::line<winograd::RESULTS_6, false>(m, y);
         for (int64_t k = 0; k < deep; ++k) {
           const Vec<T> value = y[k] + shift;
           store(to + k * results.deep, rectify ? lanes::rectified<T>(value) : value, count);
@@ -246,7 +242,7 @@ void read_gradients(const Volumes<T>& grad, const Strip& strip, const Planes<T>&
         Vec<T> y[MADE<F>], m[F];
         for (int64_t k = 0; k < MADE<F>; ++k)
           y[k] = there && k < deep ? load(from + k * grad.deep, grad.in_block(block)) : Vec<T>{};
-        winograd::line<winograd::RESULTS<F>, true>(y, m);
+        winograd::line<winograd::RESULTS_6, true>(y, m);
         for (int k = 0; k < F; ++k) store(to + k * planes.step(), m[k]);
       }
     }
@@ -272,8 +268,8 @@ inline void store_tile(const Vec<T> (&x)[GIVEN][GIVEN], const Tiles<T>& tiles, c
 // Call `one(block, tile, corner)` for all tiles of a strip; the corner is that of the tile in a plane.
 template <typename T, typename Function>
 inline void for_tiles(const Planes<T>& planes, const int k, int64_t tile, const Function& one) {
-  for (int64_t row = 0; row < planes.tile_rows(); ++row)
-    for (int64_t column = 0; column < planes.tile_columns(); ++column, ++tile)
+  for (int64_t row = 0; row < planes.rows / SIDE; ++row)
+    for (int64_t column = 0; column < planes.columns / SIDE; ++column, ++tile)
       for (int64_t block = 0; block < planes.blocks; ++block)
         one(block, tile, planes.at(k, SIDE * row, SIDE * column) + block * LANES);
 }
@@ -372,7 +368,7 @@ Factors<T> make_factors(const at::Tensor& tensor, const at::IntArrayRef taps, co
         for (int t = 0; t < HEXAGON; ++t)
           for (int k = 0; k < DEPTH; ++k) tap[t][k][lane] = from[k * HEXAGON + t];
       }
-      for (int t = 0; t < HEXAGON; ++t) winograd::line<winograd::TAPS<F>, false>(tap[t], by_plane[t]);
+      for (int t = 0; t < HEXAGON; ++t) winograd::line<winograd::TAPS_6, false>(tap[t], by_plane[t]);
       for (int k = 0; k < F; ++k) {
         Vec<T> kernel[SIDE][SIDE]{}, x[GIVEN][GIVEN];
         for (int i = 0; i < SIDE * SIDE; ++i)
@@ -405,7 +401,7 @@ void write_weight_gradient(const Factors<T>& parts, const Weight<T>& grad) {
         for (int i = 0; i < SIDE * SIDE; ++i)
           if (grad.taps[i] < HEXAGON) by_plane[grad.taps[i]][k] = kernel[i / SIDE][i % SIDE];
       }
-      for (int t = 0; t < HEXAGON; ++t) winograd::line<winograd::TAPS<F>, true>(by_plane[t], tap[t]);
+      for (int t = 0; t < HEXAGON; ++t) winograd::line<winograd::TAPS_6, true>(by_plane[t], tap[t]);
       for (int64_t lane = 0; lane < grad.in_block(block); ++lane) {
         T* to = grad.at(channel, block * LANES + lane);
         for (int t = 0; t < HEXAGON; ++t)

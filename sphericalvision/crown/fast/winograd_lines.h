@@ -33,23 +33,6 @@ constexpr double TAPS_6[6][3] = {
     {0, 0, 1},
 };
 
-// Images have one plane, which is its own factor.
-constexpr double ONE[1][1] = {{1}};
-
-// By the number of planes of factors, six or one.
-template <int F>
-constexpr const auto& GIVEN = GIVEN_6;
-template <>
-constexpr const auto& GIVEN<1> = ONE;
-template <int F>
-constexpr const auto& RESULTS = RESULTS_6;
-template <>
-constexpr const auto& RESULTS<1> = ONE;
-template <int F>
-constexpr const auto& TAPS = TAPS_6;
-template <>
-constexpr const auto& TAPS<1> = ONE;
-
 // F(3, 3) with the points 0, 1, -1, 2 and infinity: five given values, three results.
 constexpr double GIVEN_5[5][5] = {{2, -1, -2, 1, 0}, {0, -2, -1, 1, 0}, {0, 2, -3, 1, 0}, {0, -1, 0, 1, 0}, {0, 2, -1, -2, 1}};
 constexpr double RESULTS_5[3][5] = {{1, 1, 1, 1, 0}, {0, 1, -1, 2, 0}, {0, 1, 1, 4, 1}};
@@ -59,6 +42,10 @@ constexpr double TAPS_5[5][3] = {
 // A matrix times a line of vectors, or, for gradients, its transpose. All is unrolled, so that zeros and ones cost nothing.
 template <const auto& MATRIX, bool TRANSPOSED, typename V, int FROM, int TO>
 inline void line(const V (&in)[FROM], V (&out)[TO]) {
+  if constexpr (FROM == 1) {  // images have one plane, which is its own factor
+    out[0] = in[0];
+    return;
+  }
   using T = std::remove_cvref_t<decltype(in[0][0])>;
 #pragma GCC unroll 6
   for (int i = 0; i < TO; ++i) {

@@ -49,7 +49,7 @@ inline void line(const V (&in)[FROM], V (&out)[TO]) {
   using T = std::remove_cvref_t<decltype(in[0][0])>;
 #pragma GCC unroll 6
   for (int i = 0; i < TO; ++i) {
-    bool any = false;
+    bool any = false;  // the first product begins the sum: zero and a product would be an addition more
 #pragma GCC unroll 6
     for (int j = 0; j < FROM; ++j) {
       const auto factor = static_cast<T>(MATRIX[TRANSPOSED ? j : i][TRANSPOSED ? i : j]);

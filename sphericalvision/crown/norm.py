@@ -121,7 +121,7 @@ class _CrownInstanceNorm(_CrownBatchNorm):
 
     def _plainly(self, crown: Crown) -> Crown:
         # Channels of all samples side by side are the channels of one batch, of ten rectangles.
-        batch = len(crown.col)
+        batch = crown.col.shape[0]  # not `len`, which would make it a constant of an exported program
         if not batch:
             return crown
         together = torch.cat([rectangles.flatten(-2) for rectangles in crown], 1).transpose(0, 1)

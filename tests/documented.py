@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import shlex
 import sys
+import time
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -158,6 +159,8 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
     if command.recipe == "align":  # random images have nothing in common
         write_knocked_capture(folder / "knocked")
         words += ["calibration=knocked/rig.yaml", "images=knocked/{camera}/{frame:05d}.png"]
+    if command.recipe == "train":
+        time.sleep(1)  # folders of runs are named by the second, and these are short
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         options = next((number for number, word in enumerate(words) if word.startswith("--")), len(words))

@@ -101,7 +101,7 @@ class RandomRigScenes(WorldSamples):
     Args:
         num_scenes: number of samples.
         first_seed: of sample 0; below 10,000,000, which are for comparing methods.
-        level: of the icosphere that carries the images.
+        level: of the icosphere that carries the images; images that are finer are averaged first, as in use.
         depth_level: of the icosphere that carries depth; that of the images when not given.
         image_size: (height, width) of the cameras.
         samples_per_pixel: rays through each pixel.
@@ -144,9 +144,9 @@ class RandomRigScenes(WorldSamples):
             chosen, rig=rigs, draws=by_purpose, prepare=prepare, samples_per_pixel=samples_per_pixel
         )
         prepared = prepare and f"{prepare.__module__}.{prepare.__qualname__}"
-        numbers = (GENERATION, level, depth_level, samples_per_pixel)
+        numbers = (GENERATION, level, depth_level, samples_per_pixel, "averaged")
         digest = hashlib.sha256(repr((numbers, rigs, chosen, prepared)).encode()).hexdigest()[:8]
         #: Stands for everything that a seed's sample depends on; the folder's name in the cache.
         self.name = f"random_rigs-{GENERATION}-{level}-{digest}"
         cache = ArrayCache(None if cache_dir is None else Path(cache_dir) / self.name)
-        super().__init__(world, num_scenes, first_seed, level, depth_level, cache=cache)
+        super().__init__(world, num_scenes, first_seed, level, depth_level, antialias=True, cache=cache)

@@ -236,7 +236,7 @@ def check_last_dim(name: str, tensor: torch.Tensor, size: int) -> None:
         raise ShapeError(f"{name}: expected shape (*, {size}), got {tuple(tensor.shape)}")
 
 
-def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+def check_choice(name: str, value: object, choices: tuple[object, ...]) -> None:
     """Raise ``ArgumentError`` that lists the choices unless ``value`` is one of them.
 
     Examples:

@@ -8,7 +8,7 @@ import re
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 import torch
@@ -259,11 +259,35 @@ def test_weights_of_the_study_are_in_the_source_tree_or_named(monkeypatch: pytes
         pretrained("omnimvs-study")
 
 
-def test_half_precision_is_half_the_size_and_read_as_float32(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("bits", "size", "error"), [(16, 0.8, 2**-11), (8, 0.4, 0.5 / 127)])
+def test_fewer_bits_make_smaller_files_and_are_read_as_float32(
+    tmp_path: Path, bits: Literal[16, 8], size: float, error: float
+) -> None:
     net = IcoSweepNet(3, 4, feature_channels=32)
-    full, half = (save_weights(net, tmp_path / f"{half}.safetensors", half=half) for half in (False, True))
-    assert half.stat().st_size < 0.8 * full.stat().st_size
-    again = load_weights(half)
+    with torch.no_grad():
+        large = next(x for x in net.parameters() if x.numel() >= weight_files.LARGE)
+        large[0], large[1, 0] = 0, 3.0  # an output without weights, and one with an outlier
+    full, small = (save_weights(net, tmp_path / f"{b}.safetensors", b) for b in (32, bits))
+    assert small.stat().st_size < size * full.stat().st_size
+    again = load_weights(small)
     assert {x.dtype for x in again.state_dict().values() if x.is_floating_point()} == {torch.float32}
     for name, tensor in net.state_dict().items():
-        torch.testing.assert_close(again.state_dict()[name], tensor, rtol=2**-11, atol=2**-24)
+        of_its_output = tensor.abs().reshape(len(tensor), -1).amax(1) if tensor.dim() else tensor.abs()
+        off = (again.state_dict()[name] - tensor).abs().reshape(*of_its_output.shape, -1).amax(-1)
+        assert (off <= error * 1.001 * of_its_output + 2**-24).all(), name
+
+
+def test_steps_that_do_not_fit_their_tensor_are_refused(tmp_path: Path) -> None:
+    path = save_weights(IcoSweepNet(3, 4, feature_channels=32), tmp_path / "net.safetensors", bits=8)
+    with safe_open(path, framework="pt") as file:
+        metadata, stored = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    name = next(name for name in stored if name.endswith(weight_files.STEP))
+    save_file({**stored, name: stored[name][:3]}, path, metadata)
+    with pytest.raises(FileFormatError, match=rf"'{re.escape(name)}' has shape \(3, .*expected"):
+        load_weights(path)
+    del stored[name]
+    save_file(stored, path, metadata)
+    with pytest.raises(FileFormatError, match=r"holds torch.int8, expected torch.float32"):
+        load_weights(path)
+    with pytest.raises(ArgumentError, match=r"bits: .*12"):
+        save_weights(load_weights(save_weights(IcoSweepNet(3, 4), path)), path, bits=12)  # type: ignore[arg-type]

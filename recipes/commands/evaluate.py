@@ -20,8 +20,8 @@ from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparatio
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
+from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.captures import with_own_body_masked
-from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
 from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
@@ -57,7 +57,7 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     otherwise.
     """
     level = config.model.level
-    net = load_network(config.checkpoint)
+    net = read_network(config.checkpoint, level)
     near = config.model.min_depth
     found: Literal["auto", "scene"] | None = None
     if isinstance(near, str):

@@ -62,15 +62,16 @@ class Predictor:
 
     Args:
         rig: calibrated cameras, for instance ``cameras.read_rig("capture/config.yaml")``; its masks are used.
-        weights: a name of ``models.available_weights()``, a weights file, or a network; by default the best one that
-            ships.
+        weights: a name of ``models.available_weights()``, a weights file, or a network; by default the one that
+            ships for ``level``: ``refinedsweepnet-fast`` for 5, ``refinedsweepnet-fine`` for 7.
         method: ``"network"``, or ``"semi_global"``: a sweep without training at the level of the network.
         min_depth: nearest hypothesis in metres. ``"scene"`` estimates it from the first images, once, which takes one
             to three seconds. ``None`` is that of the training, scaled with the rig if the network was trained with rigs
             of one radius (``net.min_depth_follows``). ``"auto"`` is that, too, unless the network was trained with rigs
             of many radii and the first images show a scene four times nearer or farther; without training it is
             ``"scene"``.
-        level: icosphere level of the images; by default that of the training. One level less is four times as fast.
+        level: icosphere level of the images; by default that of the training, 6 if no weights are given. One level
+            less is three times as fast.
         num_hypotheses: N; by default that of the training.
         device: where to compute; by default the device of the network, which is the CPU if it was read from weights.
         antialias: whether images finer than the icosphere are averaged over the area between its vertices.
@@ -113,7 +114,7 @@ class Predictor:
         check_single(rig)
         check_choice("method", method, METHODS)
         check_choice("channels", channels, ("rgb", "bgr"))
-        net = weights if isinstance(weights, DepthNetwork) else read_network(weights)
+        net = weights if isinstance(weights, DepthNetwork) else read_network(weights, level)
         if level is not None:
             check_level(level)
         if num_hypotheses is not None:

@@ -27,6 +27,7 @@ from sphericalvision.models import (
 )
 from sphericalvision.models.weights import available_weights, filling
 from sphericalvision.models.weights import files as weight_files
+from sphericalvision.models.weights.checkpoints import read_network
 
 Writer = Callable[..., Path]
 
@@ -246,9 +247,20 @@ def test_shipped_weights_load() -> None:
         assert pretrained(name).num_cameras > 0
 
 
-def test_the_fine_network_is_the_default_one_a_level_finer() -> None:
-    fine, default = pretrained("refinedsweepnet-fine"), pretrained()
-    assert fine.hyperparameters == {**default.hyperparameters, "level": 7}
+@pytest.mark.parametrize(("name", "level"), [("refinedsweepnet-fast", 5), ("refinedsweepnet-fine", 7)])
+def test_networks_of_other_levels_are_the_default_one_a_level_coarser_or_finer(name: str, level: int) -> None:
+    assert pretrained(name).hyperparameters == {**pretrained().hyperparameters, "level": level}
+
+
+@pytest.mark.parametrize(("wanted", "taken"), [(None, 6), (4, 5), (5, 5), (6, 6), (7, 7), (8, 7)])
+def test_without_a_name_the_weights_for_the_level_are_read(wanted: int | None, taken: int) -> None:
+    net, names = (
+        read_network(level=wanted),
+        {5: "refinedsweepnet-fast", 6: "refinedsweepnet", 7: "refinedsweepnet-fine"},
+    )
+    assert net.level == taken
+    for name, tensor in pretrained(names[taken]).state_dict().items():
+        assert torch.equal(net.state_dict()[name], tensor)
 
 
 def test_weights_of_the_study_are_in_the_source_tree_or_named(monkeypatch: pytest.MonkeyPatch) -> None:

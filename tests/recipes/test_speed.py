@@ -123,7 +123,7 @@ def test_presets_are_those_of_predict() -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         live, fast, default, fine = (PRESET(name, CPU) for name in ("live", "fast", "default", "fine"))
     assert (live.photometric, fast.photometric) == (False, True)
-    assert (live.level, fast.level, default.level, fine.checkpoint) == (5, 5, None, "refinedsweepnet-fine")
+    assert (live.level, fast.level, default.level, fine.level) == (5, 5, None, 7)
 
 
 @pytest.mark.parametrize("group", ["sweep", "training", "convolutions", "data", "predict", "fps", "presets"])

@@ -25,12 +25,18 @@ REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
 
 
-def read_network(source: str | Path | None = None) -> DepthNetwork:
+BY_LEVEL = {5: "refinedsweepnet-fast", 6: "refinedsweepnet", 7: "refinedsweepnet-fine"}
+"""Weights that ship, by the level of the images that they are trained for."""
+
+
+def read_network(source: str | Path | None = None, level: int | None = None) -> DepthNetwork:
     """Return the network of a file, of a training's checkpoint, or of weights that ship, on the CPU and in eval mode.
 
     Args:
         source: ``.safetensors``, a ``.ckpt`` of a training, or ``.pth`` in the format of the authors of IcoSweepNet or
-            RomniStereo; or the name of weights that ship with the package, of which the best when not given.
+            RomniStereo; or the name of weights that ship with the package, by default those for ``level``.
+        level: of the images that default weights are for, level 6 when not given; of the levels that weights ship for
+            the nearest one. It does not change the network's own.
 
     Raises:
         ArgumentError: the suffix is of no known format.
@@ -42,7 +48,7 @@ def read_network(source: str | Path | None = None) -> DepthNetwork:
         'IcoSweepNet'
     """
     if source is None:
-        return pretrained()
+        return pretrained(BY_LEVEL[min(max(level or 6, min(BY_LEVEL)), max(BY_LEVEL))])
     if str(source) in (*available_weights(), *STUDY) and not Path(source).exists():
         return pretrained(str(source))
     known = ", ".join(available_weights())

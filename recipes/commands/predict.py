@@ -20,6 +20,7 @@ from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import Moving
 from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.models.weights.checkpoints import weights_for
 from sphericalvision.recipes.app.captures import masked_by_itself, open_capture, open_moving
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 
@@ -133,8 +134,13 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
     many = "live" if names is None else f"{len(names)} frame(s)"
     cameras = "cameras" if config.poses is None else "images in a window"
+    weights = (
+        f", weights {config.checkpoint or weights_for(config.level)}" if config.method == "network" else ""
+    )
     console.print(
         f"{many}, {len(source.rig)} {cameras}, rig radius {float(source.rig.radius):.3f} m, nearest hypothesis {near}"
+        f"{weights}",
+        markup=False,
     )
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     settings = Settings(

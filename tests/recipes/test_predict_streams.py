@@ -303,6 +303,24 @@ def test_a_video_becomes_a_video(
     assert not list((tmp_path / "out").glob(".*"))
 
 
+def test_a_preset_takes_the_weights_for_its_level_and_says_so(
+    run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        f"calibration={capture / 'rig.yaml'}",
+        f"images={capture}/images",
+        "device=cpu",
+        "stop=1",
+        "height=16",
+    ]
+    run("predict", *words, "preset=fast", "output=out", "outputs=[npz]")
+    assert "weights refinedsweepnet-fast" in " ".join(capsys.readouterr().out.split())
+    with np.load(tmp_path / "out/000_depth.npz") as arrays:
+        assert len(arrays["index"]) == 10 * 4**5 + 2
+    run("predict", *words, "preset=fast", f"checkpoint={weights}", "output=own", "outputs=[npz]")
+    assert "refinedsweepnet" not in capsys.readouterr().out
+
+
 def test_the_fast_preset_is_one_level_coarser(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
     words = [f"calibration={capture / 'rig.yaml'}", f"checkpoint={weights}", "device=cpu", "stop=1"]
     run("predict", *words, f"images={capture}/images", "preset=fast", "output=out", "outputs=[npz]")

@@ -19,14 +19,23 @@ from sphericalvision.models.weights.romnistereo_checkpoint import (
     load_romnistereo_checkpoint,
 )
 
-__all__ = ["read_network"]
+__all__ = ["read_network", "weights_for"]
 
 REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
 
-
 BY_LEVEL = {5: "refinedsweepnet-fast", 6: "refinedsweepnet", 7: "refinedsweepnet-fine"}
 """Weights that ship, by the level of the images that they are trained for."""
+
+
+def weights_for(level: int | None = None) -> str:
+    """Name of the weights that ship for images of a level, or the level nearest to it; for level 6 when not given.
+
+    Examples:
+        >>> weights_for(5), weights_for()
+        ('refinedsweepnet-fast', 'refinedsweepnet')
+    """
+    return BY_LEVEL[min(max(6 if level is None else level, min(BY_LEVEL)), max(BY_LEVEL))]
 
 
 def read_network(source: str | Path | None = None, level: int | None = None) -> DepthNetwork:
@@ -35,8 +44,7 @@ def read_network(source: str | Path | None = None, level: int | None = None) -> 
     Args:
         source: ``.safetensors``, a ``.ckpt`` of a training, or ``.pth`` in the format of the authors of IcoSweepNet or
             RomniStereo; or the name of weights that ship with the package, by default those for ``level``.
-        level: of the images that default weights are for, level 6 when not given; of the levels that weights ship for
-            the nearest one. It does not change the network's own.
+        level: of the images that default weights are for (``weights_for``). It does not change the network's own.
 
     Raises:
         ArgumentError: the suffix is of no known format.
@@ -48,7 +56,7 @@ def read_network(source: str | Path | None = None, level: int | None = None) -> 
         'IcoSweepNet'
     """
     if source is None:
-        return pretrained(BY_LEVEL[min(max(level or 6, min(BY_LEVEL)), max(BY_LEVEL))])
+        return pretrained(weights_for(level))
     if str(source) in (*available_weights(), *STUDY) and not Path(source).exists():
         return pretrained(str(source))
     known = ", ".join(available_weights())

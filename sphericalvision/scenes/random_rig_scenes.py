@@ -123,7 +123,7 @@ class RandomRigScenes(WorldSamples):
     Examples:
         >>> sample = RandomRigScenes(1, level=3, image_size=(24, 24))[0]
         >>> sample["images"].shape[1:], sample["inverse_depth"].shape, sample["frame"]
-        (torch.Size([3, 642]), torch.Size([642]), 'outdoors-00000000')
+        (torch.Size([3, 642]), torch.Size([642]), 'corridor-00000000')
     """
 
     def __init__(

@@ -156,7 +156,7 @@ KNOWN = {
 
 
 def test_a_seed_means_what_it_meant_when_the_weights_that_ship_were_trained():
-    shares = {**VALUES["kind"], "terrain": 0.0, "ruins": 0.0, "plain": 0.0}
+    shares = {**VALUES["kind"], "terrain": 0.0, "ruins": 0.0, "plain": 0.0, "lit": 0.0}
     world = RandomRigScenes(1, **SMALL, values={**VALUES, "kind": shares}).world
     for seed, known in KNOWN.items():
         frame = world.frame(seed)

@@ -165,6 +165,21 @@ def test_plain_places_have_few_colours_in_even_light_and_some_have_no_roof() -> 
     assert 4 * statistics.median(map(colours, scenes)) < statistics.median(map(colours, shaded))
 
 
+def test_what_shines_in_a_lit_place_is_as_bright_as_a_sky_and_as_near_as_its_walls() -> None:
+    rays = Icosphere(4).vertices
+
+    def dazzling(kind: str, seed: int) -> Tensor:
+        """Depth of what is bright in a scene; NaN elsewhere."""
+        scene = make_scene(kind, seed)
+        bright = render_directions(scene, ORIGIN, rays).mean(0) > 0.9
+        return torch.where(bright, ray_depth(scene, ORIGIN, rays), torch.nan)
+
+    lit, rooms = (torch.stack([dazzling(kind, seed) for seed in range(24)]) for kind in ("lit", "room"))
+    assert (lit < 40).float().mean() > 2 * (rooms < 40).float().mean()
+    assert ((lit < 40).float().mean(1) > 0.01).float().mean() > 0.4
+    assert 0.1 < lit.isinf().any(1).float().mean() < 0.7  # panes before a sky as bright, in some
+
+
 def test_fog_turns_what_is_far_into_the_sky_and_leaves_depth() -> None:
     clear = replace(make_scene("outdoors", 1), clouds=torch.zeros(0, 5))
     directions = around(-0.03)

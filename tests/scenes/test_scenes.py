@@ -71,7 +71,7 @@ def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: s
     depth = ray_depth(scene, ORIGIN, EquirectangularCamera((64, 128)).unproject(_pixels(64, 128)).directions)
     assert depth.min() >= 0.6 - 1e-4
     open_kinds = ("outdoors", "skies", "patchwork", "rough", "terrain", "ruins", "plain")
-    least = 0.5 if kind in open_kinds else 0.7 if kind == "glazed" else 0.95
+    least = 0.5 if kind in open_kinds else 0.7 if kind in ("glazed", "lit") else 0.95
     assert depth.isfinite().float().mean() > least
     assert depth.min() < (6 if kind == "terrain" else 3 if kind == "ruins" else 2)
     assert depth[depth.isfinite()].max() > 2.0

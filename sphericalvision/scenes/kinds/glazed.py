@@ -15,7 +15,7 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part
 from sphericalvision.scenes.rendering.scene import Scene
 
-__all__ = ["random_glazed_room"]
+__all__ = ["add_panes", "random_glazed_room"]
 
 OUTSIDE = 80.0
 """Metres to the sides that the ground outside has."""
@@ -36,7 +36,7 @@ def random_glazed_room(generator: torch.Generator, clear_radius: float = 0.6) ->
     rooms.build_shell(room, openings)
     rooms.hang_lamps(room, palette.integer(1, 2))
     for side, opening in openings.items():
-        (rooms.add_window if palette.chance(0.15) else _glaze)(room, side, opening)
+        (rooms.add_window if palette.chance(0.15) else add_panes)(room, side, opening)
     if palette.chance(0.7):
         _outside(room)
     rooms.furnish(room, palette.integer(3, 14))
@@ -69,7 +69,7 @@ def _opening(room: rooms.Room, side: int) -> rooms.Opening:
     )
 
 
-def _glaze(room: rooms.Room, side: int, opening: rooms.Opening) -> None:
+def add_panes(room: rooms.Room, side: int, opening: rooms.Opening) -> None:
     """A frame, bars between panes, and perhaps curtains; what is behind is left as it is."""
     palette = room.palette
     yaw, x, z, start, end = room.sides()[side]

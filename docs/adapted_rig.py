@@ -20,7 +20,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, read_rig, save_rig, seen_by
 from sphericalvision.capture import Predictor, find_own_body
 from sphericalvision.capture.preparation.preparation import Preparation
-from sphericalvision.data import read_image, write_image
+from sphericalvision.io.images import read_image, write_image
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import load_weights, pretrained
 from sphericalvision.recipes.app.rigs import make_corner_rig

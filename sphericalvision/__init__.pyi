@@ -3,7 +3,6 @@ from . import capture as capture
 from . import core as core
 from . import crown as crown
 from . import data as data
-from . import deploy as deploy
 from . import geometry as geometry
 from . import icosphere as icosphere
 from . import io as io

@@ -142,15 +142,11 @@ def test_declared_packages_are_the_folders_on_disk() -> None:
     assert set(PYPROJECT["tool"]["setuptools"]["packages"]) == on_disk
 
 
-OLD_NAMES = {"sphericalvision-benchmark"}
-"""Of console scripts that say their new names."""
-
-
 @pytest.mark.parametrize("page", ["README.md", "docs/recipes/index.md"])
 def test_pages_name_every_console_script(page: str) -> None:
     text = (ROOT / page).read_text()
     missing = {name for name in PYPROJECT["project"]["scripts"] if f"{name} " not in text}
-    assert not missing - OLD_NAMES
+    assert not missing
 
 
 @pytest.mark.parametrize("script", sorted(PYPROJECT["project"]["scripts"]))

@@ -22,7 +22,6 @@ PACKAGES = (
     "sphericalvision.core",
     "sphericalvision.crown",
     "sphericalvision.data",
-    "sphericalvision.deploy",
     "sphericalvision.geometry",
     "sphericalvision.icosphere",
     "sphericalvision.losses",
@@ -147,7 +146,7 @@ SIGNATURES = {
         "transform",
     ),
     "sphericalvision.data.collate_samples": ("samples",),
-    "sphericalvision.data.make_scene": ("kind", "seed", "device"),
+    "sphericalvision.scenes.make_scene": ("kind", "seed", "device"),
     "sphericalvision.data.write_omnistereo": ("root", "frames", "rig", "release"),
 }
 

@@ -163,7 +163,7 @@ def keys_named(**keys: str) -> Iterator[None]:
         ...     raise ArgumentError("path: two files are there")
         Traceback (most recent call last):
         ...
-        sphericalvision.core.errors.ArgumentError: calibration: two files are there
+        sphericalvision.core.ArgumentError: calibration: two files are there
     """
     try:
         yield

@@ -1,5 +1,3 @@
-import typing
-
 from . import calibration as calibration
 from .base import Camera as Camera
 from .base import Projection as Projection
@@ -77,5 +75,3 @@ from .remapping.views import rotation_from_yaw_pitch_roll as rotation_from_yaw_p
 from .rig import CameraRig as CameraRig
 from .rig import ring_rig as ring_rig
 from .trajectory import Trajectory as Trajectory
-
-def __getattr__(name: str) -> typing.Any: ...

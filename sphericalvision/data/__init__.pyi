@@ -1,5 +1,3 @@
-import typing
-
 from .augmentation.fivefold import RotateFivefold as RotateFivefold
 from .augmentation.photometric import PhotometricAugmentation as PhotometricAugmentation
 from .augmentation.rotate_fisheye import RotateFisheye as RotateFisheye
@@ -15,5 +13,3 @@ from .omnistereo.dataset import OmniStereoDataset as OmniStereoDataset
 from .omnistereo.writer import write_omnistereo as write_omnistereo
 from .point_files import read_points as read_points
 from .truth import truth_from_points as truth_from_points
-
-def __getattr__(name: str) -> typing.Any: ...

@@ -106,7 +106,7 @@ class RandomRigScenes(WorldSamples):
         image_size: (height, width) of the cameras.
         samples_per_pixel: rays through each pixel.
         prepare: makes of a rig and its photographs, camera name -> ``(3, h, w)`` in [0, 1], those that are used, as the
-            network will have them in use (``deploy.Predictor`` takes out noise and differences in light).
+            network will have them in use (``Predictor`` takes out noise and differences in light).
         cache_dir: folder where samples are kept, images as bytes; rendered each time when not given.
         values: arguments of ``World``, and ``level_rigs``; ``world_values("random_rigs")`` when not given.
 

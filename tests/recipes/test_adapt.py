@@ -11,7 +11,7 @@ import torch
 
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import write_image
+from sphericalvision.io.images import write_image
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet, load_weights
 from sphericalvision.recipes.datamodules.capture import CaptureDataModule, rehearsed_world
 from sphericalvision.recipes.training.adapt_module import AdaptModule

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 import torch
 
-from sphericalvision.capture.sources import videos as sources_videos
 from sphericalvision.capture.sources.frames import find_capture, find_masks
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import write_image
@@ -125,10 +124,3 @@ def test_sizes_that_a_calibration_lacks_are_the_images_or_given(
     make_ring(2, image_size=(24, 32)).to_yaml(tmp_path / "c/rig.yaml")
     with pytest.raises(ArgumentError, match=r"image_size: .*rig\.yaml says itself"):
         open_capture(keys | {"calibration": f"{tmp_path}/c/rig.yaml", "image_size": [48, 64]})
-
-
-def test_videos_keep_their_old_name() -> None:
-    """Scripts of others import it from here."""
-    from sphericalvision.recipes.prediction import videos
-
-    assert videos.Videos is sources_videos.Videos

@@ -42,7 +42,7 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
     depth = ball(rig)
     kinds = [
         kind for kind in OUTPUTS if kind not in ("timeline", "rerun")
-    ]  # of sequences; tests/deploy has those
+    ]  # of sequences; tests/capture has those
     outputs = Outputs(tmp_path, Settings(kinds, 32, min_confidence=0.25, voxel=0.1))
     outputs.write("7", depth)
     outputs.close()

@@ -25,8 +25,8 @@ def depth_index_huber(
     Args:
         pred_index: ``(B, V)`` predicted indices, 0 to N - 1, as from ``soft_argmax``.
         target_index: ``(B, V)`` indices of the ground truth, not rounded.
-        mask: ``(B, V)``, True where the ground truth counts; everywhere when not given. Values of the target
-            outside the mask have no influence, NaN included.
+        mask: ``(B, V)``, True where the ground truth counts; everywhere when not given. Values outside the mask
+            have no influence, NaN included.
         delta: index difference at which the loss turns from quadratic to linear.
         weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.
 
@@ -54,19 +54,19 @@ def depth_index_huber(
         )
     if mask is not None and mask.shape != pred_index.shape:
         raise ShapeError(f"mask: expected shape {tuple(pred_index.shape)}, got {tuple(mask.shape)}")
-    mask = None if mask is None else mask.bool()
+    if mask is not None:
+        mask = mask.bool()
+        pred_index, target_index = pred_index.where(mask, 0), target_index.where(mask, 0)
     if weights is not None:
         if weights.shape not in (pred_index.shape, pred_index.shape[-1:]):
             raise ShapeError(f"weights: expected shape ({pred_index.shape[-1]},), got {tuple(weights.shape)}")
-        target = target_index if mask is None else target_index.where(mask, pred_index.detach())
-        losses = F.huber_loss(pred_index, target, delta=delta, reduction="none")
+        losses = F.huber_loss(pred_index, target_index, delta=delta, reduction="none")
         shares = weights.to(losses).expand_as(losses)
         shares = shares if mask is None else shares.where(mask, 0.0)
         return _ratio((losses * shares).sum(), shares.sum())
     if mask is None:
         return F.huber_loss(pred_index, target_index, delta=delta)
-    target = target_index.where(mask, pred_index.detach())
-    total = F.huber_loss(pred_index, target, delta=delta, reduction="sum")
+    total = F.huber_loss(pred_index, target_index, delta=delta, reduction="sum")
     return total / mask.sum().clamp(min=1)
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.metrics.images import MeanOverImages, shares_of_points, weighted_mean
+from sphericalvision.metrics.images import MeanOverImages, absolute_error, shares_of_points, weighted_mean
 
 __all__ = ["DepthError", "DepthIndexError", "depth_error", "depth_index_error"]
 
@@ -27,8 +27,8 @@ def depth_index_error(
     scale with ``(N - 1) / N``: compare only at one N.
 
     Args:
-        pred_index: ``(B, V)`` predicted indices.
-        target_index: ``(B, V)`` true indices, not rounded.
+        pred_index: ``(B, V)`` predicted indices; NaN is an infinite error.
+        target_index: ``(B, V)`` true indices, not rounded; points that are not finite are left out.
         num_hypotheses: N.
         mask: ``(B, V)``, True where the truth counts; everywhere when not given.
         weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.
@@ -38,7 +38,7 @@ def depth_index_error(
 
     Raises:
         ShapeError: if shapes do not agree.
-        ArgumentError: if ``num_hypotheses`` is not positive.
+        ArgumentError: if ``num_hypotheses`` is not positive, or a weight that counts is negative or not finite.
 
     References:
         Won, Ryu and Lim (2019), "OmniMVS: end-to-end learning for omnidirectional stereo matching", section
@@ -53,7 +53,7 @@ def depth_index_error(
     if num_hypotheses < 1:
         raise ArgumentError(f"num_hypotheses: expected a positive number, got {num_hypotheses!r}")
     shares = shares_of_points(pred_index, target_index, mask, weights)
-    error = (pred_index.to(shares.dtype) - target_index.to(shares.dtype)).abs() * (100 / num_hypotheses)
+    error = absolute_error(pred_index, target_index) * (100 / num_hypotheses)
     above = {f">{threshold}": weighted_mean(100.0 * (error > threshold), shares) for threshold in (1, 3, 5)}
     return above | {"MAE": weighted_mean(error, shares), "RMS": weighted_mean(error.square(), shares).sqrt()}
 
@@ -71,8 +71,9 @@ def depth_error(
     share (0 to 1) of points with ``max(pred / target, target / pred) < 1.25``.
 
     Args:
-        pred_depth: ``(B, V)`` in metres along the ray; larger values count as ``max_depth``.
-        target_depth: ``(B, V)``; points beyond ``max_depth``, at infinity or not positive are left out.
+        pred_depth: ``(B, V)`` in metres along the ray; larger values count as ``max_depth``, NaN is an infinite
+            error, and what is not positive is never within 1.25.
+        target_depth: ``(B, V)``; points beyond ``max_depth``, at infinity, NaN or not positive are left out.
         mask: ``(B, V)``, True where the truth counts; everywhere when not given.
         weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.
         max_depth: in metres.
@@ -82,7 +83,7 @@ def depth_error(
 
     Raises:
         ShapeError: if shapes do not agree.
-        ArgumentError: if ``max_depth`` is not positive.
+        ArgumentError: if ``max_depth`` is not positive, or a weight that counts is negative or not finite.
 
     References:
         Eigen, Puhrsch and Fergus (2014), "Depth map prediction from a single image using a multi-scale deep
@@ -101,12 +102,12 @@ def depth_error(
     )
     pred = pred_depth.clamp(max=max_depth).to(shares.dtype)
     target = target_depth.to(shares.dtype)
-    error = (pred - target).abs()
-    ratio = torch.maximum(pred / target, target / pred)
+    error = absolute_error(pred, target)
+    right = (pred > 0) & (torch.maximum(pred / target, target / pred) < 1.25)
     return {
         "AbsRel": weighted_mean(error / target, shares),
         "RMSE": weighted_mean(error.square(), shares).sqrt(),
-        "d<1.25": weighted_mean((ratio < 1.25).to(shares.dtype), shares),
+        "d<1.25": weighted_mean(right.to(shares.dtype), shares),
     }
 
 

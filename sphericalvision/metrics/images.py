@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 from torchmetrics import Metric
 
-from sphericalvision.core import ShapeError, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor
+from sphericalvision.geometry.directions import holds
 
-__all__ = ["MeanOverImages", "shares_of_points", "weighted_mean"]
+__all__ = ["MeanOverImages", "absolute_error", "shares_of_points", "weighted_mean"]
 
 
 def shares_of_points(
@@ -21,7 +22,14 @@ def shares_of_points(
     mask: Shaped[Tensor, "B V"] | None,
     weights: Shaped[Tensor, " ..."] | None,
 ) -> Float[Tensor, "B V"]:
-    """Return float64 weights ``(B, V)``: zero outside the mask, one in total per image (NaN if empty)."""
+    """Return float64 weights ``(B, V)``: zero outside the mask and where the truth is not finite.
+
+    They are one in total per image, NaN in an image without any.
+
+    Raises:
+        ShapeError: if shapes do not agree.
+        ArgumentError: if a weight that counts is negative or not finite.
+    """
     for name, tensor in (("prediction", pred), ("target", target), ("mask", pred if mask is None else mask)):
         check_tensor(name, tensor, "(B, V)")
     if pred.ndim != 2:
@@ -37,9 +45,16 @@ def shares_of_points(
         if weights.shape not in (pred.shape, pred.shape[1:]):
             raise ShapeError(f"weights: expected shape ({pred.shape[1]},), got {tuple(weights.shape)}")
         shares = shares * weights
-    if mask is not None:
-        shares = shares.masked_fill(~mask.bool(), 0)
+    counts = target.isfinite() if mask is None else mask.bool() & target.isfinite()
+    shares = shares.masked_fill(~counts, 0)
+    if weights is not None and not holds(shares.isfinite() & (shares >= 0)):
+        raise ArgumentError("weights: expected finite numbers, 0 or more, wherever the truth counts")
     return shares / shares.sum(1, keepdim=True)
+
+
+def absolute_error(pred: Shaped[Tensor, "B V"], target: Shaped[Tensor, "B V"]) -> Float[Tensor, "B V"]:
+    """Return ``|pred - target|`` in float64; infinite where it is NaN: what is no number is wrong, never right."""
+    return (pred.double() - target.double()).abs().nan_to_num(nan=torch.inf, posinf=torch.inf)
 
 
 def weighted_mean(values: Shaped[Tensor, "B V"], shares: Float[Tensor, "B V"]) -> Float[Tensor, " B"]:

@@ -29,8 +29,8 @@ def omnimvs_error(
 
     Args:
         pred_inverse_depth: ``(B, h, w)`` in 1/m on a panorama: w = 2h is the full sphere, w = 4h the latitudes
-            within 45 degrees.
-        target_inverse_depth: ``(B, h, w)``; 0 is infinity.
+            within 45 degrees; NaN is an infinite error.
+        target_inverse_depth: ``(B, h, w)``; 0 is infinity, NaN is left out.
         min_depth: nearest hypothesis in metres.
         mask: ``(B, h, w)``, True where the truth counts; everywhere when not given.
         num_hypotheses: N; published numbers are for 192.

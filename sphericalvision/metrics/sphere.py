@@ -32,10 +32,10 @@ def angular_error(
 
     Args:
         pred: ``(*, 3)`` of any length but zero.
-        target: ``(*, 3)``.
+        target: ``(*, 3)``, likewise.
 
     Returns:
-        ``(*)`` from 0 to π, exact for small angles too.
+        ``(*)`` from 0 to π, exact for small angles too; NaN where either is zero or not finite.
 
     Raises:
         ShapeError: if the last dimension is not 3.
@@ -48,6 +48,7 @@ def angular_error(
     check_last_dim("target", target, 3)
     check_floating("pred", pred)
     check_floating("target", target)
+    pred, target = (vectors / vectors.abs().amax(-1, keepdim=True) for vectors in (pred, target))
     cross = torch.linalg.cross(*torch.broadcast_tensors(pred, target))
     return torch.atan2(cross.norm(dim=-1), (pred * target).sum(-1))
 
@@ -91,7 +92,8 @@ class SolidAngleMean(_OnGrid):
         grid: on which the values lie.
 
     ``update`` takes values ``(B, *grid.shape)`` and an optional mask of that shape, True where they count; values
-    outside have no influence, NaN included. ``compute`` returns a scalar, NaN if there was no image.
+    outside have no influence, NaN included. ``compute`` returns a scalar: NaN if there was no image, or if a value that
+    counts is NaN.
 
     Raises:
         ShapeError: if values or mask do not lie on the grid.
@@ -143,7 +145,7 @@ class SolidAngleIoU(_OnGrid):
 
     Raises:
         ShapeError: if labels or mask do not lie on the grid.
-        ArgumentError: if a label that counts is none of the classes.
+        ArgumentError: if labels are no integers, or one that counts is none of the classes.
 
     Examples:
         >>> from sphericalvision.icosphere import Icosphere
@@ -177,6 +179,11 @@ class SolidAngleIoU(_OnGrid):
         predicted, true = self._flat("pred", pred), self._flat("target", target)
         if len(predicted) != len(true):
             raise ShapeError(f"target: expected {len(predicted)} images as in pred, got {len(true)}")
+        for name, labels in (("pred", predicted), ("target", true)):
+            if labels.is_floating_point() or labels.is_complex():
+                raise ArgumentError(
+                    f"{name}: expected integers, got {labels.dtype}; convert labels with .long()"
+                )
         weights = self._weights(true, mask)
         if self.ignore_index is not None:
             weights = weights * (true != self.ignore_index)

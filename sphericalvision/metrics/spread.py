@@ -35,7 +35,7 @@ def bootstrap_interval(
         seed: of the draws.
 
     Returns:
-        All three NaN without a value.
+        All three NaN without a value. With infinite values the mean and at least the upper bound are infinite.
 
     Raises:
         ArgumentError: a probability outside (0, 1), or no draws.
@@ -60,7 +60,8 @@ def bootstrap_interval(
     chosen = torch.randint(len(known), (draws, len(known)), generator=generator)
     means = known.cpu()[chosen].mean(1)
     tail = (1 - probability) / 2
-    low, high = means.quantile(torch.tensor([tail, 1 - tail], dtype=torch.float64)).tolist()
+    bounds = means.quantile(torch.tensor([tail, 1 - tail], dtype=torch.float64))
+    low, high = bounds.nan_to_num(nan=torch.inf, posinf=torch.inf).tolist()  # between infinities it finds NaN
     return Interval(known.mean().item(), low, high)
 
 
@@ -73,8 +74,8 @@ def error_of_surest(
     """Return the mean error of the surest points of each image, for several shares of them.
 
     Args:
-        error: ``(B, V)``.
-        confidence: ``(B, V)``; larger is surer, the scale is of no matter.
+        error: ``(B, V)``; NaN is an infinite error.
+        confidence: ``(B, V)``; larger is surer, the scale is of no matter, NaN is least sure.
         shares: of the points that count, in (0, 1]; 1 is all of them.
         mask: ``(B, V)``, True where a point counts; everywhere when not given.
 
@@ -93,7 +94,11 @@ def error_of_surest(
     """
     if not shares or not all(0 < share <= 1 for share in shares):
         raise ArgumentError(f"shares: expected one or more in (0, 1], got {list(shares)}")
-    counts = torch.ones_like(error, dtype=torch.bool) if mask is None else mask
+    counts = torch.ones_like(error, dtype=torch.bool) if mask is None else mask.bool()
+    error, confidence = (
+        error.nan_to_num(torch.inf, torch.inf),
+        confidence.nan_to_num(-torch.inf, torch.inf, -torch.inf),
+    )
     rows = []
     for errors, sure, known in zip(error, confidence, counts, strict=True):
         order = sure[known].argsort(descending=True)

@@ -6,29 +6,34 @@ from __future__ import annotations
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError
-from sphericalvision.metrics.images import MeanOverImages, shares_of_points, weighted_mean
+from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.metrics.images import MeanOverImages, absolute_error, shares_of_points, weighted_mean
 
 __all__ = ["LeftRightError", "StereoError", "left_right_error", "stereo_error"]
 
 
 def stereo_error(
-    pred: Float[Tensor, "B V"], target: Float[Tensor, "B V"], mask: Bool[Tensor, "B V"] | None = None
+    pred: Float[Tensor, "B V"],
+    target: Float[Tensor, "B V"],
+    mask: Bool[Tensor, "B V"] | None = None,
+    weights: Float[Tensor, " V"] | Float[Tensor, "B V"] | None = None,
 ) -> dict[str, Float[Tensor, " B"]]:
     """Return MAE, RMSE and MARE of depth or disparity for each image, in the unit of what is given.
 
     With e = pred − target: the means of |e| and of |e| / target, and the root of the mean of e².
 
     Args:
-        pred: ``(B, V)``.
-        target: ``(B, V)``, above 0 where it counts.
-        mask: ``(B, V)``, True where the truth counts; where it is above 0 when not given.
+        pred: ``(B, V)``; NaN is an infinite error.
+        target: ``(B, V)``, finite and above 0 where it counts.
+        mask: ``(B, V)``, True where the truth counts; where it is finite and above 0 when not given.
+        weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.
 
     Returns:
         The three errors ``(B,)``; NaN for an image without a valid point.
 
     Raises:
         ShapeError: if shapes do not agree.
+        ArgumentError: if a weight that counts is negative or not finite.
 
     References:
         M. Zayene et al., "Helvipad: a real-world dataset for omnidirectional stereo depth estimation", CVPR 2025.
@@ -40,8 +45,8 @@ def stereo_error(
         {'MAE': 0.5, 'RMSE': 0.707, 'MARE': 0.5}
     """
     counts = target > 0 if mask is None else mask & (target > 0)
-    shares = shares_of_points(pred, target, counts, None)
-    error = (pred.to(shares.dtype) - target.to(shares.dtype)).abs()
+    shares = shares_of_points(pred, target, counts, weights)
+    error = absolute_error(pred, target)
     return {
         "MAE": weighted_mean(error, shares),
         "RMSE": weighted_mean(error.square(), shares).sqrt(),
@@ -58,9 +63,9 @@ def left_right_error(
     target is known at both.
 
     Args:
-        pred: ``(B, h, w)``.
-        target: ``(B, h, w)``, above 0 where it counts.
-        mask: ``(B, h, w)``, True where the truth counts; where it is above 0 when not given.
+        pred: ``(B, h, w)``; NaN in a first or last column is an infinite error.
+        target: ``(B, h, w)``, finite and above 0 where it counts.
+        mask: ``(B, h, w)``, True where the truth counts; where it is finite and above 0 when not given.
 
     Returns:
         ``{"LRCE": (B,)}``; NaN for an image without such a row.
@@ -83,7 +88,7 @@ def left_right_error(
     counts = target > 0 if mask is None else mask & (target > 0)
     steps = [values.double()[..., 0] - values.double()[..., -1] for values in (target, pred)]
     shares = shares_of_points(steps[1], steps[0], counts[..., 0] & counts[..., -1], None)
-    return {"LRCE": weighted_mean((steps[0] - steps[1]).abs(), shares)}
+    return {"LRCE": weighted_mean(absolute_error(steps[1], steps[0]), shares)}
 
 
 class StereoError(MeanOverImages):
@@ -104,7 +109,10 @@ class StereoError(MeanOverImages):
     def _errors(
         self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
     ) -> dict[str, Tensor]:
-        return stereo_error(pred.flatten(1), target.flatten(1), None if mask is None else mask.flatten(1))
+        if weights is not None:
+            weights = weights.flatten(1) if weights.shape == pred.shape else weights.flatten()
+        mask = None if mask is None else mask.flatten(1)
+        return stereo_error(pred.flatten(1), target.flatten(1), mask, weights)
 
 
 class LeftRightError(MeanOverImages):
@@ -123,4 +131,6 @@ class LeftRightError(MeanOverImages):
     def _errors(
         self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
     ) -> dict[str, Tensor]:
+        if weights is not None:
+            raise ArgumentError("weights: LRCE has none; every row with truth at both edges counts the same")
         return left_right_error(pred, target, mask)

@@ -20,8 +20,8 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, read_rig, save_rig, seen_by
 from sphericalvision.capture import Predictor, find_own_body
 from sphericalvision.capture.preparation.preparation import Preparation
-from sphericalvision.io.images import read_image, write_image
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import load_weights, pretrained
 from sphericalvision.recipes.app.rigs import make_corner_rig
 from sphericalvision.scenes import make_scene, ray_depth, render_rig

@@ -21,8 +21,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig, save_rig
-from sphericalvision.io.images import write_image
 from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.io.images import write_image
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 

@@ -63,12 +63,7 @@ def test_the_commands_of_a_page_are_understood(
         composed(command.recipe, command.words)
 
 
-FAULTS = ROOT / "docs/faults.md"  # command lines that are wrong on purpose; tests/recipes try them
-MENTIONED = [
-    page
-    for page in [*PAGES, *sorted((ROOT / "conf").rglob("*.yaml"))]
-    if page != FAULTS and mentioned_in(page)
-]
+MENTIONED = [page for page in [*PAGES, *sorted((ROOT / "conf").rglob("*.yaml"))] if mentioned_in(page)]
 
 
 @pytest.mark.parametrize("page", MENTIONED, ids=name)

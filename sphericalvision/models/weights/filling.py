@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
-from torch.overrides import TorchFunctionMode
 
 from sphericalvision.core import FileFormatError
 
@@ -17,12 +16,10 @@ __all__ = ["filled", "made"]
 
 Network = TypeVar("Network", bound=nn.Module)
 
-FACTORIES = (torch.empty, torch.zeros, torch.ones, torch.rand, torch.randn)
-"""What weights are made with."""
-SPARE = 10_000_000
-"""Numbers, 40 MB, that a network may allocate beside the weights."""
-SPARE_TENSORS = 1000
-"""Tensors that it may make beside four for each weight."""
+USUAL = 128
+"""A width, or a number of layers, that costs no more than tens of megabytes where the weights do not have it."""
+LARGEST = 5_000
+"""Sum of all whole numbers in the hyper-parameters of a network: hypotheses, widths, pixels, layers."""
 
 
 def made(
@@ -33,28 +30,36 @@ def made(
 ) -> Network:
     """Return a network with the hyper-parameters and the weights of a file.
 
-    Where the hyper-parameters ask for far more weights than there are, nothing of that is allocated: a damaged number
-    could ask for any amount of memory, and for layers without end.
+    A damaged number could ask for any amount of memory, and for layers without end. So no constructor gets numbers
+    beyond ``LARGEST``, and where one is larger than any that the weights show, the network is made without its
+    numbers first, to compare shapes.
 
     Raises:
-        FileFormatError: as ``filled`` does, and for far more tensors. Whatever ``network`` raises of hyper-parameters
-            passes.
+        FileFormatError: as ``filled`` does, and for hyper-parameters that are too large. Whatever ``network`` raises of
+            hyper-parameters passes.
     """
-    numbers, tensors = (
-        sum(tensor.numel() for tensor in state.values()) + SPARE,
-        4 * len(state) + SPARE_TENSORS,
-    )
-    try:
-        with _AtMost(numbers, tensors):
-            net = network(**hyperparameters)
-    except _TooManyError as error:
-        if error.tensors:
-            raise FileFormatError(
-                f"{source}: the hyper-parameters ask for more than {tensors} tensors, with weights for {len(state)}"
-            ) from None
+    sizes = [abs(size) for size in _whole_numbers(hyperparameters)]
+    if sum(sizes) > LARGEST:
+        raise FileFormatError(
+            f"{source}: the hyper-parameters ask for more than {LARGEST:,} hypotheses, channels, pixels and layers in "
+            f"all: {dict(hyperparameters)!s:.500}; the file is damaged, or write a smaller network"
+        )
+    # A width is the length of some weight, and there are no more layers than weights.
+    shown = max((size for tensor in state.values() for size in tensor.shape), default=0)
+    if max(sizes, default=0) > max(shown, len(state), USUAL):
         _check_outline(network, hyperparameters, state, source)
-        net = network(**hyperparameters)  # it is right: much of it is not weights
-    return filled(net, state, source)
+    return filled(network(**hyperparameters), state, source)
+
+
+def _whole_numbers(value: Any) -> Iterator[int]:
+    """All whole numbers in a value of JSON."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        yield value
+    elif isinstance(value, Mapping):
+        yield from _whole_numbers(list(value.values()))
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _whole_numbers(item)
 
 
 def _check_outline(
@@ -63,7 +68,7 @@ def _check_outline(
     state: Mapping[str, Tensor],
     source: str | Path,
 ) -> None:
-    """Check shapes without any numbers; not always, as for this torch imports all that it traces with: seconds."""
+    """Check shapes without any numbers; not always, as for this torch imports all that it traces with: a second."""
     try:
         with torch.device("meta"):
             outline = network(**hyperparameters)
@@ -90,31 +95,6 @@ def filled(net: Network, state: Mapping[str, Tensor], source: str | Path) -> Net
         )
     net.load_state_dict(dict(state))
     return net
-
-
-class _TooManyError(Exception):
-    """A network asks for many more numbers than its file has, or for many more ``tensors``."""
-
-    def __init__(self, tensors: bool) -> None:
-        super().__init__()
-        self.tensors = tensors
-
-
-class _AtMost(TorchFunctionMode):
-    """Within it, ``torch.empty`` and the like, of which weights are made, give so much in all, and no more."""
-
-    def __init__(self, numbers: int, tensors: int) -> None:
-        super().__init__()
-        self.left, self.tensors_left = numbers, tensors
-
-    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        if func in FACTORIES:
-            size = (kwargs or {}).get("size", args)
-            self.left -= torch.empty(*size, device="meta").numel()
-            self.tensors_left -= 1
-            if self.left < 0 or self.tensors_left < 0:
-                raise _TooManyError(tensors=self.tensors_left < 0)
-        return func(*args, **(kwargs or {}))
 
 
 def _check_fits(net: nn.Module, state: Mapping[str, Tensor], source: str | Path) -> None:

@@ -53,7 +53,6 @@ KEYS: dict[str, Any] = {
     "num_hypotheses": Annotated[int, Ge(2)] | None,
     "min_depth": Positive | Literal["auto", "scene"],
     "trained_radius": Positive,
-    "antialias": bool,
     "device": Annotated[
         str, Field(pattern=r"^(auto|(cpu|cuda|mps|xpu)(:\d+)?)$", description="auto, cpu or cuda")
     ],

@@ -16,7 +16,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, save_rig
 from sphericalvision.cameras.calibration import RIG_FORMATS
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
-from sphericalvision.capture import Predictor, calibrate_photometry
+from sphericalvision.capture import Predictor, align_rig, calibrate_photometry
 from sphericalvision.capture.preparation.alignment import LEVEL, RigTurns
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.opening import spread_evenly
@@ -47,7 +47,7 @@ def align(config: DictConfig) -> RigTurns:
     frames = _read(source, spread_evenly(names, config.num_frames))
     start = time.perf_counter()
     with console.status(f"comparing {len(frames)} frame(s) with the calibration"):
-        found = Predictor(source.rig, level=LEVEL, device=choose_device(config.device)).judge(frames)
+        found = align_rig(Predictor(source.rig, level=LEVEL, device=choose_device(config.device)), frames)
     _print(source.rig, found, frames)
     print(f"alignment {found.described()} ({len(frames)} frame(s), {time.perf_counter() - start:.1f} s).")
     if not config.check and found.turned:

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sphericalvision.cameras import CameraRig, read_rig, save_rig
-from sphericalvision.capture import Predictor
+from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
 from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.preparation.preparation import Preparation
@@ -53,7 +53,6 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
         level=config.level,
         num_hypotheses=config.num_hypotheses,
         device=choose_device(config.device),
-        antialias=config.antialias,
         preparation=Preparation.from_keys(config),
         trained_radius=config.trained_radius,
     )
@@ -79,12 +78,14 @@ def with_nearest(
         config.min_depth = before["min_depth"]
     elif samples := source.samples():
         shared = [frame.images for frame in samples if frame.images is not None and frame.rig is None]
-        found = [predictor.find_min_depth(shared)] if shared else []
+        found = [predictor.nearest_depth(shared)] if shared else []
         for frame in samples:  # windows have rigs of their own, and share the depth
             if frame.images is not None and frame.rig is not None:
-                found.append(predictor.with_rig(frame.rig).find_min_depth([frame.images]))
+                found.append(predictor.with_changes(frame.rig).nearest_depth([frame.images]))
         config.min_depth = round(min(found), 3)
-    return predictor if isinstance(config.min_depth, str) else predictor.with_min_depth(config.min_depth)
+    if isinstance(config.min_depth, str):
+        return predictor
+    return predictor.with_changes(min_depth=config.min_depth)
 
 
 def aligned(predictor: Predictor, source: Source, folder: Path, goes_on: bool) -> Predictor:
@@ -97,17 +98,19 @@ def aligned(predictor: Predictor, source: Source, folder: Path, goes_on: bool) -
         if not kept.is_file():
             return predictor
         source.rig = CameraRig(source.rig.cameras, read_rig(kept).world_from_camera, source.rig.masks)
-        return predictor.with_rig(source.rig)
+        return predictor.with_changes(source.rig)
+    if not predictor.preparation.align:
+        return predictor
     start = time.perf_counter()
     with console.status("comparing frames with the calibration"):
-        found = predictor.prepare(f.images for f in source.samples() if f.images is not None)
-    if found is not None:
-        say(f"preparation {found.described()} ({time.perf_counter() - start:.1f} s)")
-        if found.turned:
-            source.rig = found.rig.to("cpu")
-            folder.mkdir(parents=True, exist_ok=True)
-            save_rig(source.rig, kept)
-    return predictor
+        verdict = align_rig(predictor, (f.images for f in source.samples() if f.images is not None))
+    say(f"preparation {verdict.described()} ({time.perf_counter() - start:.1f} s)")
+    if not verdict.turned:
+        return predictor
+    source.rig = verdict.rig.to("cpu")
+    folder.mkdir(parents=True, exist_ok=True)
+    save_rig(source.rig, kept)
+    return predictor.with_changes(source.rig)
 
 
 def predict(config: DictConfig, folder: Path) -> list[Path]:
@@ -126,8 +129,8 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     if still is source:
         predictor = aligned(predictor, source, folder, bool(before))
     elif predictor.preparation.judges(still.rig):
-        aligned(predictor.with_rig(still.rig), still, folder, bool(before))
-        predictor = predictor.with_rig(source.rig)
+        aligned(predictor.with_changes(still.rig), still, folder, bool(before))
+        predictor = predictor.with_changes(source.rig)
     print_config(config, folder)
     selection = Selection(config.start, config.stop, config.every)
     names = source.names(selection)

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture import Predictor
+from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.core import ArgumentError, reference_kernels
 from sphericalvision.models import ConstantDepth, DepthNetwork, SemiGlobalSweep, WinnerTakesAll
@@ -142,7 +142,8 @@ class AsUsed(Method):
 
     def _estimate(self, rig: CameraRig, images: dict[str, Tensor]) -> DepthEstimate:
         predictor = Predictor(self.masked(rig), self.net, **self.options)
-        predictor.prepare([images])
+        if self.options["preparation"].align:
+            predictor = predictor.with_changes(align_rig(predictor, [images]).rig)
         depth = predictor(images)
         nearer = self.net.min_depth / depth.min_depth  # the same inverse depth has another index
         index = (depth.index * nearer).clamp(max=self.net.num_hypotheses - 1)

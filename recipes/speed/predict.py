@@ -89,7 +89,7 @@ def _error(predictor: Predictor, frames: Sequence[TrackFrame]) -> float:
     for frame in frames:
         truth = FrameTruth(frame)
         ids = truth.coarse_ids[truth.regions["all"][truth.coarse_ids]]
-        depth = predictor.with_rig(frame.rig)(frame.images)
+        depth = predictor.with_changes(frame.rig)(frame.images)
         inverse_depth = depth.at(truth.fine.vertices[ids].to(depth.index))[0].cpu()
         index = index_from_inverse_depth(inverse_depth, *SCALE)
         found.append((index - truth.index[ids]).abs().mean().item() * 100 / SCALE.num_hypotheses)

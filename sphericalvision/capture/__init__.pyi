@@ -10,6 +10,7 @@ from .calibrating.refine import refine_rig as refine_rig
 from .depth import Depth as Depth
 from .depth import DepthImage as DepthImage
 from .predictor import Predictor as Predictor
+from .preparation.alignment import align_rig as align_rig
 from .preparation.own_body import OwnBody as OwnBody
 from .preparation.own_body import find_own_body as find_own_body
 from .preparation.photometry import (

@@ -66,7 +66,7 @@ def estimate_frames(
         if frame.images is None or not wanted(frame.name):
             return Estimate(frame, None)
         start = time.perf_counter()
-        depth = (predictor if frame.rig is None else predictor.with_rig(frame.rig))(frame.images)
+        depth = (predictor if frame.rig is None else predictor.with_changes(frame.rig))(frame.images)
         return Estimate(frame, depth, (time.perf_counter() - start) / workers)
 
     frames = ahead(source.frames(selection, wanted), newest=source.live)

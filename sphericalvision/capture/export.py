@@ -87,7 +87,7 @@ class RigProgram(nn.Module):
         check_choice("tables", tables, TABLES)
         self.net, self.inputs, self.tables = predictor.network, inputs, tables
         self.shape: tuple[int, int] | None = None
-        self.intake = predictor.intake
+        self.intake = predictor.pipeline.intake
         if inputs == "sphere" and self.net.images != "sphere":
             raise ArgumentError(
                 f"inputs: {type(self.net).__name__} takes images of cameras, not of icospheres"
@@ -101,7 +101,7 @@ class RigProgram(nn.Module):
         # So that their tables are of this module.
         self.places = nn.ModuleList(look.places for look in self.intake.lookups if inputs == "camera")
         self.register_buffer("seen", self.intake.seen)
-        leaves, self.structure = _pytree.tree_flatten(predictor.tables)
+        leaves, self.structure = _pytree.tree_flatten(predictor.pipeline.tables)
         self.leaves = [None if isinstance(leaf, Tensor) else leaf for leaf in leaves]
         for number, leaf in enumerate(leaves):
             if isinstance(leaf, Tensor):

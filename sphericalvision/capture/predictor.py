@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -18,38 +18,26 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
 from sphericalvision.capture.depth import Depth
-from sphericalvision.capture.preparation.alignment import RigTurns, judged_rig, untold
+from sphericalvision.capture.pipeline import Pipeline
 from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
     NearestHypothesis,
     check_places,
     checked_min_depth,
+    frames_of,
     nearest_hypothesis,
 )
-from sphericalvision.capture.preparation.preparation import Compensation, Compensator, Preparation
-from sphericalvision.core import ArgumentError, check_choice, check_type, full_precision
-from sphericalvision.geometry.directions import angle_from_axis
-from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.capture.preparation.preparation import Preparation
+from sphericalvision.core import ArgumentError, check_choice, check_type
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.models.weights.checkpoints import read_network
-from sphericalvision.sphere.intake import Intake, as_photographs, signed
+from sphericalvision.sphere.intake import as_photographs
 from sphericalvision.sweep.hypotheses import check_hypotheses
 
 __all__ = ["METHODS", "Predictor"]
 
 METHODS = ("network", "semi_global")
-
-
-class _Ready(NamedTuple):
-    """What is made once for a rig: the network at its scale, its tables, and what makes images into those it takes."""
-
-    net: DepthNetwork
-    tables: Any
-    intake: Intake
-    compensator: Compensator
-    angles: Tensor
-    """``(n, V)`` radians from each camera's axis; empty for networks that take images as they are."""
 
 
 class Predictor:
@@ -74,11 +62,16 @@ class Predictor:
             less is three times as fast.
         num_hypotheses: N; by default that of the training.
         device: where to compute; by default the device of the network, which is the CPU if it was read from weights.
-        antialias: whether images finer than the icosphere are averaged over the area between its vertices.
         preparation: how images are made ready before depth is estimated, ``Preparation()`` when not given: noise is
-            smoothed, light compensated. Cameras are turned by ``prepare``, which looks at a few frames.
+            smoothed, light compensated. ``align_rig`` finds out whether cameras are turned, from a few frames.
         channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
         trained_radius: metres; radius of the rigs that the network was trained with.
+
+    Attributes:
+        rig: the cameras, on the device.
+        device: where depth is computed.
+        preparation: as given.
+        min_depth: nearest hypothesis in metres; None as long as it has not been found in images.
 
     Raises:
         ArgumentError: the network is for another number of cameras, or an argument makes no sense.
@@ -105,7 +98,6 @@ class Predictor:
         level: int | None = None,
         num_hypotheses: int | None = None,
         device: torch.device | str | None = None,
-        antialias: bool = True,
         preparation: Preparation | None = None,
         channels: Literal["rgb", "bgr"] = "rgb",
         trained_radius: float = 0.2,
@@ -114,13 +106,11 @@ class Predictor:
         check_single(rig)
         check_choice("method", method, METHODS)
         check_choice("channels", channels, ("rgb", "bgr"))
-        net = weights if isinstance(weights, DepthNetwork) else read_network(weights, level)
         if level is not None:
             check_level(level)
+        net = weights if isinstance(weights, DepthNetwork) else read_network(weights, level)
         if num_hypotheses is not None:
             check_hypotheses(num_hypotheses, net.min_depth)
-        if method == "network" and level is not None:
-            net = net.with_changes(level=level)
         check_number(net, rig)
         if len(rig) < 2 and (method == "semi_global" or net.num_cameras > 1):
             raise ArgumentError(
@@ -129,34 +119,23 @@ class Predictor:
             )
         if len(rig) > 1:
             check_places(rig)
-        self._device = net.device if device is None else checked_device(device)
-        self._rig = rig.to(self._device)
-        self._antialias, self._channels = antialias, channels
-        self.preparation = Preparation() if preparation is None else preparation
-        self._lock = threading.Lock()
-        self._ready: _Ready | None = None
-        self._scaled: DepthNetwork | None = None
-        self._net = net
-        self._method, self._level, self._num_hypotheses = method, level, num_hypotheses
         self._nearest: NearestHypothesis = nearest_hypothesis(
             min_depth, net, rig, trained_radius, method == "network"
         )
-        self._min_depth = self._nearest.metres
-
-    @property
-    def device(self) -> torch.device:
-        """Where depth is computed."""
-        return self._device
-
-    @property
-    def rig(self) -> CameraRig:
-        """The cameras, on the device of the network."""
-        return self._rig
-
-    @property
-    def min_depth(self) -> float | None:
-        """Nearest hypothesis in metres; None as long as it has not been found in images."""
-        return self._min_depth
+        self.min_depth = self._nearest.metres
+        self.device = net.device if device is None else checked_device(device)
+        self.rig = rig.to(self.device)
+        self.preparation = Preparation() if preparation is None else preparation
+        self._channels = channels
+        near = net.min_depth if self.min_depth is None else self.min_depth
+        if method == "semi_global":  # one level coarser than the images
+            level = level or (net.level if net.images == "sphere" else SCENE_LEVEL - 1)
+            net = SemiGlobalSweep(level, num_hypotheses or net.num_hypotheses, near, depth_coarsening=1)
+        else:
+            net = with_own(net, net is weights, level=level, num_hypotheses=num_hypotheses, min_depth=near)
+        self._network = net.eval().to(self.device)
+        self._lock = threading.Lock()
+        self._pipeline: Pipeline | None = None
 
     @property
     def network(self) -> DepthNetwork:
@@ -165,127 +144,59 @@ class Predictor:
         Raises:
             ArgumentError: the scale is not known before the first images came (``min_depth="auto"`` or ``"scene"``).
         """
-        return self._ready_now().net
+        return self.pipeline.network
 
     @property
-    def tables(self) -> Any:
-        """The network's tables of the rig, made once.
+    def pipeline(self) -> Pipeline:
+        """What is made once for the rig: the network, its tables, and what makes images into those that it takes.
 
         Raises:
             ArgumentError: as ``network``.
         """
-        return self._ready_now().tables
+        if self.min_depth is None:
+            raise ArgumentError(
+                "network: min_depth is found in the first images; call the predictor, or give metres (with_changes)"
+            )
+        return self._pipeline_for(None)
 
-    @property
-    def intake(self) -> Intake:
-        """What makes images of the cameras into those that the network takes, made once.
+    def with_changes(self, rig: CameraRig | None = None, *, min_depth: float | None = None) -> Predictor:
+        """The same for another rig, such as the next window of a camera that moves, or with other hypotheses.
 
-        Raises:
-            ArgumentError: as ``network``.
-        """
-        return self._ready_now().intake
-
-    def with_rig(self, rig: CameraRig) -> Predictor:
-        """The same for another rig, such as the next window of a camera that moves; the network is shared.
-
-        Hypotheses stay as they are, unless the nearest is still to be found; tables are made anew.
+        The network's weights are shared as long as hypotheses stay as they are; tables are made anew.
 
         Args:
-            rig: of any number of cameras, if the network takes that.
+            rig: of any number of cameras, if the network takes that; as before when not given.
+            min_depth: metres of the nearest hypothesis; as before when not given.
 
         Raises:
-            ArgumentError: the network is for another number of cameras.
+            ArgumentError: the network is for another number of cameras, or the depth is no positive number.
 
         Examples:
             >>> from sphericalvision.cameras import ring_rig
             >>> predictor = Predictor(ring_rig(4), method="semi_global", level=4, min_depth=0.5)
-            >>> predictor.with_rig(ring_rig(3))
-            Predictor(RefinedSweepNet, from 0.5 m, CameraRig(cam1, cam2, cam3: 3 x FisheyeCamera, radius 0.200 m))
+            >>> predictor.with_changes(ring_rig(3))
+            Predictor(SemiGlobalSweep, from 0.5 m, CameraRig(cam1, cam2, cam3: 3 x FisheyeCamera, radius 0.200 m))
         """
-        check_single(rig)
-        check_number(self._net, rig)
-        if self._min_depth is not None:
-            with self._lock:
-                self._network()
-        return self._with(_rig=rig.to(self._device), _ready=None)
+        other = copy.copy(self)
+        # They take turns, since they compute with the same network.
+        other._lock, other._pipeline = self._lock, None
+        if rig is not None:
+            check_single(rig)
+            check_number(self._network, rig)
+            other.rig = rig.to(self.device)
+        if min_depth is not None:
+            other._begin_at(checked_min_depth(min_depth))
+        return other
 
-    def with_min_depth(self, metres: float) -> Predictor:
-        """The same with another nearest hypothesis; the network's weights are shared.
-
-        Args:
-            metres: of the nearest hypothesis.
-
-        Raises:
-            ArgumentError: no positive number.
-        """
-        return self._with(_min_depth=checked_min_depth(metres), _ready=None, _scaled=None)
-
-    def find_min_depth(self, frames: Iterable[Mapping[str, Any]]) -> float:
-        """Find the nearest depth in metres worth trying in a few frames, and use it from now on.
+    def nearest_depth(self, frames: Iterable[Mapping[str, Any]]) -> float:
+        """Return the nearest hypothesis in metres that suits what a few frames show; ``with_changes`` takes it.
 
         With ``min_depth="auto"`` that is the depth of the training where the scene is not far nearer or farther.
 
         Args:
             frames: of images by camera name, as the predictor is called with, one frame each.
         """
-        photographs = [self._photographs(images) for images in frames]
-        with self._lock:
-            self._min_depth = self._nearest.in_frames(photographs, self._rig, self._antialias)
-            self._ready = self._scaled = None
-            return self._min_depth
-
-    def prepare(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns | None:
-        """Do with a few frames what ``preparation`` says is done once: cameras that are turned are turned back.
-
-        Args:
-            frames: of images by camera name, as the predictor is called with, one frame each.
-
-        Returns:
-            The verdict on the calibration, whatever it is; None where it is not asked for.
-        """
-        if not self.preparation.align:
-            return None
-        found = self.judge(frames)
-        self._use(found)
-        return found
-
-    def align(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns | None:
-        """Turn cameras whose images disagree at the depth that the network estimates, and use that rig from now on.
-
-        Calibrations are seldom right for long: orientations wrong by a degree double the error of depth. They are found
-        to about a tenth of a degree, from one frame or a few. Cameras whose turn does not clearly exceed its
-        uncertainty are left alone. Positions and intrinsics are not touched.
-
-        Args:
-            frames: as of ``judge``.
-
-        Returns:
-            The turned rig, its turns, and how well images agreed before and after; None if the rig stays as it is.
-        """
-        found = self.judge(frames)
-        self._use(found)
-        return found if found.turned else None
-
-    def judge(self, frames: Iterable[Mapping[str, Any]]) -> RigTurns:
-        """Say whether cameras are turned from what the calibration says, from images at the depth estimated.
-
-        Args:
-            frames: of images by camera name, as the predictor is called with, one frame each; a second or two each.
-
-        Returns:
-            The verdict: turns and their uncertainty, which cameras are turned, or why nothing could be told.
-        """
-        if len(self._rig) < 2:
-            return untold(self._rig, "one camera has nothing to be compared with")
-        kept = list(frames)
-        if not kept:
-            return untold(self._rig, "there is no frame")
-
-        def estimated(rig: CameraRig) -> list[Depth]:
-            predictor = self if rig is self._rig else self.with_rig(rig)
-            return [predictor(images) for images in kept]
-
-        return judged_rig(estimated(self._rig), estimated)
+        return self._nearest.in_frames([self._photographs(images) for images in frames], self.rig)
 
     @torch.inference_mode()
     def __call__(self, images: Mapping[str, Any]) -> Depth:
@@ -300,40 +211,23 @@ class Predictor:
             ShapeError: an image has another size than its camera.
         """
         photographs = self._photographs(images)
-        ready = self._prepared(photographs)
-        batch = photographs[self._rig.names[0]].shape[:-3]
-        inputs, taken_out = self._inputs(ready, photographs)
+        pipeline = self._pipeline_for(photographs)
+        inputs, compensations = pipeline.inputs(photographs, self.preparation)
         with self._turn():
-            estimate = ready.net.predict(
-                inputs.reshape(-1, *inputs.shape[len(batch) :]), ready.tables, ready.intake.seen
-            )
-        index, confidence, seen = (values.reshape(*batch, *values.shape[1:]) for values in estimate)
-        return Depth(index.float(), confidence.float(), seen, ready.net, self._rig, photographs, taken_out)
+            index, confidence, seen = pipeline.estimate(inputs)
+        return Depth(index, confidence, seen, pipeline.network, self.rig, photographs, compensations)
 
     def inputs(
         self, images: Mapping[str, Any]
     ) -> tuple[Float[Tensor, "*batch_and_size"], Bool[Tensor, " n *size"]]:
         """Return images as the network takes them, in [-1, 1], and what of them was seen; arguments as of a call."""
         photographs = self._photographs(images)
-        ready = self._prepared(photographs)
-        return self._inputs(ready, photographs)[0], ready.intake.seen
-
-    def _use(self, found: RigTurns) -> None:
-        if found.turned:
-            with self._lock:
-                self._rig, self._ready = found.rig, None
+        pipeline = self._pipeline_for(photographs)
+        return pipeline.inputs(photographs, self.preparation)[0], pipeline.intake.seen
 
     def __repr__(self) -> str:
-        near = (
-            "nearest depth still to be found" if self._min_depth is None else f"from {self._min_depth:.3g} m"
-        )
-        return f"Predictor({type(self._net).__name__}, {near}, {self._rig})"
-
-    def _with(self, **changes: Any) -> Predictor:
-        """A copy with changes, which takes turns with this one: they compute with the same network."""
-        other = copy.copy(self)
-        vars(other).update(changes, _lock=self._lock)
-        return other
+        near = "nearest depth still to be found" if self.min_depth is None else f"from {self.min_depth:.3g} m"
+        return f"Predictor({type(self._network).__name__}, {near}, {self.rig})"
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "_lock"}
@@ -344,82 +238,40 @@ class Predictor:
     def _turn(self) -> AbstractContextManager[Any]:
         """Wait for one's turn, where two calls at once would take more cores than there are."""
         room = 2 * torch.get_num_threads() <= (os.cpu_count() or 1)
-        return nullcontext() if room and self._device.type == "cpu" else self._lock
+        return nullcontext() if room and self.device.type == "cpu" else self._lock
 
     def _photographs(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
-        found = as_photographs(images, self._rig, self._channels)
-        return {name: image.to(self._device, non_blocking=True) for name, image in found.items()}
+        photographs = as_photographs(images, self.rig, self._channels)
+        return {name: image.to(self.device, non_blocking=True) for name, image in photographs.items()}
 
-    @full_precision
-    def _inputs(
-        self, ready: _Ready, photographs: Mapping[str, Tensor]
-    ) -> tuple[Tensor, tuple[Compensation, ...]]:
-        """``(*b, n, 3, V)`` on icospheres, or ``(*b, n, 3, h, w)``, 0 where nothing was seen; what was taken out."""
-        if self.preparation.of_images is None:
-            return ready.intake(photographs), ()
-        compensator = ready.compensator
-        bright, gains = compensator.brightened(photographs)
-        smooth, noise = compensator.smoothed(bright)
-        flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in smooth.items()}
-        frames = [{name: images[frame] for name, images in flat.items()} for frame in range(len(noise))]
-        lights = [compensator.light(frame) if len(self._rig) > 1 else None for frame in frames]
-        taken_out = tuple(map(Compensation, noise, lights, gains))
-        if ready.net.images == "camera":
-            even = [compensator.evened(frame, light) for frame, light in zip(frames, lights, strict=True)]
-            stacked = {n: torch.stack([frame[n] for frame in even]).view_as(smooth[n]) for n in smooth}
-            return ready.intake(stacked), taken_out
-        values = ready.intake.looked_up(smooth)
-        for frame, light in zip(values.view(-1, *values.shape[-3:]), lights, strict=True):
-            if light is not None:
-                frame.div_(light.light(ready.angles)).clamp_(0, 1)
-        return signed(values, ready.intake.seen), taken_out
+    def _begin_at(self, metres: float) -> None:
+        """Use the hypotheses from a depth on."""
+        self.min_depth = metres
+        self._network = with_own(self._network, False, min_depth=metres)
 
-    def _ready_now(self) -> _Ready:
-        if self._ready is None and self._min_depth is None:
-            raise ArgumentError(
-                "network: min_depth is found in the first images; call the predictor or its find_min_depth"
-            )
-        return self._prepared(None)
-
-    def _prepared(self, photographs: Mapping[str, Tensor] | None) -> _Ready:
-        """Network and tables, made by the first call; others wait for it."""
-        ready = self._ready
-        if ready is not None:
-            return ready
+    def _pipeline_for(self, photographs: Mapping[str, Tensor] | None) -> Pipeline:
+        """What is made once, by the first call, which may have to look at its images; others wait for it."""
+        pipeline = self._pipeline
+        if pipeline is not None:
+            return pipeline
         with self._lock:
-            if self._ready is None:
-                if self._min_depth is None and photographs is not None:
-                    self._min_depth = self._nearest.in_frames(
-                        frames_of(photographs), self._rig, self._antialias
-                    )
-                self._ready = self._made()
-            return self._ready
+            if self._pipeline is None:
+                if self.min_depth is None and photographs is not None:
+                    self._begin_at(self._nearest.in_frames(frames_of(photographs), self.rig))
+                self._pipeline = Pipeline(self._network, self.rig)
+            return self._pipeline
 
-    def _network(self) -> DepthNetwork:
-        """The network with the hypotheses that were asked for, where it is to compute; made once."""
-        if self._scaled is not None:
-            return self._scaled
-        number = self._num_hypotheses
-        net = self._net.with_changes(min_depth=self._min_depth)
-        if self._method == "semi_global":  # one level coarser than the images
-            level = self._level or (net.level if net.images == "sphere" else SCENE_LEVEL - 1)
-            net = SemiGlobalSweep(level, number or net.num_hypotheses, net.min_depth, depth_coarsening=1)
-        elif number is not None:
-            net = net.with_changes(num_hypotheses=number)
-        self._scaled = net.eval().to(self._device)
-        return self._scaled
 
-    @full_precision
-    @torch.inference_mode(False)  # what is kept must be usable where gradients are wanted
-    def _made(self) -> _Ready:
-        net = self._network()
-        intake, angles = net.intake(self._rig, self._antialias), torch.empty(0)
-        if net.images == "sphere":
-            vertices = icosphere_vertices(net.level, torch.float32, self._device).to(
-                self._rig.world_from_camera
-            )
-            angles = angle_from_axis(vertices @ self._rig.world_from_camera[:, :3, :3]).float()
-        return _Ready(net, net.tables(self._rig), intake, Compensator(self._rig), angles)
+def with_own(net: DepthNetwork, copied: bool, **changes: Any) -> DepthNetwork:
+    """Return a network with hyper-parameters changed: itself where none differs, unless it is to be a copy.
+
+    Networks are constructed for that, all changes at once.
+    """
+    present = net.hyperparameters
+    same = all(
+        value is None or (name in present and present[name] == value) for name, value in changes.items()
+    )
+    return net if same and not copied else net.with_changes(**changes)
 
 
 def check_number(net: DepthNetwork, rig: CameraRig) -> None:
@@ -430,15 +282,6 @@ def check_number(net: DepthNetwork, rig: CameraRig) -> None:
             f"choose {net.num_cameras} of them (rig.subset([...]), cameras=[...] of the command), or "
             f"train a network with model.num_cameras={len(rig)}"
         )
-
-
-def frames_of(photographs: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
-    """One dictionary a frame of images ``(*b, 3, h, w)``: the first, the middle and the last of a batch."""
-    first = next(iter(photographs.values()))
-    if first.ndim == 3:
-        return [dict(photographs)]
-    chosen = sorted({0, len(first) // 2, len(first) - 1})
-    return [{name: image[frame] for name, image in photographs.items()} for frame in chosen]
 
 
 def checked_device(device: torch.device | str) -> torch.device:

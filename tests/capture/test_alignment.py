@@ -11,10 +11,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera, ring_rig
-from sphericalvision.capture import Predictor
+from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.calibrating.turns import about_most, turned
 from sphericalvision.capture.preparation.alignment import RigTurns
-from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 
 RIG = ring_rig(4, image_size=(192, 192))
@@ -42,7 +41,7 @@ def knock(camera: int, degrees: float, seed: int = 0) -> Tensor:
 
 def judged(kind: str, turns: Tensor, seed: int = 1000) -> RigTurns:
     """What is said of a calibration from which the cameras are turned."""
-    return predictor().with_rig(turned(RIG, -turns)).judge(frames(kind, seed))
+    return align_rig(predictor().with_changes(turned(RIG, -turns)), frames(kind, seed))
 
 
 def is_right(found: RigTurns, turns: Tensor) -> bool:
@@ -80,7 +79,7 @@ def test_a_knocked_camera_is_named_and_others_are_not(kind: str, camera: int, de
 def test_a_horizon_on_the_rows_of_coarse_images_turns_no_camera() -> None:
     rig = ring_rig(4, image_size=(256, 256))
     images = render_rig(make_scene("outdoors", seed=5007), rig, 2)
-    found = Predictor(rig, level=5, min_depth=0.55).judge([images])
+    found = align_rig(Predictor(rig, level=5, min_depth=0.55), [images])
     assert "calibration right" in found.described()
 
 
@@ -99,23 +98,21 @@ def test_of_fifty_verdicts_one_may_be_wrong() -> None:
 
 def test_depth_is_better_with_cameras_turned_back() -> None:
     scene, images = make_scene("hall", seed=1000), frames("hall")[0]
-    wrong = predictor().with_rig(turned(RIG, -knock(0, 1.5) - knock(2, 1.5, 1)))
+    wrong = predictor().with_changes(turned(RIG, -knock(0, 1.5) - knock(2, 1.5, 1)))
     truth = ray_depth(scene, RIG.center, wrong.network.grid.directions).reciprocal()
     right, before = ((each(images).inverse_depth - truth).abs().mean() for each in (predictor(), wrong))
-    found = wrong.align([images])
-    assert found is not None
-    assert wrong.rig is found.rig
+    found = align_rig(wrong, [images])
+    assert found.turned
     assert before > 1.2 * right
-    assert (wrong(images).inverse_depth - truth).abs().mean() < right + 0.4 * (before - right)
+    assert (wrong.with_changes(found.rig)(images).inverse_depth - truth).abs().mean() < right + 0.4 * (
+        before - right
+    )
 
 
 def test_a_right_calibration_stays_as_it_is() -> None:
-    one = predictor().with_rig(RIG)
-    assert one.align(frames("room")[:1]) is None
-    assert one.rig.world_from_camera.equal(RIG.world_from_camera)
-    assert one.prepare(frames("room")[:1]).turned == ()  # type: ignore[union-attr]
-    unasked = Predictor(RIG, level=5, min_depth=0.55, preparation=AS_IT_IS)
-    assert unasked.prepare(frames("room")[:1]) is None
+    found = align_rig(predictor(), frames("room")[:1])
+    assert found.turned == ()
+    assert found.rig.world_from_camera.equal(RIG.world_from_camera)
 
 
 def test_where_images_say_nothing_that_is_told() -> None:
@@ -123,12 +120,12 @@ def test_where_images_say_nothing_that_is_told() -> None:
     generator = torch.Generator().manual_seed(0)
     noise = {name: torch.rand(3, 192, 192, generator=generator) for name in RIG.names}
     single = Predictor(RIG, method="semi_global", level=4, min_depth=0.55)
-    single._rig = CameraRig(dict(list(RIG.cameras.items())[:1]), RIG.world_from_camera[:1])
+    single.rig = CameraRig(dict(list(RIG.cameras.items())[:1]), RIG.world_from_camera[:1])
     for said, found in (
-        ("texture", predictor().judge([grey])),
-        ("nothing in common", predictor().judge([noise])),
-        ("no frame", predictor().judge([])),
-        ("one camera", single.judge([grey])),
+        ("texture", align_rig(predictor(), [grey])),
+        ("nothing in common", align_rig(predictor(), [noise])),
+        ("no frame", align_rig(predictor(), [])),
+        ("one camera", align_rig(single, [grey])),
     ):
         assert found.described().startswith("could not tell")
         assert said in found.reason
@@ -139,8 +136,8 @@ def test_of_two_cameras_both_are_turned() -> None:
     pair = RIG.subset(["cam1", "cam2"])
     images = [{name: frame[name] for name in pair.names} for frame in frames("room")]
     wrong = turned(pair, -knock(1, 2.0)[:2])
-    assert predictor().with_rig(pair).align(images) is None
-    assert predictor().with_rig(wrong).judge(images).turned in (("cam1", "cam2"), ())
+    assert align_rig(predictor().with_changes(pair), images).turned == ()
+    assert align_rig(predictor().with_changes(wrong), images).turned in (("cam1", "cam2"), ())
 
 
 def test_two_fisheyes_back_to_back_are_not_turned_by_what_depth_explains_as_well() -> None:
@@ -148,9 +145,8 @@ def test_two_fisheyes_back_to_back_are_not_turned_by_what_depth_explains_as_well
     poses = torch.stack((torch.eye(4), torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))))
     poses[:, 2, 3] = torch.tensor([0.012, -0.012])
     rig = CameraRig({"front": lens, "back": lens}, poses)
-    found = Predictor(rig, method="semi_global", level=4).judge(
-        [render_rig(make_scene("outdoors", seed=500), rig, 1)]
-    )
+    images = render_rig(make_scene("outdoors", seed=500), rig, 1)
+    found = align_rig(Predictor(rig, method="semi_global", level=4), [images])
     assert found.turned == ()
     assert "with a board" in found.described()
     assert found.spread.max() > math.radians(0.5)

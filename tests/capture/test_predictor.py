@@ -22,6 +22,7 @@ from sphericalvision.cameras import CameraRig, FisheyeCamera, PinholeCamera, rin
 from sphericalvision.capture import Depth
 from sphericalvision.capture import predictor as predictor_module
 from sphericalvision.capture.export import RigProgram
+from sphericalvision.capture.preparation.nearest import frames_of
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import ToSphere
@@ -135,7 +136,7 @@ def test_tables_are_made_once_and_threads_get_what_one_gets(rig: CameraRig, imag
 
     shared = Predictor(rig, Counting(3, 8), min_depth="scene")
     frames = [{name: image.roll(shift, -1) for name, image in images.items()} for shift in range(6)]
-    shared.find_min_depth(frames[:1])
+    shared = shared.with_changes(min_depth=shared.nearest_depth(frames[:1]))
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(shared, frames))
     assert len(made) == 1
@@ -206,7 +207,7 @@ def test_what_a_first_call_makes_can_be_trained(rig: CameraRig, images: Images) 
     predictor = Predictor(rig, IcoSweepNet(3, 6, feature_channels=2), min_depth=0.4)
     predictor(images)
     net = predictor.network.train()
-    net(ToSphere(3).images(images, rig)[None], predictor.tables).sum().backward()
+    net(ToSphere(3).images(images, rig)[None], predictor.pipeline.tables).sum().backward()
     assert all(parameter.grad is not None for parameter in net.parameters())
 
 
@@ -240,14 +241,14 @@ def test_trained_with_rigs_of_many_radii_the_nearest_depth_stays_unless_the_scen
     rig = ring_rig(4, radius=0.1, image_size=(96, 96))
     room = render_rig(make_scene("room", seed=3), rig, 2)
     assert Predictor(rig, net, min_depth=None).min_depth == 0.55
-    assert Predictor(rig, net).find_min_depth([room]) == 0.55
-    assert Predictor(rig, net, min_depth="scene").find_min_depth([room]) != 0.55
+    assert Predictor(rig, net).nearest_depth([room]) == 0.55
+    assert Predictor(rig, net, min_depth="scene").nearest_depth([room]) != 0.55
     large, small = (
         render_rig(make_scene("room", seed=3, scale=scale), rig.scaled(k), 2)
         for scale, k in ((8.0, 8.0), (0.1, 0.1))
     )
     for k, frame in ((8.0, large), (0.1, small)):
-        found = Predictor(rig.scaled(k), net).find_min_depth([frame])
+        found = Predictor(rig.scaled(k), net).nearest_depth([frame])
         assert found == pytest.approx(0.55 * k, rel=0.6)
     # A rig larger than any of the training: the surfaces that it sees are as far away as it is large.
     assert Predictor(rig.scaled(8), net, min_depth=None).min_depth == pytest.approx(0.55 * 0.8 / 0.4)
@@ -333,7 +334,7 @@ def test_of_a_batch_the_first_the_middle_and_the_last_frame_are_looked_at(
     frames: int, looked: list[int]
 ) -> None:
     batch = torch.arange(frames).view(-1, 1, 1, 1).expand(-1, 3, 2, 2)
-    chosen = predictor_module.frames_of({"cam1": batch, "cam2": -batch})
+    chosen = frames_of({"cam1": batch, "cam2": -batch})
     assert [int(frame["cam1"][0, 0, 0]) for frame in chosen] == looked
     assert [int(frame["cam2"][0, 0, 0]) for frame in chosen] == [-frame for frame in looked]
 

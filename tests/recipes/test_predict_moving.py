@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import trimesh
 
 from sphericalvision.cameras import EquirectangularCamera, read_trajectory, ring_rig, save_rig
 from sphericalvision.capture import Predictor
+from sphericalvision.capture.preparation.alignment import RigTurns
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image, write_image, write_mask
@@ -160,7 +162,12 @@ def test_a_rig_that_moves_sees_more_than_one_that_stands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     compared: list[tuple[list[str], int]] = []
-    monkeypatch.setattr(Predictor, "prepare", lambda p, s: compared.append((p.rig.names, len(list(s)))))
+
+    def align(predictor: Predictor, frames: Iterable[object]) -> RigTurns:
+        compared.append((predictor.rig.names, len(list(frames))))
+        return RigTurns.undecided(predictor.rig, "it is not asked for here")
+
+    monkeypatch.setattr("sphericalvision.recipes.commands.predict.align_rig", align)
     run("predict", *of_drive(drive), "masks=auto")
     assert compared == [(TWO.names, 3)]  # of the rig's own frames, as what follows
     said = " ".join(capsys.readouterr().out.split())

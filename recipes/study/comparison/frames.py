@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
-from sphericalvision.capture.predictor import Predictor
+from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
@@ -164,8 +164,7 @@ def _rendered(name: str, cache: Path | None, frame: WorldFrame) -> Mapping[str, 
 def _aligned(rig: CameraRig, images: Mapping[str, Tensor]) -> CameraRig:
     """The rig with cameras turned where its images ask for it."""
     predictor = Predictor(rig, aligner(), min_depth=NATURAL_MIN_DEPTH, preparation=AS_IT_IS)
-    predictor.align([{name: image.clamp(0, 1) for name, image in images.items()}])
-    return predictor.rig
+    return align_rig(predictor, [{name: image.clamp(0, 1) for name, image in images.items()}]).rig
 
 
 @lru_cache(maxsize=1)

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -22,7 +22,10 @@ from sphericalvision.capture.preparation.preparation import denoised
 from sphericalvision.geometry.transforms import axis_angle_from_transform, invert_transform
 from sphericalvision.icosphere import icosphere_vertices
 
-__all__ = ["RigTurns", "judged_rig", "untold"]
+if TYPE_CHECKING:
+    from sphericalvision.capture.predictor import Predictor
+
+__all__ = ["RigTurns", "align_rig"]
 
 LEVEL = 5
 """Icosphere level of the directions that are compared first."""
@@ -72,6 +75,18 @@ class RigTurns(NamedTuple):
     agreement: tuple[float, float] = (0.0, 0.0)
     reason: str = ""
 
+    @classmethod
+    def undecided(cls, rig: CameraRig, reason: str) -> RigTurns:
+        """Return the verdict that nothing can be told of a rig.
+
+        Examples:
+            >>> from sphericalvision.cameras import ring_rig
+            >>> RigTurns.undecided(ring_rig(3), "there is no frame").described()
+            'could not tell whether the calibration is right, because there is no frame'
+        """
+        turns = torch.zeros(len(rig), 3, dtype=torch.float64, device=rig.world_from_camera.device)
+        return cls(rig, turns, turns.sum(-1) + math.inf, reason=reason)
+
     @property
     def within(self) -> float:
         """Radians that no camera is turned by, as far as can be told."""
@@ -93,29 +108,23 @@ class RigTurns(NamedTuple):
         return f"turns {which}: images agree better, {after:.3f} in place of {before:.3f} of 1"
 
 
-def untold(rig: CameraRig, reason: str) -> RigTurns:
-    """Return the verdict that nothing can be told of a rig.
+def align_rig(predictor: Predictor, frames: Iterable[Mapping[str, Any]]) -> RigTurns:
+    """Return whether cameras are turned from what the calibration says, by images at the depth estimated with it.
 
-    Examples:
-        >>> from sphericalvision.cameras import ring_rig
-        >>> untold(ring_rig(3), "there is no frame").described()
-        'could not tell whether the calibration is right, because there is no frame'
-    """
-    turns = torch.zeros(len(rig), 3, dtype=torch.float64, device=rig.world_from_camera.device)
-    return RigTurns(rig, turns, turns.sum(-1) + math.inf, reason=reason)
-
-
-def judged_rig(
-    depths: Sequence[Depth], estimate: Callable[[CameraRig], Sequence[Depth]] | None = None
-) -> RigTurns:
-    """Return what images say of a calibration, at about the depth that was estimated with it.
+    Calibrations are seldom right for long: orientations wrong by a degree double the error of depth. They are found to
+    about a tenth of a degree, from one frame or a few, in a second or two for each. Positions and intrinsics are not
+    touched.
 
     A camera counts as turned if its turn exceeds its uncertainty clearly. Whether images agree better in a quick sweep
     does not decide, as that hardly sees small turns; but cameras stay where it says that turning them does harm.
 
     Args:
-        depths: one frame or several of one rig of two cameras or more, estimated with the rig as it is.
-        estimate: the same frames' depth with cameras turned, asked for where they turned far.
+        predictor: of depth with the calibration; it stays as it is, ``predictor.with_changes(verdict.rig)`` uses the
+            rig with the cameras turned back.
+        frames: of images by camera name, as the predictor is called with, one frame each.
+
+    Returns:
+        The verdict: turns and their uncertainty, which cameras are turned, or why nothing could be told.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -123,30 +132,40 @@ def judged_rig(
         >>> from sphericalvision.capture import Predictor
         >>> rig = ring_rig(3, image_size=(64, 64))
         >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.55)
-        >>> judged_rig([predictor(render_rig(make_scene("floating", seed=1), rig))]).turned
+        >>> align_rig(predictor, [render_rig(make_scene("floating", seed=1), rig)]).turned
         ()
     """
-    rig = depths[0].rig
-    found = latest = _estimated(depths)
+    rig = predictor.rig
+    if len(rig) < 2:
+        return RigTurns.undecided(rig, "one camera has nothing to be compared with")
+    images = list(frames)
+    if not images:
+        return RigTurns.undecided(rig, "there is no frame")
+
+    def estimate(predictor: Predictor) -> list[Depth]:
+        return [predictor(frame) for frame in images]
+
+    depths = estimate(predictor)
+    verdict = latest = _estimated(depths)
     for _ in range(ROUNDS - 1):
-        if estimate is None or not found.turns.norm(dim=-1).max() < MOST or _largest(latest) < AGAIN:
+        if not verdict.turns.norm(dim=-1).max() < MOST or _largest(latest) < AGAIN:
             break
-        latest = _estimated(estimate(turned(rig, found.turns)))
+        latest = _estimated(estimate(predictor.with_changes(turned(rig, verdict.turns))))
         turns = about_most(_between(rig, turned(latest.rig, latest.turns)))
-        found = latest._replace(rig=rig, turns=turns, agreement=(found.agreement[0], latest.agreement[1]))
-    sizes = found.turns.norm(dim=-1)
-    sure = sizes > SURE * found.spread
+        verdict = latest._replace(rig=rig, turns=turns, agreement=(verdict.agreement[0], latest.agreement[1]))
+    sizes = verdict.turns.norm(dim=-1)
+    sure = sizes > SURE * verdict.spread
     if len(rig) == 2:  # which of the two it was cannot be told
         sure = sure.any().expand(2)
-    reason = _doubt(found, bool(sure.any()), 0.0 if estimate is None else _largest(latest))
+    reason = _doubt(verdict, bool(sure.any()), _largest(latest))
     if reason or not sure.any():
-        return found._replace(reason=reason)
-    better = turned(rig, found.turns * sure[:, None])
+        return verdict._replace(reason=reason)
+    better = turned(rig, verdict.turns * sure[:, None])
     before, after = (sum(pose_agreement(depth.images, each) for depth in depths) for each in (rig, better))
     if after < before - HARM * len(depths):
-        return found._replace(reason="a sweep finds that images agree less with the cameras turned")
+        return verdict._replace(reason="a sweep finds that images agree less with the cameras turned")
     names = tuple(name for name, which in zip(rig.names, sure.tolist(), strict=True) if which)
-    return found._replace(rig=better, turned=names)
+    return verdict._replace(rig=better, turned=names)
 
 
 def _doubt(found: RigTurns, sure: bool, latest: float) -> str:

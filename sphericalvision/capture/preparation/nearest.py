@@ -53,12 +53,11 @@ class NearestHypothesis(NamedTuple):
         self,
         frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]],
         rig: CameraRig,
-        antialias: bool = True,
     ) -> float:
         """Return metres for what a few frames show; arguments as of ``nearest_in_frames``."""
-        found = nearest_in_frames(frames, rig, antialias)
-        if self.usual is None or not found / FAR_OFF <= self.usual <= found * FAR_OFF:
-            return found
+        metres = nearest_in_frames(frames, rig)
+        if self.usual is None or not metres / FAR_OFF <= self.usual <= metres * FAR_OFF:
+            return metres
         return self.usual
 
 
@@ -96,15 +95,12 @@ def nearest_hypothesis(
     return NearestHypothesis(usual) if min_depth is None else NearestHypothesis(None, usual)
 
 
-def nearest_in_frames(
-    frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]], rig: CameraRig, antialias: bool = True
-) -> float:
+def nearest_in_frames(frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]], rig: CameraRig) -> float:
     """Return the nearest depth in metres that suits what a few frames show, from quick sweeps.
 
     Args:
         frames: camera name -> ``(3, h, w)`` in [0, 1].
         rig: unbatched.
-        antialias: as of ``Predictor``.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -113,7 +109,7 @@ def nearest_in_frames(
         >>> nearest_in_frames([render_rig(make_scene("hall", seed=1), rig)], rig) > 0.06
         True
     """
-    intake = Intake(rig, Icosphere(SCENE_LEVEL), antialias)
+    intake = Intake(rig, Icosphere(SCENE_LEVEL))
     return nearest_depth(torch.stack([intake(frame) for frame in frames]), rig, intake.seen)
 
 
@@ -147,6 +143,15 @@ def check_places(rig: CameraRig) -> None:
         f"rig: it has all its cameras in one place ({', '.join(rig.names)}), which gives neither parallax nor a scale; "
         f"correct the poses, or for a network of a single camera give metres, min_depth=0.55{hint}"
     )
+
+
+def frames_of(photographs: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
+    """One dictionary a frame of images ``(*b, 3, h, w)``: the first, the middle and the last of a batch."""
+    first = next(iter(photographs.values()))
+    if first.ndim == 3:
+        return [dict(photographs)]
+    chosen = sorted({0, len(first) // 2, len(first) - 1})
+    return [{name: image[frame] for name, image in photographs.items()} for frame in chosen]
 
 
 def checked_min_depth(min_depth: Any) -> float:

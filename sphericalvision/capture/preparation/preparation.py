@@ -59,7 +59,7 @@ class Preparation:
     Attributes:
         photometric: whether noise of more than 1 % is smoothed, and differences in exposure and vignetting between the
             cameras are compensated if they exceed 5 %. All are estimated from each frame (``calibrate_photometry``).
-        align: whether cameras that a few frames show to be turned are turned back (``Predictor.prepare``).
+        align: whether cameras that a few frames show to be turned are turned back (``align_rig``).
         own_body: whether what stands still in all frames, the body that carries the rig, is masked (``find_own_body``).
 
     Raises:

@@ -72,6 +72,8 @@ def override_message(error: Exception, command: str) -> str:
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown[1]
         known_keys = keys_of(compose(command))
+        if key in known_keys:  # of the usual options
+            return f"{key}: does not count with the options given; leave it out. {program} --help lists those that do"
         near = difflib.get_close_matches(key, known_keys, 3) or [
             name for name in known_keys if name.split(".")[-1] == key.split(".")[-1]
         ]

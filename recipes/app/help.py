@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +29,7 @@ Flags:
 def print_help(config_name: str, overrides: list[str]) -> None:
     """Print what the command is for, its groups with their options, and its keys as ``overrides`` leave them."""
     config = compose(config_name, overrides, return_hydra_config=True)
-    sources = _Sources()
+    sources = _Sources(config_name, overrides, config.hydra.searchpath)
     choices = {g: c for g, c in config.hydra.runtime.choices.items() if not g.startswith("hydra/")}
     comments = sources.comments(config_name, "")
     print("\n".join(heading(sources.text(config_name))))
@@ -100,20 +100,29 @@ def _written(value: Any) -> str:
 
 
 class _Sources:
-    """The YAML files behind a configuration, as text."""
+    """The YAML files behind a configuration, as text.
 
-    def __init__(self) -> None:
+    Args:
+        config_name: of the command.
+        overrides: of the command line.
+        search_path: where configs are, beside the places that Hydra knows from its start.
+    """
+
+    def __init__(self, config_name: str, overrides: list[str], search_path: Sequence[str]) -> None:
+        self.config_name, self.overrides = config_name, overrides
         self.loader: Any = GlobalHydra.instance().config_loader()
+        places = [element.path or "" for element in self.loader.get_search_path().get_path()]
+        self.places = [*places, *search_path]
 
     def options(self, group: str) -> list[str]:
         """Names of the files of a group, without those that others only inherit from."""
-        options = self.loader.get_group_options(group, ObjectType.CONFIG)
+        options = self.loader.get_group_options(group, ObjectType.CONFIG, self.config_name, self.overrides)
         return [option for option in options if not option.startswith("_")]
 
     def text(self, name: str) -> str:
         """The text of the file ``name``, wherever the search path has it; empty if nowhere."""
-        for element in self.loader.get_search_path().get_path():
-            scheme, _, place = (element.path or "").partition("://")
+        for element in self.places:
+            scheme, _, place = element.partition("://")
             if scheme in ("file", "pkg") and not place.startswith("hydra"):
                 path: Any = (Path(place) if scheme == "file" else files(place)) / f"{name}.yaml"
                 if path.is_file():

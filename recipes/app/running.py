@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import entry_points
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ def run_command(config_name: str, task: Callable[[DictConfig], Any]) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names that the terminal has no letters for
-    words = [*quote_paths(sys.argv[1:]), *search_path_of_plugins(sys.argv[1:])]
+    words = [*quote_paths(sys.argv[1:]), *search_path_of_plugins(config_name, sys.argv[1:])]
     if "--version" in words:
         with plain_errors():
             print(f"sphericalvision {__version__}")
@@ -152,12 +153,17 @@ def config_space(config_dir: str | None = None) -> Iterator[Hydra]:
         GlobalHydra.instance().clear()
 
 
-def search_path_of_plugins(words: list[str]) -> list[str]:
-    """The word that adds configs of installed packages: their entry points ``sphericalvision.conf`` name a package."""
+def search_path_of_plugins(config_name: str, words: list[str]) -> list[str]:
+    """The word that adds configs of installed packages: their entry points ``sphericalvision.conf`` name a package.
+
+    It takes the place of the search path in the command's own file, so that has a part in it.
+    """
     packages = sorted(f"pkg://{point.value}" for point in entry_points(group="sphericalvision.conf"))
     if not packages or any(word.startswith("hydra.searchpath=") for word in words):
         return []
-    return [f"hydra.searchpath=[{','.join(packages)}]"]
+    text = (files("sphericalvision.conf") / f"{config_name}.yaml").read_text()
+    own = OmegaConf.select(OmegaConf.create(text), "hydra.searchpath") or []
+    return [f"hydra.searchpath=[{','.join([*own, *packages])}]"]
 
 
 def _plain_warning(message: Any, *args: Any, **kwargs: Any) -> str:

@@ -198,7 +198,10 @@ INNER = ("hydra", "rig", "equirect_rig", "data", "models", "model", "preset", "e
 """Groups, and what the code behind them checks."""
 
 
-@pytest.mark.parametrize("name", [path.stem for path in FILES if path.parent == CONF])
+@pytest.mark.parametrize(
+    "name", [*(path.stem for path in FILES if path.parent == CONF), "study/preset/_study"]
+)
 def test_every_key_of_a_command_has_a_type(name: str) -> None:
     keys = [key for key in OmegaConf.load(CONF / f"{name}.yaml") if key not in INNER]
+    name = name.partition("/")[0]
     assert [key for key in keys if type_of(name, key) is None] == []

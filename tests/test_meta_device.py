@@ -239,7 +239,6 @@ CALLS: dict[str, Callable[[], Any]] = {
     "locate": lambda: icosphere.locate(m(5, 3), LEVEL),
     # losses and metrics
     "depth_index_huber": lambda: losses.depth_index_huber(m(1, V), m(1, V), mask(1, V)),
-    "solid_angle_cross_entropy": lambda: losses.solid_angle_cross_entropy(m(1, 2, V), ids(1, V), m(V)),
     "solid_angle_mean": lambda: losses.solid_angle_mean(values(), m(V), mask(1, 3, V)),
     "angular_error": lambda: metrics.angular_error(m(5, 3), m(5, 3)),
     "depth_error": lambda: metrics.depth_error(m(1, V), m(1, V), mask(1, V)),
@@ -332,7 +331,7 @@ CLASS = "a name for errors, types or a registry, without tensors"
 DRAWN = "draws numbers on the CPU, the same on every device, and looks at them"
 EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("read_camera", "read_cameras", "read_rig", "save_camera", "save_rig"), FILES),
-    **dict.fromkeys(("read_image", "write_image", "read_mesh_scene", "write_omnistereo"), FILES),
+    **dict.fromkeys(("read_mesh_scene", "write_omnistereo"), FILES),
     **dict.fromkeys(("OmniStereoDataset", "available_weights", "pretrained", "load_weights"), FILES),
     **dict.fromkeys(("load_reference_checkpoint", "save_weights", "save_point_cloud"), FILES),
     "load_romnistereo_checkpoint": FILES,
@@ -365,8 +364,8 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("straighten", "straighten_rig"), "takes a calibration apart, once, by its numbers"),
     "ring_rig": "makes a rig on the CPU; `.to` moves it",
     "TriangleLocator": "its tables are made for the numbers of a level, on a device that has some",
-    **dict.fromkeys(("angle_map", "coverage_panorama", "crown_picture", "depth_panorama", "depth_to_color"), PICTURE),
-    **dict.fromkeys(("error_panorama", "error_to_color", "icosphere_mesh", "panorama_point_cloud"), PICTURE),
+    **dict.fromkeys(("angle_map", "coverage_panorama", "depth_panorama", "depth_to_color"), PICTURE),
+    **dict.fromkeys(("error_panorama", "error_to_color", "icosphere_mesh"), PICTURE),
     **dict.fromkeys(("rgb_panorama", "rig_picture", "sheet", "sphere_mesh"), PICTURE),
 }  # fmt: skip
 

@@ -229,7 +229,6 @@ from_crown(VALUES) -> crown: to_crown
 crown_max_pool2d(VALUES) -> crown: to_crown
 CrownBatchNorm2d(3)(VALUES) -> crown: to_crown
 CrownPointwise(torch.nn.ReLU())(VALUES) -> crown: to_crown
-crown_picture(VALUES) -> crown: to_crown
 to_crown(VALUES[0]) -> values: \(B, C, V\)
 to_crown(np.zeros((1, 3, 162))) -> values: numpy
 CrownConv2d(3, 4)(crown(DOUBLE)) -> crown: float32.*\.to\(torch.float32
@@ -282,8 +281,6 @@ pretrained('resnet') -> name: refinedsweepnet
 depth_index_huber(np.zeros((1, 5)), torch.zeros(1, 5)) -> pred_index: numpy
 depth_index_huber(torch.zeros(1, 5), torch.zeros(1, 5), delta=-1.0) -> delta: -1.0
 solid_angle_mean(np.zeros((1, 162)), ico().solid_angles) -> values: numpy
-solid_angle_cross_entropy(torch.zeros(1, 2, 162), VALUES[:, 0], ico().solid_angles) -> labels: int64
-solid_angle_cross_entropy(torch.zeros(1, 2, 162), LABELS + 7, ico().solid_angles) -> labels: 0 to 1
 DepthIndexError(8).update(np.zeros((1, 3)), torch.zeros(1, 3)) -> pred: numpy
 DepthError().update(torch.ones(1, 3), np.ones((1, 3))) -> target: numpy
 SolidAngleMean(3) -> grid: SphereGrid, got 3
@@ -433,8 +430,6 @@ angle_map(PinholeCamera([200.0, 200.0], [99.5, 99.5], (200, 200)), torch.zeros(3
 # viz: color
 error_to_color(torch.ones(2), 0.0) -> max_error: expected a positive number
 # viz: crown picture
-crown_picture(to_crown(torch.rand(2, 3, 42))) -> crown: expected rectangles \(1, 5, 1 or 3, h, w\)
-crown_picture(to_crown(torch.rand(1, 3, 4, 42))) -> crown: expected rectangles
 # viz: figure
 sheet([np.zeros((2, 2, 3))]) -> picture: uint8 \(h, w, 3\), got float64
 sheet([]) -> sheet: at least one column
@@ -576,7 +571,6 @@ evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), torch.ones(2, 1)) -> valid
 OmniMVSError().update(torch.zeros(1, 8, 16), torch.zeros(1, 8, 16), weights=torch.ones(128)) -> weights: every pixel
 ByRegion(DepthIndexError(8), {'seam': torch.ones(3)}).update(torch.zeros(1, 4), torch.zeros(1, 4)) -> region 'seam': got
 SolidAngleIoU(ico(), 2).update(LABELS, LABELS + 7) -> target: labels from 0 to 1, got 7 to 7
-solid_angle_cross_entropy(torch.zeros(1, 2, 4, 8), torch.zeros(1, 8, 4).long(), torch.ones(4, 8)) -> logits, labels: got
 # data
 RandomYaw(Icosphere(1), kinds={'flow': 'vectors'}) -> kind: 'image', 'depth', 'normals', 'labels', 'seen', 'rig'
 RandomYaw(Icosphere(1))({'image': torch.rand(2, 3, 42), 'depth': torch.rand(42)}) -> depth: values: .*same_on_batch

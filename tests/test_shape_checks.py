@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 import torch
 
-from sphericalvision import losses, viz
+from sphericalvision import losses
 from sphericalvision.icosphere import Icosphere, locate
 from tests.processes import python
 from tests.shape_checks import AnnotationError, CheckingLoader
@@ -152,8 +152,6 @@ def test_the_package_is_checked() -> None:
     assert hasattr(Icosphere.sample, "__wrapped__")
     with pytest.raises(AnnotationError, match="solid_angle_mean: mask is float32"):
         losses.solid_angle_mean(torch.ones(2, 12), torch.ones(12), torch.ones(2, 12))
-    with pytest.raises(AnnotationError, match="panorama_point_cloud: center"):
-        viz.panorama_point_cloud(torch.ones(4, 8), center=torch.zeros(1, 3))
 
 
 def test_nothing_is_checked_outside_the_tests() -> None:

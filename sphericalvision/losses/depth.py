@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 
-__all__ = ["depth_index_huber", "solid_angle_cross_entropy", "solid_angle_mean"]
+__all__ = ["depth_index_huber", "solid_angle_mean"]
 
 
 def depth_index_huber(
@@ -78,7 +78,8 @@ def solid_angle_mean(
     """Return the mean of values over the sphere, or over the part of it that a mask leaves.
 
     Any loss at each place becomes one in which every part of the sphere counts by its size:
-    ``solid_angle_mean((pred - target).abs(), grid.solid_angles, mask).mean()``.
+    ``solid_angle_mean((pred - target).abs(), grid.solid_angles, mask).mean()``, or of labels
+    ``solid_angle_mean(F.cross_entropy(logits, labels, reduction="none"), grid.solid_angles).mean()``.
 
     Args:
         values: ``(*b, *shape)`` on a grid.
@@ -116,57 +117,6 @@ def solid_angle_mean(
         shares, values = shares.where(counts, 0.0), values.where(counts, 0.0)
     grid = tuple(range(-dims, 0))
     return _ratio((values * shares).sum(grid), shares.sum(grid))
-
-
-def solid_angle_cross_entropy(
-    logits: Float[Tensor, "B classes *grid"],
-    labels: Int[Tensor, " B *grid"],
-    solid_angles: Float[Tensor, "*grid"],
-    ignore_index: int = -100,
-) -> Float[Tensor, ""]:
-    """Return the mean cross entropy of labels on a grid, every place weighted by its solid angle.
-
-    Args:
-        logits: ``(B, classes, *shape)``.
-        labels: ``(B, *shape)`` integers.
-        solid_angles: ``(*shape)`` of the grid.
-        ignore_index: label of places that do not count.
-
-    Returns:
-        A scalar, over all places of all images that count; 0, with zero gradients, if there is none.
-
-    Raises:
-        ShapeError: if the shapes do not fit.
-
-    Examples:
-        >>> from sphericalvision.icosphere import Icosphere
-        >>> ico = Icosphere(2)
-        >>> labels = torch.zeros(1, 162, dtype=torch.long)
-        >>> solid_angle_cross_entropy(torch.zeros(1, 2, 162), labels, ico.solid_angles)  # log 2
-        tensor(0.6931)
-    """
-    check_tensor("logits", logits, "(B, classes, *shape)")
-    check_tensor("labels", labels, "(B, *shape)")
-    if labels.dtype not in (torch.int64, torch.uint8):
-        raise ArgumentError(f"labels: expected int64 or uint8, got {labels.dtype}; convert them with .long()")
-    if tuple(logits.shape[2:]) != tuple(solid_angles.shape) or labels.shape != (
-        *logits.shape[:1],
-        *solid_angles.shape,
-    ):
-        size = ", ".join(map(str, solid_angles.shape))
-        raise ShapeError(
-            f"logits, labels: expected shapes (B, classes, {size}) and (B, {size}), "
-            f"got {tuple(logits.shape)} and {tuple(labels.shape)}"
-        )
-    try:
-        losses = F.cross_entropy(logits, labels, ignore_index=ignore_index, reduction="none")
-    except IndexError:  # on a GPU it is an assertion of the device, which ends the program
-        raise ArgumentError(
-            f"labels: expected 0 to {logits.shape[1] - 1} or ignore_index={ignore_index}, "
-            f"got {int(labels.min())} to {int(labels.max())}"
-        ) from None
-    shares = solid_angles.to(losses).expand_as(losses).where(labels != ignore_index, 0.0)
-    return _ratio((losses * shares).sum(), shares.sum())
 
 
 def _ratio(total: Tensor, weight: Tensor) -> Tensor:

@@ -1,14 +1,12 @@
 from .cameras import angle_map as angle_map
 from .color import depth_to_color as depth_to_color
 from .color import error_to_color as error_to_color
-from .crown import crown_picture as crown_picture
 from .figure import sheet as sheet
 from .mesh import icosphere_mesh as icosphere_mesh
 from .mesh import sphere_mesh as sphere_mesh
 from .panorama import depth_panorama as depth_panorama
 from .panorama import error_panorama as error_panorama
 from .panorama import rgb_panorama as rgb_panorama
-from .pointcloud import panorama_point_cloud as panorama_point_cloud
 from .pointcloud import save_point_cloud as save_point_cloud
 from .rigs import coverage_panorama as coverage_panorama
 from .rigs import rig_picture as rig_picture

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coloured points: of depth panoramas, and as the images of cameras that see them have it."""
+"""Coloured points: files of them, and the colours that the images of cameras give them."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,9 +16,8 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
 from sphericalvision.io.files import atomic_write, write_bytes
-from sphericalvision.sphere import Equirectangular
 
-__all__ = ["PointCloud", "panorama_point_cloud", "point_colors", "save_point_cloud"]
+__all__ = ["PointCloud", "point_colors", "save_point_cloud"]
 
 
 class PointCloud(NamedTuple):
@@ -28,44 +26,6 @@ class PointCloud(NamedTuple):
 
     points: Float[Tensor, "n 3"]
     colors: Float[Tensor, "n 3"]
-
-
-def panorama_point_cloud(
-    depth: Float[Tensor, "H W"],
-    colors: Float[Tensor, "3 H W"] | None = None,
-    max_depth: float = math.inf,
-    center: Float[Tensor, " 3"] | None = None,
-) -> PointCloud:
-    """Points of a depth panorama whose depth is known and finite.
-
-    Args:
-        depth: ``(H, W)`` metres along the rays, W = 2H or 4H; infinity, NaN and values up to zero are left
-            out.
-        colors: ``(3, H, W)`` in [0, 1]; grey when not given.
-        max_depth: metres; farther points are left out.
-        center: ``(3,)``, where the rays start; the origin when not given.
-
-    Raises:
-        ShapeError: the shapes do not fit.
-
-    Examples:
-        >>> cloud = panorama_point_cloud(torch.full((4, 8), 2.0))
-        >>> cloud.points.shape, cloud.points.norm(dim=-1).mean()
-        (torch.Size([32, 3]), tensor(2.))
-    """
-    if depth.ndim != 2:
-        raise ShapeError(f"depth: expected a panorama (H, W), got {tuple(depth.shape)}")
-    if colors is None:
-        colors = depth.new_full((3, *depth.shape), 0.7)
-    if tuple(colors.shape) != (3, *depth.shape):
-        raise ShapeError(f"colors: expected {(3, *depth.shape)} to go with depth, got {tuple(colors.shape)}")
-    known = (depth > 0) & depth.isfinite() & (depth <= max_depth)
-    height, width = depth.shape
-    rays = Equirectangular.with_square_pixels(height, width, depth.dtype, depth.device).directions
-    points = rays[known] * depth[known][:, None]
-    if center is not None:
-        points = points + center.to(points)
-    return PointCloud(points, colors.movedim(0, -1)[known])
 
 
 SUFFIXES = (".ply", ".glb", ".obj", ".stl", ".xyz")

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.losses import depth_index_huber, solid_angle_cross_entropy, solid_angle_mean
+from sphericalvision.losses import depth_index_huber, solid_angle_mean
 from sphericalvision.metrics import SolidAngleIoU, SolidAngleMean, angular_error
 from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
 
@@ -128,19 +128,6 @@ def test_masked_places_get_no_gradient() -> None:
     solid_angle_mean((values - target).abs(), grid.solid_angles, mask).sum().backward()
     assert values.grad is not None
     assert values.grad.nonzero().tolist() == [[0, 1, 2]]
-
-
-def test_cross_entropy_equals_its_definition(generator: torch.Generator) -> None:
-    grid = Equirectangular(4, 8)
-    logits = torch.randn(2, 5, 4, 8, generator=generator)
-    labels = torch.randint(0, 5, (2, 4, 8), generator=generator)
-    labels[1, :2] = -100
-    weights = grid.solid_angles.expand(2, 4, 8) * (labels >= 0)
-    probability = logits.softmax(1).gather(1, labels.clamp(min=0)[:, None])[:, 0]
-    expected = -(weights * probability.log()).sum() / weights.sum()
-    torch.testing.assert_close(solid_angle_cross_entropy(logits, labels, grid.solid_angles), expected)
-    nothing = solid_angle_cross_entropy(logits, torch.full_like(labels, -100), grid.solid_angles)
-    assert nothing.item() == 0
 
 
 def test_huber_loss_with_weights(generator: torch.Generator) -> None:

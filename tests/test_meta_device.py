@@ -342,7 +342,7 @@ EXCEPTIONS: dict[str, str] = {
     **dict.fromkeys(("calibrate_camera", "calibrate_rig", "convert", "fit_inverse_polynomial"), FIT),
     **dict.fromkeys(("refine", "refine_rig"), FIT),
     **dict.fromkeys(("Trajectory", "read_trajectory"), "features and files"),
-    **dict.fromkeys(("PhotometricCalibration", "align_rig_direct", "calibrate_photometry"), FIT),
+    **dict.fromkeys(("PhotometricCalibration", "align_rig", "align_rig_direct", "calibrate_photometry"), FIT),
     **dict.fromkeys(("OwnBody", "Preparation", "find_own_body"), "looks at images by OpenCV"),
     **dict.fromkeys(("from_kornia", "to_kornia"), "looks whether the other library's class can hold the numbers"),
     **dict.fromkeys(("register_camera", "register_network", "register_aggregation"), CLASS),

@@ -23,28 +23,26 @@ from collections import Counter
 import torch
 from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.io.images import write_image
-from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.predict import main
 rig = ring_rig(4, 0.2, image_size=(64, 64))
 save_rig(rig, "rig.yaml")
 for frame in range(int(sys.argv[1])):
     for name in rig.names:
         write_image(f"{frame}_{name}.png", torch.rand(3, 64, 64))
-save_weights(IcoSweepNet(3, 4, feature_channels=2), "net.safetensors")
 calls = Counter()
 def seen(frame, event, arg):
     if event == "call" and frame.f_code.co_name != "<module>":
         calls[frame.f_code.co_filename] += 1
 threading.setprofile(seen)
 sys.setprofile(seen)
-sys.argv = ["sphericalvision-predict", "calibration=rig.yaml", "images={frame}_{camera}.png", "output=out", "height=16",
-            "checkpoint=net.safetensors", "min_depth=0.55", "align=false"]
+sys.argv = ["sphericalvision-predict", "calibration=rig.yaml", "images={frame}_{camera}.png", "output=out"]
 main()
 sys.setprofile(None)
 for file, number in calls.items():
     print("CALLS", number, file)
 """
-"""``sphericalvision-predict`` on frames of four small images, and how often it calls functions of each file."""
+"""``sphericalvision-predict`` on frames of four small images, all else by default, and how often it calls functions of
+each file."""
 
 
 def files(*prefixes: str) -> list[Path]:
@@ -128,15 +126,18 @@ def loaded(module: str) -> int:
     return int(done.stdout.split()[-1])
 
 
-def files_of_a_frame() -> list[str]:
-    """Files of the product whose functions run once more for a frame more: an image's way to its picture."""
-    two, three = calls_of_frames(2), calls_of_frames(3)
-    return sorted(file for file, number in three.items() if number > two.get(file, 0))
+def files_of_a_frame() -> tuple[list[str], list[str]]:
+    """Files of the product whose functions a prediction runs, and those that run once more for a frame more.
+
+    The calibration is judged by three frames, however many there are.
+    """
+    three, four = calls_of_frames(3), calls_of_frames(4)
+    return sorted(four), sorted(file for file, number in four.items() if number > three.get(file, 0))
 
 
-def calls_of_frames(number: int) -> dict[str, int]:
+def calls_of_frames(frames: int) -> dict[str, int]:
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", FRAMES, str(number)]
+        command = [sys.executable, "-c", FRAMES, str(frames)]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(done.stdout + done.stderr)
@@ -163,7 +164,7 @@ def newest_wheel() -> str:
 
 def main() -> None:
     longest = max((chain(module) for module in modules()), key=len)
-    frame = files_of_a_frame()
+    used, frame = files_of_a_frame()
     for name, value in {
         "lines of the product": f"{lines('sphericalvision', 'recipes'):,}",
         "lines of recipes": f"{lines('recipes'):,}",
@@ -172,7 +173,8 @@ def main() -> None:
         "longest chain of imports": len(longest),
         "modules loaded with models.icosweepnet": loaded("sphericalvision.models.icosweepnet"),
         "modules loaded with sphericalvision-train": loaded(TRAIN),
-        "files of a frame in predict": len(frame),
+        "files that a prediction runs": len(used),
+        "files that a frame passes": len(frame),
         **{f"files with the option {option!r}": files_with(option) for option in ("photometric", "align")},
         "wheel": newest_wheel(),
     }.items():
@@ -180,6 +182,7 @@ def main() -> None:
     if "--chain" in sys.argv:
         print("\nThe longest chain:", *longest, sep="\n  ")
         print("\nThe files of a frame:", *frame, sep="\n  ")
+        print("\nThe other files of a prediction:", *sorted(set(used) - set(frame)), sep="\n  ")
 
 
 if __name__ == "__main__":

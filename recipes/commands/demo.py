@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Predictor
-from sphericalvision.capture.outputs import Settings, Views, save_views
+from sphericalvision.capture.outputs import Panoramas, Settings, save_frame
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere, collate_samples
 from sphericalvision.io.images import write_image
@@ -55,9 +55,9 @@ def demo(config: DictConfig, folder: Path) -> Table:
         write_image(folder / f"input_{name}.png", image)
     with console.status(f"estimating depth: level {net.level}, {net.num_hypotheses} hypotheses"):
         sample = ToSphere(net.level, antialias=True)(frame)
-        views = Views(Predictor(rig, net, min_depth=net.min_depth)(frame["images"]), config.height)
-        save_views(folder, "", views, Settings(["depth", "cloud", "npz"], config.height))
-        _save_comparison(folder, frame, views, net)
+        panoramas = Panoramas(Predictor(rig, net, min_depth=net.min_depth)(frame["images"]), config.height)
+        save_frame(folder, "", panoramas, Settings(["depth", "cloud", "npz"], config.height))
+        _save_comparison(folder, frame, panoramas, net)
     depths = SceneDataset(
         config.baseline_scenes,
         rig,
@@ -80,21 +80,21 @@ def demo(config: DictConfig, folder: Path) -> Table:
     return table
 
 
-def _save_comparison(folder: Path, frame: dict[str, Any], views: Views, net: DepthNetwork) -> None:
+def _save_comparison(folder: Path, frame: dict[str, Any], panoramas: Panoramas, net: DepthNetwork) -> None:
     """Ground truth and error as pictures, and everything side by side."""
     number = net.num_hypotheses
     truth = frame["inverse_depth"]
-    estimate = index_from_inverse_depth(views.panorama.depth.reciprocal(), number, net.min_depth)
+    estimate = index_from_inverse_depth(panoramas.panorama.depth.reciprocal(), number, net.min_depth)
     error = (estimate - index_from_inverse_depth(truth, number, net.min_depth)).abs() * (100 / number)
-    true = depth_panorama(truth.reciprocal(), views.near)
+    true = depth_panorama(truth.reciprocal(), panoramas.near)
     wrong = error_panorama(error, max_error=10.0, label=f"error (% of N = {number})")
     write_image(folder / "ground_truth.png", true)
     write_image(folder / "error.png", wrong)
-    colors = _pixels(views.colors[0])
+    colors = _pixels(panoramas.colors[0])
     larger = true.shape[1] // colors.shape[1]  # pictures with a scale are enlarged if they are small
     pictures = {
         "the images as one panorama": colors.repeat(larger, 0).repeat(larger, 1),
-        "estimated depth": views.depth_picture,
+        "estimated depth": panoramas.depth_picture,
         "error": wrong,
         "true depth": true,
     }

@@ -33,7 +33,7 @@ from sphericalvision.viz.figure import add_scale_bar
 from sphericalvision.viz.panorama import confidence_strength, depth_panorama, rgb_panorama
 from sphericalvision.viz.pointcloud import save_point_cloud
 
-__all__ = ["OUTPUTS", "Outputs", "Settings", "Views", "done_file", "prefix_of", "save_views"]
+__all__ = ["OUTPUTS", "Outputs", "Panoramas", "Settings", "done_file", "prefix_of", "save_frame"]
 
 OUTPUTS = (
     "panorama",
@@ -92,7 +92,7 @@ class Settings(NamedTuple):
     go_on: bool = False
 
 
-class Views:
+class Panoramas:
     """Panoramas of one frame, each computed when something first wants it.
 
     Args:
@@ -136,35 +136,37 @@ class Views:
         )
 
 
-def save_views(folder: Path, prefix: str, views: Views, settings: Settings) -> list[Path]:
+def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settings) -> list[Path]:
     """Write the files of one frame, their names after ``prefix``; returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     if "panorama" in settings.outputs:
-        write_image(folder / f"{prefix}panorama.png", views.stitched)
+        write_image(folder / f"{prefix}panorama.png", panoramas.stitched)
         written.append(folder / f"{prefix}panorama.png")
     if "depth" in settings.outputs:
-        write_image(folder / f"{prefix}color.png", views.colors[0])
-        write_image(folder / f"{prefix}depth.png", views.depth_picture)
+        write_image(folder / f"{prefix}color.png", panoramas.colors[0])
+        write_image(folder / f"{prefix}depth.png", panoramas.depth_picture)
         written += [folder / f"{prefix}color.png", folder / f"{prefix}depth.png"]
     if "confidence" in settings.outputs:
-        sure = views.panorama.confidence.where(views.panorama.seen, math.nan)
+        sure = panoramas.panorama.confidence.where(panoramas.panorama.seen, math.nan)
         ticks = [(k / 4, f"{k / 4:g}") for k in range(5)]
         picture = add_scale_bar(colorize(sure.numpy(), "viridis"), "viridis", ticks, "confidence")
         write_image(folder / f"{prefix}confidence.png", picture)
         written.append(folder / f"{prefix}confidence.png")
     clouds = [kind for kind in ("cloud", "glb") if kind in settings.outputs]
     if clouds:
-        cloud = views.depth.points(settings.min_confidence, voxel=settings.voxel)
+        cloud = panoramas.depth.points(settings.min_confidence, voxel=settings.voxel)
         written += _save_clouds([folder / f"{prefix}{FILES[kind]}" for kind in clouds], cloud)
     if "viewer" in settings.outputs:
         title = f"depth all around {prefix.rstrip('_')}".strip()
-        path = save_viewer(folder / f"{prefix}viewer.html", views.depth, settings.height, title, views.near)
+        path = save_viewer(
+            folder / f"{prefix}viewer.html", panoramas.depth, settings.height, title, panoramas.near
+        )
         written.append(path)
     if "npz" in settings.outputs:
         path = folder / f"{prefix}depth.npz"
         with atomic_write(path) as temporary:
-            np.savez_compressed(temporary, **arrays_of(views))
+            np.savez_compressed(temporary, **arrays_of(panoramas))
         written.append(path)
     return written
 
@@ -179,9 +181,9 @@ def _save_clouds(paths: Sequence[Path], cloud: SurfacePoints) -> list[Path]:
     return written
 
 
-def arrays_of(views: Views) -> dict[str, Any]:
+def arrays_of(panoramas: Panoramas) -> dict[str, Any]:
     """What ``depth.npz`` holds: the answer on the network's grid, and the panorama of depth."""
-    depth, panorama = views.depth, views.panorama
+    depth, panorama = panoramas.depth, panoramas.panorama
     arrays = {
         "index": depth.index.flatten(),
         "inverse_depth": depth.inverse_depth.flatten(),
@@ -284,7 +286,7 @@ class Outputs:
         """Write what there is to write of a frame."""
         self.begin(depth)
         with torch.inference_mode():
-            views = Views(depth, self.settings.height, self.near)
+            panoramas = Panoramas(depth, self.settings.height, self.near)
             if not self.shares:
                 self._warn(depth)
                 if "panorama" in self.settings.outputs or "panorama_video" in self.settings.outputs:
@@ -296,7 +298,7 @@ class Outputs:
                         made = _Video(self.folder, self.settings.rate, self.settings.go_on, name)
                         self._videos[output] = made
                         self.written.append(made.path)
-                    self._videos[output].write(picture_of(views))
+                    self._videos[output].write(picture_of(panoramas))
             if "timeline" in self.settings.outputs:
                 if self._timeline is None:
                     title = f"depth all around: {self.folder.name}"
@@ -315,10 +317,10 @@ class Outputs:
                     step = math.sqrt(4 * math.pi / depth.index.numel()) * depth.min_depth
                     self.fused = FusedCloud(self.settings.voxel or CUBE * step)
                 points = depth.points(self.settings.min_confidence)
-                self.fused.add(frame, points, views.panorama, depth.rig.center)
+                self.fused.add(frame, points, panoramas.panorama, depth.rig.center)
                 self.fused.save(self.folder / FUSED, now=False)
             self._number += 1
-            self.written += save_views(self.folder, prefix_of(frame), views, self.settings)
+            self.written += save_frame(self.folder, prefix_of(frame), panoramas, self.settings)
 
     def _warn(self, depth: Depth) -> None:
         """Say what is probably wrong, told from the first frame."""
@@ -409,8 +411,8 @@ class _Video:
         self._number += 1
 
 
-def _colors_above_depth(views: Views) -> npt.NDArray[Any]:
-    colors, depth = as_bytes(views.colors[0]), views.depth_picture
+def _colors_above_depth(panoramas: Panoramas) -> npt.NDArray[Any]:
+    colors, depth = as_bytes(panoramas.colors[0]), panoramas.depth_picture
     side = (depth.shape[1] - colors.shape[1]) // 2  # the scale may be wider than a small panorama
     colors = np.pad(
         colors, ((0, 0), (side, depth.shape[1] - colors.shape[1] - side), (0, 0)), constant_values=255
@@ -420,7 +422,7 @@ def _colors_above_depth(views: Views) -> npt.NDArray[Any]:
 
 _VIDEOS = {
     "video": ("depth", _colors_above_depth),
-    "panorama_video": ("panorama", lambda views: views.stitched),
+    "panorama_video": ("panorama", lambda panoramas: panoramas.stitched),
 }
 """Output -> name of the video, and what a frame of it shows."""
 

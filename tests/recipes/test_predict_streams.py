@@ -19,7 +19,7 @@ import torch
 from sphericalvision.cameras import ring_rig
 from sphericalvision.capture import Depth, calibrate_photometry
 from sphericalvision.capture.estimating import Behind, ahead, side_by_side, threads_kept
-from sphericalvision.capture.outputs import Outputs, Settings, Views
+from sphericalvision.capture.outputs import Outputs, Panoramas, Settings
 from sphericalvision.capture.preparation.preparation import Compensation
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source, rig_for_images
@@ -257,7 +257,7 @@ def test_images_become_a_panorama_and_a_video_of_it(tmp_path: Path) -> None:
     dim = {name: torch.full((3, *SIZE), 0.4 + 0.05 * k) for k, name in enumerate(RIG.names)}
     even = Compensation({}, calibrate_photometry(RIG, dim))
     uneven, evened = (
-        Views(Depth(4 * ones, ones, ones > 0, net, RIG, dim, light), 32).stitched[8:24].std()
+        Panoramas(Depth(4 * ones, ones, ones > 0, net, RIG, dim, light), 32).stitched[8:24].std()
         for light in ((), (even,))
     )
     assert evened < 0.3 * uneven

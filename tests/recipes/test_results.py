@@ -13,7 +13,7 @@ import trimesh
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth
-from sphericalvision.capture.outputs import OUTPUTS, Outputs, Settings, Views, save_views
+from sphericalvision.capture.outputs import OUTPUTS, Outputs, Panoramas, Settings, save_frame
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image
 from sphericalvision.models import WinnerTakesAll
@@ -30,7 +30,7 @@ def ball(rig: CameraRig) -> Depth:
 def test_points_that_no_camera_sees_are_not_in_the_cloud(tmp_path: Path) -> None:
     """One camera looks forward; a network says something about what is behind it, too."""
     rig = ring_rig(2, field_of_view=math.radians(120), image_size=(64, 64)).subset([0])
-    save_views(tmp_path, "", Views(ball(rig), 32), Settings(["cloud"]))
+    save_frame(tmp_path, "", Panoramas(ball(rig), 32), Settings(["cloud"]))
     points = torch.from_numpy(np.asarray(trimesh.load(tmp_path / "points.ply").vertices)).float() - rig.center
     angles = torch.atan2(points[:, :2].norm(dim=1), points[:, 2])
     assert len(points)

@@ -57,8 +57,8 @@ def capture_warnings(depth: Depth) -> list[str]:
         >>> len(capture_warnings(predictor(render_rig(make_scene("room", seed=1), rig))))
         1
     """
-    found = (overlap_warning(depth), *(warning(depth) for warning in OF_A_FRAME))
-    return [sentence for sentence in found if sentence is not None]
+    warnings = (overlap_warning(depth), *(warning(depth) for warning in OF_A_FRAME))
+    return [sentence for sentence in warnings if sentence is not None]
 
 
 def overlap_warning(depth: Depth) -> str | None:
@@ -102,11 +102,11 @@ def poses_warning(depth: Depth) -> str | None:
     # Poses of a ring that looks outwards are all in one place when inverted: then they are right as they are.
     if min(float(depth.rig.radius), float(inverse.radius)) < 1e-6:
         return None
-    given, other = (pose_agreement(depth.images, rig) for rig in (depth.rig, inverse))
-    if other <= CLEARLY * given + 0.02:
+    agreement, other = (pose_agreement(depth.images, rig) for rig in (depth.rig, inverse))
+    if other <= CLEARLY * agreement + 0.02:
         return None
     return (
-        f"The images agree better ({other:.2f} instead of {given:.2f} of 1) when the poses are inverted: the "
+        f"The images agree better ({other:.2f} instead of {agreement:.2f} of 1) when the poses are inverted: the "
         "calibration seems to hold camera-from-world where world-from-camera is expected. "
         "CameraRig(rig.cameras, rig.camera_from_world) is the other way round."
     )

@@ -182,22 +182,26 @@ class Depth:
             camera = self.rig.cameras[camera]
         pose = torch.eye(4) if world_from_camera is None else world_from_camera
         pose = pose.to(self.index.device, torch.float32)
-        directions, looks = camera.to(self.index.device).unproject(
+        directions, in_view = camera.to(self.index.device).unproject(
             camera.pixel_grid(torch.float32).to(pose.device)
         )
-        rays = directions[looks] @ pose[:3, :3].T
+        rays = directions[in_view] @ pose[:3, :3].T
         center = self.rig.center.to(pose)
         start = center if world_from_camera is None else pose[:3, 3]
         frames = [self.select(i) for i in range(len(self))] if self.batch_shape else [self]
         views = []
         for frame in frames:
-            found = distance_along(rays, start - center, lambda d: frame.at(d)[0], self.min_depth)  # noqa: B023
-            points = start - center + found.nan_to_num(self.max_depth)[:, None] * rays
+            distance = distance_along(rays, start - center, lambda d: frame.at(d)[0], self.min_depth)  # noqa: B023
+            points = start - center + distance.nan_to_num(self.max_depth)[:, None] * rays
             _, confidence, seen = frame.at(torch.nn.functional.normalize(points, dim=-1))
-            depth = directions.new_full(looks.shape, math.nan)
-            sure, both = directions.new_zeros(looks.shape), torch.zeros_like(looks)
-            depth[looks], sure[looks], both[looks] = found, confidence, seen & found.isfinite()
-            views.append(DepthImage(depth, sure, both))
+            depth = directions.new_full(in_view.shape, math.nan)
+            sure, seen_by_two = directions.new_zeros(in_view.shape), torch.zeros_like(in_view)
+            depth[in_view], sure[in_view], seen_by_two[in_view] = (
+                distance,
+                confidence,
+                seen & distance.isfinite(),
+            )
+            views.append(DepthImage(depth, sure, seen_by_two))
         if not self.batch_shape:
             return views[0]
         return DepthImage(*(torch.stack(parts) for parts in zip(*views, strict=True)))
@@ -226,9 +230,9 @@ class Depth:
             raise ArgumentError(f"voxel: expected a side in metres above 0, got {voxel!r}")
         inverse_depth, confidence = self.inverse_depth.flatten().float(), self.confidence.flatten().float()
         farthest = self.max_depth if max_depth is None else min(max_depth, self.max_depth)
-        kept = self.seen.flatten() & (confidence >= min_confidence) & (inverse_depth * farthest >= 1)
+        mask = self.seen.flatten() & (confidence >= min_confidence) & (inverse_depth * farthest >= 1)
         rig = self.rig.to(inverse_depth.device)
-        cloud = surface_points(self.network.grid, inverse_depth, confidence, kept, rig, self.images)
+        cloud = surface_points(self.network.grid, inverse_depth, confidence, mask, rig, self.images)
         return cloud if voxel is None else voxel_means(cloud, voxel)
 
     @full_precision

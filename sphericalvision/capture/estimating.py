@@ -47,10 +47,10 @@ def estimate_frames(
     source: Source,
     selection: Selection,
     predictor: Predictor,
-    wanted: Callable[[str], bool] = lambda name: True,
+    selected: Callable[[str], bool] = lambda name: True,
     number: int | None = None,
 ) -> Iterator[Estimate]:
-    """Yield the depth of the frames chosen that are wanted, in their order, while a thread reads the next ones.
+    """Yield the depth of the selected frames in their order, while a thread reads the next ones.
 
     On a CPU as many frames as torch has threads, up to four, are estimated side by side.
 
@@ -58,18 +58,18 @@ def estimate_frames(
         source: of the frames.
         selection: which of them.
         predictor: of their depth.
-        wanted: asked by a frame's name before it is read, and again before it is estimated.
+        selected: asked by a frame's name before it is read, and again before it is estimated.
         number: of the frames, where that is known.
     """
 
     def estimate(frame: Frame) -> Estimate:
-        if frame.images is None or not wanted(frame.name):
+        if frame.images is None or not selected(frame.name):
             return Estimate(frame, None)
         start = time.perf_counter()
         depth = (predictor if frame.rig is None else predictor.with_changes(frame.rig))(frame.images)
         return Estimate(frame, depth, (time.perf_counter() - start) / workers)
 
-    frames = ahead(source.frames(selection, wanted), newest=source.live)
+    frames = ahead(source.frames(selection, selected), newest=source.live)
     with threads_kept() as threads:
         most = MOST_WORKERS if number is None else min(MOST_WORKERS, max(1, number))
         workers = min(threads, most) if predictor.device.type == "cpu" else 1

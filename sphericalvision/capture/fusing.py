@@ -94,9 +94,9 @@ class FusedCloud:
         rest = (places - cubes).float()
         weighted = [weights * values for values in (rest, cloud.colors.cpu(), cloud.normals.cpu())]
         sums = torch.cat((weights, *weighted, torch.zeros(len(weights), 2)), 1)
-        found, sums = _summed(_packed(cubes[within]), sums[within])
+        packed, sums = _summed(_packed(cubes[within]), sums[within])
         sums[:, CONFIRMED] = 1
-        self._cubes, self._sums = _summed(torch.cat((self._cubes, found)), torch.cat((self._sums, sums)))
+        self._cubes, self._sums = _summed(torch.cat((self._cubes, packed)), torch.cat((self._sums, sums)))
         while len(self) > MOST:
             self._coarsen()
 
@@ -106,11 +106,11 @@ class FusedCloud:
         That is of those that confirm them or see through them.
         """
         confirmed, through = self._sums[:, CONFIRMED], self._sums[:, THROUGH]
-        kept = (confirmed >= min(FEWEST, len(self.frames))) & (through <= confirmed)
-        sums, weights = self._sums[kept], self._sums[kept, :1]
-        sure = (confirmed / (confirmed + through))[kept]
+        mask = (confirmed >= min(FEWEST, len(self.frames))) & (through <= confirmed)
+        sums, weights = self._sums[mask], self._sums[mask, :1]
+        sure = (confirmed / (confirmed + through))[mask]
         return SurfacePoints(
-            self._positions()[kept], sums[:, 4:7] / weights, F.normalize(sums[:, 7:10], dim=-1), sure
+            self._positions()[mask], sums[:, 4:7] / weights, F.normalize(sums[:, 7:10], dim=-1), sure
         )
 
     def save(self, path: Path, now: bool = True) -> None:

@@ -124,8 +124,8 @@ class Panoramas:
         return as_bytes(self._panorama_of(light.corrected(self.depth.rig, self.depth.images))[0])
 
     def _panorama_of(self, images: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        there = {name: image.cpu() for name, image in images.items()}
-        return rgb_panorama(self.depth.rig.to("cpu"), there, self.height, self.panorama.depth)
+        on_cpu = {name: image.cpu() for name, image in images.items()}
+        return rgb_panorama(self.depth.rig.to("cpu"), on_cpu, self.height, self.panorama.depth)
 
     @cached_property
     def depth_picture(self) -> npt.NDArray[Any]:
@@ -295,9 +295,9 @@ class Outputs:
             for output, (name, picture_of) in _VIDEOS.items():
                 if output in self.settings.outputs:
                     if output not in self._videos:
-                        made = _Video(self.folder, self.settings.rate, self.settings.go_on, name)
-                        self._videos[output] = made
-                        self.written.append(made.path)
+                        video = _Video(self.folder, self.settings.rate, self.settings.go_on, name)
+                        self._videos[output] = video
+                        self.written.append(video.path)
                     self._videos[output].write(picture_of(panoramas))
             if "timeline" in self.settings.outputs:
                 if self._timeline is None:
@@ -384,10 +384,10 @@ class _Video:
             return
         with self._whole:
             self._writer.release()
-            there = sum(1 for _ in _frames_of(self._temporary))
-            if there != self._number:
+            number = sum(1 for _ in _frames_of(self._temporary))
+            if number != self._number:
                 raise OSError(
-                    errno.ENOSPC, f"{there} of {self._number} frames could be written", str(self.path)
+                    errno.ENOSPC, f"{number} of {self._number} frames could be written", str(self.path)
                 )
 
     def _opened(self, picture: npt.NDArray[Any]) -> cv2.VideoWriter:

@@ -56,17 +56,17 @@ def surface_points(
     grid: SphereGrid,
     inverse_depth: Float[Tensor, " V"],
     confidence: Float[Tensor, " V"],
-    kept: Bool[Tensor, " V"],
+    mask: Bool[Tensor, " V"],
     rig: CameraRig,
     images: Mapping[str, Float[Tensor, "3 _ _"]],
 ) -> SurfacePoints:
-    """Return the points of a surface around a rig that are kept, that do not hang in the air, and that have a colour.
+    """Return the points of a surface around a rig of a mask, that do not hang in the air, and that have a colour.
 
     Args:
         grid: of V directions.
         inverse_depth: 1/m, from the rig's centre.
         confidence: 0 to 1.
-        kept: which of the points count.
+        mask: True for points that count.
         rig: unbatched, on the device of the others.
         images: camera name -> ``(3, h, w)`` in [0, 1].
 
@@ -81,10 +81,10 @@ def surface_points(
     rays, faces = grid.directions.reshape(-1, 3).float(), grid_faces(grid)
     relative = rays / inverse_depth.clamp(min=1e-6)[:, None]
     normals = surface_normals(relative, faces)
-    kept = kept & ~hangs_between(inverse_depth, rays, faces)
-    points = relative[kept] + rig.center.to(relative)
+    mask = mask & ~hangs_between(inverse_depth, rays, faces)
+    points = relative[mask] + rig.center.to(relative)
     colors, seen = point_colors(rig, images, points)
-    return SurfacePoints(points[seen], colors.T[seen], normals[kept][seen], confidence[kept][seen])
+    return SurfacePoints(points[seen], colors.T[seen], normals[mask][seen], confidence[mask][seen])
 
 
 def grid_faces(grid: SphereGrid) -> Int[Tensor, "F 3"]:
@@ -210,8 +210,8 @@ def distance_along(
         """The share of the way to the surface that is left ``(*k, n)``: negative behind it, NaN where unknown."""
         points = (start + distances[..., None] * rays[which]).reshape(-1, 3)
         norm = points.norm(dim=-1)
-        left = 1 - norm * inverse_depth(points / norm.clamp(min=1e-9)[:, None])
-        return left.view(distances.shape)
+        share = 1 - norm * inverse_depth(points / norm.clamp(min=1e-9)[:, None])
+        return share.view(distances.shape)
 
     nearest = max(min_depth - float(start.norm()), 0.05 * min_depth)
     steps = 1 / torch.linspace(1 / nearest, 1 / (FARTHEST * min_depth), STEPS, dtype=torch.float64)
@@ -230,14 +230,14 @@ def distance_along(
         which, hit = met.int().argmax(0) + first, met.any(0)
         low[waiting[hit]], high[waiting[hit]] = steps[which[hit] - 1], steps[which[hit]]
         waiting, in_front, first = waiting[~hit], (ahead[-1] > 0)[~hit], last
-    found = high.isfinite().nonzero()[:, 0]
-    near, far = low[found], high[found]
+    hits = high.isfinite().nonzero()[:, 0]
+    near, far = low[hits], high[hits]
     for _ in range(HALVINGS):
         middle = _between(near, far)
-        front = front_of(middle, found) > 0
+        front = front_of(middle, hits) > 0
         near, far = torch.where(front, middle, near), torch.where(front, far, middle)
     distance = rays.new_full((len(rays),), math.nan)
-    distance[found] = _between(near, far)
+    distance[hits] = _between(near, far)
     return distance
 
 

@@ -294,5 +294,5 @@ def checked_device(device: torch.device | str) -> torch.device:
     try:
         return torch.empty(0, device=device).device
     except (RuntimeError, AssertionError, TypeError):
-        there = "'cpu' or 'cuda'" if torch.cuda.is_available() else "'cpu', the only one of this machine"
-        raise ArgumentError(f"device: expected {there}, got {device!r}") from None
+        choices = "'cpu' or 'cuda'" if torch.cuda.is_available() else "'cpu', the only one of this machine"
+        raise ArgumentError(f"device: expected {choices}, got {device!r}") from None

@@ -98,10 +98,10 @@ class RigTurns(NamedTuple):
             return f"could not tell whether the calibration is right, because {self.reason}"
         if not self.turned:
             return f"finds the calibration right: no camera is turned by more than {math.degrees(self.within):.2f}°"
-        found = zip(self.rig.names, self.turns.norm(dim=-1).tolist(), self.spread.tolist(), strict=True)
+        estimates = zip(self.rig.names, self.turns.norm(dim=-1).tolist(), self.spread.tolist(), strict=True)
         which = ", ".join(
             f"{name} by {math.degrees(angle):.2f}° ± {math.degrees(spread):.2f}°"
-            for name, angle, spread in found
+            for name, angle, spread in estimates
             if name in self.turned
         )
         before, after = self.agreement
@@ -168,25 +168,25 @@ def align_rig(predictor: Predictor, frames: Iterable[Mapping[str, Any]]) -> RigT
     return verdict._replace(rig=better, turned=names)
 
 
-def _doubt(found: RigTurns, sure: bool, latest: float) -> str:
+def _doubt(verdict: RigTurns, sure: bool, latest: float) -> str:
     """Why nothing can be told; empty if something can."""
-    if found.agreement[0] < LEAST_AGREEMENT:
+    if verdict.agreement[0] < LEAST_AGREEMENT:
         return "images of different cameras show nothing in common; are they of one moment, and of these cameras?"
-    farthest = found.rig.names[int(found.turns.norm(dim=-1).argmax())]
-    if _largest(found) > MOST or latest > MOST_LEFT:
+    farthest = verdict.rig.names[int(verdict.turns.norm(dim=-1).argmax())]
+    if _largest(verdict) > MOST or latest > MOST_LEFT:
         return f"{farthest} seems to be turned by more than can be found; calibrate it anew"
-    if found.spread.max() < DOUBT and (sure or found.within < ENOUGH):
+    if verdict.spread.max() < DOUBT and (sure or verdict.within < ENOUGH):
         return ""
-    doubtful = found.rig.names[int((found.turns.norm(dim=-1) + 2 * found.spread).argmax())]
-    apart = len(found.rig) == 2 and _told_of_two(found.rig) < TOLD_OF_TWO / 2
+    doubtful = verdict.rig.names[int((verdict.turns.norm(dim=-1) + 2 * verdict.spread).argmax())]
+    apart = len(verdict.rig) == 2 and _told_of_two(verdict.rig) < TOLD_OF_TWO / 2
     more = "more frames, with more texture where cameras overlap, say more"
     if apart:
         more = "of two cameras that look apart, turns look like depth; calibrate them with a board"
-    return f"{doubtful} could be turned by up to {math.degrees(found.within):.2f}°; {more}"
+    return f"{doubtful} could be turned by up to {math.degrees(verdict.within):.2f}°; {more}"
 
 
-def _largest(found: RigTurns) -> float:
-    return float(found.turns.norm(dim=-1).max())
+def _largest(verdict: RigTurns) -> float:
+    return float(verdict.turns.norm(dim=-1).max())
 
 
 def _pixel(rig: CameraRig) -> float:
@@ -211,15 +211,15 @@ def _estimated(depths: Sequence[Depth]) -> RigTurns:
         directions = icosphere_vertices(level, torch.float32, rig.world_from_camera.device)
         estimates = [_along(depth, directions) for depth in depths]
         inverse_depth, weights = (torch.stack(values) for values in zip(*estimates, strict=True))
-        found = align_rig_direct(
+        alignment = align_rig_direct(
             better, images, directions, inverse_depth, weights, pixel=pixel, blur=blur, iterations=iterations
         )
-        better = found.rig
-        agreements.append(found.agreement)
+        better = alignment.rig
+        agreements.append(alignment.agreement)
     bias = _pixel(rig) * BIAS
     if len(rig) == 2:
         bias = _pixel(rig) * BIAS_OF_TWO * max(1.0, math.sqrt(TOLD_OF_TWO / _told_of_two(rig)))
-    spread = (found.spread.double().square() + bias**2).sqrt()
+    spread = (alignment.spread.double().square() + bias**2).sqrt()
     return RigTurns(rig, about_most(_between(rig, better)), spread, agreement=agreements[0])
 
 

@@ -127,15 +127,15 @@ def find_own_body(
         raise ArgumentError(f"margin: expected 0 or more pixels, got {margin}")
     small = rig.resized({name: _small_size(camera.image_size) for name, camera in rig.cameras.items()})
     cameras = {name: _CameraEdges(small, name) for name in rig.names}
-    kept = _keep(rig, cameras, frames)
-    views = _different(kept, cameras, OTHER_VIEW)
+    samples = _samples(rig, cameras, frames)
+    views = _different(samples, cameras, OTHER_VIEW)
     if len(views) < FEWEST:
-        told = f"{len(views)} different view(s) of {len(kept)} frame(s), at least {FEWEST} are needed"
-        return _nothing(rig, len(views), f"{told}: the rig must move")
-    places = len(_different(kept, cameras, OTHER_PLACE))
+        number = f"{len(views)} different view(s) of {len(samples)} frame(s), at least {FEWEST} are needed"
+        return _nothing(rig, len(views), f"{number}: the rig must move")
+    places = len(_different(samples, cameras, OTHER_PLACE))
     if places < FEWEST_PLACES:
-        told = f"half of the images changed {places - 1} time(s), at least {FEWEST_PLACES - 1} are needed"
-        return _nothing(rig, len(views), f"{told}: the rig must move farther, and turn")
+        number = f"half of the images changed {places - 1} time(s), at least {FEWEST_PLACES - 1} are needed"
+        return _nothing(rig, len(views), f"{number}: the rig must move farther, and turn")
     for name, view in cameras.items():
         view.look(np.stack([images[name] for images in views]))
     edges = {name: view.edges & ~_far(small, cameras, name) for name, view in cameras.items()}
@@ -143,8 +143,8 @@ def find_own_body(
     seen = sum(int(view.seen.sum()) for view in cameras.values())
     covered = sum(int(body.sum()) for body in bodies.values())
     if covered > TOO_MUCH * seen:
-        told = f"{100 * covered / seen:.0f} % of the images stand still"
-        return _nothing(rig, len(views), f"{told}: the rig must move farther, and turn")
+        number = f"{100 * covered / seen:.0f} % of the images stand still"
+        return _nothing(rig, len(views), f"{number}: the rig must move farther, and turn")
     masks, shares = {}, {}
     for name, body in bodies.items():
         size = rig.cameras[name].image_size
@@ -216,8 +216,8 @@ class _CameraEdges:
     def _noise(self, frames: Floats) -> float:
         """Mean deviation of gradients of smooth images that noise alone would make (Immerkær's estimate of noise)."""
         kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-        found = [float(np.median(abs(cv2.filter2D(f, cv2.CV_32F, kernel))[self.inside])) for f in frames]
-        deviation = 1.4826 / 6 * float(np.median(found))
+        medians = [float(np.median(abs(cv2.filter2D(f, cv2.CV_32F, kernel))[self.inside])) for f in frames]
+        deviation = 1.4826 / 6 * float(np.median(medians))
         return math.sqrt(math.pi / 2) * deviation / (SMOOTH**2 * math.sqrt(8 * math.pi))
 
     def grown(self, edges: Bools, margin: int) -> Bools:
@@ -289,30 +289,30 @@ def _likeness(one: Floats, other: Floats) -> Floats:
     return likeness
 
 
-def _keep(
+def _samples(
     rig: CameraRig, cameras: Mapping[str, _CameraEdges], frames: Iterable[Mapping[str, Tensor]]
 ) -> list[dict[str, Floats]]:
     """Small grey images of up to ``MOST`` frames: every one, then every second one, every fourth, and so on."""
-    kept: list[dict[str, Floats]] = []
+    samples: list[dict[str, Floats]] = []
     step = 1
     for number, images in enumerate(frames):
         check_images_of(rig, images, "frames", "(c, h, w)")
         if number % step:
             continue
-        if len(kept) == MOST:
-            kept, step = kept[::2], 2 * step
+        if len(samples) == MOST:
+            samples, step = samples[::2], 2 * step
             if number % step:
                 continue
-        kept.append({name: view.grey(images[name]) for name, view in cameras.items()})
-    return kept
+        samples.append({name: view.grey(images[name]) for name, view in cameras.items()})
+    return samples
 
 
 def _different(
-    kept: list[dict[str, Floats]], cameras: Mapping[str, _CameraEdges], share: float
+    samples: list[dict[str, Floats]], cameras: Mapping[str, _CameraEdges], share: float
 ) -> list[dict[str, Floats]]:
     """The frames of which such a share of pixels has changed since the last one of them."""
     views: list[dict[str, Floats]] = []
-    for images in kept:
+    for images in samples:
         if views:
             changed = [
                 (abs(cv2.GaussianBlur(images[name] - views[-1][name], (0, 0), SMOOTH)) > CHANGED)[view.inside]
@@ -349,18 +349,18 @@ def _gradients(images: Iterable[Floats]) -> tuple[Floats, Floats]:
 def _hysteresis(values: Floats, low: float, high: float) -> Bools:
     """What is above ``low`` and connected with something above ``high``."""
     count, labels = cv2.connectedComponents((values > low).astype(np.uint8))
-    kept = np.zeros(count, bool)
-    kept[np.unique(labels[values > high])] = True
-    kept[0] = False
-    return np.asarray(kept[labels])
+    selected = np.zeros(count, bool)
+    selected[np.unique(labels[values > high])] = True
+    selected[0] = False
+    return np.asarray(selected[labels])
 
 
 def _without_small(parts: Bools, size: float, connectivity: int = 8) -> Bools:
     """Connected parts of at least so many pixels."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(parts.astype(np.uint8), connectivity=connectivity)
-    kept = stats[:, cv2.CC_STAT_AREA] >= size
-    kept[0] = False
-    return np.asarray(kept[labels])
+    selected = stats[:, cv2.CC_STAT_AREA] >= size
+    selected[0] = False
+    return np.asarray(selected[labels])
 
 
 def _dilated(mask: Bools, radius: int) -> Bools:

@@ -190,8 +190,8 @@ class Compensator:
 
     def light(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> PhotometricCalibration | None:
         """Return how exposure and vignetting of the cameras differ, None where the difference is negligible."""
-        found = self._photometer(images)
-        return found if found.strength - SURE * found.spread > LEAST_LIGHT else None
+        calibration = self._photometer(images)
+        return calibration if calibration.strength - SURE * calibration.spread > LEAST_LIGHT else None
 
     def evened(
         self, images: Mapping[str, Float[Tensor, "*batch c _ _"]], light: PhotometricCalibration | None
@@ -297,13 +297,13 @@ def _noise(image: Tensor, inside: np.ndarray | None) -> float:
     step = max(1, round(image.numel() / MOST_SAMPLES))
     above, middle, below = (image[:, start : height - 2 + start : step].float() for start in range(3))
     down = above - 2 * middle + below
-    left = down[..., :-2] - 2 * down[..., 1:-1] + down[..., 2:]
+    second = down[..., :-2] - 2 * down[..., 1:-1] + down[..., 2:]
     values = middle[..., 1:-1]
     shown = (values > DARKEST) & (values < BRIGHTEST)
     if inside is not None:
         shown &= torch.from_numpy(inside[1 : height - 1 : step, 1:-1]).to(shown.device)
     if not shown.any():
         return 0.0
-    return float(left[shown].abs().median()) / (
+    return float(second[shown].abs().median()) / (
         6 * 0.6745
     )  # by the differences' norm; of a Gaussian's median

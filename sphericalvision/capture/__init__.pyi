@@ -7,8 +7,6 @@ from .calibrating.calibrate import calibrate_rig as calibrate_rig
 from .calibrating.direct_alignment import align_rig_direct as align_rig_direct
 from .calibrating.refine import refine as refine
 from .calibrating.refine import refine_rig as refine_rig
-from .depth import Depth as Depth
-from .depth import DepthImage as DepthImage
 from .predictor import Predictor as Predictor
 from .preparation.alignment import align_rig as align_rig
 from .preparation.own_body import OwnBody as OwnBody
@@ -20,3 +18,5 @@ from .preparation.photometry import (
     calibrate_photometry as calibrate_photometry,
 )
 from .preparation.preparation import Preparation as Preparation
+from .result import Depth as Depth
+from .result import DepthImage as DepthImage

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.depth import Depth
+from sphericalvision.capture.result import Depth
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere.intake import Intake

@@ -14,8 +14,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import torch
 
-from sphericalvision.capture.depth import Depth
 from sphericalvision.capture.predictor import Predictor
+from sphericalvision.capture.result import Depth
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
 
 __all__ = ["Behind", "Estimate", "ahead", "estimate_frames", "side_by_side", "threads_kept"]

@@ -19,8 +19,8 @@ from torch.func import functional_call
 from torch.fx import GraphModule, Interpreter, Node
 from torch.utils import _pytree
 
-from sphericalvision.capture.depth import positive
 from sphericalvision.capture.predictor import Predictor
+from sphericalvision.capture.result import positive
 from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, recording
 from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.sphere import Equirectangular

@@ -13,8 +13,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.capture.depth import DepthImage
 from sphericalvision.capture.points import SurfacePoints
+from sphericalvision.capture.result import DepthImage
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import atomic_write
 from sphericalvision.sphere import Equirectangular

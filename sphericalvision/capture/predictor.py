@@ -17,7 +17,6 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
-from sphericalvision.capture.depth import Depth
 from sphericalvision.capture.pipeline import Pipeline
 from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
@@ -28,6 +27,7 @@ from sphericalvision.capture.preparation.nearest import (
     nearest_hypothesis,
 )
 from sphericalvision.capture.preparation.preparation import Preparation
+from sphericalvision.capture.result import Depth
 from sphericalvision.core import ArgumentError, check_choice, check_type
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep

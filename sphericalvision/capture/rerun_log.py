@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import torch
 
-from sphericalvision.capture.depth import Depth
+from sphericalvision.capture.result import Depth
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import as_bytes

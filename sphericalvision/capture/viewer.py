@@ -21,7 +21,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
-from sphericalvision.capture.depth import Depth
+from sphericalvision.capture.result import Depth
 from sphericalvision.io.files import write_bytes
 from sphericalvision.io.images import as_bytes
 from sphericalvision.sweep import index_from_depth

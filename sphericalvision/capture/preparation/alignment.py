@@ -16,9 +16,9 @@ from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.capture.calibrating.direct_alignment import align_rig_direct
 from sphericalvision.capture.calibrating.turns import about_most, turned
 from sphericalvision.capture.checks import pose_agreement
-from sphericalvision.capture.depth import Depth
 from sphericalvision.capture.preparation.photometry import averaged, reduced_rig
 from sphericalvision.capture.preparation.preparation import denoised
+from sphericalvision.capture.result import Depth
 from sphericalvision.geometry.transforms import axis_angle_from_transform, invert_transform
 from sphericalvision.icosphere import icosphere_vertices
 

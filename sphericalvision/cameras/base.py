@@ -39,7 +39,7 @@ from sphericalvision.core import (
     check_last_dim,
     check_tensor,
 )
-from sphericalvision.geometry.directions import broadcast_shapes, components
+from sphericalvision.geometry.directions import broadcast_shapes, components, moderate_lengths
 from sphericalvision.geometry.lookup import bilinear_sample
 
 __all__ = ["Camera", "Conversion", "Projection", "Unprojection", "check_single"]
@@ -255,7 +255,8 @@ class Camera:
     def project(self, points: Float[Tensor, "*points 3"]) -> Projection:
         """Pixels (*, 2) of ``points`` (*, 3) in the camera's frame, of any length.
 
-        Valid means: not the camera centre, within ``max_angle``, where the model is defined, and inside the image.
+        Valid means: neither the camera centre nor at infinity, within ``max_angle``, where the model is defined, and
+        inside the image.
 
         Raises:
             ShapeError: ``points`` is not (*, 3), or does not start with the camera's batch dimensions.
@@ -263,6 +264,7 @@ class Camera:
         check_last_dim("points", points, 3)
         points = at_least_float32("points", points)
         points = torch.stack(points.unbind(-1)).movedim(0, -1)  # with contiguous components
+        points = moderate_lengths(points)
         pixels, valid = self._project(points)
         return Projection(pixels, valid & self._within_max_angle(points) & self.contains(pixels))
 

@@ -27,7 +27,7 @@ from sphericalvision.core import (
     check_tensor,
     short_repr,
 )
-from sphericalvision.geometry.directions import has_numbers, holds
+from sphericalvision.geometry.directions import has_numbers, holds, moderate_lengths
 
 __all__ = [
     "HALF",
@@ -65,7 +65,9 @@ def at_least_float32(name: str, values: Shaped[Tensor, "*batch"]) -> Float[Tenso
 
 
 def model_function(function: AnyFunction) -> AnyFunction:
-    """Decorate a function of ``points`` (*, 3) or ``pixels`` (*, 2) and intrinsics, so that it gets no half precision.
+    """Decorate a function of ``points`` (*, 3) or ``pixels`` (*, 2) and intrinsics.
+
+    It gets no half precision, and no points so long or so short that their squares overflow or vanish.
 
     It then raises ``ShapeError`` where the last dimension is another one, and ``ArgumentError`` for
     integers and for lists in place of tensors.
@@ -77,14 +79,15 @@ def model_function(function: AnyFunction) -> AnyFunction:
     def checked(*arguments: Any, **options: Any) -> Any:
         values: Any = arguments[0] if arguments else options.get(names[0])
         check_last_dim(names[0], values, size)
-        at_least_float32(names[0], values)
+        values = at_least_float32(names[0], values)
+        values = moderate_lengths(values) if size == 3 else values
         for name, value in zip(names, arguments, strict=False):
             if isinstance(value, list | tuple) and name not in _PAIRS:  # would be indexed as tensors are
                 check_tensor(name, value, "(*,) or (*, n)")
-        return function(
-            *(_raised(value) for value in arguments),
-            **{key: _raised(value) for key, value in options.items()},
-        )
+        options = {key: _raised(value) for key, value in options.items()}
+        if not arguments:
+            return function(**options | {names[0]: values})
+        return function(values, *(_raised(value) for value in arguments[1:]), **options)
 
     return checked  # type: ignore[return-value]
 

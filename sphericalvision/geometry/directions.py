@@ -30,6 +30,7 @@ __all__ = [
     "holds",
     "lifted_radius",
     "longitude_latitude_from_directions",
+    "moderate_lengths",
     "normalize",
     "safe_hypot",
     "safe_sqrt",
@@ -165,6 +166,32 @@ def lifted_radius(
     return torch.addcmul(squared, along, along, value=lift * lift).sqrt()
 
 
+def moderate_lengths(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """``points`` (*, 3) with those scaled to a length around 1 whose squares or products could overflow or vanish.
+
+    All others, between 0.01 mm and three million kilometres, are handed on as they are, to the last bit. A zero vector
+    stays zero; infinite ones become NaN, because nobody knows where they point.
+
+    Examples:
+        >>> moderate_lengths(torch.tensor([[3.0, 0.0, 4.0], [3e30, 0.0, 4e30], [3e-30, 0.0, 4e-30]])).tolist()[1:]
+        [[0.75, 0.0, 1.0], [0.75, 0.0, 1.0]]
+    """
+    x, y, z = components(points.detach())
+    squared = torch.addcmul(torch.addcmul(x * x, y, y), z, z)
+    shortest, longest = 1e-10, 1e19
+    if (
+        points.device.type == "cpu" and has_numbers(points) and points.numel()
+    ):  # elsewhere nobody waits for the answer
+        least, most = squared.aminmax()
+        if bool(least > shortest) and bool(most < longest):
+            return points
+    moderate = (squared > shortest) & (squared < longest)
+    largest = torch.maximum(torch.maximum(x.abs(), y.abs()), z.abs())
+    tiny = torch.finfo(points.dtype).tiny  # the reciprocals of still shorter ones are infinite
+    scale = torch.where(moderate | (largest == 0), 1.0, largest.clamp_min(tiny).reciprocal())
+    return points * scale.unsqueeze(-1)
+
+
 def normalize(vectors: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
     """Scale ``vectors`` (*, 3) to unit length; a zero vector stays zero.
 
@@ -176,7 +203,8 @@ def normalize(vectors: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
     check_floating("vectors", vectors)
     x, y, z = components(vectors)
     largest = torch.maximum(torch.maximum(x.detach().abs(), y.detach().abs()), z.detach().abs())
-    scale = (largest + (largest == 0)).reciprocal()  # so that squares neither overflow nor vanish
+    largest = (largest + (largest == 0)).clamp_min(torch.finfo(vectors.dtype).tiny)
+    scale = largest.reciprocal()  # so that squares neither overflow nor vanish
     x, y, z = x * scale, y * scale, z * scale
     shrink = (x * x + y * y + z * z).clamp_min(0.5).rsqrt()
     return from_components(x * shrink, y * shrink, z * shrink)
@@ -246,7 +274,7 @@ def longitude_latitude_from_directions(
     """
     check_last_dim("directions", directions, 3)
     check_floating("directions", directions)
-    x, y, z = components(directions)
+    x, y, z = components(moderate_lengths(directions))
     tiny = torch.finfo(z.dtype).tiny ** 0.5
     squared = torch.addcmul(x * x, z, z)
     away = squared > torch.finfo(y.dtype).eps * y * y

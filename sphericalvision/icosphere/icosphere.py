@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim, check_tensor
-from sphericalvision.geometry.directions import check_directions
+from sphericalvision.geometry.directions import check_directions, moderate_lengths
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere.adjacency import icosphere_edges, icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
@@ -132,7 +132,7 @@ class Icosphere(nn.Module):
         """
         check_directions(directions)
         ids, _ = locate(directions, self.level)
-        unit = torch.nn.functional.normalize(directions, dim=-1)
+        unit = torch.nn.functional.normalize(moderate_lengths(directions), dim=-1)
         distances = (self.vertices[ids] - unit[..., None, :]).square().sum(-1)
         return ids.gather(-1, distances.argmin(-1, keepdim=True)).squeeze(-1)
 

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim, is_recording, uses_reference_kernels
+from sphericalvision.geometry.directions import moderate_lengths
 from sphericalvision.icosphere.descent import barycentric_weights, convex, descend
 from sphericalvision.icosphere.fast.triangle_table import (
     coefficients,
@@ -133,7 +134,7 @@ def locate(
 
     Returns:
         Vertex ids ``(*, 3)``, counter-clockwise seen from outside, and weights ``(*, 3)``. A direction of
-        zero length or with a NaN has valid ids and NaN weights.
+        zero length, or one that is not finite, has valid ids and NaN weights.
 
     Raises:
         ShapeError: if the last dimension is not 3.
@@ -156,6 +157,7 @@ def locate(
         )
     check_level(level)
     flat = directions.reshape(-1, 3).to(torch.promote_types(directions.dtype, torch.float32))
+    flat = moderate_lengths(flat)
     # A table of all triangles pays for many directions; fewer of them descend.
     if len(flat) >= 2 * num_icosphere_vertices(level) and fast_wing_open():
         ids, weights = _locate_in_chunks(flat, level)

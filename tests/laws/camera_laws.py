@@ -167,14 +167,26 @@ def law_directions_are_unit(camera: Camera) -> None:
 
 
 def law_length_does_not_matter(camera: Camera) -> None:
-    """A point at any distance on a ray has the ray's pixel and validity."""
+    """A point at any distance on a ray has the ray's pixel and validity, as far as its numbers can be held."""
     tolerance = pixel_precision(camera)
     directions = directions_within(camera, fraction=0.98)
     near, near_valid = camera.project(directions)
-    for distance in (1e-3, 7.0, 1e4):
+    limits = torch.finfo(camera.dtype)
+    powers = torch.cat((torch.linspace(-35.0, 37.0, 37), torch.tensor([-5.5, -5.0, -4.5, -4.0, 9.5, 10.0])))
+    distances = [*(10.0**powers).tolist(), limits.tiny**0.95, limits.max / 2]
+    for distance in distances:
         far, far_valid = camera.project(distance * directions)
         hold_everywhere((far - near).abs().amax(-1) <= tolerance, directions, f"equal at {distance} m")
         assert (far_valid == near_valid).float().mean() > 0.99  # rounding may flip a point on the border
+
+
+def law_nothing_at_infinity_is_seen(camera: Camera) -> None:
+    """Where it lies nobody knows: a component may be finite or not."""
+    inf = math.inf
+    points = torch.tensor(
+        [[inf, 0.0, 1.0], [0.0, 0.0, inf], [0.0, -inf, 0.0], [inf, inf, inf]], dtype=camera.dtype
+    )
+    hold_everywhere(~camera.project(points).valid, points, "nothing at infinity is seen")
 
 
 def pixels_outside(camera: Camera) -> Tensor:

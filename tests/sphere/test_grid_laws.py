@@ -79,11 +79,12 @@ def test_interpolation_is_convex(name: str, count: int) -> None:
     assert grid.sample(values, directions).nan_to_num().min() >= 0
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("kind", [torch.float32, DOUBLE])
 @pytest.mark.parametrize("name", NAMES)
-def test_nan_is_nan_or_refused(name: str, kind: torch.dtype) -> None:
+def test_what_is_not_finite_is_nan_or_refused(name: str, kind: torch.dtype, value: float) -> None:
     grid = make(name).to(kind)  # type: ignore[attr-defined]
-    bad = torch.eye(3, dtype=kind).masked_fill(torch.eye(3, dtype=torch.bool), torch.nan)
+    bad = torch.eye(3, dtype=kind).masked_fill(torch.eye(3, dtype=torch.bool), value)
     directions = torch.cat((bad + grid.directions.reshape(-1, 3)[:3], grid.directions.reshape(-1, 3)[3:5]))
     found = grid.sample(torch.ones(2, *grid.shape, dtype=kind), directions)
     assert found.isnan().tolist() == [[True] * 3 + [False] * 2] * 2
@@ -95,6 +96,26 @@ def test_nan_is_nan_or_refused(name: str, kind: torch.dtype) -> None:
     for wrong in (directions, directions[3:] / 0.0):
         with pytest.raises(ArgumentError, match=r"directions: .* NaN"):
             grid.nearest(wrong)
+    if hasattr(grid, "contains"):
+        assert not grid.contains(directions[:3]).any()
+
+
+@pytest.mark.parametrize("kind", [torch.float32, DOUBLE])
+@pytest.mark.parametrize("name", NAMES)
+def test_length_does_not_matter(name: str, kind: torch.dtype) -> None:
+    """Directions may have any length that a number can."""
+    grid = make(name).to(kind)  # type: ignore[attr-defined]
+    directions = spread_directions(500).to(kind)
+    values = torch.rand(1, *grid.shape, generator=torch.Generator().manual_seed(0)).to(kind)
+    expected, nearest = grid.sample(values, directions), grid.nearest(directions)
+    limits = torch.finfo(kind)
+    for length in (4 * limits.tiny, 1e-30, 1e-20, 1e-13, 1e-9, 1e-5, 1e4, 1e10, 1e19, 1e30, limits.max / 4):
+        scaled = directions * length
+        found = grid.sample(values, scaled)
+        # To about the twentieth of a cell: close to a pole the last digit of a component turns the longitude.
+        torch.testing.assert_close(found, expected, rtol=0, atol=0.05, equal_nan=True)
+        assert (found - expected).abs().nanmean() < 1e-4
+        assert (grid.nearest(scaled) == nearest).float().mean() > 0.99
 
 
 @pytest.mark.parametrize("mode", ["bilinear", "nearest", "area"])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -112,6 +113,34 @@ def test_convention_healpix_numbers_are_healpys() -> None:
     by_pixel = dict(zip(ids[1].tolist(), weights[1].tolist(), strict=True))
     at_the_pole = {3: 0.12773877, 0: 0.12773877, 1: 0.41634407, 2: 0.32817838}
     assert by_pixel == pytest.approx(at_the_pole, abs=1e-8)
+
+
+INTEGERS = [torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64]
+
+
+@pytest.mark.parametrize("dtype", INTEGERS)
+@pytest.mark.parametrize("renumbered", [ring_from_nested, nested_from_ring])
+def test_numbers_may_be_integers_of_every_type(
+    renumbered: Callable[[Tensor, int], Tensor], dtype: torch.dtype
+) -> None:
+    """The largest number that a type holds is a pixel like any other, and those between are in int64."""
+    for nside in (1, 4, 64, 2**14):
+        largest = min(torch.iinfo(dtype).max, 12 * nside**2 - 1)
+        ids = torch.tensor([0, 1, largest // 3, largest], dtype=dtype)
+        expected = renumbered(ids.long(), nside)
+        assert expected.dtype == torch.int64
+        assert torch.equal(renumbered(ids, nside), expected)
+        other = nested_from_ring if renumbered is ring_from_nested else ring_from_nested
+        assert torch.equal(other(expected, nside), ids.long())
+    if dtype.is_signed:
+        assert renumbered(torch.tensor([-1], dtype=dtype), 4).tolist() == [-1]
+
+
+@pytest.mark.parametrize("renumbered", [ring_from_nested, nested_from_ring])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bool, torch.complex64])
+def test_other_numbers_are_refused(renumbered: Callable[[Tensor, int], Tensor], dtype: torch.dtype) -> None:
+    with pytest.raises(ArgumentError, match="ids: expected integers"):
+        renumbered(torch.ones(2).to(dtype), 4)
 
 
 @pytest.mark.parametrize("nside", [1, 2, 3, 8, 64])

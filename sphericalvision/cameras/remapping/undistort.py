@@ -50,7 +50,7 @@ def undistort(
         fill: value where the image shows nothing.
         mask: ``(*b, h, w)``, usable pixels of the image.
         balance: instead of a field of view, from 0, the widest view of which the image shows every pixel, to 1, the
-            narrowest that shows all of the image (OpenCV's ``balance``); what is more than 80° off the axis, where
+            narrowest that shows all of the image; what is more than 80° off the axis, where
             perspective ends, is not asked for.
 
     Returns:

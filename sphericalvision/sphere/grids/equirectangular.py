@@ -193,7 +193,7 @@ class Equirectangular(GridModule):
         """
         check_last_dim("directions", directions, 3)
         if self.whole_sphere:
-            return torch.ones_like(directions[..., 0], dtype=torch.bool)
+            return directions.isfinite().all(-1)
         slack = 4 * torch.finfo(directions.dtype).eps
         longitude, latitude = longitude_latitude_from_directions(directions.double())
         (bottom, top), (left, right) = self.latitudes, self.longitudes

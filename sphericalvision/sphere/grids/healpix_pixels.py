@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_tensor
 from sphericalvision.geometry.directions import holds
 
 __all__ = [
@@ -56,33 +56,53 @@ _CROSSINGS = (
 def nested_from_ring(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
     """Numbers ``(*)`` in the nested order of pixels numbered ring by ring ``(*)``; -1, no pixel, stays -1.
 
+    Args:
+        ids: of any integer type.
+        nside: pixels along the side of a base face, a power of two.
+
+    Returns:
+        int64 ``(*)``.
+
     Raises:
-        ArgumentError: if nside is no power of two, or there is no such pixel.
+        ArgumentError: if nside is no power of two, ids are no integers, or there is no such pixel.
 
     Examples:
         >>> nested_from_ring(torch.arange(6), 2).tolist()
         [3, 7, 11, 15, 2, 1]
     """
-    found = nested_from_place(*place_from_ring(_checked(ids, nside), nside), nside)
-    return torch.where(ids < 0, -1, found)
+    pixels = _checked(ids, nside)
+    return torch.where(ids < 0, -1, nested_from_place(*place_from_ring(pixels, nside), nside))
 
 
 def ring_from_nested(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
     """Numbers ``(*)`` ring by ring of pixels numbered in the nested order ``(*)``; -1, no pixel, stays -1.
 
+    Args:
+        ids: of any integer type.
+        nside: pixels along the side of a base face, a power of two.
+
+    Returns:
+        int64 ``(*)``.
+
     Raises:
-        ArgumentError: if nside is no power of two, or there is no such pixel.
+        ArgumentError: if nside is no power of two, ids are no integers, or there is no such pixel.
 
     Examples:
         >>> ring_from_nested(torch.arange(4), 2).tolist()  # the four children of base face 0
         [13, 5, 4, 0]
     """
-    found = ring_from_place(*place_from_nested(_checked(ids, nside), nside), nside)
-    return torch.where(ids < 0, -1, found)
+    pixels = _checked(ids, nside)
+    return torch.where(ids < 0, -1, ring_from_place(*place_from_nested(pixels, nside), nside))
 
 
 def _checked(ids: Tensor, nside: int) -> Tensor:
-    """Numbers ``(*)`` of pixels, the first one in place of -1, or ``ArgumentError``."""
+    """Numbers ``(*)`` of pixels in int64, which holds them all, the first one in place of -1, or ``ArgumentError``."""
+    check_tensor("ids", ids, "(*)")
+    if ids.is_floating_point() or ids.is_complex() or ids.dtype == torch.bool:
+        raise ArgumentError(
+            f"ids: expected integers, got {ids.dtype}; use .long() if these are whole numbers"
+        )
+    ids = ids.long()
     if not holds((ids >= -1) & (ids < 12 * nside**2)):
         raise ArgumentError(
             f"ids: expected pixels 0 to {12 * nside**2 - 1}, or -1 for none, got {int(ids.min())} to {int(ids.max())}"

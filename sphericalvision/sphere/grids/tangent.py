@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, check_last_dim, full_precision
-from sphericalvision.geometry.directions import check_directions
+from sphericalvision.geometry.directions import check_directions, moderate_lengths
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere.grids.base import GridModule, check_cells, check_positive, check_values
@@ -138,6 +138,7 @@ class TangentImages(GridModule):
             (3, tensor([4., 4.]))
         """
         check_last_dim("directions", directions, 3)
+        directions = moderate_lengths(directions)
         patch = _face_containing(directions.detach(), self.base_level)
         frames = _frames(self.base_level, directions.device).to(directions)
         x, y, z = (directions.unsqueeze(-2) @ frames[patch]).squeeze(-2).unbind(-1)

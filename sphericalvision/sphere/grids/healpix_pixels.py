@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_tensor
@@ -53,7 +53,7 @@ _CROSSINGS = (
 )
 
 
-def nested_from_ring(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
+def nested_from_ring(ids: Integer[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
     """Numbers ``(*)`` in the nested order of pixels numbered ring by ring ``(*)``; -1, no pixel, stays -1.
 
     Args:
@@ -74,7 +74,7 @@ def nested_from_ring(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*ba
     return torch.where(ids < 0, -1, nested_from_place(*place_from_ring(pixels, nside), nside))
 
 
-def ring_from_nested(ids: Int[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
+def ring_from_nested(ids: Integer[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
     """Numbers ``(*)`` ring by ring of pixels numbered in the nested order ``(*)``; -1, no pixel, stays -1.
 
     Args:

@@ -114,7 +114,7 @@ def _open_single(camera: Camera, keys: Mapping[str, Any]) -> Source:
     single = rig_for_images(single, source.sizes())
     size = single.cameras[NAME].image_size
     masks = [read_mask(file, size, "the mask") for file in files]
-    source.rig = CameraRig(single.cameras, single.world_from_camera, dict(zip([NAME], masks, strict=False)))
+    source.rig = single.replaced(masks=dict(zip([NAME], masks, strict=False)))
     return source
 
 
@@ -148,4 +148,4 @@ def with_own_body_masked(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]])
     found = find_own_body(rig, frames)
     for line in found.described():
         print(line)
-    return CameraRig(rig.cameras, rig.world_from_camera, found.masks)
+    return rig.replaced(masks=found.masks)

@@ -55,7 +55,7 @@ def convert(config: DictConfig) -> dict[str, Conversion]:
     path = Path(config.output)
     path.parent.mkdir(parents=True, exist_ok=True)
     if isinstance(found, CameraRig) and config.camera is None:
-        save_rig(CameraRig(new, found.world_from_camera, found.masks), path, config.format)
+        save_rig(found.replaced(new), path, config.format)
     elif len(new) == 1:
         save_camera(next(iter(new.values())), path, config.format)
     else:

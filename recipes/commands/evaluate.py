@@ -13,7 +13,6 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.capture.preparation.own_body import MOST
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
@@ -104,7 +103,7 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> Table:
                 config.min_confidence,
                 evaluation.min_depth,
                 evaluation.preparation,
-                lambda rig: CameraRig(rig.cameras, rig.world_from_camera, masks or rig.masks),
+                lambda rig: rig.replaced(masks=masks or rig.masks),
             )
         ]
     if config.baselines:

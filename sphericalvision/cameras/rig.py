@@ -163,7 +163,27 @@ class CameraRig:
             device, dtype = None, device
         cameras = {name: camera.to(device, dtype) for name, camera in self.cameras.items()}
         masks = {name: mask.to(device) for name, mask in self.masks.items()}
-        return CameraRig(cameras, self.world_from_camera.to(device, dtype), masks, self.around)
+        return self.replaced(cameras, self.world_from_camera.to(device, dtype), masks)
+
+    def replaced(
+        self,
+        cameras: Mapping[str, Camera] | None = None,
+        world_from_camera: Float[Tensor, "*rigs n 4 4"] | None = None,
+        masks: Mapping[str, Bool[Tensor, " ..."]] | None = None,
+    ) -> CameraRig:
+        """The rig with other cameras of the same names, other poses or other masks; all else stays.
+
+        Examples:
+            >>> rig = ring_rig(2)
+            >>> rig.replaced(world_from_camera=rig.camera_from_world).positions[0]
+            tensor([0.0000, 0.0000, -0.2000])
+        """
+        return CameraRig(
+            self.cameras if cameras is None else cameras,
+            self.world_from_camera if world_from_camera is None else world_from_camera,
+            self.masks if masks is None else masks,
+            self.around,
+        )
 
     def subset(self, which: Sequence[str | int]) -> CameraRig:
         """The rig with only these cameras, by name or index, in this order.
@@ -228,7 +248,7 @@ class CameraRig:
             turn = torch.eye(4, dtype=poses.dtype, device=poses.device).repeat(*rotation.shape[:-2], 1, 1)
             turn[..., :3, :3] = rotation.to(poses)
             poses = turn[..., None, :, :] @ poses
-        return CameraRig(self.cameras, poses, self.masks, self.around)
+        return self.replaced(world_from_camera=poses)
 
     def resized(self, image_size: Sequence[int] | Mapping[str, Sequence[int]]) -> CameraRig:
         """The rig of the same images after they are resized; every ray stays as it is.
@@ -252,13 +272,13 @@ class CameraRig:
             )
         cameras = {n: c.resized(sizes[n]) if n in sizes else c for n, c in self.cameras.items()}
         masks = {name: resized_mask(mask, cameras[name].image_size) for name, mask in self.masks.items()}
-        return CameraRig(cameras, self.world_from_camera, masks, self.around)
+        return self.replaced(cameras, masks=masks)
 
     def scaled(self, factor: float) -> CameraRig:
         """The rig with all positions multiplied by ``factor``; depths seen by it scale alike."""
         poses = self.world_from_camera.clone()
         poses[..., :3, 3] *= factor
-        return CameraRig(self.cameras, poses, self.masks, self.around)
+        return self.replaced(world_from_camera=poses)
 
     def select(self, index: int) -> CameraRig:
         """One rig of a batch."""
@@ -266,7 +286,7 @@ class CameraRig:
             raise ArgumentError("select: this rig has no batch dimension; its poses are (n, 4, 4)")
         cameras = {n: c.select(index) if c.batch_shape else c for n, c in self.cameras.items()}
         masks = {name: mask[index] if mask.ndim > 2 else mask for name, mask in self.masks.items()}
-        return CameraRig(cameras, self.world_from_camera[index], masks, self.around)
+        return self.replaced(cameras, self.world_from_camera[index], masks)
 
     @staticmethod
     def stack(rigs: Sequence[CameraRig]) -> CameraRig:

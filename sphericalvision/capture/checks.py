@@ -98,7 +98,7 @@ def exposure_warning(depth: Depth) -> str | None:
 
 def poses_warning(depth: Depth) -> str | None:
     """Return what to say if the images agree better with the poses taken as camera-from-world."""
-    inverse = CameraRig(depth.rig.cameras, depth.rig.camera_from_world, depth.rig.masks)
+    inverse = depth.rig.replaced(world_from_camera=depth.rig.camera_from_world)
     # Poses of a ring that looks outwards are all in one place when inverted: then they are right as they are.
     if min(float(depth.rig.radius), float(inverse.radius)) < 1e-6:
         return None

@@ -300,4 +300,4 @@ def turned_poses(rig: CameraRig, angle: float, generator: torch.Generator | None
     axes = torch.nn.functional.normalize(torch.randn(len(rig), 3, generator=generator), dim=-1)
     poses = rig.world_from_camera
     turns = transform_from_axis_angle((angle * axes).to(poses), poses.new_zeros(len(rig), 3))
-    return CameraRig(rig.cameras, poses @ turns, rig.masks)
+    return rig.replaced(world_from_camera=poses @ turns)

@@ -297,7 +297,7 @@ class WorldFrame:
         """The rig as its calibration has it, with masks where these hide its carrier."""
         _, masked = self._carried
         rig = self.posed_rig
-        return CameraRig(rig.cameras, rig.world_from_camera, self.free) if masked else rig
+        return rig.replaced(masks=self.free) if masked else rig
 
     @cached_property
     def images(self) -> Images:

@@ -116,7 +116,7 @@ def render_frame(
         name,
         dict(frame.images),
         _aligned(frame.rig, frame.images) if size.preparation.judges(frame.rig) else frame.rig,
-        CameraRig(rig.cameras, frame.posed_rig.world_from_camera, frame.free),
+        rig.replaced(world_from_camera=frame.posed_rig.world_from_camera, masks=frame.free),
         frame.inverse_depth(vertices),
         frame.inverse_depth(around),
         render_directions(frame.scene, rig.center, vertices),

@@ -89,4 +89,4 @@ def straighten_rig(rig: CameraRig) -> CameraRig:
     turns = torch.stack([found.old_from_new for found in straight.values()]).to(poses)
     poses = torch.cat((poses[:, :3, :3] @ turns, poses[:, :3, 3:]), -1)
     poses = torch.cat((poses, rig.world_from_camera[:, 3:].double()), 1).to(rig.world_from_camera.dtype)
-    return CameraRig({name: found.camera for name, found in straight.items()}, poses, rig.masks)
+    return rig.replaced({name: found.camera for name, found in straight.items()}, poses)

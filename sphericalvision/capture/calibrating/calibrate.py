@@ -172,7 +172,7 @@ def calibrate_rig(
         name: camera.with_max_angle(min(_REACH * _farthest(refined, place, pixels), float(camera.max_angle)))
         for place, (name, camera) in enumerate(refined.rig.cameras.items())
     }
-    return refined._replace(rig=CameraRig(cameras, refined.rig.world_from_camera))
+    return refined._replace(rig=refined.rig.replaced(cameras))
 
 
 def _farthest(found: RefinedRig, place: int, pixels: Tensor) -> float:

@@ -167,7 +167,7 @@ def refine_rig(
     cameras = {
         name: _finished(new, camera) for (name, camera), new in zip(rig.cameras.items(), found, strict=True)
     }
-    refined = CameraRig(cameras, poses.to(rig.world_from_camera), rig.masks)
+    refined = rig.replaced(cameras, poses.to(rig.world_from_camera))
     return RefinedRig(refined, world_from_points, bundle.all_residuals(vector), rms)
 
 

@@ -40,7 +40,7 @@ def turned(rig: CameraRig, turns: Float[Tensor, "n 3"]) -> CameraRig:
     poses[:, :3, :3] = (rotations(turns.to(poses.device, torch.float64)) @ poses[:, :3, :3].double()).to(
         poses
     )
-    return CameraRig(rig.cameras, poses, rig.masks)
+    return rig.replaced(world_from_camera=poses)
 
 
 def rightness(turns: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:

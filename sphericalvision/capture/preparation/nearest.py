@@ -132,7 +132,7 @@ def check_places(rig: CameraRig) -> None:
     """Raise ``ArgumentError`` if all cameras are in one place; poses that are inverted may be why."""
     if float(rig.radius) > 1e-6:
         return
-    other = float(CameraRig(rig.cameras, rig.camera_from_world).radius)
+    other = float(rig.replaced(world_from_camera=rig.camera_from_world).radius)
     hint = (
         f". Inverted, the poses have a radius of {other:.3f} m: the calibration seems to hold camera-from-world; "
         "CameraRig(rig.cameras, rig.camera_from_world) is the other way round"

@@ -135,7 +135,7 @@ def rig_with_masks(rig: CameraRig, masks: str) -> tuple[CameraRig, list[Path]]:
         name: read_mask(path, rig.cameras[name].image_size, f"the mask of camera {name}")
         for name, path in files.items()
     }
-    return CameraRig(rig.cameras, rig.world_from_camera, masks=usable), list(files.values())
+    return rig.replaced(masks=usable), list(files.values())
 
 
 def spread_evenly(names: list[str], number: int) -> list[str]:

@@ -97,7 +97,8 @@ def aligned(predictor: Predictor, source: Source, folder: Path, goes_on: bool) -
     if goes_on:
         if not kept.is_file():
             return predictor
-        source.rig = CameraRig(source.rig.cameras, read_rig(kept).world_from_camera, source.rig.masks)
+        turned = read_rig(kept)
+        source.rig = source.rig.replaced(world_from_camera=turned.world_from_camera, origin=turned.origin)
         return predictor.with_changes(source.rig)
     if not predictor.preparation.align:
         return predictor

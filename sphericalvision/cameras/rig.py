@@ -36,9 +36,12 @@ from sphericalvision.geometry import (
     invert_transform,
     transform_from_axis_angle,
 )
-from sphericalvision.geometry.directions import holds
+from sphericalvision.geometry.directions import has_numbers, holds
 
 __all__ = ["CameraRig", "check_images_of", "ring_rig"]
+
+FAR = 1000.0
+"""Metres from the origin up to which float32 holds a position well."""
 
 
 class CameraRig:
@@ -50,9 +53,12 @@ class CameraRig:
         masks: for some or all names, ``(*b, h, w)`` bool, True where the image is usable.
         around: names of cameras whose mean position is the centre, from which depth is measured; all when not given.
             Files do not hold it.
+        origin: ``(*b, 3)`` metres, float64: a place near the cameras in a world whose own origin is far away, such as
+            UTM's. All positions and points of the rig are as seen from there; what is written to files is in that
+            world again. Zero when not given.
 
     Raises:
-        ShapeError: if the poses do not fit the cameras, or a mask its image.
+        ShapeError: if the poses do not fit the cameras, a mask its image, or the origin the poses.
         ArgumentError: if a pose is not finite or not rigid, or a mask or ``around`` has an unknown name.
 
     Examples:
@@ -69,6 +75,7 @@ class CameraRig:
         world_from_camera: Float[Tensor, "*rigs n 4 4"],
         masks: Mapping[str, Bool[Tensor, " ..."]] | None = None,
         around: Sequence[str] | None = None,
+        origin: Float[Tensor, "*rigs 3"] | None = None,
     ) -> None:
         if isinstance(cameras, Camera):
             raise ArgumentTypeError(
@@ -97,6 +104,14 @@ class CameraRig:
         self.around = None if around is None else list(around)
         if self.around is not None and not set() < set(self.around) <= set(self.cameras):
             raise ArgumentError(f"around: expected names among {', '.join(self.names)}, got {self.around}")
+        lead = (*world_from_camera.shape[:-3], 3)
+        self.origin: Tensor = (
+            world_from_camera.new_zeros(lead, dtype=torch.float64) if origin is None else origin
+        )
+        if tuple(self.origin.shape) != lead or self.origin.dtype != torch.float64:
+            raise ShapeError(
+                f"origin: expected float64 {lead}, got {self.origin.dtype} {tuple(self.origin.shape)}"
+            )
 
     @property
     def names(self) -> list[str]:
@@ -158,20 +173,55 @@ class CameraRig:
     def to(
         self, device: torch.device | str | None = None, dtype: torch.dtype | None = None, **_: object
     ) -> CameraRig:
-        """The rig with all its tensors on another device or of another floating point type."""
+        """The rig with all its tensors on another device or of another floating point type.
+
+        Of positions that float32 would round by more than 0.06 mm, those beyond a kilometre, an ``origin`` near the
+        cameras is subtracted before.
+        """
         if isinstance(device, torch.dtype):
             device, dtype = None, device
         cameras = {name: camera.to(device, dtype) for name, camera in self.cameras.items()}
         masks = {name: mask.to(device) for name, mask in self.masks.items()}
-        return self.replaced(cameras, self.world_from_camera.to(device, dtype), masks)
+        near = self._from_near_by() if dtype == torch.float32 else self
+        return self.replaced(cameras, near.world_from_camera.to(device, dtype), masks, near.origin.to(device))
+
+    def _from_near_by(self) -> CameraRig:
+        """The rig with poses as seen from a place near the cameras, whole metres, if they are far from the origin."""
+        positions = self.positions.detach()
+        if self.world_from_camera.dtype != torch.float64 or not has_numbers(positions):
+            return self
+        if not positions.numel() or float(positions.abs().max()) <= FAR:
+            return self
+        place = positions.mean(-2).round()
+        poses = self.world_from_camera.clone()
+        poses[..., :3, 3] -= place[..., None, :]
+        return self.replaced(world_from_camera=poses, origin=self.origin + place)
+
+    def in_world(self) -> CameraRig:
+        """The rig with poses in the world of its file, float64 if these are not what they are here.
+
+        Examples:
+            >>> far = ring_rig(2).replaced(origin=torch.tensor([4e5, 0.0, 5e6]).double())
+            >>> far.positions[0].tolist()[:2], far.in_world().positions[0].tolist()[:2]
+            ([0.0, 0.0], [400000.0, 0.0])
+        """
+        if not self.origin.any():
+            return self
+        poses = self.world_from_camera.double().clone()
+        # Rounded rotations are no longer quite orthonormal, which counts where inverse poses are written.
+        left, _, right = torch.linalg.svd(poses[..., :3, :3])
+        poses[..., :3, :3] = left @ right
+        poses[..., :3, 3] += self.origin[..., None, :]
+        return self.replaced(world_from_camera=poses, origin=torch.zeros_like(self.origin))
 
     def replaced(
         self,
         cameras: Mapping[str, Camera] | None = None,
         world_from_camera: Float[Tensor, "*rigs n 4 4"] | None = None,
         masks: Mapping[str, Bool[Tensor, " ..."]] | None = None,
+        origin: Float[Tensor, "*rigs 3"] | None = None,
     ) -> CameraRig:
-        """The rig with other cameras of the same names, other poses or other masks; all else stays.
+        """The rig with other cameras of the same names, other poses, masks or origin; all else stays.
 
         Examples:
             >>> rig = ring_rig(2)
@@ -183,6 +233,7 @@ class CameraRig:
             self.world_from_camera if world_from_camera is None else world_from_camera,
             self.masks if masks is None else masks,
             self.around,
+            self.origin if origin is None else origin,
         )
 
     def subset(self, which: Sequence[str | int]) -> CameraRig:
@@ -205,9 +256,8 @@ class CameraRig:
         chosen = [names[i] for i in index]
         masks = {name: self.masks[name] for name in chosen if name in self.masks}
         around = [name for name in self.around or () if name in chosen] or None
-        return CameraRig(
-            {n: self.cameras[n] for n in chosen}, self.world_from_camera[..., index, :, :], masks, around
-        )
+        poses = self.world_from_camera[..., index, :, :]
+        return CameraRig({n: self.cameras[n] for n in chosen}, poses, masks, around, self.origin)
 
     def permuted(self, order: Sequence[int] | Int[Tensor, " n"]) -> CameraRig:
         """The rig with its cameras in another order, a permutation of 0 ... n - 1."""
@@ -242,13 +292,14 @@ class CameraRig:
         angle = torch.as_tensor(tilt, dtype=poses.dtype, device=poses.device)
         zero = torch.zeros_like(angle)
         down = transform_from_axis_angle(torch.stack((-angle, zero, zero), -1), poses.new_zeros(3))
-        poses = poses @ down
+        poses, origin = poses @ down, self.origin
         if rotation is not None:
             check_rotation("rotation", rotation)
             turn = torch.eye(4, dtype=poses.dtype, device=poses.device).repeat(*rotation.shape[:-2], 1, 1)
             turn[..., :3, :3] = rotation.to(poses)
             poses = turn[..., None, :, :] @ poses
-        return self.replaced(world_from_camera=poses)
+            origin = (rotation.to(origin) @ origin[..., None]).squeeze(-1)
+        return self.replaced(world_from_camera=poses, origin=origin)
 
     def resized(self, image_size: Sequence[int] | Mapping[str, Sequence[int]]) -> CameraRig:
         """The rig of the same images after they are resized; every ray stays as it is.
@@ -278,7 +329,7 @@ class CameraRig:
         """The rig with all positions multiplied by ``factor``; depths seen by it scale alike."""
         poses = self.world_from_camera.clone()
         poses[..., :3, 3] *= factor
-        return self.replaced(world_from_camera=poses)
+        return self.replaced(world_from_camera=poses, origin=self.origin * factor)
 
     def select(self, index: int) -> CameraRig:
         """One rig of a batch."""
@@ -286,7 +337,7 @@ class CameraRig:
             raise ArgumentError("select: this rig has no batch dimension; its poses are (n, 4, 4)")
         cameras = {n: c.select(index) if c.batch_shape else c for n, c in self.cameras.items()}
         masks = {name: mask[index] if mask.ndim > 2 else mask for name, mask in self.masks.items()}
-        return self.replaced(cameras, self.world_from_camera[index], masks)
+        return self.replaced(cameras, self.world_from_camera[index], masks, self.origin[index])
 
     @staticmethod
     def stack(rigs: Sequence[CameraRig]) -> CameraRig:
@@ -311,7 +362,8 @@ class CameraRig:
                 raise ArgumentError(f"rigs: expected the same around, got {first.around} and {rig.around}")
         cameras = {name: _stack_cameras(name, [rig.cameras[name] for rig in rigs]) for name in first.names}
         poses = torch.stack([rig.world_from_camera for rig in rigs])
-        return CameraRig(cameras, poses, stack_masks(rigs), first.around)
+        origin = torch.stack([rig.origin for rig in rigs])
+        return CameraRig(cameras, poses, stack_masks(rigs), first.around, origin)
 
     def project(self, points: Float[Tensor, "*rigs P 3"]) -> Projection:
         """Pixels ``(*b, n, P, 2)`` of points ``(P, 3)`` of the world, in metres, and which cameras see them.
@@ -436,7 +488,7 @@ class CameraRig:
         Raises:
             ArgumentError: a camera of one's own model is not registered, so that it could not be read back.
         """
-        import_module("sphericalvision.cameras.calibration.native").write_rig(self, path)
+        import_module("sphericalvision.cameras.calibration.native").write_rig(self.in_world(), path)
 
     def __repr__(self) -> str:
         kinds = {type(camera).__name__ for camera in self.cameras.values()}

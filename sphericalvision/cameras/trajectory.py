@@ -91,6 +91,7 @@ class Trajectory:
             )
         return [taken[first : first + size] for first in range(len(taken) - size + 1)]
 
+    @full_precision
     def rig(
         self, camera: Camera | CameraRig, numbers: Sequence[int], mask: Bool[Tensor, "h w"] | None = None
     ) -> CameraRig:
@@ -98,6 +99,7 @@ class Trajectory:
 
         Its cameras are called as the poses are; of a rig of several cameras ``front@12.30`` is what ``front`` was at
         the pose ``12.30``, and the centre is where the rig's was at the pose in the middle of ``numbers``.
+        If the world's origin is far away, the rig has an ``origin`` near by; see ``CameraRig``.
 
         Args:
             camera: the one that moved, or the rig, with its masks.
@@ -127,10 +129,10 @@ class Trajectory:
         middle = numbers[len(numbers) // 2]
         return CameraRig(
             {view: camera.cameras[name] for view, name in views.items()},
-            poses.flatten(0, 1).to(torch.get_default_dtype()),
+            poses.flatten(0, 1),
             {view: camera.masks[name] for view, name in views.items() if name in camera.masks},
             [called(name, middle) for name in camera.names] if len(camera) > 1 else None,
-        )
+        ).to(dtype=torch.get_default_dtype())
 
     @full_precision
     def turned(self, up: str) -> Trajectory:

@@ -13,9 +13,10 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from sphericalvision.cameras.rig import FAR
 from sphericalvision.capture.points import SurfacePoints
 from sphericalvision.capture.result import DepthImage
-from sphericalvision.core import FileFormatError
+from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.files import atomic_write
 from sphericalvision.sphere import Equirectangular
 
@@ -44,13 +45,15 @@ class FusedCloud:
     first that confirms a cube are asked whether they see through it.
 
     What is kept does not grow with the number of frames, but with the surface they have seen: 56 bytes for each cube,
-    and the names of the frames. Beyond eight million cubes their sides are doubled.
+    and the names of the frames. Beyond eight million cubes their sides are doubled, and where a frame is more than a
+    million sides away from the first one.
 
     Args:
         side: of the cubes, metres.
 
     Attributes:
         frames: names of those that are in it, in order.
+        origin: ``(3,)`` float64, from where cubes are counted: near the first frame, if the world's is far away.
 
     Examples:
         >>> rays = Equirectangular(32, 64).directions.flatten(0, 1)
@@ -66,6 +69,7 @@ class FusedCloud:
     def __init__(self, side: float) -> None:
         self.side = side
         self.frames: dict[str, None] = {}
+        self.origin = torch.zeros(3, dtype=torch.float64)
         self._cubes, self._sums = torch.zeros(0, dtype=torch.int64), torch.zeros(0, 12)
         self._written, self._took = 0.0, 0.0
 
@@ -73,7 +77,12 @@ class FusedCloud:
         return len(self._cubes)
 
     def add(
-        self, frame: str, cloud: SurfacePoints, panorama: DepthImage, center: Float[Tensor, " 3"]
+        self,
+        frame: str,
+        cloud: SurfacePoints,
+        panorama: DepthImage,
+        center: Float[Tensor, " 3"],
+        origin: Float[Tensor, " 3"] | None = None,
     ) -> None:
         """Add the points of a frame, unless it is there already.
 
@@ -82,12 +91,23 @@ class FusedCloud:
             cloud: its points in the world that all frames have in common.
             panorama: its depth, ``(h, w)``.
             center: ``(3,)``, from where the panorama looks.
+            origin: ``(3,)`` float64, from where points and centre are seen, that of the rig; the world's when not
+                given.
         """
         if frame in self.frames:
             return
+        center = center.cpu().double() + (0 if origin is None else origin.cpu())
+        if not center.isfinite().all():
+            raise ArgumentError(f"center: expected metres, got {center.tolist()}")
+        if not self.frames and center.abs().max() > FAR:
+            self.origin = center.round()
         self.frames[frame] = None
-        self._see_through(panorama, center.cpu().float())
-        places = cloud.points.cpu().double() / self.side
+        offset = -self.origin if origin is None else origin.cpu() - self.origin
+        center = center - self.origin
+        while center.abs().max() / self.side >= 2 ** (BITS - 2):
+            self._coarsen()
+        self._see_through(panorama, center)
+        places = (cloud.points.cpu().double() + offset) / self.side
         cubes = places.floor().long()
         within = (cubes.abs() < 2 ** (BITS - 1)).all(-1)
         weights = cloud.confidence.cpu().clamp(min=1e-3)[:, None]
@@ -103,15 +123,15 @@ class FusedCloud:
     def points(self) -> SurfacePoints:
         """Return the points that frames agree on; their confidence is the share of frames that confirm them.
 
-        That is of those that confirm them or see through them.
+        That is of those that confirm them or see through them. In a far world points are float64.
         """
         confirmed, through = self._sums[:, CONFIRMED], self._sums[:, THROUGH]
         mask = (confirmed >= min(FEWEST, len(self.frames))) & (through <= confirmed)
         sums, weights = self._sums[mask], self._sums[mask, :1]
         sure = (confirmed / (confirmed + through))[mask]
-        return SurfacePoints(
-            self._positions()[mask], sums[:, 4:7] / weights, F.normalize(sums[:, 7:10], dim=-1), sure
-        )
+        points = self._positions()[mask]
+        points = points + self.origin if self.origin.any() else points.float()
+        return SurfacePoints(points, sums[:, 4:7] / weights, F.normalize(sums[:, 7:10], dim=-1), sure)
 
     def save(self, path: Path, now: bool = True) -> None:
         """Write everything to an ``.npz`` file; unless ``now``, only if that takes a small share of the time."""
@@ -120,9 +140,8 @@ class FusedCloud:
             return
         with atomic_write(path) as temporary:
             frames = np.array(list(self.frames), dtype=np.str_)
-            np.savez(
-                temporary, frames=frames, cubes=self._cubes.numpy(), sums=self._sums.numpy(), side=self.side
-            )
+            arrays = {"cubes": self._cubes.numpy(), "sums": self._sums.numpy(), "origin": self.origin.numpy()}
+            np.savez(temporary, frames=frames, side=self.side, **arrays)
         self._written = time.monotonic()
         self._took = self._written - start
 
@@ -138,6 +157,8 @@ class FusedCloud:
                 fused = cls(float(arrays["side"]))
                 fused.frames = dict.fromkeys(arrays["frames"].tolist())
                 fused._cubes, fused._sums = (torch.from_numpy(arrays[name]) for name in ("cubes", "sums"))
+                if "origin" in arrays:
+                    fused.origin = torch.from_numpy(arrays["origin"])
         except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise FileFormatError(
                 f"{path}: no fused cloud ({error}); delete it to fuse all frames again"
@@ -145,12 +166,12 @@ class FusedCloud:
         return fused
 
     def _positions(self) -> Tensor:
-        """``(m, 3)`` metres, of the means in all cubes."""
+        """``(m, 3)`` metres from the origin, float64, of the means in all cubes."""
         rest = self._sums[:, 1:4] / self._sums[:, :1]
-        return ((_unpacked(self._cubes) + rest.double()) * self.side).float()
+        return (_unpacked(self._cubes) + rest.double()) * self.side
 
     def _see_through(self, panorama: DepthImage, center: Tensor) -> None:
-        rays = self._positions() - center
+        rays = (self._positions() - center).float()
         distance = rays.norm(dim=-1)
         nearest = panorama.measured.cpu().nan_to_num(0.0)  # where nobody looks nobody sees through
         around = F.pad(F.pad(-nearest[None, None], (1, 1, 0, 0), "circular"), (0, 0, 1, 1), "replicate")

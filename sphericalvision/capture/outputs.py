@@ -156,7 +156,10 @@ def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settin
     clouds = [kind for kind in ("cloud", "glb") if kind in settings.outputs]
     if clouds:
         cloud = panoramas.depth.points(settings.min_confidence, voxel=settings.voxel)
-        written += _save_clouds([folder / f"{prefix}{FILES[kind]}" for kind in clouds], cloud)
+        origin = panoramas.depth.rig.origin.cpu()
+        if origin.any():
+            cloud = cloud._replace(points=cloud.points.cpu().double() + origin)
+        written += _save_clouds([folder / f"{prefix}{FILES[kind]}" for kind in clouds], cloud, origin)
     if "viewer" in settings.outputs:
         title = f"depth all around {prefix.rstrip('_')}".strip()
         path = save_viewer(
@@ -171,12 +174,15 @@ def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settin
     return written
 
 
-def _save_clouds(paths: Sequence[Path], cloud: SurfacePoints) -> list[Path]:
+def _save_clouds(paths: Sequence[Path], cloud: SurfacePoints, origin: Tensor) -> list[Path]:
     """Write a cloud by the suffixes of the paths, and return them; without points nothing is written."""
     written = []
     for path in paths if len(cloud.points) else ():
-        # .glb has y up and looks along -z, which viewers of it rely on.
-        points = cloud.points * cloud.points.new_tensor([1, -1, -1] if path.suffix == ".glb" else [1, 1, 1])
+        points = cloud.points
+        if path.suffix == ".glb":
+            # It has y up and looks along -z, which viewers of it rely on, and holds float32, from the origin.
+            points = (points - origin).float() if origin.any() else points
+            points = points * points.new_tensor([1, -1, -1])
         written.append(save_point_cloud(path, points, cloud.colors, cloud.normals))
     return written
 
@@ -194,7 +200,7 @@ def arrays_of(panoramas: Panoramas) -> dict[str, Any]:
         "depth_panorama": panorama.depth,
         "confidence_panorama": panorama.confidence.half(),
         "matched_panorama": panorama.seen,
-        "center": depth.rig.center,
+        "center": depth.rig.in_world().center,
     }
     return {key: value.cpu().numpy() for key, value in arrays.items()}
 
@@ -317,7 +323,7 @@ class Outputs:
                     step = math.sqrt(4 * math.pi / depth.index.numel()) * depth.min_depth
                     self.fused = FusedCloud(self.settings.voxel or CUBE * step)
                 points = depth.points(self.settings.min_confidence)
-                self.fused.add(frame, points, panoramas.panorama, depth.rig.center)
+                self.fused.add(frame, points, panoramas.panorama, depth.rig.center, depth.rig.origin)
                 self.fused.save(self.folder / FUSED, now=False)
             self._number += 1
             self.written += save_frame(self.folder, prefix_of(frame), panoramas, self.settings)
@@ -343,7 +349,7 @@ class Outputs:
         if self.fused is not None:
             self.fused.save(self.folder / FUSED)
             self.written += _save_clouds(
-                [self.folder / "fused.ply", self.folder / "fused.glb"], self.fused.points()
+                [self.folder / "fused.ply", self.folder / "fused.glb"], self.fused.points(), self.fused.origin
             )
 
     def _write_shares(self) -> None:

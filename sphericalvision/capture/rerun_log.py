@@ -46,6 +46,7 @@ class RerunLog:
         self._writing = atomic_write(self.path)
         self._stream = self._rerun.RecordingStream("sphericalvision")
         self._stream.save(self._writing.__enter__())
+        self._origin: torch.Tensor | None = None
         self._stream.log("world", self._rerun.ViewCoordinates.RDF, static=True)
 
     def __enter__(self) -> Self:
@@ -61,8 +62,12 @@ class RerunLog:
         stream.set_time("frame", sequence=number)
         rig = depth.rig.to("cpu")
         images = {name: image.cpu() for name, image in depth.images.items()}
+        self._origin = rig.origin if self._origin is None else self._origin  # one for all frames
+        offset = (rig.origin - self._origin).float()
         for name, pose in zip(rig.names, rig.world_from_camera.float().numpy(), strict=True):
-            stream.log(f"world/{name}", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+            stream.log(
+                f"world/{name}", rr.Transform3D(translation=pose[:3, 3] + offset.numpy(), mat3x3=pose[:3, :3])
+            )
             stream.log(f"world/{name}/image", rr.Image(as_bytes(images[name])).compress())
         panorama = depth.panorama(self.height)
         colors, _ = rgb_panorama(rig, images, self.height, panorama.depth.cpu())
@@ -72,7 +77,7 @@ class RerunLog:
         stream.log("confidence", rr.Image((255 * sure.clamp(0, 1)).round().byte().cpu().numpy()))
         cloud = depth.points()
         shades = (255 * cloud.colors.clamp(0, 1)).round().byte().cpu().numpy()
-        stream.log("world/points", rr.Points3D(cloud.points.cpu().numpy(), colors=shades))
+        stream.log("world/points", rr.Points3D((cloud.points.cpu() + offset).numpy(), colors=shades))
 
     def close(self) -> None:
         """Finish the file."""

@@ -155,7 +155,8 @@ class Depth:
 
         Args:
             camera: the name of one of the rig's cameras, which stands where it stands; or any camera.
-            world_from_camera: pose of such a camera; at the rig's centre, looking forward, when not given.
+            world_from_camera: pose of such a camera, as seen from the rig's ``origin``; at the rig's centre, looking
+                forward, when not given.
 
         Returns:
             Metres from the camera, ``(*b, h, w)``; NaN where it does not look or meets nothing.

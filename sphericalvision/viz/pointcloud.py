@@ -42,7 +42,7 @@ def save_point_cloud(
 
     Args:
         path: the suffix chooses the format.
-        points: ``(n, 3)`` metres.
+        points: ``(n, 3)`` metres; a .ply file holds float64 as double.
         colors: ``(n, 3)`` in [0, 1], or uint8.
         normals: ``(n, 3)`` unit vectors, which .ply files hold; other formats go without.
 
@@ -84,10 +84,11 @@ def save_point_cloud(
 
 
 def _ply(points: npt.NDArray[Any], colors: npt.NDArray[Any], normals: npt.NDArray[Any] | None) -> bytes:
-    """A binary PLY file of coloured points: a header in plain text, and 15 or 27 bytes for each."""
+    """A binary PLY file of coloured points: a header in plain text, and 15 or 27 bytes for each, 12 more of float64."""
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
-    header += "".join(f"property float {axis}\n" for axis in "xyz")
-    fields: list[Any] = [("point", "<f4", 3)]
+    double = points.dtype == np.float64
+    header += "".join(f"property {'double' if double else 'float'} {axis}\n" for axis in "xyz")
+    fields: list[Any] = [("point", "<f8" if double else "<f4", 3)]
     if normals is not None:
         header += "".join(f"property float n{axis}\n" for axis in "xyz")
         fields.append(("normal", "<f4", 3))

@@ -81,9 +81,13 @@ class Contents:
                 return first is second
             return first.shape == second.shape and torch.allclose(first, second, rtol=1e-5, atol=1e-6)
 
+        def relative(poses: Tensor | None) -> Tensor | None:  # in a far world all positions would be near
+            return None if poses is None else poses[:, :3, 3] - poses[:1, :3, 3]
+
         return (
             list(self.cameras) == list(other.cameras)
             and near(self.world_from_camera, other.world_from_camera)
+            and near(relative(self.world_from_camera), relative(other.world_from_camera))
             and all(
                 type(camera) is type(twin)
                 and camera.image_size == twin.image_size
@@ -111,8 +115,8 @@ class Contents:
                 "poses of your own"
             )
         with errors_of_file(str(path)):
-            poses = self.world_from_camera.to(dtype or torch.get_default_dtype())
-            return check_radius(CameraRig(self.cast(dtype), poses, dict(self.masks)), path)
+            rig = CameraRig(self.cameras, self.world_from_camera, dict(self.masks))
+            return check_radius(rig.to(dtype=dtype or torch.get_default_dtype()), path)
 
 
 class Gathered:

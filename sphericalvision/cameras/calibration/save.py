@@ -92,7 +92,7 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
     check_single(rig)
     write = file_format(format).write_rig
     assert write is not None
-    write(rig, Path(path))
+    write(rig.in_world(), Path(path))
     if rig.masks and not file_format(format).holds_masks:
         with_masks = [name for name in rig_formats() if file_format(name).holds_masks]
         warnings.warn(

@@ -9,15 +9,8 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_image, check_rotation
-from sphericalvision.cameras.remapping.lookup import (
-    PyramidLookup,
-    footprint,
-    image_edges,
-    level_size,
-    nearest_pixel,
-    sample_groups,
-    source_pixels,
-)
+from sphericalvision.cameras.remapping.area import PyramidLookup, footprint, level_size, sample_groups
+from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel, source_pixels
 from sphericalvision.core import check_choice, check_tensor, check_type
 from sphericalvision.geometry.lookup import ImageLookup, Lookup
 from sphericalvision.geometry.masked_lookup import LookupModule, MaskedLookup

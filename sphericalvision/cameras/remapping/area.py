@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Means over the cells of a target: how many samples each takes, and in which smaller image of the source."""
+"""Means over the cells of a target: how many samples each takes, and in which smaller image of the source.
+
+The one engine of area averaging: ``remap`` asks it for pixels of a camera, ``resample`` for cells of any grid.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, cast
 
 import torch
@@ -16,21 +19,23 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.geometry.lookup import ImageLookup
 
-__all__ = ["PyramidLookup", "SampleGroup", "footprint", "level_size", "sample_groups"]
+__all__ = ["CellGroup", "PyramidLookup", "cell_groups", "footprint", "lookup_at_level", "pixel_samples"]
 
-_SAMPLES = 4  # a side, of a footprint as wide as high, before it is looked up in a smaller image instead
+# A side, of a footprint as wide as high, before it is looked up in a smaller image instead. In images of noise the
+# error of 4 is up to four times as large, and calls take as long: with fewer samples more images have to be made small.
+_SAMPLES = 8
 _SLACK = 0.25  # samples may lie this much further apart than pixels, so that turning alone adds none
 
 
-class SampleGroup(NamedTuple):
-    """Target pixels that are averaged over equally many samples of one level of the source's pyramid."""
+class CellGroup(NamedTuple):
+    """Cells of a target that are averaged over equally many samples of one level of the source's pyramid."""
 
     level: int
     """The source image is halved so often."""
-    members: Tensor
-    """Flat indices of the target pixels (k,)."""
-    offsets: Tensor
-    """From the pixel's centre to its samples (s, 2), in target pixels."""
+    cells: Int[Tensor, " k"]
+    """Flat indices of the cells."""
+    samples: tuple[int, int]
+    """How many along a cell's u and v; both are the same in cells that are no pixels."""
 
 
 def footprint(
@@ -71,13 +76,21 @@ def _on_sphere(step: Tensor, v: Tensor, source: EquirectangularCamera) -> Tensor
     return torch.stack((across * torch.cos(latitude), step[..., 1]), dim=-1)
 
 
-def sample_groups(spans: Float[Tensor, "h w 2"], image_size: tuple[int, int]) -> list[SampleGroup]:
-    """Target pixels grouped by the number of samples that their footprint ``spans`` (h, w, 2) asks for.
+def cell_groups(spans: Float[Tensor, "n 2"], image_size: tuple[int, int] | None = None) -> list[CellGroup]:
+    """Cells grouped by the number of samples that their footprint ``spans`` (n, 2), in source pixels, asks for.
 
-    Samples lie about one pixel apart. A footprint of more than 16 pixels is looked up in an image averaged over
-    squares of 2, 4, 8, ... pixels, so a target pixel costs about 16 samples at most.
+    Samples lie about one pixel apart. A footprint of more than 64 pixels is looked up in an image averaged over
+    squares of 2, 4, 8, ... pixels, so a cell costs about 64 samples at most. A source whose values are no image, which
+    has no ``image_size``, is not made smaller; its values lie about equally dense, so all cells are one group.
+
+    Examples:
+        >>> groups = cell_groups(torch.tensor([[1.0, 3.0], [40.0, 40.0]]), (480, 640))
+        >>> [(group.level, group.samples) for group in groups]
+        [(0, (1, 3)), (3, (5, 5))]
     """
-    spans = spans.flatten(0, 1)
+    if image_size is None:
+        count = max(1, math.ceil(float(spans.max()) - _SLACK))
+        return [CellGroup(0, torch.arange(len(spans), device=spans.device), (count, count))]
     deepest = max(0, math.floor(math.log2(min(image_size))))
     level = torch.log2(spans.prod(-1).sqrt() / (_SAMPLES + _SLACK)).ceil().clamp(0, deepest)
     counts = torch.ceil(spans / 2 ** level.unsqueeze(-1) - _SLACK).clamp(1, _SAMPLES**2)
@@ -85,53 +98,90 @@ def sample_groups(spans: Float[Tensor, "h w 2"], image_size: tuple[int, int]) ->
     kind = ((level * base + counts[:, 0]) * base + counts[:, 1]).long()
     groups = []
     for number in torch.unique(kind).tolist():
-        depth, across, down = number // base**2, number // base % base, number % base
-        u = (torch.arange(across, dtype=spans.dtype, device=spans.device) + 0.5) / across - 0.5
-        v = (torch.arange(down, dtype=spans.dtype, device=spans.device) + 0.5) / down - 0.5
-        offsets = torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).flatten(0, 1)
-        groups.append(SampleGroup(depth, (kind == number).nonzero()[:, 0], offsets))
+        samples = (number // base % base, number % base)
+        groups.append(CellGroup(number // base**2, (kind == number).nonzero()[:, 0], samples))
     return groups
 
 
-def level_size(image_size: tuple[int, int], level: int) -> tuple[int, int]:
-    """(height, width) of an image that was halved ``level`` times.
+def pixel_samples(
+    camera: Camera, cells: Int[Tensor, " k"], samples: tuple[int, int], dtype: torch.dtype
+) -> Float[Tensor, "k s 2"]:
+    """Positions (u, v) spread evenly over pixels of a camera's image, ``samples`` along u and along v.
+
+    Args:
+        camera: any.
+        cells: flat indices of the pixels; the device of the answer.
+        samples: along u and along v.
+        dtype: of the answer.
 
     Examples:
-        >>> level_size((48, 65), 2)
-        (12, 17)
+        >>> pixel_samples(EquirectangularCamera((4, 8)), torch.tensor([9]), (2, 1), torch.float32).tolist()
+        [[[0.75, 1.0], [1.25, 1.0]]]
     """
+    u, v = ((torch.arange(n, dtype=dtype, device=cells.device) + 0.5) / n - 0.5 for n in samples)
+    offsets = torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).flatten(0, 1)
+    width = camera.image_size[1]
+    centers = torch.stack((cells % width, torch.div(cells, width, rounding_mode="floor")), -1).to(dtype)
+    return centers.unsqueeze(1) + offsets
+
+
+def lookup_at_level(
+    pixels: Float[Tensor, "*#batch k s 2"],
+    seen: Bool[Tensor, "*#batch k s"],
+    image_size: tuple[int, int],
+    level: int,
+    edges: str,
+    shares: Float[Tensor, "*#batch k s"] | None = None,
+) -> ImageLookup:
+    """Means over ``pixels`` of the source's image, looked up in the image that was halved ``level`` times.
+
+    Args:
+        pixels: of k cells' samples, in the image as it is.
+        seen: of the samples; the others count as zero.
+        image_size: (height, width) of the image as it is.
+        level: how often it is halved.
+        edges: how it goes on beyond its edges, as ``ImageLookup`` calls it.
+        shares: of each sample in its cell; all the same if not given.
+    """
+    small = _level_size(image_size, level)
+    if level:
+        scale = pixels.new_tensor([small[1] / image_size[1], small[0] / image_size[0]])
+        pixels = (pixels + 0.5) * scale - 0.5
+    return ImageLookup(pixels, seen, small, shares, edges)
+
+
+def _level_size(image_size: tuple[int, int], level: int) -> tuple[int, int]:
+    """(height, width) of an image that was halved ``level`` times."""
     height, width = image_size
-    return (max(1, -(-height // 2**level)), max(1, -(-width // 2**level)))
+    return (-(-height // 2**level), -(-width // 2**level))
 
 
 class PyramidLookup(nn.Module):
-    """Groups of targets, each looked up in an image that was halved as often as its footprint asks for.
+    """Groups of cells, each looked up in an image that was halved as often as its footprint asks for.
 
     Args:
-        lookups: of the groups, from the finest level to the coarsest.
-        levels: of each lookup's image.
-        members: flat indices of the targets of each group (k,).
+        groups: from the finest level to the coarsest; together all cells of the target.
+        lookup: makes the lookup of a group, of values of its level.
     """
 
     order: Tensor
 
-    def __init__(
-        self, lookups: Sequence[ImageLookup], levels: Sequence[int], members: Sequence[Int[Tensor, " _"]]
-    ) -> None:
+    def __init__(self, groups: Sequence[CellGroup], lookup: Callable[[CellGroup], nn.Module]) -> None:
         super().__init__()
-        self.lookups = cast("Sequence[ImageLookup]", nn.ModuleList(lookups))
-        self.levels = tuple(levels)
-        self.register_buffer("order", torch.cat(list(members)).argsort(), persistent=False)
+        self.lookups = cast("Sequence[nn.Module]", nn.ModuleList(map(lookup, groups)))
+        self.levels = tuple(group.level for group in groups)
+        order = torch.cat([group.cells for group in groups]).argsort()
+        self.register_buffer("order", order, persistent=False)
 
     def forward(self, images: Shaped[Tensor, "*images C h w"]) -> Shaped[Tensor, "*batch C P"]:
         """``images`` (*b, C, height, width) at the targets, (*b, C, P)."""
-        full, level, found = tuple(images.shape[-2:]), 0, []
+        image_size, level, results = tuple(images.shape[-2:]), 0, []
         small = images
-        for lookup, wanted in zip(self.lookups, self.levels, strict=True):
-            while level < wanted:
+        for lookup, wanted_level in zip(self.lookups, self.levels, strict=True):
+            while level < wanted_level:
                 level += 1
                 flat = small.reshape(-1, 1, *small.shape[-2:])
-                halved = F.interpolate(flat, size=level_size((full[0], full[1]), level), mode="area")
-                small = halved.view(*small.shape[:-2], *halved.shape[-2:])
-            found.append(lookup(small))
-        return torch.cat(found, dim=-1).index_select(-1, self.order)
+                size = _level_size((image_size[0], image_size[1]), level)
+                small = F.interpolate(flat, size=size, mode="area").view(*small.shape[:-2], *size)
+            results.append(lookup(small))
+        return torch.cat(results, dim=-1).index_select(-1, self.order)

@@ -9,7 +9,14 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_image, check_rotation
-from sphericalvision.cameras.remapping.area import PyramidLookup, footprint, level_size, sample_groups
+from sphericalvision.cameras.remapping.area import (
+    CellGroup,
+    PyramidLookup,
+    cell_groups,
+    footprint,
+    lookup_at_level,
+    pixel_samples,
+)
 from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel, source_pixels
 from sphericalvision.core import check_choice, check_tensor, check_type
 from sphericalvision.geometry.lookup import ImageLookup, Lookup
@@ -105,7 +112,7 @@ class Remap(LookupModule):
     """``remap`` between two fixed cameras, with tables that are computed once.
 
     The tables are computed in float64 and kept in ``dtype`` as buffers that are not part of the state dict; they move
-    with ``.to`` and have no gradient. A call costs little more than one ``grid_sample``; with ``"area"``, about 16
+    with ``.to`` and have no gradient. A call costs little more than one ``grid_sample``; with ``"area"``, up to 64
     samples for every target pixel where the image shrinks. ``mask()`` returns where results are valid.
 
     Args:
@@ -195,32 +202,29 @@ def remap_tables(
     centers = target.pixel_grid(dtype).to(device)
     pixels, valid = source_pixels(source, target, rotation, centers)
     flat_pixels, flat_valid = pixels.flatten(-3, -2).unsqueeze(-2), valid.flatten(-2).unsqueeze(-1)
-    groups = sample_groups(footprint(pixels, valid, source), size) if mode == "area" else []
-    whole = True
+    groups = cell_groups(footprint(pixels, valid, source).flatten(0, 1), size) if mode == "area" else []
+    averages = any(group.level or group.samples != (1, 1) for group in groups)
     if mode == "nearest":
         found = torch.where(valid.unsqueeze(-1), pixels, 0.0)
         lookup: Lookup | ImageLookup | PyramidLookup = Lookup(
             nearest_pixel(source, found).flatten(-2), dims=2
         )
-    elif any(group.level or len(group.offsets) > 1 for group in groups):
-        whole = False
-        lookups = []
-        for level, members, offsets in groups:
-            samples = centers.flatten(0, 1)[members].unsqueeze(1) + offsets
-            places, seen = source_pixels(source, target, rotation, samples)
-            small = level_size(size, level)
-            scale = places.new_tensor([small[1] / size[1], small[0] / size[0]])
-            lookups.append(ImageLookup((places + 0.5) * scale - 0.5, seen, small, edges=edges))
-        lookup = PyramidLookup(
-            lookups, [group.level for group in groups], [group.members for group in groups]
-        )
+    elif averages:
+
+        def group_lookup(group: CellGroup) -> ImageLookup:
+            samples = pixel_samples(target, group.cells, group.samples, dtype)
+            return lookup_at_level(
+                *source_pixels(source, target, rotation, samples), size, group.level, edges
+            )
+
+        lookup = PyramidLookup(groups, group_lookup)
     else:
         lookup = ImageLookup(flat_pixels, flat_valid, size, edges=edges, cubic=mode == "bicubic")
     tables = _InverseLookup if mode == "depth" else MaskedLookup
     usable = None if mask is None else mask.to(device)
     # Where samples are averaged, what counts is whether enough of them see something.
-    centers_valid = valid.flatten(-2) if whole else None
-    return tables(lookup, size, target.image_size, mode, fill, centers_valid, usable, whole)
+    centers_valid = None if averages else valid.flatten(-2)
+    return tables(lookup, size, target.image_size, mode, fill, centers_valid, usable, not averages)
 
 
 class _InverseLookup(MaskedLookup):

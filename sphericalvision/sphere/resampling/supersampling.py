@@ -3,19 +3,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.cameras import Camera
+from sphericalvision.cameras import Camera, EquirectangularCamera
+from sphericalvision.cameras.remapping.area import pixel_samples
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors, icosphere_vertices
 from sphericalvision.sphere.grids.base import SphereGrid
 
-__all__ = ["CellSamples", "cell_samples", "cell_widths", "grid_shape"]
+__all__ = ["CellSamples", "cell_samples", "cell_widths", "grid_shape", "pixel_solid_angles"]
 
 
 class CellSamples(NamedTuple):
@@ -51,30 +53,56 @@ def grid_shape(grid: SphereGrid | Camera, name: str) -> tuple[int, ...]:
 
 
 def cell_samples(
-    grid: SphereGrid | Camera, samples: int, dtype: torch.dtype, device: torch.device
+    grid: SphereGrid | Camera,
+    samples: int | tuple[int, int],
+    dtype: torch.dtype,
+    device: torch.device,
+    cells: Int[Tensor, " n"] | None = None,
 ) -> CellSamples:
     """``samples`` directions along each side of every cell; for one, the grid's own directions.
 
     Computed in the precision asked for, not in that of ``grid.directions``.
 
+    Args:
+        grid: grid or camera.
+        samples: along both sides; of a camera's pixels along u and along v, of other cells the larger counts.
+        dtype: of the answer.
+        device: of the answer.
+        cells: flat indices of the cells; all if not given.
+
     Raises:
         ArgumentError: if more than one sample is asked of a grid that has no ``cell_samples``.
     """
+    sides = (samples, samples) if isinstance(samples, int) else samples
     if isinstance(grid, Camera):
-        return _pixel_samples(grid, samples, dtype, device)
+        if cells is None:
+            cells = torch.arange(math.prod(grid.image_size), device=device)
+        directions, valid = grid.unproject(pixel_samples(grid, cells, sides, dtype))
+        return CellSamples(
+            directions, torch.full_like(directions[..., 0], 1 / math.prod(sides)).detach(), valid
+        )
     if isinstance(grid, Icosphere):
-        directions, shares = _vertex_samples(grid.level, samples, dtype, device)
+        directions, shares = _vertex_samples(grid.level, max(sides), dtype, device, cells)
         return CellSamples(directions, shares, None)
+    directions, shares = _grid_samples(grid, max(sides), dtype, device)
+    if cells is not None:
+        directions, shares = directions[cells], shares.expand(directions.shape[:-1])[cells]
+    return CellSamples(directions, shares, None)
+
+
+def _grid_samples(
+    grid: SphereGrid, samples: int, dtype: torch.dtype, device: torch.device
+) -> tuple[Tensor, Tensor]:
     if hasattr(grid, "cell_samples"):
         directions, shares = grid.cell_samples(samples, dtype, device)
-        return CellSamples(directions, shares, None)
+        return directions, shares
     if samples > 1:
         raise ArgumentError(
             f"target: mode 'area' needs a method cell_samples(samples, dtype, device), which {type(grid).__name__} "
             "lacks; see Equirectangular.cell_samples"
         )
     directions = grid.directions.reshape(-1, 1, 3).to(device=device, dtype=dtype)
-    return CellSamples(directions, torch.ones_like(directions[..., 0]), None)
+    return directions, torch.ones_like(directions[..., 0])
 
 
 def cell_widths(grid: SphereGrid | Camera) -> Float[Tensor, " n"]:
@@ -82,34 +110,38 @@ def cell_widths(grid: SphereGrid | Camera) -> Float[Tensor, " n"]:
 
     Rows of a panorama hold more pixels near the poles than content, so there a width at the equator counts.
     """
+    if isinstance(grid, EquirectangularCamera):
+        height, width = grid.image_size
+        pixel = grid.vertical_field_of_view / height * (grid.longitudes[1] - grid.longitudes[0]) / width
+        return grid.max_angle.new_full((height * width,), math.sqrt(pixel))
     if isinstance(grid, Camera):
-        corners = _pixel_samples(grid, 2, torch.float64, grid.device).directions.detach()
-        across, down = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        return 2 * torch.linalg.cross(across, down).norm(dim=-1).sqrt()
+        return pixel_solid_angles(grid).sqrt()
     widths = getattr(grid, "cell_widths", None)
     return (grid.solid_angles.sqrt() if widths is None else widths).flatten()
 
 
-def _pixel_samples(camera: Camera, samples: int, dtype: torch.dtype, device: torch.device) -> CellSamples:
-    inside = (torch.arange(samples, dtype=dtype, device=device) + 0.5) / samples - 0.5
-    v, u = torch.meshgrid(inside, inside, indexing="ij")
-    centers = camera.pixel_grid(dtype).to(device).reshape(-1, 1, 2)
-    directions, valid = camera.unproject(centers + torch.stack((u, v), -1).view(-1, 2))
-    return CellSamples(directions, torch.full_like(directions[..., 0], 1 / samples**2).detach(), valid)
+def pixel_solid_angles(camera: Camera) -> Float[Tensor, " n"]:
+    """Solid angle of each pixel of a camera's image in steradians ``(n,)``, also where the camera does not look."""
+    corners = cell_samples(camera, 2, torch.float64, camera.device).directions.detach()
+    across, down = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return 4 * torch.linalg.cross(across, down).norm(dim=-1)
 
 
 def _vertex_samples(
-    level: int, samples: int, dtype: torch.dtype, device: torch.device
+    level: int, samples: int, dtype: torch.dtype, device: torch.device, cells: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """Samples over six (five) kites around each vertex: between it, two edge midpoints and a face's middle."""
     center = icosphere_vertices(level, torch.float64, device)
-    if samples == 1:
-        return center.unsqueeze(1).to(dtype), center.new_ones(len(center), 1, dtype=dtype)
     neighbors = icosphere_neighbors(level, device)
+    own = center
+    if cells is not None:
+        own, neighbors = center[cells], neighbors[cells]
+    if samples == 1:
+        return own.unsqueeze(1).to(dtype), own.new_ones(len(own), 1, dtype=dtype)
     following = neighbors.roll(-1, 1)
     five = neighbors[:, 5] < 0
     following[five, 4] = neighbors[five, 0]
-    a, b, o = center[neighbors], center[following], center.unsqueeze(1)  # entry -1 has no share, see below
+    a, b, o = center[neighbors], center[following], own.unsqueeze(1)  # entry -1 has no share, see below
     corners = (o.expand_as(a), (o + a) / 2, (o + a + b) / 3, (o + b) / 2)
     count = -(-samples // 2)
     side = (torch.arange(count, dtype=torch.float64, device=device) + 0.5) / count

@@ -13,11 +13,19 @@ from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
 from sphericalvision.cameras.checks import check_rotation
+from sphericalvision.cameras.remapping.area import (
+    CellGroup,
+    PyramidLookup,
+    cell_groups,
+    footprint,
+    lookup_at_level,
+)
 from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel
 from sphericalvision.core import check_choice, check_tensor, check_type
 from sphericalvision.geometry.lookup import ImageLookup, Lookup
 from sphericalvision.geometry.masked_lookup import MaskedLookup
 from sphericalvision.sphere.grids.base import SphereGrid
+from sphericalvision.sphere.grids.equirectangular import Equirectangular
 from sphericalvision.sphere.resampling.conservative import overlaps
 from sphericalvision.sphere.resampling.supersampling import cell_samples, cell_widths, grid_shape
 
@@ -25,8 +33,6 @@ __all__ = ["RESAMPLE_MODES", "make_lookup", "nearest_index", "resample_tables"]
 
 RESAMPLE_MODES = ("bilinear", "nearest", "area", "conservative")
 """What ``resample`` knows."""
-
-_SLACK = 0.25  # samples may lie this much further apart than the source's values, so that turning adds none
 
 
 def resample_tables(
@@ -60,16 +66,28 @@ def resample_tables(
     if mode == "conservative":
         kept = overlaps(source, target, rotation, device)
         return MaskedLookup(kept, source_shape, target_shape, mode, fill, None, usable)
-    directions, shares, whole = _sample_directions(source, target, rotation, mode, dtype, device)
-    valid = None if whole else (shares > 0).any(-1)
+    middles = _samples(source, target, rotation, dtype, device)
+    groups = cell_groups(_spans(source, target, middles), _image_size(source)) if mode == "area" else []
+    averages = any(group.level or group.samples != (1, 1) for group in groups)
     if mode == "nearest":
-        lookup: nn.Module = Lookup(nearest_index(source, directions.squeeze(-2)), dims=dims)
+        lookup: nn.Module = Lookup(nearest_index(source, middles.directions.squeeze(-2)), dims=dims)
+    elif averages:
+
+        def group_lookup(group: CellGroup) -> nn.Module:
+            samples = _samples(source, target, rotation, dtype, device, group, middles.in_view)
+            return make_lookup(source, samples.directions, samples.shares, group.level)
+
+        # One group at level 0, such as grids have, is in order as it is.
+        alone = len(groups) == 1 and not groups[0].level
+        lookup = group_lookup(groups[0]) if alone else PyramidLookup(groups, group_lookup)
     else:
-        lookup = make_lookup(source, directions, shares)
+        lookup = make_lookup(source, middles.directions, middles.shares)
     if isinstance(source, Camera):
         seen = source.unproject(source.pixel_grid(dtype).to(device)).valid
         usable = seen if usable is None else usable * seen
-    summed = whole or shares.shape[-1] == 1
+    # Where samples are averaged, what counts is whether enough of them see something.
+    valid = None if middles.whole or averages else (middles.shares > 0).any(-1)
+    summed = middles.whole or not averages
     return MaskedLookup(lookup, source_shape, target_shape, mode, fill, valid, usable, summed)
 
 
@@ -86,37 +104,41 @@ def _shapes_only(
     return MaskedLookup(Lookup(ids, dims=len(source_shape)), source_shape, target_shape, mode, fill)
 
 
-class _SampleDirections(NamedTuple):
+class _Samples(NamedTuple):
     directions: Tensor
-    """Of each target's samples in the source's frame (*b, n, s, 3)."""
+    """Of each cell's samples in the source's frame (*b, n, s, 3)."""
     shares: Tensor
-    """Of each sample in its target (*b, n, s); zero where source or target see nothing."""
+    """Of each sample in its cell (*b, n, s); zero where source or target see nothing."""
+    in_view: Tensor | None
+    """Whether a camera that is the target sees them (n, s); None for a grid."""
     whole: bool
     """Whether source and target see all of them."""
 
 
-def _sample_directions(
+def _samples(
     source: SphereGrid | Camera,
     target: SphereGrid | Camera,
     rotation: Tensor | None,
-    mode: str,
     dtype: torch.dtype,
     device: torch.device,
-) -> _SampleDirections:
-    cells = cell_samples(target, 1, dtype, device)
-    directions, in_view = _turned(cells.directions, rotation), cells.valid
-    samples = _samples(source, target, directions, in_view) if mode == "area" else 1
-    if samples > 1:
-        cells = cell_samples(target, samples, dtype, device)
-        directions = _turned(cells.directions, rotation)
-    shares = cells.shares
-    if cells.valid is not None and in_view is not None:
+    group: CellGroup | None = None,
+    middle_in_view: Tensor | None = None,
+) -> _Samples:
+    """Samples of a group of the target's cells, or the middles of all."""
+    if group is None:
+        cells = cell_samples(target, 1, dtype, device)
+    else:
+        cells = cell_samples(target, group.samples, dtype, device, group.cells)
+    directions, shares = _turned(cells.directions, rotation), cells.shares
+    if cells.valid is not None:
+        shares = torch.where(cells.valid, shares, 0.0)
+    if group is not None and middle_in_view is not None:
         # A pixel out of view stays so, though a corner may be in it.
-        shares = torch.where(cells.valid & in_view, shares, 0.0)
+        shares = torch.where(middle_in_view[group.cells], shares, 0.0)
     inside = _seen_by(source, directions)
     if inside is not None:
         shares = torch.where(inside, shares, 0.0)
-    return _SampleDirections(directions, shares, cells.valid is None and inside is None)
+    return _Samples(directions, shares, cells.valid, cells.valid is None and inside is None)
 
 
 def _seen_by(source: SphereGrid | Camera, directions: Tensor) -> Tensor | None:
@@ -138,18 +160,23 @@ def _turned(directions: Tensor, rotation: Tensor | None) -> Tensor:
 
 
 @torch.no_grad()
-def _samples(
-    source: SphereGrid | Camera, target: SphereGrid | Camera, directions: Tensor, in_view: Tensor | None
-) -> int:
-    """How many samples along a side of the target's cells lie about as close as the source's values."""
-    there = nearest_index(source, directions.squeeze(-2))
-    ratio = cell_widths(target).to(directions) / cell_widths(source).to(directions)[there]
-    seen = ratio.isfinite()
+def _spans(source: SphereGrid | Camera, target: SphereGrid | Camera, middles: _Samples) -> Tensor:
+    """How many of the source's values a cell of the target spans along its two sides (n, 2), the most of a batch."""
+    directions, seen = middles.directions.squeeze(-2), middles.shares.squeeze(-1) > 0
+    if isinstance(source, Camera) and isinstance(target, Camera):
+        pixels = source.project(directions).pixels.unflatten(-2, target.image_size)
+        return footprint(pixels, seen.unflatten(-1, target.image_size), source).flatten(0, 1)
+    nearest = nearest_index(source, directions)
+    ratio = cell_widths(target).to(directions) / cell_widths(source).to(directions)[nearest]
+    ratio = torch.where(seen & ratio.isfinite(), ratio, 0.0)
+    return ratio.reshape(-1, ratio.shape[-1]).amax(0).unsqueeze(-1).expand(-1, 2)
+
+
+def _image_size(source: SphereGrid | Camera) -> tuple[int, int] | None:
+    """(height, width) of a source whose values are one image without seams inside, which can be made smaller."""
     if isinstance(source, Camera):
-        seen = seen & source.project(directions).valid.squeeze(-1)
-    if in_view is not None:
-        seen = seen & in_view.squeeze(-1)
-    return max(1, math.ceil(float(torch.where(seen, ratio, 0.0).max()) - _SLACK))
+        return source.image_size
+    return source.shape if isinstance(source, Equirectangular) else None
 
 
 def _same(source: SphereGrid | Camera, target: SphereGrid | Camera) -> bool:
@@ -162,7 +189,10 @@ def _same(source: SphereGrid | Camera, target: SphereGrid | Camera) -> bool:
 
 
 def make_lookup(
-    source: SphereGrid | Camera, directions: Float[Tensor, " ..."], shares: Float[Tensor, " ..."]
+    source: SphereGrid | Camera,
+    directions: Float[Tensor, " ..."],
+    shares: Float[Tensor, " ..."],
+    level: int = 0,
 ) -> nn.Module:
     """A lookup of the source's interpolated values: values (*b, c, *source_shape) to (*b, c, n).
 
@@ -170,12 +200,17 @@ def make_lookup(
         source: grid or camera.
         directions: of s samples for each of n targets (*g, n, s, 3), of any length.
         shares: of every sample in its target (*g, n, s); zero for samples that are not to be read.
+        level: how often the source's values, an image, are halved.
     """
     seen = shares > 0
-    averaged = shares if shares.shape[-1] > 1 else None
+    same = ~seen | (shares == 1 / shares.shape[-1])  # a mean needs no table of shares
+    averaged = None if bool(same.all()) else shares
     if isinstance(source, Camera):
         pixels = source.project(directions).pixels
-        return ImageLookup(pixels, seen, source.image_size, averaged, image_edges(source))
+        return lookup_at_level(pixels, seen, source.image_size, level, image_edges(source), averaged)
+    if isinstance(source, Equirectangular):
+        pixels = source.image_pixels(directions)
+        return lookup_at_level(pixels, seen, source.shape, level, source.image_edges, averaged)
     if hasattr(source, "image_pixels"):
         return _GridImageLookup(source, source.image_pixels(directions), seen, averaged)
     taps = getattr(source, "taps", None) or getattr(source, "locate", None)

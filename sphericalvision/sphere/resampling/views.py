@@ -22,7 +22,7 @@ from sphericalvision.geometry.directions import holds
 from sphericalvision.sphere.grids.base import SphereGrid, check_values
 from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
 from sphericalvision.sphere.grids.tangent import TangentImages
-from sphericalvision.sphere.resampling.supersampling import cell_widths, grid_shape
+from sphericalvision.sphere.resampling.supersampling import cell_widths, grid_shape, pixel_solid_angles
 from sphericalvision.sphere.resampling.tables import resample_tables
 
 __all__ = ["Merged", "Views", "views"]
@@ -280,7 +280,7 @@ def _weights(camera: Camera) -> Tensor:
     """How much each pixel counts (h, w): its solid angle, and how far it is from the border of what is seen."""
     pixels = camera.pixel_grid(torch.float64)
     directions, valid = camera.unproject(pixels)
-    solid = torch.where(valid, cell_widths(camera).view(camera.image_size).square(), 0.0)
+    solid = torch.where(valid, pixel_solid_angles(camera).view(camera.image_size), 0.0)
     if isinstance(camera, EquirectangularCamera):
         inside = torch.ones_like(solid)
     else:

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -28,7 +28,14 @@ NEEDED = (
 """What the extra ``recipes`` brings."""
 
 
-def command(name: str, task: str | None = None, folder: bool = True) -> Callable[[], None]:
+class Main(Protocol):
+    """The function of a console script."""
+
+    def __call__(self, words: Sequence[str] | None = None) -> None:
+        """Do what the command does with some words, those of the command line if not given."""
+
+
+def command(name: str, task: str | None = None, folder: bool = True) -> Main:
     """The ``main`` of a command, which imports what does the work once the command line has been read.
 
     Args:
@@ -38,7 +45,7 @@ def command(name: str, task: str | None = None, folder: bool = True) -> Callable
         folder: whether it gets the folder of the run, too.
     """
 
-    def main() -> None:
+    def main(words: Sequence[str] | None = None) -> None:
         try:
             from sphericalvision.recipes.app.running import run_command
         except ModuleNotFoundError as error:
@@ -50,7 +57,8 @@ def command(name: str, task: str | None = None, folder: bool = True) -> Callable
                 file=sys.stderr,
             )
             raise SystemExit(1) from None
-        run_command(name, partial(_work, task or f"commands.{name}:{name}", folder))
+        words = sys.argv[1:] if words is None else [*words]
+        run_command(name, partial(_work, task or f"commands.{name}:{name}", folder), words)
 
     return main
 

@@ -39,12 +39,12 @@ __all__ = ["config_space", "run_command"]
 CONF = "pkg://sphericalvision.conf"
 
 
-def run_command(config_name: str, task: Callable[[DictConfig], Any]) -> None:
-    """Do what ``sys.argv`` says: show help or version, refuse what does not fit, or run ``task``."""
+def run_command(config_name: str, task: Callable[[DictConfig], Any], words: list[str]) -> None:
+    """Do what the words of a command line say: show help or version, refuse what does not fit, or run ``task``."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names that the terminal has no letters for
-    words = [*quote_paths(sys.argv[1:]), *search_path_of_plugins(config_name, sys.argv[1:])]
+    words = [*quote_paths(words), *search_path_of_plugins(config_name, words)]
     if "--version" in words:
         with plain_errors():
             print(f"sphericalvision {__version__}")
@@ -146,11 +146,12 @@ def config_space(config_dir: str | None = None) -> Iterator[Hydra]:
     search_path = create_config_search_path(CONF)
     if config_dir is not None:
         search_path.prepend(provider="command-line", path=f"file://{Path(config_dir).absolute()}")
+    outer = GlobalHydra.instance().hydra  # of a command that runs this one
     GlobalHydra.instance().clear()
     try:
         yield Hydra.create_main_hydra2("sphericalvision", search_path)
     finally:
-        GlobalHydra.instance().clear()
+        GlobalHydra.instance().hydra = outer
 
 
 def search_path_of_plugins(config_name: str, words: list[str]) -> list[str]:

@@ -1,37 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The trainings of a study: runs of ``sphericalvision-train`` that Hydra's launcher starts."""
+"""The trainings of a study: multi-runs of ``sphericalvision-train``."""
 
 from __future__ import annotations
 
-import os
 import shlex
 import shutil
+import subprocess
 import sys
-import traceback
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
-from unittest import mock
 
-import torch
 from hydra import compose
-from hydra._internal.callbacks import Callbacks
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.plugins import Plugins
-from hydra.core.utils import JobStatus
-from hydra.types import HydraContext, RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
-from sphericalvision.core import ArgumentError, SphericalVisionError, check_choice
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.recipes import train
 from sphericalvision.recipes.app.cli import console
+from sphericalvision.recipes.app.errors import several_processes
 from sphericalvision.recipes.app.help import walk
 from sphericalvision.recipes.app.words import own_configs, quote_paths
 
 __all__ = [
     "Training",
-    "TrainingError",
     "check_alike",
     "flat_config",
     "train_all",
@@ -64,24 +56,22 @@ ALIKE = (
 """Keys in which models must agree for a fair comparison."""
 
 
-class TrainingError(SphericalVisionError, RuntimeError):
-    """A training did not reach its end."""
-
-
 class Training(NamedTuple):
     """One model and seed.
 
     Attributes:
-        name: what it is called in messages.
+        model: its name.
+        seed: of parameters, order and augmentation.
         folder: where ``sphericalvision-train`` writes.
-        words: its words, without ``output`` and ``resume``.
-        config: what these words come to, flat, without what changes nothing.
+        words: its words, without ``output`` and ``resume``; the last is the seed.
+        composed: what these words come to.
     """
 
-    name: str
+    model: str
+    seed: int
     folder: Path
     words: tuple[str, ...]
-    config: dict[str, Any]
+    composed: DictConfig
 
     @classmethod
     def of(
@@ -89,8 +79,17 @@ class Training(NamedTuple):
     ) -> Training:
         """The training of a model: words of ``training``, its own, then ``extra_training``."""
         words = (*training_words(own, config), f"seed={seed}")
-        home = folder / "models" / model / f"seed{seed}"
-        return cls(f"{model}, seed {seed}", home, words, flat_config(training_config(words)))
+        return cls(model, seed, folder / "models" / model / f"seed{seed}", words, training_config(words))
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return f"{self.model}, seed {self.seed}"
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """All its keys with dots, without those that change nothing."""
+        return flat_config(self.composed)
 
     @property
     def weights(self) -> Path:
@@ -112,11 +111,6 @@ class Training(NamedTuple):
         """Whether it reached its end, with these words: its last table is there."""
         ends = (self.folder / "validation.json", self.weights)
         return all(path.is_file() for path in ends) and not self.changes
-
-    @property
-    def all_words(self) -> list[str]:
-        """The words of this training; the same ones start it and go on with it."""
-        return [*self.words, f"output={self.folder}", "resume=auto"]
 
     def check(self, on_change: str) -> None:
         """Refuse what was trained with other words, or throw it away, as ``on_change`` says.
@@ -142,67 +136,58 @@ def train_all(config: DictConfig, trainings: list[Training]) -> None:
 
     Raises:
         ArgumentError: one was trained otherwise, and ``config.on_change`` is "refuse".
-        TrainingError: one stopped before its end; the same study goes on with it.
+        SystemExit: one stopped before its end; the same study goes on with it.
     """
     for training in trainings:
         training.check(config.on_change)
-    pending = []
+    pending: dict[str, list[Training]] = {}
     for training in trainings:
         if training.is_done:
             console.print(f"{training.name}: trained already", highlight=False)
         elif config.train:
-            pending.append(training)
+            pending.setdefault(training.model, []).append(training)
         else:
             console.print(f"{training.name}: not trained, left out (train=false)", highlight=False)
-    if pending:
-        launch(pending)
+    lines = [line for seeds in pending.values() for line in command_lines(seeds)]
+    for line in lines:
+        try:
+            run_line(line)
+        except (Exception, SystemExit):
+            command = shlex.join(["sphericalvision-train", *line])
+            print(
+                "\nA training stopped. What is done is kept: start the study again to go on, or see what happens with"
+                f"\n{command}",
+                file=sys.stderr,
+            )
+            raise
 
 
-def launch(trainings: list[Training]) -> None:
-    """Let the launcher of this run do trainings: one after the other, unless ``launcher=joblib`` or ``submitit``.
+def command_lines(seeds: list[Training]) -> list[list[str]]:
+    """The words of ``sphericalvision-train`` for the seeds of a model: one multi-run, in the launcher of the study.
 
-    Raises:
-        TrainingError: one stopped before its end.
+    A training in several processes is a command of its own, as Lightning starts them by repeating it.
     """
-    hydra, mine = GlobalHydra.instance().hydra, HydraConfig.get()
-    assert hydra is not None
-    elsewhere = [word for word in mine.overrides.hydra if word.startswith("hydra.searchpath=")]
-    config = hydra.compose_config(
-        "train", [*elsewhere, "hydra.sweep.subdir=."], RunMode.MULTIRUN, with_log_configuration=False
-    )
-    with open_dict(config):
-        config.hydra.launcher = mine.launcher
-    context = HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks())
-    launcher = Plugins.instance().instantiate_launcher(
-        hydra_context=context, task_function=train_here, config=config
-    )
-    returns = launcher.launch([quote_paths(training.all_words) for training in trainings], 0)
-    for training, result in zip(trainings, returns, strict=True):
-        if result.status is not JobStatus.COMPLETED:
-            error = result._return_value
-            if not isinstance(error, (SphericalVisionError, OSError)):
-                traceback.print_exception(error)
-            raise TrainingError(
-                f"{training.name}: the training stopped ({error}). What is done is kept: start the study again to go "
-                "on, or see what happens with\n"
-                f"{shlex.join(['sphericalvision-train', *own_configs(), *training.all_words])}"
-            ) from error
+    first, mine = seeds[0], HydraConfig.get()
+    if several_processes(first.composed):
+        return [
+            [*own_configs(), *training.words, f"output={training.folder}", "resume=auto"]
+            for training in seeds
+        ]
+    launcher = [f"launcher={name}"] if (name := mine.runtime.choices.launcher) else []
+    launcher += [
+        word for word in mine.overrides.hydra if word.startswith(("hydra.launcher", "hydra/launcher"))
+    ]
+    together = ",".join(str(training.seed) for training in seeds)
+    place = [f"output={first.folder.parent}", "hydra.sweep.subdir=seed${seed}", "resume=auto"]
+    return [[*own_configs(), "--multirun", *launcher, *first.words[:-1], f"seed={together}", *place]]
 
 
-def train_here(config: DictConfig) -> None:
-    """The task of a training, in whatever process the launcher has chosen."""
-    from sphericalvision.recipes.commands.train import train
-
-    words = [*own_configs(), *HydraConfig.get().overrides.task]
-    # Lightning starts further processes of a training by the command line of this one, and tells them by variables.
-    with (
-        mock.patch.object(sys.modules["__main__"], "__spec__", find_spec("sphericalvision.recipes.train")),
-        mock.patch.object(sys, "argv", ["sphericalvision-train", *words]),
-        mock.patch.dict(os.environ),
-    ):
-        train(config, Path(HydraConfig.get().runtime.output_dir))
-    if torch.distributed.is_initialized():
-        torch.distributed.destroy_process_group()
+def run_line(words: list[str]) -> None:
+    """Do what ``sphericalvision-train`` does with these words, in this process if it is a multi-run."""
+    if "--multirun" in words:
+        train.main(words)
+    elif status := subprocess.run([sys.executable, "-m", train.__name__, *words], check=False).returncode:
+        raise SystemExit(status)
 
 
 def training_words(own: Sequence[str] | None, config: DictConfig) -> tuple[str, ...]:

@@ -42,8 +42,7 @@ def test_words_that_are_no_file_names_stay() -> None:
 def test_a_terminal_without_the_letters_of_a_name_is_none_to_fail_on(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
     monkeypatch.setattr("sys.stdout", terminal)
-    monkeypatch.setattr("sys.argv", ["sphericalvision-predict", "--version"])
-    run_command("predict", print)
+    run_command("predict", print, ["--version"])
     print("output: caf\u00e9")
     assert terminal.buffer.getvalue().endswith(b"output: caf\\xe9\n")  # type: ignore[attr-defined]
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import html
 import json
 import math
@@ -30,6 +31,7 @@ from sphericalvision.recipes.commands import train as train_command
 from sphericalvision.recipes.evaluation.loop import errors_of_frame, evaluate
 from sphericalvision.recipes.evaluation.methods import Answer, Scale
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame
+from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table, save_report
 from sphericalvision.recipes.study.data import View, study_frames
 from sphericalvision.recipes.study.models import study_models
@@ -274,16 +276,17 @@ class Trainer:
         self.trained: list[str] = []
         self.error: Exception | None = None
 
-    def __call__(self, config: DictConfig, folder: Path) -> None:
+    def __call__(self, config: DictConfig, folder: Path) -> dict[str, float]:
         assert config.resume == "auto"
-        assert Path(config.output) == folder
+        assert Path(config.output) == folder.parent
         self.trained.append(f"{folder.parent.name}/{folder.name}")
         print_config(config, folder)
         if self.error is not None:
             raise self.error
         torch.manual_seed(config.seed)
         save_weights(build(config.model), folder / "checkpoints" / "best.safetensors")
-        (folder / "validation.json").write_text("{}")
+        write_json(folder / "validation.json", {"best": {"MAE": 1.0}})
+        return {"MAE": 1.0}
 
 
 @pytest.fixture
@@ -359,10 +362,11 @@ def test_other_words_for_a_training_are_refused_or_redone(
 def test_a_training_that_dies_is_told_and_taken_up_again(
     run: Run, failing: Callable[..., str], tmp_path: Path, words: tuple[str, ...], trainer: Trainer
 ) -> None:
-    trainer.error = OSError("no space left")
+    trainer.error = OSError(errno.ENOSPC, "no space left")
     message = failing("study", *words, *ONLY)
-    assert "icosweepnet, seed 0: the training stopped (no space left)" in message
-    assert "resume=auto" in message
+    assert "Error: no space left; free the disk" in message
+    assert "A training stopped. What is done is kept" in message
+    assert "models/icosweepnet 'hydra.sweep.subdir=seed${seed}' resume=auto" in message
     assert "nothing is trained yet" in failing("study", *words, *ONLY, "train=false")
     trainer.error = None
     run("study", *words, *ONLY)

@@ -23,11 +23,11 @@ from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.videos import Videos
 from sphericalvision.recipes.commands.predict import predictor_for, run
+from sphericalvision.recipes.evaluation.compared import SCALE
+from sphericalvision.recipes.evaluation.places import FrameTruth
+from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, render_frame
+from sphericalvision.recipes.evaluation.tracks import TRACKS
 from sphericalvision.recipes.speed.measuring import Comparison, added_memory
-from sphericalvision.recipes.study.comparison.frames import Size, TrackFrame, render_frame
-from sphericalvision.recipes.study.comparison.methods import SCALE
-from sphericalvision.recipes.study.comparison.places import FrameTruth
-from sphericalvision.recipes.study.comparison.tracks import TRACKS
 from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.sweep import index_from_inverse_depth
 

@@ -17,7 +17,7 @@ __all__ = ["main", "run"]
 def run(config: DictConfig, folder: Path) -> Any:
     """The study, or with ``preset=benchmark`` the benchmark of methods."""
     if "benchmark" in config:
-        from sphericalvision.recipes.study.comparison.running import compare
+        from sphericalvision.recipes.study.benchmark import compare
 
         return compare(config, folder)
     from sphericalvision.recipes.study.command import study

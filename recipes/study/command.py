@@ -16,10 +16,10 @@ from omegaconf import DictConfig, OmegaConf
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import evaluate
+from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import Record
-from sphericalvision.recipes.study.data import View, study_frames, views
+from sphericalvision.recipes.evaluation.views import View, study_frames, views
 from sphericalvision.recipes.study.models import StudyModel, Version, scale_of, study_models
-from sphericalvision.recipes.study.protocols import Protocols
 from sphericalvision.recipes.study.report import Evaluated, report
 from sphericalvision.recipes.study.training import Training, check_alike, flat_config, train_all
 

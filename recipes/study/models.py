@@ -15,7 +15,7 @@ from sphericalvision.models import ConstantDepth, DepthNetwork, SemiGlobalSweep,
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import choose_device
 from sphericalvision.recipes.evaluation.methods import Method, Scale, identity_of
-from sphericalvision.recipes.study.data import training_depths
+from sphericalvision.recipes.evaluation.views import training_depths
 from sphericalvision.recipes.study.training import flat_config, training_config, training_words
 
 __all__ = ["KINDS", "StudyModel", "Version", "scale_of", "study_models"]

@@ -18,11 +18,11 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import collate_samples
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, Picture, color_picture
+from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import Record, values_of, write_json
 from sphericalvision.recipes.evaluation.tables import Row, Table, save_report, summarize
-from sphericalvision.recipes.study.data import View
+from sphericalvision.recipes.evaluation.views import View
 from sphericalvision.recipes.study.models import Version, scale_of
-from sphericalvision.recipes.study.protocols import Protocols
 from sphericalvision.recipes.study.tables import Result, study_tables
 from sphericalvision.recipes.study.training import Training
 from sphericalvision.sphere.intake import unsigned

@@ -19,15 +19,16 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
+from sphericalvision.recipes.evaluation import compared as methods
+from sphericalvision.recipes.evaluation.compared import SCALE, frame_inputs, make_method
 from sphericalvision.recipes.evaluation.loop import errors_of_frame
 from sphericalvision.recipes.evaluation.methods import Method, identity_of
+from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record
-from sphericalvision.recipes.study.comparison import methods, running
-from sphericalvision.recipes.study.comparison.frames import Size, TrackFrame, TrackFrames, render_frame
-from sphericalvision.recipes.study.comparison.methods import SCALE, frame_inputs, make_method
-from sphericalvision.recipes.study.comparison.places import FrameTruth, PlaceErrors
-from sphericalvision.recipes.study.comparison.running import record_of
-from sphericalvision.recipes.study.comparison.tracks import TRACKS, chosen_tracks
+from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, TrackFrames, render_frame
+from sphericalvision.recipes.evaluation.tracks import TRACKS, chosen_tracks
+from sphericalvision.recipes.study import benchmark as running
+from sphericalvision.recipes.study.benchmark import record_of
 from sphericalvision.scenes.world import HELD_OUT_SEED
 from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate

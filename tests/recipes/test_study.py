@@ -31,11 +31,11 @@ from sphericalvision.recipes.commands import train as train_command
 from sphericalvision.recipes.evaluation.loop import errors_of_frame, evaluate
 from sphericalvision.recipes.evaluation.methods import Answer, Scale
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame
+from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table, save_report
-from sphericalvision.recipes.study.data import View, study_frames
+from sphericalvision.recipes.evaluation.views import View, study_frames
 from sphericalvision.recipes.study.models import study_models
-from sphericalvision.recipes.study.protocols import Protocols
 from sphericalvision.recipes.study.report import angle_plot, panel_sheet
 from sphericalvision.recipes.study.tables import study_tables
 from sphericalvision.recipes.study.training import training_config, training_words

@@ -19,7 +19,7 @@ from sphericalvision.models import (
 )
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.evaluation.methods import Inputs, Method, Scale
-from sphericalvision.recipes.study.comparison.frames import TrackFrame
+from sphericalvision.recipes.evaluation.track_frames import TrackFrame
 from sphericalvision.scenes import make_scene, ray_depth
 from sphericalvision.scenes.registry import kind_of
 from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sphericalvision.metrics.spread import Interval, bootstrap_interval
+from sphericalvision.recipes.evaluation.places import KEPT, REGIONS
 from sphericalvision.recipes.evaluation.records import Errors, Record, values_of, write_json
 from sphericalvision.recipes.evaluation.tables import Cell, Row, Table, save_report
-from sphericalvision.recipes.study.comparison.places import KEPT, REGIONS
-from sphericalvision.recipes.study.comparison.tracks import Track
+from sphericalvision.recipes.evaluation.tracks import Track
 
 __all__ = ["Results", "all_tables", "report"]
 

@@ -20,15 +20,15 @@ from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
+from sphericalvision.recipes.evaluation.compared import SCALE, frame_inputs, make_methods
 from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.methods import Method, identity_of
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, Picture, color_picture
+from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record, read_json, write_json
-from sphericalvision.recipes.study.comparison.frames import NATURAL_SIZE, Size, TrackFrames, aligner
-from sphericalvision.recipes.study.comparison.methods import SCALE, frame_inputs, make_methods
-from sphericalvision.recipes.study.comparison.places import FrameTruth, PlaceErrors
-from sphericalvision.recipes.study.comparison.tables import Results, report
-from sphericalvision.recipes.study.comparison.tracks import TRACKS, Track, chosen_tracks
+from sphericalvision.recipes.evaluation.track_frames import NATURAL_SIZE, Size, TrackFrames, aligner
+from sphericalvision.recipes.evaluation.tracks import TRACKS, Track, chosen_tracks
+from sphericalvision.recipes.study.benchmark_tables import Results, report
 from sphericalvision.viz import sheet
 from sphericalvision.viz.panorama import icosphere_to_panorama
 

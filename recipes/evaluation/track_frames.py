@@ -16,7 +16,7 @@ from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
-from sphericalvision.recipes.study.comparison.tracks import Track
+from sphericalvision.recipes.evaluation.tracks import Track
 from sphericalvision.scenes import render_directions
 from sphericalvision.scenes.cache import ArrayCache
 from sphericalvision.scenes.meshes import mesh_files
@@ -90,7 +90,7 @@ def render_frame(
         cache: folder of renderings, shared by tracks; none is kept without one.
 
     Examples:
-        >>> from sphericalvision.recipes.study.comparison.tracks import TRACKS
+        >>> from sphericalvision.recipes.evaluation.tracks import TRACKS
         >>> frame = render_frame(TRACKS["room"], 0, Size(level=3, panorama_rows=8, image_rows=16, preparation=AS_IT_IS))
         >>> frame.name, frame.images["cam1"].shape, frame.panorama.shape
         ('room-10000000', torch.Size([3, 16, 16]), torch.Size([8, 16]))

@@ -26,7 +26,15 @@ from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
-from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale, baselines, photographs_of
+from sphericalvision.recipes.evaluation.methods import (
+    AsUsed,
+    Method,
+    Scale,
+    baselines,
+    check_names,
+    make_method,
+    photographs_of,
+)
 from sphericalvision.recipes.evaluation.strips import StripErrors, table_beside_published
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 
@@ -72,7 +80,8 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
             raise ArgumentError(f"{key}: counts only in training; leave it out")
     preparation = Preparation.from_keys(config)
     as_used = bool(found or preparation != AS_IT_IS)
-    more = ["sphere" if config.baselines else "depth", *(["fisheye"] if as_used else [])]
+    compared = config.baselines or config.methods
+    more = ["sphere" if compared else "depth", *(["fisheye"] if as_used else [])]
     data.serve(net, *more, depth_level=config.model.level - 2)
     if as_used and not (isinstance(data, DepthDataModule) and "fisheye" in data.wanted.entries):
         raise ArgumentError(
@@ -106,13 +115,15 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> Table:
                 lambda rig: rig.replaced(masks=masks or rig.masks),
             )
         ]
+    level, scale = config.model.level - 2, Scale(net.num_hypotheses, net.min_depth)
     if config.baselines:
         methods += baselines(net, config.model.level, data)
-        if evaluation.as_used or config.min_confidence > 0:
-            print(
-                f"baselines see the images as they are, everywhere; the options of use are those of {name} alone"
-            )
-    level, scale = config.model.level - 2, Scale(net.num_hypotheses, net.min_depth)
+    methods += [_beside(word, config.model.level, scale, net) for word in config.methods]
+    check_names(methods)
+    if len(methods) > 1 and (evaluation.as_used or config.min_confidence > 0):
+        print(
+            f"other methods see the images as they are, everywhere; the options of use are those of {name} alone"
+        )
     nothing = torch.zeros(1, *net.grid.shape, device=net.device)
     within = net.index_at(nothing, Icosphere(level, device=net.device).vertices)[1]
     published = getattr(data, "published", None)
@@ -135,6 +146,20 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> Table:
         print(f"Warning: {sentence}")
     print(f"Saved in {folder}")
     return table
+
+
+def _beside(word: str, level: int, scale: Scale, net: DepthNetwork) -> Method:
+    """A method that is compared with a network, on the same images on the icosphere.
+
+    Raises:
+        ArgumentError: a network that takes other images.
+    """
+    method = make_method(word, level, scale)
+    if method.net.images != "sphere":
+        raise ArgumentError(
+            f"methods: {word} takes no images on the icosphere; evaluate it by itself, with checkpoint={word}"
+        )
+    return Method(method.name, method.net.with_changes(level=level).to(net.device))
 
 
 def _masks(batches: Iterable[dict[str, Any]]) -> Mapping[str, Tensor]:

@@ -131,7 +131,7 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
     logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
     module, data, trainer = instantiate_run(config, folder)
     if trainer.is_global_zero:
-        changes = [] if checkpoint is None else changed_settings(checkpoint, config)
+        changes = [] if checkpoint is None else changed_settings(checkpoint.parent.parent, config)
         check_resume(checkpoint, module)
         begin_logging(config, trainer)
         print_config(config, folder)

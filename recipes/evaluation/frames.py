@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.progress import track
@@ -23,12 +24,18 @@ class FrameSet(Protocol):
     """Frames by name, made when they are asked for.
 
     Attributes:
+        name: of the set, in files and tables.
         names: of all frames, in order.
         drawn: names of those whose estimates are kept for pictures.
     """
 
+    name: str
     names: Sequence[str]
     drawn: Collection[str]
+
+    @property
+    def key(self) -> Mapping[str, Any]:
+        """What the frames depend on, as JSON has it."""
 
     def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Batch]]:
         """Some of the frames in batches, each with the names of its frames."""
@@ -40,18 +47,20 @@ class SampleFrames:
     Args:
         data: that makes the loader.
         samples: the frames.
-        label: of the progress.
+        name: of the set, and of its progress.
         drawn: numbers of the frames that are drawn.
+        key: what the frames depend on.
     """
 
     def __init__(
         self,
         data: SampleDataModule,
         samples: Dataset[Any],
-        label: str = "evaluating",
+        name: str = "evaluating",
         drawn: Sequence[int] = (),
+        key: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        self.data, self.samples, self.label = data, samples, label
+        self.data, self.samples, self.name, self.key = data, samples, name, key
         self.names = [str(number) for number in range(len(samples))]  # type: ignore[arg-type]
         self.drawn = {str(number) for number in drawn}
 
@@ -59,7 +68,7 @@ class SampleFrames:
         """The samples, put together as the data module does."""
         done = 0
         loader = self.data.loader(Subset(self.samples, [int(name) for name in names]))
-        for batch in track(loader, self.label, total=len(loader)):
+        for batch in track(loader, self.name, total=len(loader)):
             number = len(batch["valid"])
             yield names[done : done + number], batch
             done += number
@@ -72,6 +81,8 @@ class BatchFrames:
         batches: samples that are put together, each of which is given whole.
     """
 
+    name = "batches"
+    key: Mapping[str, Any] = MappingProxyType({})
     drawn: Collection[str] = ()
 
     def __init__(self, *batches: dict[str, Any]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 import torch
@@ -17,7 +18,7 @@ from sphericalvision.recipes.evaluation.methods import Answer, Method, Scale
 from sphericalvision.recipes.evaluation.records import Errors, Record
 from sphericalvision.sweep import index_from_inverse_depth
 
-__all__ = ["Measure", "VertexErrors", "errors_of_frame", "evaluate", "mean_errors_by_method"]
+__all__ = ["Measure", "VertexErrors", "errors_of_frame", "evaluate", "mean_errors_by_method", "records_of"]
 
 
 @torch.no_grad()
@@ -48,6 +49,8 @@ def evaluate(
         for method in methods
     }
     wanted = set().union(*missing.values())
+    if not wanted:
+        return records
     try:
         for names, batch in frames.batches([name for name in frames.names if name in wanted]):
             batch = _on(batch, measure.directions.device)
@@ -77,6 +80,20 @@ def evaluate(
     return records
 
 
+def records_of(
+    methods: Sequence[Method], frames: FrameSet, measure: Measure, folder: Path | None
+) -> dict[str, Record]:
+    """What there is of methods on frames: ``records/FRAMES/METHOD.json`` of a folder, by the name of the method."""
+    key = {**frames.key, "generation": measure.generation, "hypotheses": list(measure.scale)}
+    home = None if folder is None else folder / "records" / frames.name
+    return {
+        method.name: Record(
+            None if home is None else home / f"{method.name}.json", {**key, "method": method.identity}
+        )
+        for method in methods
+    }
+
+
 def _on(batch: Batch, device: torch.device) -> Batch:
     """A batch on a device."""
     if not isinstance(batch, dict):
@@ -91,6 +108,8 @@ class Measure(Protocol):
     """``(V, 3)`` in which estimates that are drawn are kept."""
     scale: Scale
     """In whose hypotheses."""
+    generation: int
+    """Raised whenever errors of the same frames and methods come out otherwise, so that old records are not taken."""
 
     def truth(self, batch: Batch) -> Any:
         """What is right for a batch, the same for all methods."""
@@ -125,6 +144,8 @@ class VertexErrors:
         device: of the batches.
         within: ``(V,)``, False at vertices that are left out for all methods.
     """
+
+    generation = 1
 
     def __init__(
         self, scale: Scale, level: int, device: torch.device | str = "cpu", within: Tensor | None = None

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from hashlib import sha256
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
@@ -16,11 +18,22 @@ from torch.utils.data import DataLoader
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
-from sphericalvision.core import ArgumentError, reference_kernels
-from sphericalvision.models import ConstantDepth, DepthNetwork, SemiGlobalSweep, WinnerTakesAll
+from sphericalvision.core import ArgumentError, SphericalVisionError, reference_kernels
+from sphericalvision.models import (
+    ConstantDepth,
+    DepthNetwork,
+    SemiGlobalSweep,
+    WinnerTakesAll,
+    load_weights,
+    save_weights,
+)
+from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.datamodules.entries import images_of
 from sphericalvision.recipes.evaluation.frames import Batch
 from sphericalvision.recipes.training.rig_tables import RigTables
+from sphericalvision.scenes import make_scene, ray_depth
+from sphericalvision.scenes.registry import kind_of
+from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.sphere.intake import unsigned
 from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth, inverse_depth_from_index
 
@@ -28,14 +41,18 @@ if TYPE_CHECKING:
     from sphericalvision.recipes.datamodules.base import SampleDataModule
 
 __all__ = [
+    "SCALE",
     "Answer",
     "AsUsed",
     "Inputs",
     "Method",
     "Scale",
     "baselines",
+    "check_names",
     "constants",
     "identity_of",
+    "make_method",
+    "make_methods",
     "photographs_of",
     "sweep",
 ]
@@ -48,6 +65,19 @@ class Scale(NamedTuple):
     min_depth: float
 
 
+SCALE = Scale(16, NATURAL_MIN_DEPTH)
+"""The hypotheses that errors are percentages of, for all methods alike."""
+
+SWEEPS: dict[str, type[SemiGlobalSweep] | type[WinnerTakesAll]] = {
+    "semi-global-sweep": SemiGlobalSweep,
+    "winner-takes-all": WinnerTakesAll,
+}
+"""Methods without training."""
+
+TRAINING_SCENES = 70
+"""Of seeds 0 and up, every kind in turn: what the constant map is the median of."""
+
+
 class Inputs(NamedTuple):
     """What a network is given of a batch: images, what of them was seen (None: all in view), and the rig."""
 
@@ -56,10 +86,12 @@ class Inputs(NamedTuple):
     rig: CameraRig
 
 
-def sample_inputs(batch: dict[str, Any], net: DepthNetwork) -> Inputs:
-    """The inputs of samples that are put together."""
-    images, seen = images_of(batch, net)
-    return Inputs(images, seen, batch["rig"])
+def inputs_of(batch: Batch, net: DepthNetwork) -> Inputs:
+    """The inputs of samples that are put together, or of one frame with ``images`` and ``rig``, a batch of one."""
+    if isinstance(batch, dict):
+        return Inputs(*images_of(batch, net), batch["rig"])
+    intake = net.intake(batch.rig)
+    return Inputs(intake(batch.images)[None], intake.seen[None], batch.rig)
 
 
 class Method:
@@ -67,25 +99,44 @@ class Method:
 
     Args:
         name: of its row or column, and its files.
-        net: any ``DepthNetwork``; its own level of images and hypotheses are kept.
+        net: any ``DepthNetwork``, or what makes one, which is asked when the first frame is estimated; its own level of
+            images and hypotheses are kept.
         min_confidence: where the network is less confident, it says nothing.
-        inputs: what a network is given of a batch.
+        identity: what its estimates depend on; a digest of the network if not given.
+        label: in tables and pictures; the name if not given.
+        seed: of its training, where there are several.
     """
 
     def __init__(
         self,
         name: str,
-        net: DepthNetwork,
+        net: DepthNetwork | Callable[[], DepthNetwork],
         min_confidence: float = 0.0,
-        inputs: Callable[[Batch, DepthNetwork], Inputs] = sample_inputs,
+        identity: Any = None,
+        label: str | None = None,
+        seed: int | None = None,
     ) -> None:
-        self.name, self.net, self.min_confidence, self.inputs = name, net.eval(), min_confidence, inputs
-        self._tables = RigTables(net)
+        self.name, self.min_confidence, self.label, self.seed = name, min_confidence, label or name, seed
+        self._net, self._identity = net, identity
+
+    @cached_property
+    def net(self) -> DepthNetwork:
+        """The network, in evaluation mode."""
+        return (self._net if isinstance(self._net, DepthNetwork) else self._net()).eval()
+
+    @cached_property
+    def identity(self) -> Any:
+        """What its estimates depend on; records of another one do not count."""
+        return identity_of(self.net) if self._identity is None else self._identity
+
+    @cached_property
+    def _tables(self) -> RigTables:
+        return RigTables(self.net)
 
     @torch.no_grad()
     def __call__(self, batch: Batch) -> Answer:
         """Estimate a batch; what follows from the rig alone is not counted in the time."""
-        images, seen, rig = self.inputs(batch, self.net)
+        images, seen, rig = inputs_of(batch, self.net)
         tables = self._tables.of(rig)
         began = time.process_time()
         estimate = self.net.predict(images, tables, seen)
@@ -99,7 +150,7 @@ class Method:
         """
         from torch.utils.flop_counter import FlopCounterMode
 
-        images, seen, rig = self.inputs(batch, self.net)
+        images, seen, rig = inputs_of(batch, self.net)
         tables = self._tables.of(rig)
         counter = FlopCounterMode(display=False)
         with reference_kernels(), counter:
@@ -243,3 +294,64 @@ def constants(net: DepthNetwork, level: int, loader: DataLoader[dict[str, Any]])
         Method(name, fresh[name].fit(inverse_depth.reshape(shape), valid.reshape(shape)).to(net.device))
         for name, shape in shapes.items()
     ]
+
+
+def make_methods(words: Sequence[str], level: int, folder: Path | None = None) -> list[Method]:
+    """The methods that words stand for, each as ``make_method`` makes it.
+
+    Raises:
+        ArgumentError: none, or two of one name.
+    """
+    if not words:
+        raise ArgumentError("methods: expected at least one, got none")
+    methods = [make_method(word, level, folder=folder) for word in words]
+    check_names(methods)
+    return methods
+
+
+def check_names(methods: Sequence[Method]) -> None:
+    """Refuse two methods of one name."""
+    names = [method.name for method in methods]
+    for name in names:
+        if names.count(name) > 1:
+            raise ArgumentError(f"methods: {name} is given twice; rename one of the files")
+
+
+def make_method(word: str, level: int = 6, scale: Scale = SCALE, folder: Path | None = None) -> Method:
+    """The method that a word stands for.
+
+    Args:
+        word: "constant", "winner-takes-all", "semi-global-sweep", the name of weights that ship, or a file of weights.
+        level: of the images, for methods without training.
+        scale: their hypotheses; a network has its own number of them from the same nearest depth.
+        folder: in which the constant map is kept.
+
+    Raises:
+        MissingFileError: neither a name nor a file.
+    """
+    net: DepthNetwork
+    if word == "constant":
+        net = _constant(level, scale, folder)
+    elif word in SWEEPS:
+        net = SWEEPS[word](level, *scale)
+    else:
+        net = load_network(word, min_depth=scale.min_depth)
+    return Method(Path(word).stem if Path(word).suffix else word, net)
+
+
+def _constant(level: int, scale: Scale, folder: Path | None) -> DepthNetwork:
+    """The median of the training scenes, which is kept: it takes a quarter of a minute."""
+    path = None if folder is None else folder / f"constant-{level}-{TRAINING_SCENES}.safetensors"
+    if path is not None and path.is_file():
+        try:
+            return load_weights(path)
+        except SphericalVisionError:
+            pass  # damaged, so it is made anew
+    assert TRAINING_SCENES < HELD_OUT_SEED
+    net = ConstantDepth(level, *scale)
+    scenes = [make_scene(kind_of("all", seed), seed) for seed in range(TRAINING_SCENES)]
+    directions = net.grid.directions
+    net.fit(torch.stack([ray_depth(scene, torch.zeros(3), directions).reciprocal() for scene in scenes]))
+    if path is not None:
+        save_weights(net, path)
+    return net

@@ -14,8 +14,7 @@ from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.metrics import depth_error, depth_index_error
 from sphericalvision.metrics.spread import error_of_surest
 from sphericalvision.metrics.structure import depth_structure, local_contrast
-from sphericalvision.recipes.evaluation.compared import SCALE
-from sphericalvision.recipes.evaluation.methods import Answer
+from sphericalvision.recipes.evaluation.methods import SCALE, Answer
 from sphericalvision.recipes.evaluation.track_frames import TrackFrame
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth
@@ -84,7 +83,7 @@ class PlaceErrors:
         level: icosphere on which truth is dense.
     """
 
-    scale = SCALE
+    scale, generation = SCALE, 2
 
     def __init__(self, level: int) -> None:
         self.directions = Icosphere(level).vertices

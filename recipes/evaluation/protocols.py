@@ -63,6 +63,8 @@ class Protocols:
         device: of the batches.
     """
 
+    generation = 3
+
     def __init__(self, scale: Scale, level: int, device: torch.device | str = "cpu") -> None:
         grid = Icosphere(level, device=device)
         self.scale, self.directions, self.solid_angles = scale, grid.vertices, grid.solid_angles

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
@@ -16,6 +17,7 @@ from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
+from sphericalvision.recipes.evaluation.methods import identity_of
 from sphericalvision.recipes.evaluation.tracks import Track
 from sphericalvision.scenes import render_directions
 from sphericalvision.scenes.cache import ArrayCache
@@ -135,10 +137,17 @@ class TrackFrames:
     """
 
     def __init__(self, track: Track, numbers: range, size: Size, cache: Path | None) -> None:
-        self.track, self.size, self.cache = track, size, cache
+        self.track, self.name, self.size, self.cache = track, track.name, size, cache
         self.numbers = {track.frame_name(number): number for number in numbers}
         self.names = list(self.numbers)
         self.drawn = [self.names[place] for place in DRAWN if place < len(self.names)]
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """What the frames depend on: track, size, and the network that turns cameras where one does."""
+        preparation = self.size.preparation
+        key = {"track": repr(self.track), "size": {**self.size._asdict(), "preparation": asdict(preparation)}}
+        return key if preparation == AS_IT_IS else {**key, "aligner": _aligner_identity()}
 
     def frame(self, name: str) -> TrackFrame:
         """Render a frame."""
@@ -171,3 +180,8 @@ def _aligned(rig: CameraRig, images: Mapping[str, Tensor]) -> CameraRig:
 def aligner() -> DepthNetwork:
     """The network by whose depth cameras are turned."""
     return pretrained()
+
+
+@lru_cache(maxsize=1)
+def _aligner_identity() -> str:
+    return identity_of(aligner())

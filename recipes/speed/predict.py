@@ -23,7 +23,7 @@ from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.videos import Videos
 from sphericalvision.recipes.commands.predict import predictor_for, run
-from sphericalvision.recipes.evaluation.compared import SCALE
+from sphericalvision.recipes.evaluation.methods import SCALE
 from sphericalvision.recipes.evaluation.places import FrameTruth
 from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, render_frame
 from sphericalvision.recipes.evaluation.tracks import TRACKS

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,27 +14,23 @@ from joblib import Parallel, delayed
 from omegaconf import DictConfig
 
 from sphericalvision.capture.estimating import threads_kept
-from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
-from sphericalvision.recipes.evaluation.compared import SCALE, frame_inputs, make_methods
-from sphericalvision.recipes.evaluation.loop import evaluate
-from sphericalvision.recipes.evaluation.methods import Method, identity_of
+from sphericalvision.recipes.evaluation.loop import evaluate, records_of
+from sphericalvision.recipes.evaluation.methods import SCALE, Method, make_methods
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, Picture, color_picture
 from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record, read_json, write_json
-from sphericalvision.recipes.evaluation.track_frames import NATURAL_SIZE, Size, TrackFrames, aligner
+from sphericalvision.recipes.evaluation.track_frames import NATURAL_SIZE, Size, TrackFrames
 from sphericalvision.recipes.evaluation.tracks import TRACKS, Track, chosen_tracks
 from sphericalvision.recipes.study.benchmark_tables import Results, report
 from sphericalvision.viz import sheet
 from sphericalvision.viz.panorama import icosphere_to_panorama
 
-__all__ = ["compare", "record_of", "run_track", "scores"]
-
-GENERATION = 2
-"""Raised whenever a frame would be scored otherwise, so that old records are not taken."""
+__all__ = ["compare", "run_track", "scores"]
 
 
 def compare(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
@@ -55,9 +50,11 @@ def compare(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
         delayed(_measure)(frames, words, folder, config.panel_height) for frames in sets
     ):
         console.print(summary, highlight=False)
+    measure = PlaceErrors(size.level)
     results = {
-        frames.track.name: {
-            method.name: record_of(frames, method, folder).only(frames.names) for method in methods
+        frames.name: {
+            name: record.only(frames.names)
+            for name, record in records_of(methods, frames, measure, folder).items()
         }
         for frames in sets
     }
@@ -94,33 +91,18 @@ def scores(
         True
     """
     chosen = TRACKS[track] if isinstance(track, str) else track
-    method = Method("network", network, inputs=frame_inputs)
+    method = Method("network", network)
     given = TrackFrames(chosen, range(frames), size, None if cache is None else Path(cache))
     return run_track(given, [method], None)["network"].means
 
 
-def record_of(frames: TrackFrames, method: Method, folder: Path | None) -> Record:
-    """What is there of a method on a track."""
-    size = frames.size
-    key = {
-        "generation": GENERATION,
-        "track": repr(frames.track),
-        "method": identity_of(method.net),
-        "size": {**size._asdict(), "preparation": asdict(size.preparation)},
-        "hypotheses": list(SCALE),
-    }
-    if size.preparation != AS_IT_IS:
-        key["aligner"] = _aligner_identity()
-    name = Path("records", frames.track.name, f"{method.name}.json")
-    return Record(None if folder is None else folder / name, key)
-
-
 def run_track(frames: TrackFrames, methods: Sequence[Method], folder: Path | None) -> Mapping[str, Record]:
     """Score methods on frames of a track, those that are not in ``folder`` yet; the records by method."""
-    records = {method.name: record_of(frames, method, folder) for method in methods}
+    measure = PlaceErrors(frames.size.level)
+    records = records_of(methods, frames, measure, folder)
     with threads_kept():
         torch.set_num_threads(1)  # for times that mean something
-        return evaluate(methods, frames, PlaceErrors(frames.size.level), records, count_cost=True)
+        return evaluate(methods, frames, measure, records, count_cost=True)
 
 
 def _measure(frames: TrackFrames, words: tuple[str, ...], folder: Path, rows: int) -> str:
@@ -169,8 +151,3 @@ def _key_of(page: Path) -> object:
 def _methods(words: tuple[str, ...], level: int, folder: Path) -> list[Method]:
     """Made once in a process."""
     return make_methods(words, level, folder)
-
-
-@lru_cache(maxsize=1)
-def _aligner_identity() -> str:
-    return identity_of(aligner())

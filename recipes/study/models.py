@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Sequence
+from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,11 +15,12 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.models import ConstantDepth, DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import choose_device
-from sphericalvision.recipes.evaluation.methods import Method, Scale, identity_of
-from sphericalvision.recipes.evaluation.views import training_depths
-from sphericalvision.recipes.study.training import flat_config, training_config, training_words
+from sphericalvision.recipes.evaluation.methods import Method, Scale
+from sphericalvision.recipes.study.training import CHANGES_NOTHING, Training, training_config, training_words
+from sphericalvision.recipes.study.views import training_depths
+from sphericalvision.recipes.training.run_folder import flat_settings
 
-__all__ = ["KINDS", "StudyModel", "Version", "scale_of", "study_models"]
+__all__ = ["KINDS", "StudyModel", "methods_of", "scale_of", "study_models"]
 
 SWEEPS: dict[str, type[SemiGlobalSweep] | type[WinnerTakesAll]] = {
     "semi_global": SemiGlobalSweep,
@@ -52,61 +54,50 @@ class StudyModel(NamedTuple):
         """Whether the study trains it, once a seed."""
         return self.kind == "depth_network" and self.train is not None and self.checkpoint is None
 
-    def seeds(self, seeds: list[int]) -> list[int | None]:
-        """The seeds it has: all, or ``[None]`` for a model that has only one version."""
-        several = self.is_trained or (self.checkpoint is not None and "{seed}" in self.checkpoint)
-        return [*seeds] if several else [None]
 
-    def given_checkpoint(self, seed: int | None) -> Path | None:
-        """The file of ``checkpoint``, if there is one."""
-        return None if self.checkpoint is None else Path(self.checkpoint.replace("{seed}", str(seed)))
+def methods_of(model: StudyModel, config: DictConfig, trainings: Sequence[Training]) -> list[Method]:
+    """The method of each seed of a model, but for seeds that are not trained; of a model without seeds the one."""
+    weights: dict[int | None, Path | None] = {None: None}
+    if model.is_trained:
+        weights = {t.seed: t.weights for t in trainings if t.model == model.name and t.is_done}
+    elif model.checkpoint is not None:
+        seeds = [*config.seeds] if "{seed}" in model.checkpoint else [None]
+        weights = {seed: Path(model.checkpoint.replace("{seed}", str(seed))) for seed in seeds}
+    training = training_config(training_words(model.train, config)) if model.kind == "constant" else None
+    return [
+        Method(
+            model.name if seed is None else f"{model.name}/seed{seed}",
+            partial(make_net, model, path, config, training),
+            identity=training and [flat_settings(training.data, CHANGES_NOTHING), config.baseline_frames],
+            label=model.label,
+            seed=seed,
+        )
+        for seed, path in weights.items()
+    ]
 
 
-class Version:
-    """A model as it is evaluated: of one seed.
+def make_net(
+    model: StudyModel, weights: Path | None, config: DictConfig, training: DictConfig | None
+) -> DepthNetwork:
+    """The network of a model, for the study's level and nearest depth.
 
     Args:
         model: which.
-        seed: of its training; None for a model that has only one version.
         weights: of a network; None for the one that ships, and for what has none.
         config: of the study.
+        training: whose median a map of constants is.
     """
-
-    def __init__(self, model: StudyModel, seed: int | None, weights: Path | None, config: DictConfig) -> None:
-        self.model, self.seed, self.weights, self.config = model, seed, weights, config
-
-    @property
-    def name(self) -> str:
-        """Of its folder below ``evaluation``."""
-        return self.model.name if self.seed is None else f"{self.model.name}/seed{self.seed}"
-
-    @cached_property
-    def net(self) -> DepthNetwork:
-        """The network, for the study's level and nearest depth; a map of constants is found when asked for."""
-        level, (number, min_depth) = self.config.model.level, scale_of(self.config)
-        if self.model.kind in SWEEPS:
-            return SWEEPS[self.model.kind](level, number, min_depth, **self.model.options)
-        if self.model.kind == "constant":
-            depths = training_depths(self._training, level, self.config.baseline_frames)
-            return ConstantDepth(level, number, min_depth).fit(*depths)
-        net = load_network(self.weights)
-        return net.with_changes(level=level if net.images == "sphere" else None, min_depth=min_depth)
-
-    @property
-    def method(self) -> Method:
-        """The method to evaluate."""
-        return Method(self.name, self.net.to(choose_device(self.config.device)))
-
-    @property
-    def identity(self) -> Any:
-        """What its estimates depend on."""
-        if self.model.kind != "constant":
-            return identity_of(self.net)
-        return [flat_config(self._training.data), self.config.baseline_frames]
-
-    @property
-    def _training(self) -> DictConfig:
-        return training_config(training_words(self.model.train, self.config))
+    level, (number, min_depth) = config.model.level, scale_of(config)
+    net: DepthNetwork
+    if model.kind in SWEEPS:
+        net = SWEEPS[model.kind](level, number, min_depth, **model.options)
+    elif training is not None:
+        depths = training_depths(training, level, config.baseline_frames)
+        net = ConstantDepth(level, number, min_depth).fit(*depths)
+    else:
+        net = load_network(weights)
+        net = net.with_changes(level=level if net.images == "sphere" else None, min_depth=min_depth)
+    return net.to(choose_device(config.device))
 
 
 def scale_of(config: DictConfig) -> Scale:

@@ -14,17 +14,17 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.data import collate_samples
 from sphericalvision.io.images import write_image
+from sphericalvision.recipes.evaluation.methods import Method
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, Picture, color_picture
 from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import Record, values_of, write_json
 from sphericalvision.recipes.evaluation.tables import Row, Table, save_report, summarize
-from sphericalvision.recipes.evaluation.views import View
-from sphericalvision.recipes.study.models import Version, scale_of
+from sphericalvision.recipes.study.models import StudyModel, scale_of
 from sphericalvision.recipes.study.tables import Result, study_tables
 from sphericalvision.recipes.study.training import Training
+from sphericalvision.recipes.study.views import View
 from sphericalvision.sphere.intake import unsigned
 from sphericalvision.viz import sheet
 from sphericalvision.viz.figure import figure_pixels
@@ -61,27 +61,24 @@ class Evaluated(NamedTuple):
 def report(
     config: DictConfig,
     folder: Path,
-    versions: list[Version],
+    models: list[StudyModel],
+    methods: list[Method],
     evaluated: list[Evaluated],
     trainings: list[Training],
     notes: list[str],
 ) -> list[dict[str, Any]]:
     """Write all tables and pictures to ``folder``, print the paper's table, and return the results.
 
-    Raises:
-        ArgumentError: there are no results.
+    Returns:
+        A dictionary for each view and method.
     """
-    if not versions:
-        raise ArgumentError(
-            "models: nothing is trained yet, so there is nothing to report; leave out train=false"
-        )
-    results = [_result(config, version, part) for part in evaluated for version in versions]
+    results = [_result(config, method, part) for part in evaluated for method in methods]
     tables = study_tables(results)
     for name, table in tables.items():
         table.save(folder / name, ".md", ".csv")
     write_image(folder / "errors_against_angle.png", angle_plot(results))
     fisheye = [part for part in evaluated if part.view.inputs == "fisheye"]
-    columns = {f"{part.view.angle_deg:g} degrees": _drawn_frame(config, part, versions) for part in fisheye}
+    columns = {f"{part.view.angle_deg:g} degrees": _drawn_frame(config, part, methods) for part in fisheye}
     write_image(folder / "panels.png", panel_sheet(columns))
     write_json(
         folder / "study.json",
@@ -94,7 +91,7 @@ def report(
             "results": results,
         },
     )
-    shown = {"models": _model_table(versions, trainings, notes), **tables}
+    shown = {"models": _model_table(models, methods, trainings, notes), **tables}
     headed = {heading: shown[name] for name, heading in HEADINGS.items() if name in shown}
     pictures = {"Error against angle": "errors_against_angle.png", "Depth maps": "panels.png"}
     save_report(folder, "study", "Study", headed, pictures)
@@ -105,14 +102,14 @@ def report(
     return results
 
 
-def _result(config: DictConfig, version: Version, part: Evaluated) -> dict[str, Any]:
+def _result(config: DictConfig, method: Method, part: Evaluated) -> dict[str, Any]:
     """What tables are made of: means over the frames of one view, and the errors of each by the paper's protocol."""
-    record = part.records[version.name]
+    record = part.records[method.name]
     errors = {name: values_of(record.frames, "paper", name) for name in ("MAE", "RMS")}
     return {
-        "model": version.model.name,
-        "label": version.model.label,
-        "seed": version.seed,
+        "model": _model(method),
+        "label": method.label,
+        "seed": method.seed,
         **part.view._asdict(),
         "level": config.model.level,
         **scale_of(config)._asdict(),
@@ -122,14 +119,24 @@ def _result(config: DictConfig, version: Version, part: Evaluated) -> dict[str, 
     }
 
 
-def _model_table(versions: list[Version], trainings: list[Training], notes: list[str]) -> Table:
+def _model(method: Method) -> str:
+    """The name of the model whose seed a method is."""
+    return method.name.partition("/")[0]
+
+
+def _model_table(
+    models: list[StudyModel], methods: list[Method], trainings: list[Training], notes: list[str]
+) -> Table:
     """What each model is: parameters, and what it was trained on."""
     rows: list[Row] = []
-    for version in {version.model.name: version for version in versions}.values():
-        mine = [training for training in trainings if training.folder.parent.name == version.model.name]
+    first = {_model(method): method for method in reversed(methods)}
+    for model in models:
+        if model.name not in first:
+            continue
+        mine = [training for training in trainings if training.model == model.name]
         parameters = None
-        if version.model.kind == "depth_network":
-            parameters = f"{sum(p.numel() for p in version.net.parameters()):,}"
+        if model.kind == "depth_network":
+            parameters = f"{sum(p.numel() for p in first[model.name].net.parameters()):,}"
         trained: list[str | None] = [None] * 4
         if mine:
             c = mine[0].config
@@ -137,17 +144,17 @@ def _model_table(versions: list[Version], trainings: list[Training], notes: list
             frames = c.get("data.num_train")
             trained = [f"{c['trainer.max_steps']:,}", str(per_step)]
             trained += [f"{frames:,}" if frames else c.get("data.root"), str(len(mine))]
-        rows.append([version.model.label, parameters, *trained])
+        rows.append([model.label, parameters, *trained])
     columns = ("model", "parameters", "steps", "frames a step", "training frames", "seeds")
     title = " ".join(["What was compared.", *(f"Not the same for all models: {note}." for note in notes)])
     return Table(title, columns, [rows])
 
 
-def _drawn_frame(config: DictConfig, part: Evaluated, versions: list[Version]) -> DrawnFrame:
+def _drawn_frame(config: DictConfig, part: Evaluated, methods: list[Method]) -> DrawnFrame:
     """The frame that is drawn, seen at one angle, and what the first seed of every model estimates."""
     estimates: dict[str, Tensor] = {}
-    for version in versions:
-        estimates.setdefault(version.model.label, part.records[version.name].drawn[str(config.panel_frame)])
+    for method in methods:
+        estimates.setdefault(method.label, part.records[method.name].drawn[str(config.panel_frame)])
     batch = collate_samples([part.samples[config.panel_frame]])
     truth = Protocols(scale_of(config), config.model.level - 2).truth(batch)
     rig, height = batch["rig"].select(0), config.panel_height

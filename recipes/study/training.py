@@ -13,19 +13,19 @@ from typing import Any, NamedTuple
 
 from hydra import compose
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes import train
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.errors import several_processes
-from sphericalvision.recipes.app.help import walk
 from sphericalvision.recipes.app.words import own_configs, quote_paths
+from sphericalvision.recipes.training.run_folder import changed_settings, flat_settings
 
 __all__ = [
+    "CHANGES_NOTHING",
     "Training",
     "check_alike",
-    "flat_config",
     "train_all",
     "training_config",
     "training_words",
@@ -40,8 +40,12 @@ CHANGES_NOTHING = (
     "trainer.accelerator",
     "trainer.log_every_n_steps",
     "trainer.enable_model_summary",
+    "paths.*",
+    "callbacks.*",
+    "logger.*",
+    "*_target_",
 )
-"""Keys of a training that leave its result as it is."""
+"""Keys of a training that leave its result as it is, and where in the package something is: it may move."""
 
 ALIKE = (
     "trainer.max_steps",
@@ -89,7 +93,7 @@ class Training(NamedTuple):
     @property
     def config(self) -> dict[str, Any]:
         """All its keys with dots, without those that change nothing."""
-        return flat_config(self.composed)
+        return flat_settings(self.composed, CHANGES_NOTHING)
 
     @property
     def weights(self) -> Path:
@@ -99,12 +103,7 @@ class Training(NamedTuple):
     @property
     def changes(self) -> list[str]:
         """Keys in which an earlier training in this folder differs, with both values."""
-        settings = self.folder / "config.yaml"
-        if not settings.is_file():
-            return []
-        old = flat_config(OmegaConf.load(settings))  # type: ignore[arg-type]
-        keys = [key for key in {**old, **self.config} if old.get(key) != self.config.get(key)]
-        return [f"{key} was {old.get(key)}, is {self.config.get(key)}" for key in keys]
+        return changed_settings(self.folder, self.composed, CHANGES_NOTHING)
 
     @property
     def is_done(self) -> bool:
@@ -198,30 +197,6 @@ def training_words(own: Sequence[str] | None, config: DictConfig) -> tuple[str, 
 def training_config(words: tuple[str, ...]) -> DictConfig:
     """The config of ``sphericalvision-train`` with these words; wrong words are told before anything is done."""
     return compose("train", quote_paths(list(words)))
-
-
-ROOMS = ("paths.", "callbacks.", "logger.")
-"""Beginnings of keys that leave the result of a training as it is."""
-
-NAMES = "_target_"
-"""Last parts of keys that say where in the package something is: it may move, and a training stays what it was."""
-
-
-def flat_config(config: DictConfig) -> dict[str, Any]:
-    """All keys with dots, resolved, without those that change nothing.
-
-    Examples:
-        >>> flat_config(OmegaConf.create({"output": "here", "data": {"kind": "room"}, "seed": 0}))
-        {'data.kind': 'room', 'seed': 0}
-    """
-    return {
-        name: value
-        for name, value in walk(OmegaConf.to_container(config, resolve=True, throw_on_missing=False))
-        if not (isinstance(value, dict) and value)
-        and name not in CHANGES_NOTHING
-        and not name.startswith(ROOMS)
-        and not name.endswith(NAMES)
-    }
 
 
 def check_alike(trainings: list[Training]) -> list[str]:

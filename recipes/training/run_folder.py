@@ -9,8 +9,9 @@ import os
 import shutil
 import socket
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO, Any
 
@@ -40,6 +41,7 @@ __all__ = [
     "best_checkpoint",
     "changed_settings",
     "check_resume",
+    "flat_settings",
     "is_first_process",
     "resume_path",
     "run_folder",
@@ -152,22 +154,34 @@ def stored_network(path: Path) -> dict[str, Any]:
     return read_checkpoint("resume", path, "a checkpoint of sphericalvision-train", found)
 
 
-def changed_settings(checkpoint: Path, config: DictConfig) -> list[str]:
-    """What this run has set otherwise than the run of a checkpoint: ``key was old, is new``."""
-    path = checkpoint.parent.parent / "config.yaml"
+def changed_settings(folder: Path, config: DictConfig, leave: Sequence[str] = NO_SETTINGS) -> list[str]:
+    """What ``config`` sets otherwise than the run in a folder, but for keys to ``leave``: ``key was old, is new``."""
+    path = folder / "config.yaml"
     if not path.is_file():
         return []
-    old = _flat(OmegaConf.to_container(OmegaConf.load(path)))
-    new = _flat(OmegaConf.to_container(config, resolve=True, throw_on_missing=False))
-    keys = [key for key in {**old, **new} if key not in NO_SETTINGS]
-    return [f"{key} was {old.get(key)}, is {new.get(key)}" for key in keys if old.get(key) != new.get(key)]
+    old, new = flat_settings(OmegaConf.load(path), leave), flat_settings(config, leave)
+    keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
+    return [f"{key} was {old.get(key)}, is {new.get(key)}" for key in keys]
 
 
-def _flat(config: Any) -> dict[str, Any]:
-    """All keys with dots; paths in the run's own folder are told from there, since the folder may have moved."""
-    home = str(config["paths"]["run"])
-    leaves = ((key, value) for key, value in walk(config) if not (isinstance(value, dict) and value))
-    return {key: value.replace(home, "") if isinstance(value, str) else value for key, value in leaves}
+def flat_settings(config: Any, leave: Sequence[str] = NO_SETTINGS) -> dict[str, Any]:
+    """All keys with dots, resolved, but for those to ``leave``, which are patterns of ``fnmatch``.
+
+    Paths in the run's own folder are told from there, since the folder may have moved.
+
+    Examples:
+        >>> config = OmegaConf.create({"output": "here", "data": {"kind": "room", "_target_": "Rooms"}})
+        >>> flat_settings(config, ["output", "*_target_"])
+        {'data.kind': 'room'}
+    """
+    plain: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
+    home = str(plain.get("paths", {}).get("run") or "")
+    leaves = ((key, value) for key, value in walk(plain) if not (isinstance(value, dict) and value))
+    return {
+        key: value.replace(home, "") if home and isinstance(value, str) else value
+        for key, value in leaves
+        if not any(fnmatchcase(key, pattern) for pattern in leave)
+    }
 
 
 def best_checkpoint(trainer: pl.Trainer, module: TrainingModule, data: SampleDataModule, last: Path) -> Path:

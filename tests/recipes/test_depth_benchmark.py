@@ -19,16 +19,14 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
-from sphericalvision.recipes.evaluation import compared as methods
-from sphericalvision.recipes.evaluation.compared import SCALE, frame_inputs, make_method
-from sphericalvision.recipes.evaluation.loop import errors_of_frame
-from sphericalvision.recipes.evaluation.methods import Method, identity_of
+from sphericalvision.recipes.evaluation import methods, track_frames
+from sphericalvision.recipes.evaluation.loop import errors_of_frame, records_of
+from sphericalvision.recipes.evaluation.methods import SCALE, Method, identity_of, make_method
 from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, TrackFrames, render_frame
 from sphericalvision.recipes.evaluation.tracks import TRACKS, chosen_tracks
 from sphericalvision.recipes.study import benchmark as running
-from sphericalvision.recipes.study.benchmark import record_of
 from sphericalvision.scenes.world import HELD_OUT_SEED
 from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate
@@ -63,7 +61,7 @@ def test_errors_of_a_known_offset(frame: TrackFrame) -> None:
     def errors(offset: float) -> dict[str, Any]:
         net = Oracle(offset=offset)
         net.index = truth.index
-        answer = Method("oracle", net, inputs=frame_inputs)(frame)
+        answer = Method("oracle", net)(frame)
         return errors_of_frame(PlaceErrors(3).errors(answer, truth), 0)
 
     found = errors(0.8)
@@ -128,7 +126,7 @@ def test_seeds_are_held_out() -> None:
 
 
 def sweep(penalty: float = 0.3) -> Method:
-    return Method("sweep", SemiGlobalSweep(3, 4, small_penalty=penalty), inputs=frame_inputs)
+    return Method("sweep", SemiGlobalSweep(3, 4, small_penalty=penalty))
 
 
 def test_weights_change_the_identity_of_a_method_and_its_records(tmp_path: Path) -> None:
@@ -143,23 +141,22 @@ def test_weights_change_the_identity_of_a_method_and_its_records(tmp_path: Path)
     assert run_track(one, range(1)).frames == first.frames  # its seconds, too
     assert run_track(two, range(1)).frames != first.frames
     run_track(two, range(1, 2))
-    assert list(record_of(TrackFrames(track, range(2), TINY, None), two, tmp_path).drawn) == [
-        track.frame_name(n) for n in (0, 1)
-    ]
+    both = records_of([two], TrackFrames(track, range(2), TINY, None), PlaceErrors(3), tmp_path)["sweep"]
+    assert list(both.drawn) == [track.frame_name(n) for n in (0, 1)]
     assert list(run_track(one, range(1, 2)).drawn) == [track.frame_name(1)]
     with pytest.raises(FileNotFoundError, match="nowhere"):
         make_method("nowhere.safetensors")
 
 
-def test_another_aligner_changes_all_records(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_another_aligner_changes_all_records(monkeypatch: pytest.MonkeyPatch) -> None:
     keys = []
     for penalty in (0.3, 0.4):
-        monkeypatch.setattr(running, "aligner", lambda p=penalty: SemiGlobalSweep(3, 4, small_penalty=p))
+        monkeypatch.setattr(track_frames, "aligner", lambda p=penalty: SemiGlobalSweep(3, 4, small_penalty=p))
         for align in (True, False):
-            running._aligner_identity.cache_clear()
+            track_frames._aligner_identity.cache_clear()
             size = TINY._replace(preparation=replace(AS_IT_IS, align=align))
-            keys.append(record_of(TrackFrames(TRACKS["room"], range(1), size, None), sweep(), tmp_path).key)
-    running._aligner_identity.cache_clear()
+            keys.append(TrackFrames(TRACKS["room"], range(1), size, None).key)
+    track_frames._aligner_identity.cache_clear()
     assert keys[0] != keys[2]
     assert keys[1] == keys[3]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -167,6 +168,18 @@ def test_the_command_evaluates_as_predict_predicts(run: Run, tmp_path: Path) -> 
     assert errors["used"]["MAE"] == pytest.approx(errors["plain"]["MAE"], rel=0.05)
     assert 0 < errors["scene"]["kept"] < 100
     assert errors["scene"]["MAE"] != errors["plain"]["MAE"]
+
+
+def test_further_methods_see_the_same_frames(
+    run: Run, tmp_path: Path, failing: Callable[..., str], weights: Path
+) -> None:
+    words = "checkpoint=weights.safetensors", "device=cpu", *TINY_SCENES, "data.cache_dir=null"
+    weights.with_name("other.safetensors").write_bytes(weights.read_bytes())
+    run("evaluate", *words, "methods=[semi-global-sweep,other.safetensors]", "output=out")
+    errors = json.loads((tmp_path / "out/metrics.json").read_text())
+    assert list(errors) == ["weights", "semi-global-sweep", "other"]
+    assert errors["other"] == errors["weights"] != errors["semi-global-sweep"]
+    assert "weights is given twice" in failing("evaluate", *words, "methods=[weights.safetensors]")
 
 
 def test_samples_without_images_of_cameras_are_refused_before_anything_is_rendered(

@@ -79,5 +79,5 @@ def test_a_folder_that_moved_has_the_same_settings(tmp_path: Path) -> None:
     old = {"paths": {"run": "/old/run"}, "logger": {"save_dir": "/old/run/logs"}, "data": {"root": "/data/a"}}
     (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(old)))
     new = {"paths": {"run": "/new"}, "logger": {"save_dir": "/new/logs"}, "data": {"root": "/data/b"}}
-    changes = changed_settings(tmp_path / "checkpoints/last.ckpt", OmegaConf.create(new))
+    changes = changed_settings(tmp_path, OmegaConf.create(new))
     assert changes == ["data.root was /data/a, is /data/b"]

@@ -9,7 +9,6 @@ import html
 import json
 import math
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +27,17 @@ from sphericalvision.models import save_weights
 from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.commands import train as train_command
-from sphericalvision.recipes.evaluation.loop import errors_of_frame, evaluate
-from sphericalvision.recipes.evaluation.methods import Answer, Scale
+from sphericalvision.recipes.evaluation.loop import errors_of_frame
+from sphericalvision.recipes.evaluation.methods import Answer, Method, Scale
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame
 from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table, save_report
-from sphericalvision.recipes.evaluation.views import View, study_frames
 from sphericalvision.recipes.study.models import study_models
 from sphericalvision.recipes.study.report import angle_plot, panel_sheet
 from sphericalvision.recipes.study.tables import study_tables
 from sphericalvision.recipes.study.training import training_config, training_words
+from sphericalvision.recipes.study.views import View, view_frames
 from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.tiny import Run, composed
 
@@ -297,25 +296,26 @@ def trainer(monkeypatch: pytest.MonkeyPatch) -> Trainer:
 
 
 @pytest.fixture
-def measured(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
-    """The passes over frames: their labels, and how many models each took."""
-    passes: list[tuple[str, int]] = []
+def measured(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The methods that are asked, each once for every batch."""
+    asked: list[str] = []
+    answer = Method.__call__
 
-    def counting(methods: Any, frames: Any, *rest: Any) -> Any:
-        passes.append((frames.label, len(methods)))
-        return evaluate(methods, frames, *rest)
+    def counting(self: Method, batch: Any) -> Any:
+        asked.append(self.name)
+        return answer(self, batch)
 
-    monkeypatch.setattr(import_module("sphericalvision.recipes.study.command"), "evaluate", counting)
-    return passes
+    monkeypatch.setattr(Method, "__call__", counting)
+    return asked
 
 
 def test_a_study_writes_everything_and_does_nothing_twice(
-    run: Run, tmp_path: Path, words: tuple[str, ...], trainer: Trainer, measured: list[tuple[str, int]]
+    run: Run, tmp_path: Path, words: tuple[str, ...], trainer: Trainer, measured: list[str]
 ) -> None:
     out = tmp_path / "out"
     run("study", *words, "seeds=[0,1]", "inputs=equirect")
     assert trainer.trained == [f"{name}/seed{k}" for name in ("icosweepnet", "omnimvs") for k in (0, 1)]
-    assert measured == [("fisheye-0deg", 6), ("fisheye-45deg", 6), ("equirect-0deg", 6)]
+    assert len(measured) == 3 * 6
     for name in ("table", "details", "change", "inputs"):
         for suffix in (".md", ".csv"):
             assert (out / f"{name}{suffix}").stat().st_size > 0
@@ -328,15 +328,15 @@ def test_a_study_writes_everything_and_does_nothing_twice(
     table = (out / "table.md").read_text()
 
     run("study", *words, "seeds=[0,1]", "inputs=equirect")
-    assert (len(trainer.trained), len(measured)) == (4, 3)
+    assert (len(trainer.trained), len(measured)) == (4, 3 * 6)
     assert (out / "table.md").read_text() == table
 
-    (out / "evaluation/semi_global/fisheye-45deg.json").unlink()
+    (out / "records/fisheye-45deg/semi_global.json").unlink()
     run("study", *words, "seeds=[0,1]", "inputs=equirect")
-    assert measured[3:] == [("fisheye-45deg", 1)]
+    assert measured[3 * 6 :] == ["semi_global"]
     run("study", *words, "seeds=[0,1]", "num_hypotheses=8")
     assert len(trainer.trained) == 4
-    assert measured[4:] == [("fisheye-0deg", 6), ("fisheye-45deg", 6)]
+    assert len(measured) == 3 * 6 + 1 + 2 * 6
 
 
 ONLY = ("models.omnimvs=null", "models.semi_global=null", "models.constant=null", "angles_deg=[0]")
@@ -397,8 +397,7 @@ def test_images_on_disk_are_turned(
     assert left_out[0.0] < 1
     assert 10 < left_out[45.0] < 40
     config = composed("study", *disk[:2], f"data.root='{tmp_path / 'house'}'", disk[3])
-    _, frames = study_frames(config, View("fisheye", 45.0))
-    sample = frames[0]
+    sample = view_frames(config, View("fisheye", 45.0)).samples[0]
     assert sample["fisheye"].shape == (4, 3, 32, 32)
     assert (sample["fisheye"][:, :, 0, 0] == 0).all()
     torch.testing.assert_close(sample["rig"].axes[0], torch.tensor([0.0, 0.5**0.5, 0.5**0.5]))

@@ -18,8 +18,11 @@ from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.entries import ChosenEntries, Wanted
 from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
+from sphericalvision.recipes.evaluation.frames import SampleFrames
+from sphericalvision.recipes.study.training import CHANGES_NOTHING
+from sphericalvision.recipes.training.run_folder import flat_settings
 
-__all__ = ["INPUTS", "View", "study_frames", "training_depths", "views"]
+__all__ = ["INPUTS", "View", "training_depths", "view_frames", "views"]
 
 INPUTS = ("fisheye", "equirect")
 
@@ -58,8 +61,8 @@ def views(config: DictConfig) -> list[View]:
     return [*level, *fisheye, View("equirect", 0.0)]
 
 
-def study_frames(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
-    """The frames of a view, with ``images`` on the icosphere, ``fisheye`` images and ground truth, and their loaders.
+def view_frames(config: DictConfig, view: View) -> SampleFrames:
+    """The frames of a view, with ``images`` on the icosphere, ``fisheye`` images and ground truth.
 
     Raises:
         ArgumentError: ``panel_frame`` is none of them.
@@ -68,7 +71,30 @@ def study_frames(config: DictConfig, view: View) -> tuple[SampleDataModule, Data
     number = len(frames) if config.frames is None else min(config.frames, len(frames))  # type: ignore[arg-type]
     if not 0 <= config.panel_frame < number:
         raise ArgumentError(f"panel_frame: expected 0 to {number - 1}, got {config.panel_frame}")
-    return data, Subset(frames, range(number))
+    return SampleFrames(
+        data, Subset(frames, range(number)), view.name, [config.panel_frame], view_key(config, view)
+    )
+
+
+NO_MATTER = ("batch_size", "rig.", "entries", "seed", "num_test", "panorama_size", "num_train", "num_val")
+"""Beginnings of keys of the data that leave an evaluation as it is, or that the study sets by itself."""
+
+
+def view_key(config: DictConfig, view: View) -> dict[str, Any]:
+    """What the frames of a view depend on."""
+
+    def plain(node: Any) -> Any:
+        return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+
+    flat = flat_settings(OmegaConf.create({"data": plain(config.data)}), CHANGES_NOTHING)
+    key = {k: v for k, v in flat.items() if not k.removeprefix("data.").startswith(NO_MATTER)}
+    key |= {name: plain(config[name]) for name in ("image_size", "panorama_size", "panel_frame")}
+    key["level"] = config.model.level
+    if "rig" in config.data:
+        fisheye = view.inputs == "fisheye"
+        key["rig"] = plain(config.rig if fisheye else config.equirect_rig)
+        key["equirect_size"] = None if fisheye else plain(config.equirect_size)
+    return key
 
 
 def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:

@@ -133,6 +133,10 @@ class Method:
     def _tables(self) -> RigTables:
         return RigTables(self.net)
 
+    def forget_rigs(self) -> None:
+        """Free what follows from the rigs of the frames so far, before frames of another rig."""
+        self.__dict__.pop("_tables", None)
+
     @torch.no_grad()
     def __call__(self, batch: Batch) -> Answer:
         """Estimate a batch; what follows from the rig alone is not counted in the time."""

@@ -70,44 +70,33 @@ def report(folder: Path, results: Results) -> None:
     next(iter(tables.values())).print()
 
 
+MEANS = (
+    ("MAE at {coarse}", "MAE at {coarse}", "coarse all MAE", 2),
+    ("MAE at {fine}", "MAE at {fine}", "fine all MAE", 2),
+    ("MAE on a panorama", "MAE on a panorama, by solid angle", "panorama MAE", 2),
+    ("Points off by more than 1 %", "Points off by more than 1 % at {coarse}", "coarse all >1", 2),
+    ("RMS at {coarse}", "RMS at {coarse}", "coarse all RMS", 2),
+    ("Relative error", "Mean relative error of the depth in metres, AbsRel, at {coarse}", "metres AbsRel", 3),
+    ("Within a factor of 1.25", "Share of depths within a factor 1.25 at {coarse}", "metres d<1.25", 3),
+)
+"""Tables of tracks by methods: heading, title, which of the errors, and its digits."""
+
+
 def all_tables(results: Results) -> dict[str, Table]:
     """The tables by their headings; the one of tilts only where there are such tracks."""
-    coarse, fine = f"level {results.level - 2}", f"level {results.level}"
-    means: dict[str, tuple[str, tuple[str, ...], int]] = {
-        f"MAE at {coarse}": (f"MAE at {coarse}", ("coarse", "all", "MAE"), 2),
-        f"MAE at {fine}": (f"MAE at {fine}", ("fine", "all", "MAE"), 2),
-        "MAE on a panorama": ("MAE on a panorama, by solid angle", ("panorama", "MAE"), 2),
-        "Points off by more than 1 %": (
-            f"Points off by more than 1 % at {coarse}",
-            ("coarse", "all", ">1"),
-            2,
-        ),
-        f"RMS at {coarse}": (f"RMS at {coarse}", ("coarse", "all", "RMS"), 2),
-        "Relative error": (
-            f"Mean relative error of the depth in metres, AbsRel, at {coarse}",
-            ("metres", "AbsRel"),
-            3,
-        ),
-        "Within a factor of 1.25": (
-            f"Share of depths within a factor 1.25 at {coarse}",
-            ("metres", "d<1.25"),
-            3,
-        ),
+    levels = {"coarse": f"level {results.level - 2}", "fine": f"level {results.level}"}
+    tables = {
+        heading.format(**levels): _by_track(results, title.format(**levels), path.split(), digits)
+        for heading, title, path, digits in MEANS
     }
-    tables = {heading: _by_track(results, *spec) for heading, spec in means.items()}
-    tables["By kind of place"] = _by_region(results, fine)
+    tables["By kind of place"] = _by_region(results, levels["fine"])
     if len([track for track in results.tracks if track.shared_tilts_deg]) > 1:
-        tables["Against tilt"] = _drift(results, coarse)
-    tables["Of the surest points"] = _confidence(results, coarse)
+        tables["Against tilt"] = _drift(results, levels["coarse"])
+    tables["Of the surest points"] = _confidence(results, levels["coarse"])
     return {**tables, "Cost of a frame": _cost(results)}
 
 
-def _by_track(
-    results: Results,
-    title: str,
-    path: tuple[str, ...],
-    digits: int,
-) -> Table:
+def _by_track(results: Results, title: str, path: Sequence[str], digits: int) -> Table:
     best = max if path[-1] == "d<1.25" else min
     rows: list[Row] = []
     for track in results.tracks:

@@ -61,6 +61,8 @@ def study(config: DictConfig, folder: Path) -> list[dict[str, Any]]:
         records = records_of(methods, frames, measure, folder)
         pl.seed_everything(config.seed, verbose=False)
         evaluate(methods, frames, measure, records)
+        for method in methods:  # at level 7 tables of a rig are hundreds of megabytes for each seed
+            method.forget_rigs()
         evaluated.append(
             Evaluated(view, frames.samples, {name: r.only(frames.names) for name, r in records.items()})
         )

@@ -210,6 +210,7 @@ class OwnScansDataModule(ScannedDataModule):
         points: folder of a scan for each frame.
         lidar_pose: file with rig from scanner, 12 or 16 numbers or a line of TUM's; the rig's frame when not given.
         tolerance: seconds between images and scan, at most, where names are times.
+        point_columns: numbers of a point in ``.bin`` files, which do not tell them.
         val_share: share of the frames, the last ones, that validate and are not learned from.
         frames_named: names or numbers of frames.
         cameras: names of the cameras to use, in order.
@@ -224,6 +225,7 @@ class OwnScansDataModule(ScannedDataModule):
     points: Text
     lidar_pose: Text | None = None
     tolerance: Positive = 0.02
+    point_columns: Count | None = None
     val_share: Share = 0.2
     frames_named: list[int | str] | None = None
     cameras: Names | None = None
@@ -249,9 +251,11 @@ class OwnScansDataModule(ScannedDataModule):
         pose = torch.eye(4)
         if self.lidar_pose is not None:
             path = check_file(self.lidar_pose, "the pose of the scanner, data.lidar_pose,")
-            pose = read_trajectory(path).world_from_camera[0].float()
+            pose = read_trajectory(path).world_from_camera[0]
         files = self.source.files
-        scans = OwnScans(files, self.source.rig, self.points, pose, height, transform, self.tolerance)
+        scans = OwnScans(
+            files, self.source.rig, self.points, pose, height, transform, self.tolerance, self.point_columns
+        )
         number = max(round(self.val_share * len(scans.names)), int(self.val_share > 0))
         parts = {"train": scans.names[: len(scans) - number], "val": scans.names[len(scans) - number :]}
         scans.names = parts.get(split, scans.names)

@@ -18,24 +18,45 @@ __all__ = ["POINT_SUFFIXES", "read_points"]
 
 POINT_SUFFIXES = (".pcd", ".bin", ".ply", ".npy")
 
-_COUNTS = ("x", "y", "z")
+_AXES = ("x", "y", "z")
+FARTHEST = 1e7
+"""Metres from the origin of a scan's coordinates: what is farther is no scan, in national and geocentric grids, too."""
+
+MOST_COLUMNS = 16
+"""Of a row of an array of points: x, y, z, and what scanners add (colour, normal, time, ring, label)."""
+FEWEST_FOR_PERIOD = 100
+"""Points, below which chance decides which columns look alike."""
+CLEARLY_LESS = 0.8
+_COLUMNS_REMEDY = "say how many float32 numbers a point has (columns=), or write float64 as .npy"
 
 
-def read_points(path: str | Path) -> Float[Tensor, "P 3"]:
-    """Read scanned points ``(P, 3)`` as float32, without those that are not finite.
+def read_points(path: str | Path, *, columns: int | None = None) -> Float[Tensor, "P 3"]:
+    """Read scanned points ``(P, 3)``, without those that are not finite.
+
+    What a file stores as float64, or as text, is returned as float64: coordinates of a national grid lose decimetres
+    in float32, and are to be moved near the rig first.
 
     ======== =====================================================================
     suffix   content
     ======== =====================================================================
     ``.pcd`` of the Point Cloud Library, as text or binary; compressed is refused
-    ``.bin`` float32 ``(P, 4)``: x, y, z, reflectance, as KITTI has it
+    ``.bin`` float32 ``(P, columns)``, the first three of which are x, y, z. Without
+             ``columns``: 4 with the reflectance, as KITTI has it, and 5 where the
+             name ends in ``.pcd.bin``, as nuScenes has it
     ``.ply`` vertices of any PLY
-    ``.npy`` an array ``(P, 3)`` or wider, whose first columns are x, y, z
+    ``.npy`` an array ``(P, 3)`` to ``(P, 16)``, whose first columns are x, y, z, or
+             a structured one with fields of these names
     ======== =====================================================================
+
+    Args:
+        path: of the file.
+        columns: numbers of a point in a ``.bin``, which does not tell them.
 
     Raises:
         MissingFileError: there is no such file.
-        FileFormatError: it is damaged, or of none of these formats.
+        FileFormatError: it is damaged, of none of these formats, or its values are none that a scanner gives: points
+            farther than 10,000 km, or columns of a ``.bin`` that repeat in another rhythm, as float64 and
+            columns counted wrong have them.
 
     Examples:
         >>> np.save("scan.npy", np.ones((2, 3), np.float32))
@@ -46,15 +67,26 @@ def read_points(path: str | Path) -> Float[Tensor, "P 3"]:
     if path.suffix not in POINT_SUFFIXES:
         raise FileFormatError(f"{path}: expected one of {', '.join(POINT_SUFFIXES)}, got {path.suffix!r}")
     try:
-        points = _READERS[path.suffix](path)
+        points = _bin(path, columns) if path.suffix == ".bin" else _READERS[path.suffix](path)
     except FileFormatError:
         raise
     except Exception as error:  # numpy and trimesh raise whatever they meet in a damaged file
         raise FileFormatError(f"{path}: cannot be read as points: {error!r:.200}") from error
     if points.ndim != 2 or points.shape[1] < 3 or not np.issubdtype(points.dtype, np.number):
         raise FileFormatError(f"{path}: expected points (P, 3), got {points.dtype} {points.shape}")
-    found = torch.from_numpy(np.ascontiguousarray(points[:, :3], np.float32))
-    return found[found.isfinite().all(1)]
+    if points.shape[1] > MOST_COLUMNS:
+        raise FileFormatError(
+            f"{path}: expected points (P, 3), one a row, got {points.shape}; transpose them if the rows are x, y, z"
+        )
+    kind = np.float32 if points.dtype in (np.float16, np.float32) else np.float64
+    coordinates = np.ascontiguousarray(points[:, :3], kind)
+    coordinates = coordinates[np.isfinite(coordinates).all(1)]
+    if len(coordinates) and (farthest := np.abs(coordinates).max()) > FARTHEST:
+        raise FileFormatError(
+            f"{path}: a point is {farthest:.3g} m from the origin, which no scan has; expected metres"
+            + (f"; {_COLUMNS_REMEDY}" if path.suffix == ".bin" else "")
+        )
+    return torch.from_numpy(coordinates)
 
 
 def _pcd(path: Path) -> Any:
@@ -77,20 +109,53 @@ def _pcd(path: Path) -> Any:
     formats = [f"<{letters[t]}{s}" for t, s in zip(head["TYPE"], head["SIZE"], strict=True)]
     number = int(head["POINTS"][0])
     if kind == "ascii":
-        columns = [sum(counts[: head["FIELDS"].index(axis)]) for axis in _COUNTS]
+        columns = [sum(counts[: head["FIELDS"].index(axis)]) for axis in _AXES]
         points = np.loadtxt(io.BytesIO(content[at:]), usecols=columns, ndmin=2)
     else:
-        names = [f"{name}#{k}" if name not in _COUNTS else name for k, name in enumerate(head["FIELDS"])]
+        names = [f"{name}#{k}" if name not in _AXES else name for k, name in enumerate(head["FIELDS"])]
         fields = [(n, f, (c,)) if c > 1 else (n, f) for n, f, c in zip(names, formats, counts, strict=True)]
         table = np.frombuffer(content, np.dtype(fields), number, at)  # type: ignore[arg-type]
-        points = np.stack([table[axis] for axis in _COUNTS], 1)
+        points = np.stack([table[axis] for axis in _AXES], 1)
     if len(points) != number:
         raise FileFormatError(f"{path}: POINTS says {number}, there are {len(points)}")
     return points
 
 
-def _bin(path: Path) -> Any:
-    return np.fromfile(path, "<f4").reshape(-1, 4)
+def _bin(path: Path, columns: int | None) -> Any:
+    is_nuscenes = path.name.endswith(".pcd.bin")
+    width = columns or (5 if is_nuscenes else 4)
+    values = np.fromfile(path, "<f4")
+    if width < 3 or path.stat().st_size % (4 * width):
+        raise FileFormatError(
+            f"{path}: {path.stat().st_size:,} bytes are no whole number of points of {width} float32 numbers; "
+            f"{_COLUMNS_REMEDY}"
+        )
+    points = values.reshape(-1, width)
+    if columns is None and (period := _period(values, width)) != width:
+        raise FileFormatError(
+            f"{path}: its numbers repeat every {period}, not every {width}, so that these are no points of {width} "
+            f"float32 numbers; {_COLUMNS_REMEDY}"
+        )
+    return points
+
+
+def _period(values: Any, width: int) -> int:
+    """After how many numbers columns repeat: ``width``, unless another number says it clearly.
+
+    Numbers of one column are of one size: z is within metres, x and y within a hundred, a reflectance within one.
+    With the right width the logarithms vary little within a column; with a wrong one each column is a mixture of all.
+    The halves of float64 numbers differ most of all, and repeat every 6.
+    """
+    if len(values) < FEWEST_FOR_PERIOD * width:
+        return width
+    with np.errstate(invalid="ignore", over="ignore"):
+        sizes = np.log(np.abs(np.nan_to_num(values.astype(np.float64), posinf=1e38, neginf=1e38)) + 1e-3)
+
+    def spread(period: int) -> float:
+        return float(sizes[: len(sizes) // period * period].reshape(-1, period).var(0).mean())
+
+    best = min((3, 4, 5, 6, 7), key=spread)
+    return best if spread(best) < CLEARLY_LESS * spread(width) else width
 
 
 def _ply(path: Path) -> Any:
@@ -101,7 +166,9 @@ def _ply(path: Path) -> Any:
 
 
 def _npy(path: Path) -> Any:
-    return np.load(path, allow_pickle=False)
+    points = np.load(path, allow_pickle=False)
+    names = points.dtype.names
+    return points if names is None else np.stack([points[axis] for axis in _AXES], 1)
 
 
-_READERS = {".pcd": _pcd, ".bin": _bin, ".ply": _ply, ".npy": _npy}
+_READERS = {".pcd": _pcd, ".ply": _ply, ".npy": _npy}

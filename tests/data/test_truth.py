@@ -121,6 +121,58 @@ def test_points_are_read_from_every_format(tmp_path: Path) -> None:
         assert np.allclose(read_points(tmp_path / name), points, atol=1e-6), name
 
 
+def rows_of_a_scan(columns: int, number: int = 400) -> np.ndarray:
+    """Points of a scanner with reflectance and, as fifth, ring."""
+    random = np.random.default_rng(1)
+    places = random.uniform((-40, -40, -2), (40, 40, 4), (number, 3))
+    values = [places, random.integers(0, 256, (number, columns - 3))]
+    return np.concatenate(values, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "columns"),
+    [
+        ("kitti.bin", rows_of_a_scan(4).astype("<f4"), None),
+        ("sweep.pcd.bin", rows_of_a_scan(5).astype("<f4"), None),
+        ("five.bin", rows_of_a_scan(5).astype("<f4"), 5),
+        ("three.bin", rows_of_a_scan(3).astype("<f4"), 3),
+        ("unit.bin", (rows_of_a_scan(4) / np.array((1, 1, 1, 255))).astype("<f4"), None),
+        ("signed.bin", (rows_of_a_scan(4) - np.array((0, 0, 0, 100))).astype("<f4"), None),
+        ("grid.npy", rows_of_a_scan(3) + np.array((4.5e5, 5.4e6, 60.0)), None),  # UTM
+        ("wide.npy", rows_of_a_scan(16), None),
+        ("named.npy", np.rec.fromarrays(rows_of_a_scan(4).T[[3, 0, 1, 2]], names="intensity,x,y,z"), None),
+    ],
+)
+def test_points_are_those_that_were_written(
+    tmp_path: Path, name: str, content: np.ndarray, columns: int | None
+) -> None:
+    np.save(tmp_path / name, content) if name.endswith(".npy") else content.tofile(tmp_path / name)
+    stored = np.stack([content[axis] for axis in "xyz"], 1) if content.dtype.names else content[:, :3]
+    points = read_points(tmp_path / name, columns=columns)
+    assert np.array_equal(points.numpy(), stored)  # of float64 files, too: to the last bit
+    assert points.dtype == (torch.float32 if name.endswith(".bin") else torch.float64)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "remedy"),
+    [
+        ("five.bin", rows_of_a_scan(5).astype("<f4"), "columns="),
+        ("doubles.bin", rows_of_a_scan(3), "columns="),
+        ("bare.bin", rows_of_a_scan(3).astype("<f4"), "columns="),
+        ("six.bin", rows_of_a_scan(6).astype("<f4"), "columns="),
+        ("odd.bin", rows_of_a_scan(5, 401).astype("<f4"), "columns="),
+        ("lying.npy", rows_of_a_scan(3).T, "transpose"),
+        ("astray.npy", rows_of_a_scan(3) * 1e6, "metres"),
+    ],
+)
+def test_arrays_that_are_no_scans_are_refused(
+    tmp_path: Path, name: str, content: np.ndarray, remedy: str
+) -> None:
+    np.save(tmp_path / name, content) if name.endswith(".npy") else content.tofile(tmp_path / name)
+    with pytest.raises(FileFormatError, match=rf"{name}.*{remedy}"):
+        read_points(tmp_path / name)
+
+
 def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:
     write_pcd(tmp_path / "packed.pcd", np.ones((2, 3)), "binary_compressed")
     with pytest.raises(FileFormatError, match="binary_compressed"):

@@ -40,6 +40,7 @@ class OwnScans(ScannedFrames):
         height: rows of the panorama of truth.
         transform: of each sample.
         tolerance: seconds.
+        columns: numbers of a point in ``.bin`` files, as in ``read_points``.
 
     Raises:
         MissingFileError: no scan, or none that belongs to a frame.
@@ -56,10 +57,12 @@ class OwnScans(ScannedFrames):
         height: int = 160,
         transform: Callable[[Sample], Any] | None = None,
         tolerance: float = SAME_TIME,
+        columns: int | None = None,
     ) -> None:
         super().__init__(folder, height, transform)
         self.images, self.fixed_rig = images, rig
         self.rig_from_scanner = torch.eye(4) if rig_from_scanner is None else rig_from_scanner
+        self.columns = columns
         scans = {path.stem: path for path in sorted(self.root.iterdir()) if path.suffix in POINT_SUFFIXES}
         if not scans:
             raise MissingFileError(
@@ -74,7 +77,8 @@ class OwnScans(ScannedFrames):
 
     def points(self, name: str) -> Tensor:
         """Those of the scan, in the rig's world."""
-        return transform_points(self.rig_from_scanner, read_points(self.scans[name]))
+        scan = read_points(self.scans[name], columns=self.columns)
+        return transform_points(self.rig_from_scanner.double(), scan.double()).float()
 
 
 def _times(names: Mapping[str, Any]) -> dict[str, float]:

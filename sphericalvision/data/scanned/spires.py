@@ -99,4 +99,4 @@ class SpiresDataset(ScannedFrames):
         """Of the cloud."""
         sequence, cloud = name.split("/")
         folder = self.root / "sequences" / sequence / "processed" / "vilens-slam" / "undist-clouds"
-        return transform_points(OURS_FROM_LIDAR, read_points(folder / f"{cloud}.pcd"))
+        return transform_points(OURS_FROM_LIDAR, read_points(folder / f"{cloud}.pcd").float())

@@ -259,6 +259,48 @@ def camodocal_kannala_brandt() -> dict[str, Any]:
     }
 
 
+SCARAMUZZA = (-240.0, 0.0, 1.7e-3, -1.7e-6, 4.4e-9)
+"""A panoramic annular lens: z = -(p0 + p1 r + ...)."""
+
+
+def camodocal_scaramuzza(**affine: float) -> dict[str, Any]:
+    inverse = (377.42, 251.31, 18.22, 20.04, 21.28, 12.43, 2.62)
+    return {
+        "model_type": "SCARAMUZZA",
+        "camera_name": "scaramuzza",
+        "image_width": 1280,
+        "image_height": 960,
+        "poly_parameters": {f"p{power}": value for power, value in enumerate(SCARAMUZZA)},
+        "inv_poly_parameters": {f"p{power}": value for power, value in enumerate(inverse)},
+        "affine_parameters": {"ac": 1.0, "ad": 0.0, "ae": 0.0, "cx": 645.1, "cy": 486.0, **affine},
+    }
+
+
+def stella_vslam(model: str = "fisheye", nested: bool = False) -> dict[str, Any]:
+    """stella_vslam's settings of one camera."""
+    distortion: dict[str, float] = {
+        "fisheye": {"k1": 0.0035, "k2": 0.0007, "k3": -0.002, "k4": 2e-4},
+        "perspective": {"k1": -0.28, "k2": 0.07, "p1": 2e-4, "p2": 2e-5, "k3": 0.01},
+        "radial_division": {"distortion": -0.1},
+    }.get(model, {})
+    plane = {"fx": 190.98, "fy": 190.97, "cx": 254.93, "cy": 256.9} if distortion else {}
+    camera = {
+        "name": "nested" if nested else "stella",
+        "setup": "monocular",
+        "model": model,
+        "cols": 512,
+        "rows": 512 if distortion else 256,
+        "fps": 20.0,
+        "color_order": "RGB",
+        **plane,
+        **distortion,
+    }
+    settings = {"Preprocessing": {"min_size": 800}}
+    return (
+        {"Camera": camera, **settings} if nested else {f"Camera.{k}": v for k, v in camera.items()} | settings
+    )
+
+
 def woodscape(name: str = "FV", **changes: Any) -> dict[str, Any]:
     """A front camera: it looks along the vehicle's x, its y down being the vehicle's -z."""
     intrinsic = {

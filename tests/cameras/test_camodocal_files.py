@@ -17,6 +17,8 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.core import MissingFileError
 from tests.cameras.calibration_samples import (
+    SCARAMUZZA,
+    camodocal_scaramuzza,
     dump,
     mei,
 )
@@ -38,6 +40,23 @@ def test_several_cameras_in_one_file(tmp_path: Path) -> None:
     path = dump(tmp_path / "fisheyes.yaml", {"image_02": mei(), "image_03": mei()})
     assert list(read_cameras(path)) == ["image_02", "image_03"]
     assert read_camera(path, "image_03").equals(read_camera(path, "image_02"))
+
+
+@pytest.mark.parametrize("affine", [{}, {"ac": 1.02, "ad": 0.003, "ae": -0.002}], ids=["plain", "affine"])
+def test_scaramuzzas_lens_is_that_of_its_definition(tmp_path: Path, affine: dict[str, float]) -> None:
+    """u = ac x + ad y + cx and v = ae x + y + cy look along (x, y, -p(r)), as camodocal's source has it."""
+    camera = read_camera(dump(tmp_path / "pal.yaml", camodocal_scaramuzza(**affine)), dtype=torch.float64)
+    ac, ad, ae = (affine.get(key, default) for key, default in (("ac", 1.0), ("ad", 0.0), ("ae", 0.0)))
+    ideal = np.array([[200.0, -100.0], [-150.0, 30.0], [5.0, 250.0], [420.0, 90.0]])
+    pixels = ideal @ np.array([[ac, ad], [ae, 1.0]]).T + (645.1, 486.0)
+    z = -np.polynomial.polynomial.polyval(np.hypot(*ideal.T), SCARAMUZZA)
+    expected = np.column_stack((ideal, z)) / np.hypot(np.hypot(*ideal.T), z)[:, None]
+    directions, valid = camera.unproject(torch.from_numpy(pixels))
+    assert valid.all()
+    assert np.allclose(directions.numpy(), expected, atol=1e-9)
+    assert np.allclose(
+        camera.project(directions).pixels.numpy(), pixels, atol=1.0
+    )  # by the file's own inverse
 
 
 def test_folder_with_poses_is_a_rig(tmp_path: Path) -> None:

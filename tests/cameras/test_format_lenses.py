@@ -43,6 +43,7 @@ from tests.cameras.calibration_samples import (
     opensfm,
     orbslam,
     spires,
+    stella_vslam,
     svo,
     transforms,
 )
@@ -129,6 +130,11 @@ LENSES = {
         (matrix(461.6, 460.2, 362.7, 246.0), [-0.277, 0.067, 0.00088, 0.00012]),
     ),
     "camodocal kannala-brandt": Lens("cam0.yaml", camodocal_kannala_brandt(), *EQUIDISTANT),
+    "stella_vslam fisheye": Lens("config.yaml", stella_vslam(), *EQUIDISTANT),
+    "stella_vslam perspective": Lens(
+        "config.yaml", stella_vslam("perspective", nested=True), "brown_conrady", 25, opencv_plain,
+        (FISHEYE, [-0.28, 0.07, 2e-4, 2e-5, 0.01]),
+    ),
     **{
         f"opencv plain, {len(k)}": of_opencv(
             "brown_conrady", 28, opencv_plain, (MATRIX, k), **SMALL, camera_matrix=MATRIX, distortion_coefficients=k

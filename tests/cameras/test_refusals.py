@@ -39,7 +39,7 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
         ("cam1/T_cn_cnm1", GONE, "cam1: the key 'T_cn_cnm1' is missing"),
     ],
     "image_02.yaml": [
-        ("model_type", "SCARAMUZZA", "model_type: expected one of MEI, PINHOLE, KANNALA_BRANDT"),
+        ("model_type", "CATADIOPTRIC", "model_type: expected one of MEI, PINHOLE, KANNALA_BRANDT, SCARAMUZZA"),
         ("mirror_parameters", {}, "mirror_parameters: the key 'xi' is missing"),
         ("mirror_parameters/xi", -2.0, "xi: expected numbers above -1"),
         ("image_width", 0, "image_width and image_height: expected the width and height"),

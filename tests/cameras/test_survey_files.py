@@ -120,6 +120,23 @@ def test_metashape_formulas(tmp_path: Path) -> None:
     assert isinstance(cameras["cam2"], EquirectangularCamera)
 
 
+def test_sensors_of_metashape_without_a_calibration(tmp_path: Path) -> None:
+    """A spherical one has nothing to calibrate; one of another kind is of images that were not aligned."""
+    sensor = (
+        '<sensor id="3" label="new" type="TYPE"><resolution width="1920" height="960"/></sensor></sensors>'
+    )
+    pose = "<transform>1 0 0 0.5 0 1 0 0 0 0 1 0 0 0 0 1</transform>"
+    photo = f'<camera id="3" sensor_id="3" label="pano">{pose}</camera>'
+    whole = CHUNK.replace("</sensors>", sensor.replace("TYPE", "spherical"))
+    rig = read_rig(written(tmp_path / "sphere.xml", whole.replace("</cameras>", f"{photo}</cameras>")))
+    assert isinstance(rig.cameras["pano"], EquirectangularCamera)
+    assert rig.cameras["pano"].image_size == (960, 1920)
+    unused = CHUNK.replace("</sensors>", sensor.replace("TYPE", "frame"))
+    assert read_rig(written(tmp_path / "unused.xml", unused)).names == ["DSC_1", "DSC_2"]
+    with pytest.raises(FileFormatError, match=r"camera 'pano': expected .* a sensor of cam0, cam1, cam2"):
+        read_rig(written(tmp_path / "used.xml", unused.replace("</cameras>", f"{photo}</cameras>")))
+
+
 def test_metashape_cameras_are_called_by_their_labels(tmp_path: Path) -> None:
     rig = read_rig(written(tmp_path / "cameras.xml", CHUNK), dtype=torch.float64)
     assert rig.names == ["DSC_1", "DSC_2"]

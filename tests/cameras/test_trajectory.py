@@ -35,6 +35,31 @@ def tum(poses: torch.Tensor) -> str:
     return "\n".join(lines)
 
 
+def table(poses: torch.Tensor, header: str, order: str, separator: str = ",", more: str = "") -> str:
+    """Nanoseconds, and the columns in an order, under a header."""
+    lines = [header]
+    for number, pose in enumerate(poses):
+        w, *xyz = quaternion_from_rotation(pose[:3, :3])
+        names = ("x", "y", "z", "qw", "qx", "qy", "qz")
+        values = dict(zip(names, [*pose[:3, 3].tolist(), w, *xyz], strict=True))
+        time = str((1305031102000 + 100 * number) * 10**6)
+        lines.append(separator.join([time, *(f"{values[name]:.12f}" for name in order.split())]) + more)
+    return "\n".join(lines)
+
+
+W_FIRST, W_LAST = "x y z qw qx qy qz", "x y z qx qy qz qw"
+NANOSECONDS = ["1305031102000000000", "1305031102100000000"]
+EUROC = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_x [m]"
+TABLES = {
+    "euroc": table(way(), EUROC, W_FIRST, ",", ",0.5"),
+    "tum-vi": table(way(), "# timestamp[ns],tx,ty,tz,qw,qx,qy,qz", W_FIRST),
+    "words, w first": table(way(), "# timestamp tx ty tz qw qx qy qz", W_FIRST, " "),
+    "no comment": table(way(), "time,x,y,z,qx,qy,qz,qw", W_LAST),
+    "turn before place": table(way(), "# t qx qy qz qw x y z", "qx qy qz qw x y z", " "),
+    "prose": table(way(), "# ground truth trajectory by x, y and z", W_LAST, " "),
+}
+
+
 def kitti(poses: torch.Tensor, rows: int, numbered: bool) -> str:
     return "\n".join(
         (f"{7 * number} " if numbered else "")
@@ -47,12 +72,13 @@ def kitti(poses: torch.Tensor, rows: int, numbered: bool) -> str:
     ("text", "names"),
     [
         (tum(way()), ["1305031102.000000", "1305031102.100000"]),
+        *((text, NANOSECONDS) for text in TABLES.values()),
         (kitti(way(), 3, False), ["0", "1"]),
         (kitti(way(), 4, False), ["0", "1"]),
         (kitti(way(), 3, True), ["0", "7"]),
         (kitti(way(), 4, True), ["0", "7"]),
     ],
-    ids=["tum", "kitti", "kitti, 4 rows", "kitti-360", "kitti-360, 4 rows"],
+    ids=["tum", *TABLES, "kitti", "kitti, 4 rows", "kitti-360", "kitti-360, 4 rows"],
 )
 def test_texts_tell_poses_and_names(text: str, names: list[str], tmp_path: Path) -> None:
     (tmp_path / "poses.txt").write_text(text + "\n")
@@ -183,3 +209,20 @@ def test_images_without_poses_are_refused() -> None:
     trajectory = Trajectory(["0.0", "0.1", "0.2"], torch.eye(4).repeat(3, 1, 1))
     with pytest.raises(ArgumentError, match=r"2 images \(000, 001\) and 3 poses \(0.0, 0.1, ...\)"):
         trajectory.of_images(["000", "001"])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            table(way(), "# no names", W_FIRST),
+            "expected TUM's",
+        ),  # commas, and nothing says which column is which
+        (table(way(), "# time x y z qw qx qy qz extra", W_FIRST, " "), "the header names 9 columns"),
+    ],
+    ids=["commas without a header", "more names than values"],
+)
+def test_a_table_whose_columns_are_not_known_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "data.csv").write_text(text)
+    with pytest.raises(FileFormatError, match=said):
+        read_trajectory(tmp_path / "data.csv")

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camodocal's YAML, which KITTI-360 and VINS use: Mei, pinhole and Kannala-Brandt cameras.
+"""Camodocal's YAML, which KITTI-360 and VINS use: Mei, pinhole, Kannala-Brandt and OCam cameras.
 
 Convention:
     One file is one camera. KITTI-360's fisheyes are ``image_02.yaml`` and ``image_03.yaml``; their poses stand in
     ``calib_cam_to_pose.txt`` beside them, camera to the vehicle's GPS/IMU frame (x forward, y right, z down), in
     metres.
+
+    ``SCARAMUZZA`` has OCam's polynomials with (u, v) in the places of (row, column): u = ac x + ad y + cx and
+    v = ae x + y + cy, where z = -(p0 + p1 r + ... + p4 r⁴) of r = hypot(x, y). Our ideal image is ac times as large.
 
 References:
     Y. Liao, J. Xie, A. Geiger, "KITTI-360", PAMI 45 (2023); C. Mei, P. Rives, "Single view point omnidirectional
@@ -23,6 +26,7 @@ from sphericalvision.cameras.calibration.files import data_lines, load_keys
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
+from sphericalvision.cameras.calibration.ocam_text import make_ocam
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.io.files import part_of_name
@@ -35,11 +39,14 @@ _LENSES = (
     Lens("PINHOLE", "brown_conrady", "k1 k2 p1 p2 fx fy cx cy"),
     Lens("KANNALA_BRANDT", "kannala_brandt", "k2=k1 k3=k2 k4=k3 k5=k4 mu=fx mv=fy u0=cx v0=cy"),
 )
-_KINDS = tuple(lens.name for lens in _LENSES)
-_SECTIONS = ("mirror_parameters", "projection_parameters", "distortion_parameters")
+_OCAM = "SCARAMUZZA"
+_KINDS = (*(lens.name for lens in _LENSES), _OCAM)
+_SECTIONS = ("mirror_parameters", "projection_parameters", "distortion_parameters", "poly_parameters")
 
 
-IGNORED = SETTINGS + "(?!image|camera|model|mirror|distortion|projection|lens|fisheye(?!_mask$|$))[^/]*"
+IGNORED = (
+    SETTINGS + "(?!image|camera|model|mirror|distortion|projection|poly|affine|lens|fisheye(?!_mask$|$))[^/]*"
+)
 """Settings of the programs that have cameras in their own file; not keys of a lens."""
 
 
@@ -64,7 +71,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
 
 
 def _camera(values: Keys) -> Camera:
-    lens = lens_called(_LENSES, values.model("model_type", _KINDS))
+    kind = values.model("model_type", _KINDS)
+    if kind == _OCAM:
+        return _ocam(values)
+    lens = lens_called(_LENSES, kind)
     size = values.size("image_width", "image_height")
     found = []
     for key, name in zip(lens.keys, lens.names, strict=True):
@@ -73,6 +83,22 @@ def _camera(values: Keys) -> Camera:
             section = "projection"
         found.append(values.inner(f"{section}_parameters").number(key))
     return lens.camera(found, size, values.where)
+
+
+def _ocam(values: Keys) -> Camera:
+    polynomial, affine = values.inner("poly_parameters"), values.inner("affine_parameters")
+    direct = [polynomial.number(f"p{power}") for power in range(5)]
+    ac, ad, ae, cx, cy = (affine.number(key) for key in ("ac", "ad", "ae", "cx", "cy"))
+    if ac <= 0:
+        raise FileFormatError(f"{affine.at('ac')}: expected a number above 0, got {ac:g}")
+    return make_ocam(
+        [len(direct), *(value * ac ** (1 - power) for power, value in enumerate(direct))],
+        None,  # inv_poly_parameters are a fit to what is inverted exactly here
+        [cy, cx],
+        [1 / ac, ae / ac, ad / ac],
+        [*values.size("image_width", "image_height")],
+        values.where,
+    )
 
 
 def camera_in(file: Path) -> Camera:

@@ -50,6 +50,8 @@ MODELS: dict[str, tuple[int, str]] = {
     "EQUIRECTANGULAR": (17, "w h"),
 }
 """Name -> number in binary files, and the parameters, ``k=k1`` being one that COLMAP calls k and we k1."""
+FORKED = 11
+"""From this number on programs made from COLMAP have models of their own."""
 _SENSOR_TYPES = ("CAMERA", "IMU")
 
 
@@ -243,6 +245,12 @@ def _binary_cameras(file: _Bytes) -> list[CameraRecord]:
         if model not in by_number:
             raise FileFormatError(f"{where}: expected a model from 0 to {max(by_number)}, got {model}")
         name, names = by_number[model]
+        if model >= FORKED and len(file.data) - file.at < 8 * len(names):
+            raise FileFormatError(
+                f"{where}: model {model} is COLMAP's {name} of {len(names)} numbers, for which the file is too short. "
+                "Forks give other models this number, SphereSfM its SPHERE of three; export the model as text there, "
+                "and call a panorama EQUIRECTANGULAR w h"
+            )
         values = list(file.take(f"{len(names)}d"))
         parameters = numbers(values, f"{where}, {name} ({' '.join(names)})")
         found.append(CameraRecord(where, id, name, (width, height), parameters))

@@ -81,9 +81,14 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     for sensor in _each(chunk.get("sensors"), "sensor"):
         name = f"cam{sensor.get('id')}"
         where = f"{path}, sensor {sensor.get('id')!s:.80}"
-        if found := list(_each(sensor, "calibration")):  # the adjusted one stands last
-            sensor["calibration"] = found[-1:]
-            sensors.add(name, _camera(sensor["calibration"][0], sensor, where), where)
+        if calibrations := list(_each(sensor, "calibration")):  # the adjusted one stands last
+            sensor["calibration"] = calibrations[-1:]
+            sensors.add(name, _camera(calibrations[-1], sensor, where), where)
+        elif str(sensor.get("type")).strip() == "spherical":  # a panorama has nothing to calibrate
+            sensors.add(name, _camera(Keys(sensor.where), sensor, where), where)
+        else:  # of images that were not aligned; ``_of_cameras`` refuses one that was
+            for unused in (sensor, *_each(sensor, "resolution")):
+                unused.read.update(unused)
         if "rotation" in sensor or "location" in sensor:
             turn, place = (_floats(sensor.entry(key), f"{where}, {key}") for key in ("rotation", "location"))
             rows = [[*turn[3 * row : 3 * row + 3], *place[row : row + 1]] for row in range(3)]

@@ -13,13 +13,14 @@ References:
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, has_any, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_of, models_of, numbers_of
 from sphericalvision.cameras.rig import CameraRig
@@ -27,7 +28,7 @@ from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import atomic_write
 
-__all__ = ["contents", "write_orbslam"]
+__all__ = ["contents", "recognizes", "write_orbslam"]
 
 _LENSES = (
     Lens("KannalaBrandt8", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
@@ -37,6 +38,12 @@ _LENSES = (
 )
 """An undistorted pinhole is written without k1, and then read as ``Rectified`` is."""
 _STEREO, _BODY = ("Stereo.T_c1_c2", "Tlr"), ("IMU.T_b_c1", "Tbc")
+
+
+def recognizes(content: dict[str, Any]) -> bool:
+    """Whether keys are ORB-SLAM's: stella_vslam's has ``Camera.cols``."""
+    is_ours = any(key in content for key in ("Camera1.fx", "Camera.fx", "Camera.type"))
+    return is_ours and not any(key in content for key in ("Camera.model", "Camera.cols", "Camera.rows"))
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
@@ -112,7 +119,7 @@ register_format(
     FileFormat(
         "orbslam",
         "ORB-SLAM3 settings",
-        recognizes_keys=has_any("Camera1.fx", "Camera.fx", "Camera.type"),
+        recognizes_keys=recognizes,
         contents_of_keys=contents,
         ignored=SETTINGS + r"(?!Camera|Stereo|IMU\.T|LEFT|RIGHT|T).*|ThDepth"
         r"|Camera\d?\.(fps|RGB|bf|b[Ff]ish[Ee]ye|newWidth|newHeight|imageScale|(overl|l)apping(Begin|End))|Stereo\.(ThDepth|b)",

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of the poses of one camera that moves: TUM's, KITTI's, and COLMAP's ``images``.
+"""Files of the poses of one camera that moves: TUM's, EuRoC's, KITTI's, and COLMAP's ``images``.
 
 Convention:
-    TUM and KITTI write world-from-camera, COLMAP camera-from-world. Lengths are taken as metres.
+    TUM, EuRoC and KITTI write world-from-camera, COLMAP camera-from-world. Lengths are taken as metres. TUM's
+    quaternions end in w, EuRoC's and TUM-VI's begin with it: a header that names the columns decides their order.
 
 References:
     https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats, https://www.cvlibs.net/datasets/kitti/eval_odometry.php,
@@ -18,7 +19,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.colmap_records import images_in
-from sphericalvision.cameras.calibration.files import data_lines
+from sphericalvision.cameras.calibration.files import read_text
 from sphericalvision.cameras.calibration.parsing import numbers, view_name
 from sphericalvision.cameras.calibration.poses import transform_from_numbers, transform_from_rows
 from sphericalvision.cameras.trajectory import Trajectory
@@ -28,9 +29,20 @@ from sphericalvision.geometry import invert_transform
 __all__ = ["read_trajectory"]
 
 EXPECTED = (
-    "TUM's (time tx ty tz qx qy qz qw), KITTI's (12 numbers, or 16, with or without the number of the image before "
-    "them), or images.txt or images.bin of COLMAP"
+    "TUM's (time tx ty tz qx qy qz qw), a table whose header names these columns (EuRoC's data.csv), KITTI's "
+    "(12 numbers, or 16, with or without the number of the image before them), or images.txt or images.bin of COLMAP"
 )
+
+COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
+TUM = (0, 1, 2, 3, 7, 4, 5, 6)
+"""Where ``COLUMNS`` stand in a line of TUM's."""
+_HEADERS = {"time": re.compile(r"(?i)time|t|(time)?_?stamp(_?n?s)?|time_?n?s|n?sec")} | {
+    name: re.compile(rf"(?i)(q|q_|q_\w+_|quat(ernion)?[_.]?|orientation[_.]?){name[1]}")
+    if name.startswith("q")
+    else re.compile(rf"(?i)(t|t_|p|p_|p_\w+_|pos(ition)?[_.]?|translation[_.]?)?{name}")
+    for name in COLUMNS[1:]
+}
+"""How headers call the columns: ``p_RS_R_x``, ``tx`` and ``x`` are one."""
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -40,6 +52,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
     format    a line                                          pose                              names
     ========  ==============================================  ================================  =====================
     TUM       ``time tx ty tz qx qy qz qw``                   world from camera                 times as they stand
+    EuRoC     a header of such names, in any order            world from camera                 times as they stand
     KITTI     3 or 4 rows of 4 numbers, one after the other   world from camera                 rows from 0
     KITTI-360 the same after the number of the image          world from camera                 numbers of the images
     COLMAP    ``images.txt``, ``images.bin``                  camera from world, inverted here  images without suffix
@@ -68,25 +81,58 @@ def read_trajectory(path: str | Path) -> Trajectory:
     check_file(path, "poses of a moving camera")
     if path.suffix == ".bin":
         return _of_images(path)
-    lines = data_lines(path)
+    header, lines = _table(path)
     if not lines:
         raise FileFormatError(f"{path}: no pose in it; expected {EXPECTED}")
-    count = len(lines[0][1])
-    if path.name == "images.txt" or count == 10:
+    first, words = lines[0]
+    count = len(words)
+    if path.name == "images.txt" or (count == 10 and header is None):
         return _of_images(path)
-    if count not in (8, 12, 13, 16, 17):
-        raise FileFormatError(f"{path}, line {lines[0][0]}: {count} words; expected {EXPECTED}")
+    if header is None and (count not in (8, 12, 13, 16, 17) or "," in words):
+        raise FileFormatError(f"{path}, line {first}: {count} words; expected {EXPECTED}")
+    if header is not None and len(header) > count:
+        raise FileFormatError(
+            f"{path}, line {first}: {count} values, but the header names {len(header)} columns ({' '.join(header)}); "
+            "correct the header, which decides their order, or remove it"
+        )
     names, poses = [], []
     for row, (line, words) in enumerate(lines):
         where = f"{path}, line {line}"
         values = numbers(words, where, count)
-        if count == 8:
-            names.append(words[0])
-            poses.append(transform_from_numbers([values[7], *values[4:7]], values[1:4], where))
+        if header is not None or count == 8:
+            order = TUM if header is None else [header.index(name) for name in COLUMNS]
+            place, turn = ([values[column] for column in part] for part in (order[1:4], order[4:]))
+            names.append(words[order[0]])
+            poses.append(transform_from_numbers(turn, place, where))
         else:
             names.append(str(row) if count % 4 == 0 else words[0])
             poses.append(transform_from_rows(values[count % 4 :], where))
     return _trajectory(names, poses, path)
+
+
+def _table(path: Path) -> tuple[list[str] | None, list[tuple[int, list[str]]]]:
+    """The names of the columns if a line names time, place and turn, and the lines of values with their numbers.
+
+    Commas separate values where there is such a header; where there is none their order is not known, and they stay.
+    """
+    header, lines = None, []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if (names := _columns(line)) is not None:
+            header = names
+            continue
+        text = line.split("#")[0]
+        if words := (text.split() if header is None else text.replace(",", " ").split()):
+            lines.append((number, words))
+    return header, lines
+
+
+def _columns(line: str) -> list[str] | None:
+    """What the words of a header stand for, one of ``COLUMNS`` or as they are; None of any other line."""
+    words = re.sub(r"[\[(][^])]*[])]|#", " ", line).replace(",", " ").split()
+    names = [
+        next((to for to, pattern in _HEADERS.items() if pattern.fullmatch(word)), word) for word in words
+    ]
+    return names if all(names.count(name) == 1 for name in COLUMNS[1:]) and COLUMNS[0] in names else None
 
 
 def _of_images(path: Path) -> Trajectory:

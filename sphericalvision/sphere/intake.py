@@ -23,6 +23,8 @@ __all__ = ["Intake", "as_photographs", "pixels_seen", "signed", "unsigned"]
 
 CHANNELS = (1, 3, 4)
 """Grey, colour, and colour with alpha, which is dropped."""
+PILLOW_MODES = ("L", "RGB", "RGBA", "I;16", "F")
+"""Of Pillow's pictures those whose numbers are brightness."""
 
 
 class Intake:
@@ -227,6 +229,14 @@ def _photograph(name: str, image: Any, size: tuple[int, int], channels: str) -> 
 
 def _scaled(name: str, image: Any) -> Tensor:
     """The values as float32 in [0, 1]."""
+    mode = getattr(
+        image, "mode", None
+    )  # of Pillow: to numpy a palette is grey, and CMYK, YCbCr and HSV are colours
+    if isinstance(mode, str) and mode not in PILLOW_MODES:
+        raise ArgumentError(
+            f"images[{name!r}]: expected a picture of mode {', '.join(PILLOW_MODES)}, got {mode}; convert it by "
+            'image.convert("RGB")'
+        )
     array = image if isinstance(image, Tensor) else np.asarray(image)
     kind = str(array.dtype).removeprefix("torch.")
     bits = kind.removeprefix("uint") if kind.startswith("uint") else None

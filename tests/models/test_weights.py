@@ -154,6 +154,18 @@ def test_weights_of_whole_numbers_are_refused(tmp_path: Path) -> None:
         load_weights(rewritten(path, damage))
 
 
+@pytest.mark.parametrize("wrapper", [torch.compile, torch.nn.DataParallel])
+def test_a_wrapped_network_is_the_one_inside(tmp_path: Path, wrapper: Any) -> None:
+    net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2).eval()
+    wrapped = wrapper(net)
+    path = save_weights(wrapped, tmp_path / "net.safetensors")
+    content = {"state_dict": {f"net.{name}": value for name, value in wrapped.state_dict().items()}}
+    content |= {"architecture": "icosweepnet", "network_hyperparameters": net.hyperparameters}
+    torch.save(content, tmp_path / "net.ckpt")
+    for again in (load_weights(path), read_network(tmp_path / "net.ckpt")):
+        assert all(torch.equal(a, b) for a, b in zip(again.parameters(), net.parameters(), strict=True))
+
+
 def test_a_full_disk_is_an_error_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any) -> None:
         raise SafetensorError("I/O error: No space left on device (os error 28)")

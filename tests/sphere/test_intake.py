@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ShapeError
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SemiGlobalSweep
-from sphericalvision.sphere.intake import Intake, signed, unsigned
+from sphericalvision.sphere.intake import Intake, as_photographs, signed, unsigned
 
 MASK = torch.arange(32)[None].expand(32, 32) > 12
 RIG = ring_rig(3, image_size=(32, 32))
@@ -58,3 +60,23 @@ def test_other_cameras_and_sizes_are_refused() -> None:
 
 def test_a_network_says_which_it_takes() -> None:
     assert torch.equal(SemiGlobalSweep(4, 8, 0.5).intake(RIG).seen, Intake(RIG, Icosphere(4)).seen)
+
+
+@pytest.mark.parametrize(
+    "mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "YCbCr", "LAB", "HSV", "I", "F", "I;16"]
+)
+def test_pictures_of_pillow_are_their_colours_or_refused(mode: str) -> None:
+    """What numpy sees of a palette or of CMYK are numbers, but no brightness."""
+    ramp = np.linspace(0, 255, 16 * 16).reshape(16, 16)
+    colours = Image.fromarray(np.stack((ramp, ramp[::-1], ramp.T), -1).astype(np.uint8))
+    deep = {"I;16": np.uint16(ramp * 257), "F": np.float32(ramp / 255)}
+    picture = Image.fromarray(deep[mode]) if mode in deep else colours.convert(mode)
+    grey = torch.from_numpy(ramp / 255).float().expand(3, -1, -1)
+    rgb = torch.from_numpy(np.array(picture.convert("RGB"))).movedim(-1, 0) / 255
+    rig = ring_rig(2, image_size=(16, 16))
+    try:
+        seen = as_photographs(dict.fromkeys(rig.names, picture), rig)["cam1"]
+    except (ArgumentError, ShapeError) as error:
+        assert mode not in ("L", "RGB", "RGBA", "F", "I;16"), error
+    else:
+        torch.testing.assert_close(seen, grey if mode in deep else rgb, atol=1e-4, rtol=0)

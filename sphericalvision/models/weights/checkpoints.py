@@ -38,6 +38,10 @@ def weights_for(level: int | None = None) -> str:
     return BY_LEVEL[min(max(6 if level is None else level, min(BY_LEVEL)), max(BY_LEVEL))]
 
 
+WRAPPERS = ("_orig_mod.", "module.")
+"""In front of the names of all weights of a network within ``torch.compile`` or a parallel module."""
+
+
 def read_network(source: str | Path | None = None, level: int | None = None) -> DepthNetwork:
     """Return the network of a file, of a training's checkpoint, or of weights that ship, on the CPU and in eval mode.
 
@@ -71,6 +75,9 @@ def read_network(source: str | Path | None = None, level: int | None = None) -> 
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         state = {key[4:]: value for key, value in content["state_dict"].items() if key.startswith("net.")}
+        for prefix in WRAPPERS:
+            if state and all(key.startswith(prefix) for key in state):
+                state = {key.removeprefix(prefix): value for key, value in state.items()}
         network = network_class(content["architecture"])
         state = network.updated_weights(state)
         return made(network, content["network_hyperparameters"], state, path).eval()

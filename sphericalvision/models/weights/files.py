@@ -12,7 +12,7 @@ from typing import Literal
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
 from sphericalvision.io.files import atomic_write
@@ -38,7 +38,7 @@ def save_weights(net: DepthNetwork, path: str | Path, bits: Literal[32, 16, 8] =
     """Write the weights, hyper-parameters and name of a network to a ``.safetensors`` file, folders included.
 
     Args:
-        net: any network that has a name.
+        net: any network that has a name; of one that ``torch.compile`` or a parallel module wraps, the one inside.
         path: ends in ``.safetensors``.
         bits: of each number in tensors of 20,000 and more. 16, half precision, nearly halves the file, and what the
             network answers may change in the last digits. With 8 they are multiples of a step of each output's own,
@@ -59,6 +59,8 @@ def save_weights(net: DepthNetwork, path: str | Path, bits: Literal[32, 16, 8] =
     if path.suffix != ".safetensors":
         raise ArgumentError(f"path: expected a name ending in .safetensors, got {path.name!r}")
     check_choice("bits", bits, (32, 16, 8))
+    while isinstance(inside := getattr(net, "_orig_mod", getattr(net, "module", None)), nn.Module):
+        net = inside  # type: ignore[assignment]
     metadata = {"format": PREFIX + network_name(net), "hyperparameters": json.dumps(net.hyperparameters)}
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
     state = {name: kept for whole in state.items() for name, kept in _with_bits(*whole, bits)}

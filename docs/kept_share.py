@@ -26,9 +26,10 @@ from trimesh.creation import cylinder, torus
 from trimesh.transformations import random_rotation_matrix
 
 from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.data import SampleView
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import DepthNetwork, pretrained
-from sphericalvision.scenes import SceneDataset
+from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.meshes import MeshFiles, mesh_files
 from sphericalvision.sweep import index_from_inverse_depth, semi_global_sweep
 
@@ -90,9 +91,9 @@ def measured(
 ) -> Answers:
     """Answers at all points of held-out scenes that two cameras see."""
     rig = ring_rig(4, 0.2, (256, 256)).rotated(tilt=math.radians(tilt_deg))
-    scenes = SceneDataset(
-        num_scenes, rig, level, kind, 2_000_000, samples_per_pixel=2, antialias=True, meshes=meshes
-    )
+    world = World(rig, kind, meshes=meshes, samples_per_pixel=2)
+    view = SampleView(level, level - 2, antialias=True)
+    scenes = WorldSamples(world, view, range(2_000_000, 2_000_000 + num_scenes))
     errors, confidences = [], []
     for sample in (scenes[number] for number in range(num_scenes)):
         found = method(sample, rig)

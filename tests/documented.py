@@ -24,7 +24,6 @@ from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.keys import unused_key, wrong_key
 from sphericalvision.recipes.app.running import config_space
 from sphericalvision.recipes.app.words import first_values, read_words
-from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.board_pictures import write_boards
 from tests.recipes.knocked_capture import write_knocked_capture
 from tests.recipes.scanned_sets import (
@@ -35,6 +34,7 @@ from tests.recipes.scanned_sets import (
     write_own,
     write_spires,
 )
+from tests.worlds import recorded_frames
 
 __all__ = ["PAGES", "ROOT", "Command", "blocks", "commands_of", "furnish", "mentioned_in", "run_command"]
 
@@ -130,7 +130,7 @@ def furnish(folder: Path) -> None:
         ("omnihouse", [1, 2]),
         ("mine", [1, 2]),
     ):
-        rendered = RenderedFrames(rig, frames, samples_per_pixel=1, height=20)
+        rendered = recorded_frames(rig, frames, height=20)
         write_omnistereo(folder / "data" / name, rendered, rig)
     for write in (write_deep360, write_helvipad, write_kitti360, write_omnipus, write_spires):
         write(folder / "data" / write.__name__.removeprefix("write_"))

@@ -577,18 +577,18 @@ RandomYaw(Icosphere(1))({'image': torch.rand(2, 3, 42), 'depth': torch.rand(42)}
 RotateFisheye(mode='depth') -> mode: 'area' or 'bilinear'
 RotateFisheye(rotation=torch.eye(4)) -> rotation: got \(4, 4\)
 # scenes
-SceneDataset(1, rig(), kind='street') -> kind: 'street'
-SceneDataset(0, rig()) -> num_scenes: got 0
-SceneDataset(1, rig(), 1) -> level: got 1
-SceneDataset(1, rig(), first_seed=-1) -> first_seed: got -1
-SceneDataset(1, rig(), min_depth=0.0) -> min_depth: got 0
-SceneDataset(1, ring_rig(4, 1.2)) -> rig: min_depth above 1\.10
-SceneDataset(1, rig(), tilts=(0.4, 0.1)) -> tilts: got
-SceneDataset(1, rig(), tilts=(-0.3, 0.8), carrier='pole') -> tilts: no carrier
-SceneDataset(1, rig(), entries=('depths',)) -> entries: 'sphere', 'depth', 'fisheye', 'panorama', got 'depths'
-SceneDataset(1, rig(), entries=()) -> entries: got none
-SceneDataset(1, rig(), entries=('panorama',), panorama=(10, 30)) -> panorama: height 10, width 30
-SceneDataset(1, rig().resized({'cam1': (20, 20)}), entries=('fisheye',)) -> one size: resized
+World(rig(), kind='street') -> kind: 'street'
+WorldSamples(World(rig()), SampleView(1), range(0)) -> seeds: expected one or more
+WorldSamples(World(rig()), SampleView(1), range(-1, 1)) -> seeds: from 0
+WorldSamples(World(rig()), SampleView(1), range(10_000_000, 10_000_001)) -> seeds: held out
+SampleView(-1) -> level: got -1
+World(rig(), min_depth=0.0) -> min_depth: got 0
+WorldSamples(World(ring_rig(4, 1.2)), SampleView(1), range(1)) -> rig: min_depth above 1\.10
+World(rig(), tilts=(0.4, 0.1)) -> tilts: got
+World(rig(), tilts=(-0.3, 0.8), carrier='pole') -> tilts: no carrier
+SampleView() -> view: got none
+SampleView(panorama=(10, 30)) -> panorama: height 10, width 30
+WorldSamples(World(rig().resized({'cam1': (20, 20)})), SampleView(images=True), range(1))[0] -> one size: resized
 render_camera(make_scene(), camera(), torch.eye(4), samples_per_pixel=0) -> samples_per_pixel: got 0
 """
 """The call -> the argument that the message names: a further word of it, both as regular expressions."""

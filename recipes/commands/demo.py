@@ -16,7 +16,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.outputs import Panoramas, Settings, save_frame
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import ToSphere, collate_samples
+from sphericalvision.data import SampleView, ToSphere, collate_samples
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork, WinnerTakesAll
 from sphericalvision.recipes.app.checkpoints import load_network
@@ -25,9 +25,8 @@ from sphericalvision.recipes.evaluation.frames import BatchFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import Method, Scale, constants, sweep
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
-from sphericalvision.scenes import SceneDataset
-from sphericalvision.scenes.rendered_frames import RenderedFrames
-from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
+from sphericalvision.scenes import World, WorldSamples
+from sphericalvision.scenes.samples import recorded_sample
 from sphericalvision.sweep import index_from_inverse_depth
 from sphericalvision.viz import depth_panorama, error_panorama, sheet
 from sphericalvision.viz.figure import strip
@@ -44,13 +43,11 @@ def demo(config: DictConfig, folder: Path) -> Table:
             "checkpoint: the demonstration shows networks on the icosphere, "
             f"{config.checkpoint} is {type(net).__name__}"
         )
-    scale = net.min_depth / NATURAL_MIN_DEPTH
     rig: CameraRig = build(config.rig, "rig")
     with console.status(f"rendering {len(rig)} fisheye images of a {config.kind} (seed {config.scene_seed})"):
-        frames = RenderedFrames(
-            rig, [1], config.scene_seed, config.kind, config.samples_per_pixel, config.height, scale
-        )
-        frame = frames[0]
+        world = World(rig, config.kind, net.min_depth, samples_per_pixel=config.samples_per_pixel)
+        world.check_free_space(rig)
+        frame = recorded_sample(world.frame(config.scene_seed), config.height)
     for name, image in frame["images"].items():
         write_image(folder / f"input_{name}.png", image)
     with console.status(f"estimating depth: level {net.level}, {net.num_hypotheses} hypotheses"):
@@ -58,15 +55,8 @@ def demo(config: DictConfig, folder: Path) -> Table:
         panoramas = Panoramas(Predictor(rig, net, min_depth=net.min_depth)(frame["images"]), config.height)
         save_frame(folder, "", panoramas, Settings(["depth", "cloud", "npz"], config.height))
         _save_comparison(folder, frame, panoramas, net)
-    depths = SceneDataset(
-        config.baseline_scenes,
-        rig,
-        net.level,
-        config.kind,
-        config.train_seed,
-        min_depth=net.min_depth,
-        entries=("depth",),
-    )
+    seeds = range(config.train_seed, config.train_seed + config.baseline_scenes)
+    depths = WorldSamples(world, SampleView(depth_level=net.level - 2), seeds)
     methods = [
         Method(type(net).__name__, net),
         sweep("photo-consistency sweep", WinnerTakesAll, net, net.level),

@@ -83,7 +83,7 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     compared = config.baselines or config.methods
     more = ["sphere" if compared else "depth", *(["fisheye"] if as_used else [])]
     data.serve(net, *more, depth_level=config.model.level - 2)
-    if as_used and not (isinstance(data, DepthDataModule) and "fisheye" in data.wanted.entries):
+    if as_used and not (isinstance(data, DepthDataModule) and data.view.images):
         raise ArgumentError(
             f"data: the group preparation, masks and model.min_depth=auto or scene want the images of the cameras (the "
             f"entry 'fisheye'), which samples of {type(data).__name__} do not hold; take other data, or leave them out"

@@ -6,7 +6,7 @@ Runs fill a folder together, all with the same settings.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,8 @@ from sphericalvision.io.files import write_yaml
 from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.cli import build, console, print_config
 from sphericalvision.scenes.meshes import MeshFiles, mesh_files
-from sphericalvision.scenes.rendered_frames import RenderedFrames
+from sphericalvision.scenes.samples import recorded_sample
+from sphericalvision.scenes.world import NATURAL_MIN_DEPTH, World
 
 __all__ = ["RECORD", "check_settings", "missing_frames", "render", "settings_of"]
 
@@ -49,20 +50,22 @@ def render(config: DictConfig) -> int:
         console.print(
             f"{folder} holds {len(frames) - len(missing)} of the {len(frames)} frames already; they are kept."
         )
-    rendered = RenderedFrames(
+    world = World(
         rig,
-        missing,
-        first_seed=config.first_seed,
-        kind=config.kind,
-        samples_per_pixel=config.samples_per_pixel,
-        height=config.height,
-        scale=config.scale,
-        meshes=_meshes(config),
+        config.kind,
+        config.scale * NATURAL_MIN_DEPTH,
+        _meshes(config),
         carrier=config.carrier,
+        carrier_counts=True,
+        samples_per_pixel=config.samples_per_pixel,
     )
+    world.check_free_space(rig)
+    make = partial(numbered_frame, world, config.first_seed, config.height)
+    loader: DataLoader[Any] = DataLoader(missing, None, num_workers=config.num_workers, collate_fn=make)  # type: ignore[arg-type]
     if missing:
         write_yaml(folder / RECORD, settings)
-        write_omnistereo(folder, _progress(rendered, config.num_workers), rig, release, config.min_depth)
+        frames_made = track(loader, "rendering", total=len(missing), console=console)
+        write_omnistereo(folder, frames_made, rig, release, config.min_depth)
     print(f"{len(missing)} frames written, {len(frames)} in {folder}")
     print(f"Read back with: data=omnistereo data.root={folder} data.train_split=all data.val_split=all")
     return len(missing)
@@ -75,9 +78,9 @@ def _meshes(config: DictConfig) -> MeshFiles | None:
     return mesh_files(given, config.mesh_up, config.mesh_scale)
 
 
-def _progress(frames: RenderedFrames, num_workers: int) -> Iterator[dict[str, Any]]:
-    loader = DataLoader(frames, batch_size=None, num_workers=num_workers)
-    yield from track(loader, "rendering", total=len(frames), console=console)
+def numbered_frame(world: World, first_seed: int, height: int, number: int) -> dict[str, Any]:
+    """The frame of a number, from 1, with it as its name."""
+    return {**recorded_sample(world.frame(first_seed + number - 1), height), "frame": f"{number:05d}"}
 
 
 RECORD = "rendered.yaml"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
@@ -18,12 +18,13 @@ from torch.utils.data import Dataset
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.predictor import check_number
 from sphericalvision.capture.preparation.nearest import nearest_hypothesis
-from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
+from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.pseudo_labels import PseudoLabeller, PseudoLabels
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.opening import spread_evenly
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import ToSphere
+from sphericalvision.data import SampleView
+from sphericalvision.data.sample_view import ToView
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.captures import open_capture, with_own_body_masked
 from sphericalvision.recipes.app.cli import console
@@ -40,10 +41,11 @@ from sphericalvision.recipes.app.kinds import (
 )
 from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
 from sphericalvision.recipes.datamodules.entries import check_on_icospheres
+from sphericalvision.scenes import World, WorldSamples
+from sphericalvision.scenes.cache import decode, encode
 from sphericalvision.scenes.disturbances import RandomFaults
 from sphericalvision.scenes.draws import by_seed_and_globally
-from sphericalvision.scenes.random_rig_scenes import WorldSamples
-from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH, World, world_values
+from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.sphere.intake import as_photographs
 
 __all__ = ["CaptureDataModule", "rehearsed_world"]
@@ -73,7 +75,7 @@ def rehearsed_world(
         rig: in metres in which 0.55 is the nearest hypothesis, its images not larger than needed.
         grey: share of samples without colour.
         preparation: of the disturbed images, as they are made ready in use.
-        values: arguments of ``World``, as ``world_values("rehearsal")``.
+        values: arguments of ``World``, as in ``conf/world/rehearsal.yaml``.
     """
     chosen = {name: value for name, value in values.items() if name != "level_rigs"}
     chosen["faults"] = {**values["faults"], "grey": grey}
@@ -116,6 +118,7 @@ class CaptureDataModule(PreparedSamples):
     """
 
     images: Text
+    world: dict[str, Any]
     calibration: Text | None = None
     frames: list[int | str] | None = None
     start: Number = 0
@@ -132,7 +135,6 @@ class CaptureDataModule(PreparedSamples):
     trained_radius: Positive = 0.2
     rendered: Share = 0.5
     rendered_seed: Number = 5_000_000
-    world: dict[str, Any] = field(default_factory=lambda: world_values("rehearsal"))
 
     has_truth = False
 
@@ -225,31 +227,71 @@ class CaptureDataModule(PreparedSamples):
         chosen = [name for name in self.names if (name in self.held_out) == (split != "train")]
         frames = [self.labelled[name] for name in chosen]
         if split != "train":
-            return _Frames(frames, self.rig, self.net.level)
-        natural = _smaller(self.rig.scaled(NATURAL_MIN_DEPTH / self.net.min_depth))
-        world = rehearsed_world(natural, self.grey, self.preparation, self.world)
-        scenes = WorldSamples(
-            world, NUM_RENDERED, self.rendered_seed, self.net.level, self.net.depth_level, antialias=True
-        )
+            return CaptureSamples(frames, self.rig, self.net.level)
+        scenes = self._rendered_scenes() if self.rendered else None
         faults = RandomFaults.of(self.world["faults"])
         faults = replace(faults, grey=max(self.grey, faults.grey))
-        disturbed = _Frames(frames, self.rig, self.net.level, faults, self.preparation)
-        return _Mixed(disturbed, scenes, self.rendered, self.net.min_depth / NATURAL_MIN_DEPTH)
+        scale = self.net.min_depth / NATURAL_MIN_DEPTH
+        disturbed = Disturbed(faults, self.preparation, scenes, self.rendered, scale)
+        return CaptureSamples(frames, self.rig, self.net.level, disturbed)
+
+    def _rendered_scenes(self) -> WorldSamples:
+        """Scenes of natural size through the rig.
+
+        Raises:
+            ArgumentError: cameras lie where things of the scenes may be.
+        """
+        assert self.net is not None
+        world = rehearsed_world(
+            _smaller(self.rig.scaled(NATURAL_MIN_DEPTH / self.net.min_depth)),
+            self.grey,
+            self.preparation,
+            self.world,
+        )
+        view = SampleView(self.net.level, self.net.depth_level, antialias=True)
+        seeds = range(self.rendered_seed, self.rendered_seed + NUM_RENDERED)
+        try:
+            return WorldSamples(world, view, seeds)
+        except ArgumentError as error:
+            raise ArgumentError(
+                f"data.rendered: scenes keep too little space free for this rig, whose nearest hypothesis is at "
+                f"{self.near:.2f} m; set data.rendered=0, or a larger data.min_depth. In the units of scenes: {error}"
+            ) from error
 
 
-class _Frames(Dataset[Sample]):
-    """Frames on the icosphere, as they are, or with faults and made ready anew."""
+class Disturbed(NamedTuple):
+    """What training makes of the frames of a capture.
+
+    Attributes:
+        faults: of the cameras, others each time.
+        preparation: of the disturbed images.
+        scenes: that stand in the place of frames, if any.
+        share: of the time that they do.
+        scale: metres of the frames in one of the scenes.
+    """
+
+    faults: RandomFaults
+    preparation: Preparation
+    scenes: WorldSamples | None
+    share: float
+    scale: float
+
+
+class CaptureSamples(Dataset[Sample]):
+    """Frames on the icosphere, as they are, or with faults and made ready anew, and scenes in their place.
+
+    Args:
+        frames: with what is taken for their depth.
+        rig: of their images.
+        level: of the icosphere that carries images.
+        disturbed: how frames are changed; as they are when not given.
+    """
 
     def __init__(
-        self,
-        frames: list[LabelledFrame],
-        rig: CameraRig,
-        level: int,
-        faults: RandomFaults | None = None,
-        preparation: Preparation = AS_IT_IS,
+        self, frames: list[LabelledFrame], rig: CameraRig, level: int, disturbed: Disturbed | None = None
     ) -> None:
-        self.frames, self.rig, self.faults, self.preparation = frames, rig, faults, preparation
-        self.to_sphere = ToSphere(level, 2, antialias=True)
+        self.frames, self.rig, self.disturbed = frames, rig, disturbed
+        self.to_view = ToView(SampleView(level, antialias=True))
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -257,39 +299,26 @@ class _Frames(Dataset[Sample]):
     def __getitem__(self, index: int) -> Sample:
         name, stored, labels = self.frames[index]
         images, rig = _floats(stored), self.rig
-        more = {"correlation": labels.correlation, "correlation_seen": labels.seen}
-        if self.faults is not None:
-            faulty = self.faults.draw()({"images": images, "rig": rig})
-            rig, more = faulty["rig"], {}
-            images = self.preparation.images(rig, faulty["images"])
-        return {
-            "images": self.to_sphere.images(images, rig),
-            "seen": self.to_sphere.seen(rig),
-            "rig": rig,
-            "inverse_depth": labels.inverse_depth,
-            "valid": labels.valid,
-            "frame": name,
-            **more,
-        }
+        entries: Sample = {"inverse_depth": labels.inverse_depth, "valid": labels.valid, "frame": name}
+        if self.disturbed is None:
+            entries |= {"correlation": labels.correlation, "correlation_seen": labels.seen}
+        else:
+            faults, preparation, scenes, share, scale = self.disturbed
+            if torch.rand(()).item() < share and scenes is not None:
+                return self._scene(scenes, scale)
+            faulty = faults.draw()({"images": images, "rig": rig})
+            rig = faulty["rig"]
+            images = preparation.images(rig, faulty["images"])
+        return {**entries, **self.to_view.images(images, rig), "rig": rig}
 
-
-class _Mixed(Dataset[Sample]):
-    """Frames, in whose place a share of the time a rendered scene stands."""
-
-    def __init__(self, frames: _Frames, scenes: WorldSamples, share: float, scale: float) -> None:
-        self.frames, self.scenes, self.share, self.scale = frames, scenes, share, scale
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> Sample:
-        if torch.rand(()).item() >= self.share:
-            return self.frames[index]
-        sample = self.scenes[int(torch.randint(len(self.scenes), ()))]
+    @staticmethod
+    def _scene(scenes: WorldSamples, scale: float) -> Sample:
+        """Any of the rendered scenes, its lengths multiplied by ``scale``."""
+        sample = scenes[int(torch.randint(len(scenes), ()))]
         return {
             **sample,
-            "rig": sample["rig"].scaled(self.scale),
-            "inverse_depth": sample["inverse_depth"] / self.scale,
+            "rig": sample["rig"].scaled(scale),
+            "inverse_depth": sample["inverse_depth"] / scale,
         }
 
 
@@ -301,12 +330,12 @@ def _kept(images: dict[str, Tensor]) -> dict[str, Tensor]:
         if factor > 1:
             size = (MOST_ROWS, round(image.shape[-1] / factor))
             image = F.interpolate(image[None], size, mode="area")[0]
-        kept[name] = (image * 255).round().byte()
+        kept[name] = encode(image)
     return kept
 
 
 def _floats(images: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name: image.float() / 255 for name, image in images.items()}
+    return {name: decode(image) for name, image in images.items()}
 
 
 def _is_grey(images: dict[str, Tensor]) -> bool:

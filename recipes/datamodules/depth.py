@@ -1,27 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data modules whose samples have depth, as a network wants them."""
+"""Data modules whose samples have depth, as a network takes them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
+from sphericalvision.data import SampleView
 from sphericalvision.recipes.datamodules.base import SampleDataModule
-from sphericalvision.recipes.datamodules.entries import Wanted
+from sphericalvision.recipes.datamodules.entries import Entries, view_of, view_with
+from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 
 __all__ = ["DepthDataModule"]
 
 
 class DepthDataModule(SampleDataModule):
-    """Samples with depth, as the network wants them that they are for; a field ``entries`` may ask for others."""
+    """Samples with depth, as the network takes them that they are for; a field ``entries`` may ask for others."""
+
+    entries: Entries = None
+
+    @property
+    def usual_panorama(self) -> tuple[int, int]:
+        """(height, width) of panoramas of depth for networks that are not on panoramas."""
+        return 80, 160
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.given: Sequence[str] = getattr(self, "entries", None) or ()
-        self.wanted = Wanted(tuple(self.given or ("sphere",)))
+        self.min_depth = NATURAL_MIN_DEPTH
+        self.view = view_with(self.entries or ("sphere",), SampleView(5, 3, True, self.usual_panorama))
 
     def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples that suit a network, with ``more`` entries; entries that the configuration names stay."""
-        wanted = Wanted.by(net, depth_level)
-        entries = tuple(self.given or dict.fromkeys((*wanted.entries, *more)))
-        self.wanted = wanted._replace(entries=entries)
+        self.min_depth = net.min_depth
+        self.view = view_of(net, self.entries or (), more, depth_level, self.usual_panorama)

@@ -4,67 +4,67 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, NamedTuple
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
 from annotated_types import MinLen
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data import ToSphere
+from sphericalvision.core import ArgumentError
+from sphericalvision.data import SampleView
 from sphericalvision.models import DepthNetwork
-from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
-from sphericalvision.sphere.intake import Intake
 
-__all__ = [
-    "ENTRIES",
-    "ChosenEntries",
-    "Entries",
-    "Wanted",
-    "check_on_icospheres",
-    "images_of",
-    "truth_of",
-]
-
-ENTRIES = ("sphere", "fisheye", "panorama")
+__all__ = ["Entries", "check_on_icospheres", "images_of", "truth_of", "view_of", "view_with"]
 
 Sample = dict[str, Any]
 
-Entries = Annotated[Sequence[str], MinLen(1)] | None
-"""What samples are asked to hold, in place of what the network wants."""
+Entry = Literal["sphere", "depth", "fisheye", "panorama"]
+Entries = Annotated[Sequence[Entry], MinLen(1)] | None
+"""What samples hold, in place of what the network takes: images and depth on the icosphere, depth there alone, images
+of the cameras, a panorama of depth."""
 
 
-class Wanted(NamedTuple):
-    """What samples must be like for a network.
+def view_of(
+    net: DepthNetwork,
+    entries: Sequence[str] = (),
+    more: Sequence[str] = (),
+    depth_level: int | None = None,
+    panorama: tuple[int, int] = (80, 160),
+) -> SampleView:
+    """What samples hold for a network, by its ``images`` and ``grid``.
 
-    Attributes:
-        entries: that it is trained with, as ``data.entries`` names them.
-        level: icosphere level of the images of "sphere".
-        depth_level: icosphere level of the depth at vertices.
-        panorama_size: (height, width) of depth panoramas.
-        min_depth: nearest hypothesis in metres.
+    Args:
+        net: that takes them.
+        entries: names of ``Entries`` in place of what the network takes.
+        more: names beside what it takes.
+        depth_level: of the depth at vertices, where that is not on the network's own grid.
+        panorama: (height, width) of depth, where the network is not on panoramas.
     """
+    on_sphere = net.images == "sphere"
+    own_level = net.depth_level
+    usual = ["sphere"] if on_sphere else ["fisheye"]
+    if own_level is None:
+        grid: Any = net.grid
+        height, width = grid.shape
+        panorama = (height if grid.max_latitude > 1.5 else width // 4, width)
+        own_level = (net.level if on_sphere else 5) - 2
+        usual.append("panorama")
+    elif not on_sphere:
+        usual.append("depth")
+    depth_level = own_level if depth_level is None else depth_level
+    level = net.level if on_sphere else depth_level + 2
+    return view_with(entries or (*usual, *more), SampleView(level, depth_level, True, panorama))
 
-    entries: tuple[str, ...] = ("sphere",)
-    level: int = 5
-    depth_level: int = 3
-    panorama_size: tuple[int, int] | None = None
-    min_depth: float = NATURAL_MIN_DEPTH
 
-    @classmethod
-    def by(cls, net: DepthNetwork, depth_level: int | None = None) -> Wanted:
-        """What a network wants, by its ``images`` and ``grid``; depth at vertices may be wanted at another level."""
-        sphere = net.images == "sphere"
-        entries: tuple[str, ...] = ("sphere",) if sphere else ("fisheye",)
-        size, usual = None, net.depth_level
-        if usual is None:
-            grid: Any = net.grid
-            height, width = grid.shape
-            size = (height if grid.max_latitude > 1.5 else width // 4, width)
-            entries, usual = (*entries, "panorama"), (net.level if sphere else 5) - 2
-        elif not sphere:
-            entries = (*entries, "depth")
-        chosen = usual if depth_level is None else depth_level
-        return cls(entries, net.level if sphere else chosen + 2, chosen, size, net.min_depth)
+def view_with(entries: Sequence[str], view: SampleView) -> SampleView:
+    """The parts of a view that entries name."""
+    return replace(
+        view,
+        level=view.level if "sphere" in entries else None,
+        depth_level=view.depth_level if {"sphere", "depth"} & set(entries) else None,
+        images="fisheye" in entries,
+        panorama=view.panorama if "panorama" in entries else None,
+    )
 
 
 def check_on_icospheres(net: DepthNetwork, samples: str) -> None:
@@ -110,45 +110,3 @@ def _entry(batch: Sample, key: str, net: DepthNetwork) -> Any:
         f"data: {type(net).__name__} wants the entry '{key}', samples hold {', '.join(batch)}; leave out data.entries, "
         "or take other data"
     )
-
-
-class ChosenEntries:
-    """The last transform of a sample: what networks on the icosphere and on panoramas want of it.
-
-    Args:
-        entries: some of "sphere", "fisheye" and "panorama".
-        level: icosphere level of the images of "sphere".
-        depth_level: icosphere level of its depth; two below ``level`` when not given.
-
-    Returns:
-        The sample with ``images``, ``seen``, ``inverse_depth`` and ``valid`` of ``ToSphere`` for "sphere"; ``fisheye``
-        ``(n, 3, H, W)`` in [-1, 1], 0 where not ``fisheye_seen`` ``(n, H, W)``; ``panorama_inverse_depth`` and
-        ``panorama_valid`` ``(h, w)`` for "panorama". Entries not asked for are gone.
-
-    Raises:
-        ArgumentError: an unknown entry or none; images that differ in size for "fisheye".
-    """
-
-    def __init__(self, entries: Sequence[str], level: int, depth_level: int | None = None) -> None:
-        self.entries = tuple("sphere" if entry == "depth" else entry for entry in entries)
-        for entry in self.entries:
-            check_choice("data.entries", entry, ENTRIES)
-        self.to_sphere = ToSphere(level, depth_level) if "sphere" in self.entries else None
-        self._intake: Intake | None = None
-
-    def __call__(self, sample: Sample) -> Sample:
-        chosen = {
-            key: value
-            for key, value in sample.items()
-            if key not in ("images", "seen", "inverse_depth", "valid")
-        }
-        if self.to_sphere is not None:
-            chosen = self.to_sphere(sample)
-        if "fisheye" in self.entries:
-            rig = sample["rig"]
-            if self._intake is None or self._intake.rig is not rig:
-                self._intake = Intake(rig, None)
-            chosen |= {"fisheye": self._intake(sample["images"]), "fisheye_seen": self._intake.seen}
-        if "panorama" in self.entries:
-            chosen |= {"panorama_inverse_depth": sample["inverse_depth"], "panorama_valid": sample["valid"]}
-        return chosen

@@ -14,10 +14,11 @@ from torch.utils.data import Dataset
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, RandomShift
 from sphericalvision.data.augmentation.transforms import Compose
+from sphericalvision.data.sample_view import ToView
 from sphericalvision.recipes.app.kinds import Text
 from sphericalvision.recipes.datamodules.base import Sample
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
-from sphericalvision.recipes.datamodules.entries import ChosenEntries, Entries
+from sphericalvision.recipes.datamodules.entries import Entries
 
 __all__ = ["OmniStereoDataModule", "SkipDamaged"]
 
@@ -40,7 +41,7 @@ class OmniStereoDataModule(DepthDataModule):
         num_workers: processes that read samples.
         seed: of order and augmentation in training.
         entries: what samples hold: some of "sphere" (for networks on the icosphere), "fisheye" and "panorama" (for
-            networks on panoramas), with the keys of ``SceneDataset``.
+            networks on panoramas), with the keys of ``SampleView``.
         on_error: "stop" at a frame whose files cannot be read, or "skip" it: training takes the next one in its place,
             validation and test go without, and what was left out is said at the end.
     """
@@ -96,8 +97,7 @@ class OmniStereoDataModule(DepthDataModule):
         return [sentence for part in self.skipping if (sentence := part.left_out()) is not None]
 
     def _read(self, split: str, stages: list[Callable[[Sample], Sample]], counts: bool) -> Dataset[Sample]:
-        entries = ChosenEntries(self.wanted.entries, self.wanted.level, self.wanted.depth_level)
-        frames = self.read(split, *stages, entries)
+        frames = self.read(split, *stages, ToView(self.view))
         if self.on_error == "stop":
             return frames
         self.skipping.append(SkipDamaged(frames, counts))
@@ -111,7 +111,7 @@ class OmniStereoDataModule(DepthDataModule):
         """
         transform = Compose(*stages)
         frames = OmniStereoDataset(split=self.splits[split], transform=transform, **self.options)
-        min_depth = self.wanted.min_depth
+        min_depth = self.min_depth
         if abs(frames.min_depth / min_depth - 1) > 0.02:
             raise ArgumentError(
                 f"data.root: {self.options['root']} has the minimum depth {frames.min_depth:g} m "

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import torch
@@ -20,8 +19,10 @@ from sphericalvision.recipes.app.kinds import Size
 from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
 from sphericalvision.recipes.datamodules.entries import check_on_icospheres
 from sphericalvision.recipes.datamodules.scenes import RenderedDataModule
+from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.cache import ArrayCache
-from sphericalvision.scenes.random_rig_scenes import RandomRigScenes
+from sphericalvision.scenes.draws import by_purpose
+from sphericalvision.scenes.random_rigs import LevelOrRandomRigs
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 
 __all__ = ["RandomRigDataModule"]
@@ -32,14 +33,13 @@ class WithFixedInputs(Dataset[Sample]):
 
     Args:
         scenes: the samples.
-        net: whose ``fixed_inputs`` are wanted; its state says which folder they are in.
-        cache_dir: folder; computed each time when not given.
+        net: whose ``fixed_inputs`` are wanted; its state says which folder below that of the samples they are in.
     """
 
-    def __init__(self, scenes: RandomRigScenes, net: DepthNetwork, cache_dir: str | None) -> None:
+    def __init__(self, scenes: WorldSamples, net: DepthNetwork) -> None:
         self.scenes, self.net = scenes, net
-        folder = None if cache_dir is None else Path(cache_dir) / scenes.name / f"fixed-{fingerprint(net)}"
-        self.cache = ArrayCache(folder)
+        folder = scenes.cache.folder
+        self.cache = ArrayCache(None if folder is None else folder / f"fixed-{fingerprint(net)}")
 
     def __len__(self) -> int:
         return len(self.scenes)
@@ -57,18 +57,28 @@ class WithFixedInputs(Dataset[Sample]):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class RandomRigDataModule(PreparedSamples, RenderedDataModule):
-    """``RandomRigScenes``, whose rigs have different numbers of cameras.
+    """Samples for a network that is to serve any rig: scene, rig and disturbances follow from the seed.
 
-    So batches are of one; ``trainer.accumulate_grad_batches`` makes steps of several. In training, the world is turned
-    by random multiples of 72 degrees, and half of the samples are mirrored. The cache keeps, too, what a network
-    computes of samples before anything that is trained.
+    Some rigs are level rings of four fisheyes, the common case; the others are ``random_rig``. Some samples are
+    disturbed as by cheap cameras (``CameraDisturbance``), with poses a little off, and some are too bright. Some rigs
+    stand on something that they see, which is mostly not masked. Most scenes are under a sky that is not theirs, black,
+    white, of any colour or cloudy, and a few have no lamps: so meshes and photographs of other people look. Images are
+    prepared as in use, and averaged where they are finer than the icosphere.
+
+    Rigs have different numbers of cameras, so batches are of one; ``trainer.accumulate_grad_batches`` makes steps of
+    several. In training, the world is turned by random multiples of 72 degrees, and half of the samples are mirrored.
+    The cache keeps, too, what a network computes of samples before anything that is trained.
 
     Args:
         world: what comes how often, and faults, as ``conf/world/random_rigs.yaml``.
         image_size: height and width of the cameras.
+
+    References:
+        WMGStereo (2025), "What makes good synthetic training data for zero-shot stereo matching?", for diversity
+        before realism.
     """
 
-    world: dict[str, Any] | None = None
+    world: dict[str, Any]
     image_size: Size = (256, 256)
 
     augmentation = (Mirror(0.5), RotateFivefold())
@@ -91,19 +101,17 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     def plain(self, split: str) -> Dataset[Sample]:
         """Samples of one split as they are kept."""
-        number, first_seed = self.scenes[split]
-        scenes = RandomRigScenes(
-            number,
-            first_seed,
-            self.wanted.level,
-            self.wanted.depth_level,
-            image_size=(int(self.image_size[0]), int(self.image_size[1])),
-            samples_per_pixel=self.samples_per_pixel,
+        values = dict(self.world)
+        size = int(self.image_size[0]), int(self.image_size[1])
+        world = World.of(
+            values,
+            rig=LevelOrRandomRigs(values.pop("level_rigs"), size),
             prepare=Preparation.from_keys(vars(self)).of_images,
-            cache_dir=self.cache_dir,
-            values=self.world,
+            samples_per_pixel=self.samples_per_pixel,
+            draws=by_purpose,
         )
-        return scenes if self.net is None else WithFixedInputs(scenes, self.net, self.cache_dir)
+        scenes = WorldSamples(world, replace(self.view, antialias=True), self.seeds(split), self.cache_dir)
+        return scenes if self.net is None else WithFixedInputs(scenes, self.net)
 
 
 def fingerprint(net: DepthNetwork) -> str:

@@ -16,6 +16,7 @@ from sphericalvision.cameras import read_trajectory
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.data import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
+from sphericalvision.data.sample_view import ToView
 from sphericalvision.data.scanned.base import ScannedFrames
 from sphericalvision.data.scanned.deep360 import Deep360Dataset
 from sphericalvision.data.scanned.helvipad import PUBLISHED, HelvipadDataset
@@ -27,7 +28,7 @@ from sphericalvision.recipes.app.captures import open_capture
 from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Positive, Share, Size, Text, Unit
 from sphericalvision.recipes.datamodules.base import Sample
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
-from sphericalvision.recipes.datamodules.entries import ChosenEntries, Entries
+from sphericalvision.recipes.datamodules.entries import Entries
 
 __all__ = [
     "Deep360DataModule",
@@ -63,6 +64,11 @@ class ScannedDataModule(DepthDataModule):
         super().__post_init__()
         self._read: list[ScannedFrames] = []
 
+    @property
+    def usual_panorama(self) -> tuple[int, int]:
+        """(height, width) of panoramas of depth for networks that are not on panoramas."""
+        return self.truth_height, 2 * self.truth_height
+
     def frames(self, split: str, height: int, transform: Transform) -> ScannedFrames:
         """The frames of "train", "val" or "test". Every subclass implements it."""
         raise NotImplementedError(f"{type(self).__name__}.frames")
@@ -80,11 +86,9 @@ class ScannedDataModule(DepthDataModule):
         return list(dict.fromkeys(sentence for frames in self._read for sentence in frames.left_out))
 
     def _made(self, split: str, augmented: bool) -> ScannedFrames:
-        wanted = self.wanted
-        height = self.truth_height if wanted.panorama_size is None else wanted.panorama_size[1] // 2
-        entries = ChosenEntries(wanted.entries, wanted.level, wanted.depth_level)
+        height = (self.view.panorama or self.usual_panorama)[1] // 2
         stages = [PhotometricAugmentation()] if augmented else []
-        frames = self.frames(split, height, Compose(*stages, entries))
+        frames = self.frames(split, height, Compose(*stages, ToView(self.view)))
         self._read.append(frames)
         return frames
 

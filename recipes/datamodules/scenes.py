@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
@@ -21,7 +21,7 @@ from sphericalvision.recipes.app.kinds import Count, Number, Positive, Size, Tex
 from sphericalvision.recipes.datamodules.base import Sample
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.datamodules.entries import Entries
-from sphericalvision.scenes import SceneDataset
+from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.world import HELD_OUT_SEED
 
@@ -94,6 +94,11 @@ class RenderedDataModule(DepthDataModule):
                     f"starts at {start}); set data.{other}_seed to {end} or more"
                 )
 
+    def seeds(self, split: str) -> range:
+        """The seeds of a split."""
+        number, first = self.scenes[split]
+        return range(first, first + number)
+
     def plain(self, split: str) -> Dataset[Sample]:
         """Samples of one split as they are rendered. Every subclass implements it."""
         raise NotImplementedError(f"{type(self).__name__}.plain")
@@ -143,7 +148,7 @@ class SceneDataModule(RenderedDataModule):
         mesh_scale: metres in one unit of it.
         carrier: what carries the rig and is in view: "pole", "robot" or "vehicle"; nothing when not given.
         tilts_deg: least and largest degrees by which the cameras look further down, drawn for each scene; see
-            ``SceneDataset``. The rig as it is when not given.
+            ``World``. The rig as it is when not given.
     """
 
     rig: CameraRig
@@ -159,39 +164,29 @@ class SceneDataModule(RenderedDataModule):
 
     augmentation = (RotateFivefold(), PhotometricAugmentation())
 
-    def plain(self, split: str) -> SceneDataset:
+    def plain(self, split: str) -> WorldSamples:
         """Scenes of one split, as rendered.
 
         Raises:
             ArgumentError: the panorama cannot be turned by multiples of 72 degrees.
         """
-        number, first_seed = self.scenes[split]
-        wanted = self.wanted
-        height, width = self.panorama_size or wanted.panorama_size or (80, 160)
-        if self.augment and "panorama" in wanted.entries and width % 5:
+        view, size = replace(self.view, antialias=self.antialias), self.panorama_size
+        if view.panorama is not None and size is not None:
+            view = replace(view, panorama=(int(size[0]), int(size[1])))
+        if self.augment and view.panorama is not None and view.panorama[1] % 5:
             raise ArgumentError(
                 f"data.panorama_size: turning by multiples of 72 degrees wants a width that is a multiple of 5, got "
-                f"{width}; or set data.augment=false"
+                f"{view.panorama[1]}; or set data.augment=false"
             )
-        tilts = (
-            None
-            if self.tilts_deg is None
-            else (math.radians(self.tilts_deg[0]), math.radians(self.tilts_deg[1]))
-        )
-        return SceneDataset(
-            number,
+        tilts = None if self.tilts_deg is None else [math.radians(tilt) for tilt in self.tilts_deg]
+        world = World(
             self.rig,
-            wanted.level,
             self.kind,
-            first_seed,
-            self.samples_per_pixel,
-            wanted.min_depth,
-            self.antialias,
-            self.cache_dir,
-            wanted.entries,
-            (height, width),
+            self.min_depth,
             meshes=None if self.mesh is None else mesh_files(self.mesh, self.mesh_up, self.mesh_scale),
+            tilts=None if tilts is None else (tilts[0], tilts[1]),
             carrier=self.carrier,
-            depth_level=wanted.depth_level,
-            tilts=tilts,
+            carrier_counts=True,
+            samples_per_pixel=self.samples_per_pixel,
         )
+        return WorldSamples(world, view, self.seeds(split), self.cache_dir)

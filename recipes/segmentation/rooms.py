@@ -18,8 +18,9 @@ from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.recipes.app.kinds import Count, Text
 from sphericalvision.recipes.training.orientations import OrientedDataModule
 from sphericalvision.scenes import make_scene, ray_labels, render_directions
-from sphericalvision.scenes.cache import ArrayCache
+from sphericalvision.scenes.cache import ArrayCache, decode, encode
 from sphericalvision.sphere import SphereGrid
+from sphericalvision.sphere.intake import signed
 
 __all__ = ["ORIENTATIONS", "LabelledRooms", "LabelledRoomsDataModule", "orientation_rotation"]
 
@@ -75,8 +76,8 @@ class LabelledRooms(Dataset[dict[str, Any]]):
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         seed = self.first_seed + range(self.number)[index]
-        kept = self.cache.get(f"{seed:08d}", lambda: self._render(seed))
-        return {"values": kept["values"].float() / 127.5 - 1, "label": kept["label"].long()}
+        arrays = self.cache.get(f"{seed:08d}", lambda: self._render(seed))
+        return {"values": signed(decode(arrays["values"])), "label": arrays["label"].long()}
 
     def _render(self, seed: int) -> dict[str, Tensor]:
         scene = make_scene("room", seed)
@@ -86,7 +87,7 @@ class LabelledRooms(Dataset[dict[str, Any]]):
         )  # rows R⁻¹ d: what is seen there is seen at d once turned
         colors = render_directions(scene, torch.zeros(3), directions)
         labels = ray_labels(scene, torch.zeros(3), directions)
-        return {"values": (colors * 255).round().to(torch.uint8), "label": labels.to(torch.int8)}
+        return {"values": encode(colors), "label": labels.to(torch.int8)}
 
 
 FIRST_SEEDS = {"train": 0, "val": 1_000_000, "test": 2_000_000}

@@ -11,8 +11,9 @@ import torch
 from omegaconf import DictConfig
 
 from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.data import SampleView
 from sphericalvision.recipes.speed.measuring import Comparison
-from sphericalvision.scenes import SceneDataset
+from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.recipes import make_scene, render_rig
 from sphericalvision.scenes.registry import scene_kinds
 
@@ -29,7 +30,8 @@ def data(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     )
     level, _ = config.settings[0]
     with tempfile.TemporaryDirectory() as folder:
-        scenes = SceneDataset(config.num_frames, rig, level, "mixed", cache_dir=folder)
+        view = SampleView(level, level - 2)
+        scenes = WorldSamples(World(rig, "mixed"), view, range(config.num_frames), folder)
         for index in range(len(scenes)):
             scenes[index]
         turns = itertools.cycle(range(len(scenes)))

@@ -13,10 +13,11 @@ from torch.utils.data import Dataset, Subset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data import RotateFisheye
+from sphericalvision.data import RotateFisheye, SampleView
+from sphericalvision.data.sample_view import ToView
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
-from sphericalvision.recipes.datamodules.entries import ChosenEntries, Wanted
+from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.study.training import CHANGES_NOTHING
@@ -112,7 +113,7 @@ def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset
         node["num_test"] = config.frames
     del node["rig"]
     data = build(node, "data", rig=rig.rotated(tilt=math.radians(view.angle_deg)))
-    data.wanted = wanted(config)
+    _show(data, config)
     data.render("test")
     return data, data.dataset("test")
 
@@ -123,20 +124,20 @@ def _on_disk(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[
         raise ArgumentError("data: expected data=fisheye_scenes, or a set on disk such as data=omnihouse")
     size = None if config.image_size is None else [int(side) for side in config.image_size]
     turned = RotateFisheye(tilt=math.radians(view.angle_deg), image_size=size)
-    data.wanted = wanted(config)
-    return data, data.read("test", turned, ChosenEntries(data.wanted.entries, data.wanted.level))
+    _show(data, config)
+    return data, data.read("test", turned, ToView(data.view))
 
 
-def wanted(config: DictConfig) -> Wanted:
-    """What samples of a study hold, for networks of all kinds."""
-    level, min_depth = config.model.level, config.model.min_depth
-    return Wanted(("sphere", "fisheye", "panorama"), level, level - 2, None, min_depth)
+def _show(data: DepthDataModule, config: DictConfig) -> None:
+    """Let samples hold what networks of all kinds take."""
+    level = config.model.level
+    data.view, data.min_depth = SampleView(level, level - 2, True, (80, 160)), config.model.min_depth
 
 
 def training_depths(training: DictConfig, level: int, most: int) -> tuple[Tensor, Tensor]:
     """Inverse depth and validity ``(F, V_{level-2})`` of at most ``most`` frames that a training has, evenly chosen."""
     data = build(training.data, "data")
-    data.wanted = Wanted(("depth",), level, level - 2, None, training.model.min_depth)  # no image is rendered
+    data.view, data.min_depth = SampleView(depth_level=level - 2), training.model.min_depth
     frames: Dataset[Sample] = data.plain_train_dataset()
     total = len(frames)  # type: ignore[arg-type]
     chosen = range(0, total, max(1, -(-total // most)))

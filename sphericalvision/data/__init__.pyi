@@ -12,4 +12,5 @@ from .collate import collate_samples as collate_samples
 from .omnistereo.dataset import OmniStereoDataset as OmniStereoDataset
 from .omnistereo.writer import write_omnistereo as write_omnistereo
 from .point_files import read_points as read_points
+from .sample_view import SampleView as SampleView
 from .truth import truth_from_points as truth_from_points

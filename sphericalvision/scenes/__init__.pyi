@@ -20,4 +20,5 @@ from .recipes import (
 from .rendering.mesh_scene import MeshScene as MeshScene
 from .rendering.mesh_scene import read_mesh_scene as read_mesh_scene
 from .rendering.render import ray_labels as ray_labels
-from .scene_dataset import SceneDataset as SceneDataset
+from .samples import WorldSamples as WorldSamples
+from .world import World as World

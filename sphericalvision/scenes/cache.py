@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from sphericalvision.io.files import atomic_write
 
 __all__ = ["ArrayCache", "decode", "encode"]
 
-Kept = tuple[tuple[int, ...], torch.dtype]
+Kept = tuple[tuple[int | None, ...], torch.dtype]
+"""Shape and type of an array; sizes that are None are any."""
 
 
 class ArrayCache:
@@ -27,7 +28,7 @@ class ArrayCache:
     Args:
         folder: made if need be, or None.
         holds: shape and dtype of each array of a set, by name; a file that holds anything else is made anew. Anything
-            will do when not given.
+            will do when not given, and any size that is None.
 
     Examples:
         >>> cache = ArrayCache(None)
@@ -58,8 +59,14 @@ class ArrayCache:
         return arrays
 
     def _fit(self, arrays: Mapping[str, Tensor]) -> bool:
-        found = {name: (tuple(array.shape), array.dtype) for name, array in arrays.items()}
-        return self.holds is None or found == self.holds
+        if self.holds is None:
+            return True
+        return set(arrays) == set(self.holds) and all(
+            array.dtype == dtype
+            and array.ndim == len(shape)
+            and all(size in (None, actual) for size, actual in zip(shape, array.shape, strict=True))
+            for array, (shape, dtype) in ((arrays[name], self.holds[name]) for name in self.holds)
+        )
 
     @staticmethod
     def _path(folder: Path, name: str) -> Path:
@@ -67,13 +74,18 @@ class ArrayCache:
 
 
 def encode(images: Float[Tensor, "*images"]) -> UInt8[Tensor, "*images"]:
-    """[-1, 1] as bytes 1..255."""
-    return (images * 127 + 128).round().clamp(1, 255).to(torch.uint8)
+    """Values of [0, 1] as bytes, as image files hold them.
+
+    Examples:
+        >>> encode(torch.tensor([0.0, 0.5, 1.0])), decode(encode(torch.tensor([0.2])))
+        (tensor([  0, 128, 255], dtype=torch.uint8), tensor([0.2000]))
+    """
+    return (images * 255).round().clamp(0, 255).to(torch.uint8)
 
 
-def decode(images: UInt8[Tensor, "n 3 *grid"], seen: Bool[Tensor, " n *grid"]) -> Float[Tensor, "n 3 *grid"]:
-    """Bytes ``(n, 3, *)`` of ``encode`` as [-1, 1], 0 where not ``seen`` ``(n, *)``."""
-    return torch.where(seen[:, None], (images.float() - 128) / 127, 0.0)
+def decode(images: UInt8[Tensor, "*images"]) -> Float[Tensor, "*images"]:
+    """Bytes of ``encode`` as values of [0, 1]."""
+    return images.float() / 255
 
 
 def _load(path: Path) -> dict[str, Tensor] | None:

@@ -6,15 +6,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from importlib import resources
+from hashlib import sha256
 from typing import Any, TypeAlias
 
 import torch
-import yaml
 from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.scenes.carriers import CARRIERS, Carried, carrier_masks, with_carrier
 from sphericalvision.scenes.disturbances import DISPLAY, CameraDisturbance, RandomFaults, turned_poses
@@ -40,7 +40,6 @@ __all__ = [
     "NATURAL_MIN_DEPTH",
     "World",
     "WorldFrame",
-    "world_values",
 ]
 
 #: Raised whenever the recipes or the renderer change what a seed looks like, so that old caches are not read.
@@ -170,6 +169,32 @@ class World:
         if isinstance(chosen.get("faults"), Mapping):
             chosen["faults"] = RandomFaults.of(chosen["faults"])
         return cls(**chosen)
+
+    def fingerprint(self, *more: object) -> str:
+        """Sixteen characters that change with everything but the meshes, which tell themselves by names of frames.
+
+        Arguments that are left out play no part, so that one more argument leaves what was kept valid.
+
+        Args:
+            more: whatever else tells fingerprints apart, by its ``repr``.
+
+        Examples:
+            >>> from sphericalvision.cameras import ring_rig
+            >>> one, other = World(ring_rig(3)), World(ring_rig(3), samples_per_pixel=2)
+            >>> one.fingerprint() == World(ring_rig(3)).fingerprint(), one.fingerprint() == other.fingerprint()
+            (True, False)
+        """
+        usual = World(self.rig)
+        values = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "meshes"}
+        changed: dict[str, Any] = {
+            name: f"{value.__module__}.{value.__qualname__}" if hasattr(value, "__qualname__") else value
+            for name, value in values.items()
+            if value != getattr(usual, name)
+        }
+        content = (GENERATION, changed, more)
+        if isinstance(self.rig, CameraRig):
+            return rig_fingerprint(self.rig, content)
+        return sha256(repr((self.rig, content)).encode()).hexdigest()[:16]
 
     def frame(self, seed: int) -> WorldFrame:
         """All that a seed stands for; nothing is made before it is asked for."""
@@ -309,17 +334,3 @@ class WorldFrame:
         """The truth in 1/m along rays from the rig's centre, exact, 0 at infinity."""
         scene = self.shown if self.world.carrier_counts else self.scene
         return ray_depth(scene, self.center, directions).reciprocal()
-
-
-def world_values(name: str) -> dict[str, Any]:
-    """What happens how often in a world, of ``conf/world``: arguments of ``World``, as plain values.
-
-    Examples:
-        >>> sorted(world_values("random_rigs"))[:3]
-        ['carrier', 'faults', 'kind']
-    """
-    text = resources.files("sphericalvision.conf").joinpath("world", f"{name}.yaml").read_text()
-    values: dict[str, Any] = yaml.safe_load(text)
-    for base in values.pop("defaults", ()):  # as Hydra reads it
-        values = values if base == "_self_" else {**world_values(base), **values}
-    return values

@@ -22,6 +22,7 @@ from sphericalvision.data import (
     RandomYaw,
     RotateFisheye,
     RotateFivefold,
+    SampleView,
     ShuffleCameras,
     ToSphere,
     collate_samples,
@@ -29,8 +30,8 @@ from sphericalvision.data import (
 )
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.scenes import SceneDataset
 from sphericalvision.sphere.intake import pixels_seen
+from tests.worlds import scenes
 
 LEVEL = 4
 Sample = dict[str, Any]
@@ -171,9 +172,9 @@ def test_on_the_sphere_a_pixel_that_a_mask_covers_plays_no_part(masked: CameraRi
 def test_rendered_scenes_say_what_was_seen(masked: CameraRig, tmp_path: Path) -> None:
     vertices = Icosphere(LEVEL).vertices
     for data in (
-        SceneDataset(1, masked, LEVEL),
-        SceneDataset(1, masked, LEVEL, entries=("sphere", "fisheye"), cache_dir=tmp_path),
-        SceneDataset(1, masked, LEVEL, entries=("sphere", "fisheye"), cache_dir=tmp_path),
+        scenes(masked, view=SampleView(LEVEL)),
+        scenes(masked, view=SampleView(LEVEL, images=True), cache_dir=tmp_path),
+        scenes(masked, view=SampleView(LEVEL, images=True), cache_dir=tmp_path),
     ):
         sample = data[0]
         assert torch.equal(sample["seen"], ToSphere(LEVEL).seen(masked))

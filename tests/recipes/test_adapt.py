@@ -8,17 +8,18 @@ from pathlib import Path
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.core import ArgumentError
+from sphericalvision.data import SampleView
 from sphericalvision.io.images import write_image
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet, load_weights
 from sphericalvision.recipes.datamodules.capture import CaptureDataModule, rehearsed_world
 from sphericalvision.recipes.training.adapt_module import AdaptModule
-from sphericalvision.scenes.random_rig_scenes import WorldSamples
-from sphericalvision.scenes.world import world_values
+from sphericalvision.scenes import WorldSamples
 from tests.recipes.knocked_capture import KNOCKED, write_knocked_capture
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, composed
 
 TINY = (
     "model=icosweepnet_small",
@@ -31,6 +32,7 @@ TINY = (
     "callbacks.panels=null",
     "output=run",
 )
+REHEARSAL = OmegaConf.to_container(composed("train", "experiment=adapt", "capture=c").data.world)
 CALIBRATED = "data.calibration=c/rig.yaml"
 
 
@@ -72,6 +74,7 @@ def test_frames_are_divided_and_taught_by_the_network_itself(tmp_path: Path, wei
     write_knocked_capture(tmp_path / "c", degrees=0.0)
     data = CaptureDataModule(
         images=f"{tmp_path}/c",
+        world=REHEARSAL,
         calibration=f"{tmp_path}/c/rig.yaml",
         held_out_every=2,
         min_depth=1.1,
@@ -103,7 +106,7 @@ def test_frames_are_divided_and_taught_by_the_network_itself(tmp_path: Path, wei
 def test_rendered_scenes_stand_in_a_share_of_the_time(tmp_path: Path, weights: Path) -> None:
     write_knocked_capture(tmp_path / "c", degrees=0.0)
     words = {"calibration": f"{tmp_path}/c/rig.yaml", "min_depth": 1.1, "rendered": 1.0}
-    data = CaptureDataModule(images=f"{tmp_path}/c", **words)  # type: ignore[arg-type]
+    data = CaptureDataModule(images=f"{tmp_path}/c", world=REHEARSAL, **words)  # type: ignore[arg-type]
     data.serve(load_weights(weights))
     data.setup("fit")
     torch.manual_seed(0)
@@ -117,8 +120,8 @@ def test_rendered_scenes_stand_in_a_share_of_the_time(tmp_path: Path, weights: P
 
 
 def test_a_rehearsed_scene_is_the_same_but_for_its_disturbances() -> None:
-    world = rehearsed_world(KNOCKED.resized((16, 16)), 1.0, AS_IT_IS, world_values("rehearsal"))
-    scenes = WorldSamples(world, 2, 5_000_000, 3, 2, antialias=True)
+    world = rehearsed_world(KNOCKED.resized((16, 16)), 1.0, AS_IT_IS, REHEARSAL)
+    scenes = WorldSamples(world, SampleView(3, 2, antialias=True), range(5_000_000, 5_000_002))
     torch.manual_seed(1)
     one = scenes[1]
     torch.manual_seed(2)
@@ -130,7 +133,7 @@ def test_a_rehearsed_scene_is_the_same_but_for_its_disturbances() -> None:
 
 def test_scenes_of_the_benchmark_are_not_rehearsed() -> None:
     with pytest.raises(ArgumentError, match=r"data\.rendered_seed: .* 9900000 or less"):
-        CaptureDataModule(images="nowhere", rendered_seed=9_900_001)
+        CaptureDataModule(images="nowhere", world=REHEARSAL, rendered_seed=9_900_001)
 
 
 @pytest.mark.slow

@@ -18,8 +18,8 @@ from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.keys import type_of
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
-from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.tiny import composed
+from tests.worlds import recorded_frames
 
 CONF = Path(sphericalvision.conf.__file__).parent
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
@@ -40,7 +40,7 @@ def omnistereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two frames in the layout of OmniThings, at the ends of its training and validation splits."""
     root = tmp_path_factory.mktemp("omnithings")
     rig = make_ring(image_size=(32, 32))
-    write_omnistereo(root, RenderedFrames(rig, [1, 8241], samples_per_pixel=1, height=32), rig)
+    write_omnistereo(root, recorded_frames(rig, [1, 8241], height=32), rig)
     return root
 
 

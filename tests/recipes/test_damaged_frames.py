@@ -15,8 +15,8 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.core import FileFormatError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.recipes.datamodules.omnistereo import SkipDamaged
-from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.tiny import TINY_TRAINING, Run
+from tests.worlds import recorded_frames
 
 SKIP = "data.on_error=skip"
 
@@ -26,7 +26,7 @@ def frames(tmp_path: Path) -> Path:
     """Three frames, of which the second has an image that was cut off."""
     root = tmp_path / "set"
     rig = ring_rig(4, image_size=(32, 32))
-    write_omnistereo(root, RenderedFrames(rig, [1, 2, 3], samples_per_pixel=1, height=32), rig)
+    write_omnistereo(root, recorded_frames(rig, [1, 2, 3], height=32), rig)
     image = root / "cam2" / "00002.png"
     image.write_bytes(image.read_bytes()[:200])
     return root

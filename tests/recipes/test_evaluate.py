@@ -16,23 +16,28 @@ from torch import nn
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
-from sphericalvision.data import collate_samples
+from sphericalvision.data import SampleView, ToSphere, collate_samples
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.base import DepthEstimate
 from sphericalvision.recipes.evaluation.frames import BatchFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
-from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale
+from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale, photographs_of
 from sphericalvision.recipes.evaluation.records import Record
-from sphericalvision.scenes import SceneDataset
 from tests.recipes.tiny import TINY_SCENES, Run
+from tests.worlds import scenes as world_scenes
 
 NET = SemiGlobalSweep(4, 16, 0.55, depth_coarsening=2)
 
 
 def batch(rig: CameraRig, scenes: int = 2) -> dict[str, Any]:
-    scenes_seen = SceneDataset(scenes, rig, 4, entries=("sphere", "fisheye"), antialias=True)
-    return collate_samples([scenes_seen[n] for n in range(scenes)])
+    scenes_seen = world_scenes(rig, scenes, view=SampleView(4, 2, images=True, antialias=True))
+    samples = collate_samples([scenes_seen[n] for n in range(scenes)])
+    to_sphere = ToSphere(
+        4, antialias=True
+    )  # the bytes that a predictor sees, looked up without another rounding
+    looked_up = [to_sphere.images(images, rig) for rig, images in photographs_of(samples)]
+    return {**samples, "images": torch.stack(looked_up)}
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,8 @@ from sphericalvision.data import write_omnistereo
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.own_files import import_own_files
 from sphericalvision.recipes.app.rigs import make_ring
-from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.tiny import TINY_SCENES, Run, composed
+from tests.worlds import recorded_frames
 
 Words = tuple[str, ...]
 NETWORK = ("model.level=3", "model.num_hypotheses=4", "model.feature_channels=2", "trainer.accelerator=cpu")
@@ -33,7 +33,7 @@ NETWORK = ("model.level=3", "model.num_hypotheses=4", "model.feature_channels=2"
 def test_another_data_set_takes_the_place_of_the_experiments(run: Run, tmp_path: Path) -> None:
     """Nothing that belongs to one data module, rig or schedule stays when another is chosen."""
     rig = make_ring(image_size=(32, 32))
-    write_omnistereo(tmp_path / "set", RenderedFrames(rig, [1, 2], samples_per_pixel=1, height=32), rig)
+    write_omnistereo(tmp_path / "set", recorded_frames(rig, [1, 2], height=32), rig)
     words = ("data=omnistereo", f"data.root={tmp_path / 'set'}", "data.train_split=all", "data.val_split=all")
     short = ("trainer.max_steps=1", "trainer.val_check_interval=1", "data.num_workers=0", "logger=none")
     run("train", "experiment=quickstart", *words, *NETWORK, *short, "output=run", "callbacks=none")

@@ -14,13 +14,13 @@ trimesh = pytest.importorskip("trimesh")
 
 from sphericalvision.cameras import EquirectangularCamera, ring_rig  # noqa: E402
 from sphericalvision.core import ArgumentError, MissingFileError  # noqa: E402
+from sphericalvision.data import SampleView  # noqa: E402
 from sphericalvision.icosphere import Icosphere  # noqa: E402
 from sphericalvision.io.images import read_image  # noqa: E402
-from sphericalvision.recipes.datamodules.entries import Wanted  # noqa: E402
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule  # noqa: E402
 from sphericalvision.scenes import (  # noqa: E402
     MeshScene,
-    SceneDataset,
+    World,
     ray_depth,
     render_camera,
 )
@@ -85,10 +85,10 @@ def test_a_file_as_data_is_seen_from_places_in_it(glb: Path, tmp_path: Path) -> 
     """Samples of the recipe's data module, beside the box seen from the place that each seed draws."""
     rig = ring_rig(2, radius=0.1, image_size=(32, 32))
     module = SceneDataModule(rig=rig, mesh=str(glb), cache_dir=str(tmp_path), num_test=2, num_train=1)
-    module.wanted = Wanted(level=4, depth_level=2)
+    module.view = SampleView(level=4, depth_level=2)
     module.render("test")
     cached = sorted(path.name for path in tmp_path.rglob("*.npz"))
-    assert len(cached) == 4
+    assert len(cached) == 2
     assert all(name.startswith("objects-") for name in cached)
     for number in range(2):
         sample = module.dataset("test")[number]
@@ -112,7 +112,7 @@ def test_files_are_found_and_told(glb: Path, tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match=r"empty, found none"):
         mesh_files(str(tmp_path / "empty"))
     with pytest.raises(ArgumentError, match="not into meshes"):
-        SceneDataset(1, ring_rig(2), meshes=mesh_files(str(glb)), carrier="pole")
+        World(ring_rig(2), meshes=mesh_files(str(glb)), carrier="pole")
 
 
 def test_panoramas_of_a_mesh_are_seamless() -> None:

@@ -10,6 +10,7 @@ import torch
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet
 from sphericalvision.models.refinedsweepnet import PRIOR
 from sphericalvision.recipes.datamodules.random_rigs import RandomRigDataModule, fingerprint
+from tests.worlds import RANDOM_RIGS
 
 LEVEL = 4
 
@@ -23,7 +24,9 @@ def network(widths: tuple[int, ...] = (4, 4), level: int = LEVEL, seed: int = 0)
 def test_clues_are_kept_for_networks_of_other_widths(tmp_path: Path) -> None:
     folders = []
     for net in (network(), network((6, 4))):
-        data = RandomRigDataModule(image_size=(32, 32), num_train=1, cache_dir=str(tmp_path))
+        data = RandomRigDataModule(
+            world=RANDOM_RIGS, image_size=(32, 32), num_train=1, cache_dir=str(tmp_path)
+        )
         data.serve(net)
         assert data.plain("train")[0]["fixed"]
         folders.append(sorted(path.name for path in tmp_path.rglob("fixed-*")))

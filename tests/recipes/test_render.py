@@ -14,9 +14,11 @@ from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.data import OmniStereoDataset
 from sphericalvision.io.files import write_yaml
 from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.recipes.commands.render import numbered_frame
+from sphericalvision.scenes import World
 from sphericalvision.scenes.registry import kind_of
-from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.tiny import Run
+from tests.worlds import recorded_frames
 
 TINY = ("rig.image_size=[32,32]", "samples_per_pixel=1", "height=32")
 
@@ -29,7 +31,7 @@ def test_a_rendered_set_is_read_back_and_evaluated(
     run("render", f"output={root}", "num_frames=2", f"release={release}", *TINY)
     read = OmniStereoDataset(root, split="all")
     assert read.frames == [1, 2]
-    rendered = RenderedFrames(make_ring(image_size=(32, 32)), [1, 2], samples_per_pixel=1, height=32)
+    rendered = recorded_frames(make_ring(image_size=(32, 32)), [1, 2])
     for got, made in zip((read[0], read[1]), (rendered[0], rendered[1]), strict=True):
         tolerance = 1e-6 if release == "tiff" else 0.51 / (65500 * 0.55)
         torch.testing.assert_close(got["inverse_depth"], made["inverse_depth"], rtol=0, atol=tolerance)
@@ -114,8 +116,9 @@ def test_frames_from_elsewhere_are_not_mixed_with(failing: Callable[..., str], t
 
 def test_a_frame_depends_on_its_seed_alone() -> None:
     rig = make_ring(image_size=(16, 16))
-    first = RenderedFrames(rig, [5], first_seed=0, samples_per_pixel=1, height=16)[0]
-    other = RenderedFrames(rig, [1], first_seed=4, samples_per_pixel=1, height=16)[0]
+    world = World(rig, "mixed")
+    first, other = numbered_frame(world, 0, 16, 5), numbered_frame(world, 4, 16, 1)
+    assert (first["frame"], other["frame"]) == ("00005", "00001")
     assert torch.equal(first["inverse_depth"], other["inverse_depth"])
     assert torch.equal(first["images"]["cam1"], other["images"]["cam1"])
     assert [kind_of("mixed", seed) for seed in range(3)] == ["room", "floating", "room"]

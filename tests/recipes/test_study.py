@@ -38,8 +38,8 @@ from sphericalvision.recipes.study.report import angle_plot, panel_sheet
 from sphericalvision.recipes.study.tables import study_tables
 from sphericalvision.recipes.study.training import training_config, training_words
 from sphericalvision.recipes.study.views import View, view_frames
-from sphericalvision.scenes.rendered_frames import RenderedFrames
 from tests.recipes.tiny import Run, composed
+from tests.worlds import recorded_frames
 
 ANGLES = (0.0, 45.0)
 
@@ -389,7 +389,7 @@ def test_images_on_disk_are_turned(
     run: Run, tmp_path: Path, words: tuple[str, ...], trainer: Trainer
 ) -> None:
     rig = make_ring(image_size=(48, 48))
-    write_omnistereo(tmp_path / "house", RenderedFrames(rig, [1, 2], samples_per_pixel=1, height=32), rig)
+    write_omnistereo(tmp_path / "house", recorded_frames(rig, [1, 2], height=32), rig)
     disk = ("preset=tiny", "data=omnihouse", f"data.root={tmp_path / 'house'}", "data.test_split=all")
     run("study", *disk, "data.num_workers=0", "output=out")
     results = json.loads((tmp_path / "out/study.json").read_text())["results"]

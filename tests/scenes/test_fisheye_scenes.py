@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fisheye samples: the scenes of ``SceneDataset``, only what is asked for, one cache, and turns that fit together."""
+"""Samples with the cameras' own images: only what is asked for, one cache, and turns that fit together."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ import torch
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import PhotometricAugmentation, RotateFivefold, collate_samples
+from sphericalvision.data import PhotometricAugmentation, RotateFivefold, SampleView, collate_samples
 from sphericalvision.data.augmentation.sphere_rotation import yaw_rotation
+from sphericalvision.recipes.datamodules.entries import view_with
 from sphericalvision.scenes import (
-    SceneDataset,
+    WorldSamples,
     make_scene,
     ray_depth,
     render_rig,
     world,
 )
 from sphericalvision.sphere import Equirectangular
+from tests.worlds import scenes as world_scenes
 
 Sample = dict[str, Any]
 KEYS = {
@@ -33,12 +35,11 @@ KEYS = {
 }
 
 
-EVERYTHING = ("sphere", "fisheye", "panorama")
+EVERYTHING = SampleView(3, 1, True, (10, 20))
 
 
-def scenes(rig: CameraRig, **options: Any) -> SceneDataset:
-    usual = {"level": 3, "panorama": (10, 20), "entries": EVERYTHING, "stored": "camera"}
-    return SceneDataset(2, rig, **(usual | options))
+def scenes(rig: CameraRig, **options: Any) -> WorldSamples:
+    return world_scenes(rig, 2, **({"view": EVERYTHING} | options))
 
 
 def same(first: Sample, second: Sample) -> bool:
@@ -46,39 +47,37 @@ def same(first: Sample, second: Sample) -> bool:
     return set(first) == set(second) and all(torch.equal(first[key], second[key]) for key in tensors)
 
 
-def test_the_scenes_are_those_of_scene_dataset(make_rig: Callable[..., CameraRig]) -> None:
-    """Bytes are kept before they are looked up here, and after it there: half a level apart, twice."""
+def test_images_on_the_sphere_are_the_same_beside_the_cameras_own(make_rig: Callable[..., CameraRig]) -> None:
     rig = make_rig(image_size=(64, 64))
-    for options in ({}, {"samples_per_pixel": 2, "antialias": True, "min_depth": 0.6}):
-        ours = SceneDataset(2, rig, level=3, kind="mixed", first_seed=4, stored="camera", **options)
-        others = SceneDataset(2, rig, level=3, kind="mixed", first_seed=4, **options)
+    for antialias in (False, True):
+        ours, others = (
+            world_scenes(rig, 2, 4, SampleView(3, 1, images, antialias=antialias), kind="mixed")
+            for images in (True, False)
+        )
         for index in range(2):
             sample, other = ours[index], others[index]
-            assert sample["frame"] == other["frame"]
-            assert torch.equal(sample["inverse_depth"], other["inverse_depth"])
-            assert torch.equal(sample["valid"], other["valid"])
-            assert (sample["images"] - other["images"]).abs().max() <= 1.01 / 127
+            assert all(torch.equal(sample[key], other[key]) for key in KEYS["sphere"])
 
 
 def test_fisheye_images_are_renderings_and_zero_out_of_view(make_rig: Callable[..., CameraRig]) -> None:
     rig = make_rig(image_size=(40, 48))
-    sample = SceneDataset(1, rig, first_seed=3, entries=("fisheye",))[0]
+    sample = world_scenes(rig, 1, 3, SampleView(images=True))[0]
     pictures = torch.stack(list(render_rig(make_scene("room", 3, center=rig.center), rig).values()))
     down, across = torch.meshgrid(torch.arange(40) - 19.5, torch.arange(48) - 23.5, indexing="ij")
     radius = torch.hypot(down, across)  # the image circle fills the shorter side
-    assert (sample["fisheye"] - (pictures * 2 - 1))[..., radius < 20].abs().max() <= 0.51 / 127
+    assert (sample["fisheye"] - (pictures * 2 - 1))[..., radius < 20].abs().max() <= 0.51 / 127.5
     assert (sample["fisheye"][..., radius > 20] == 0).all()
     assert sample["fisheye"].shape == (4, 3, 40, 48)
 
 
 def test_panoramas_are_exact(rig: CameraRig) -> None:
-    sample = SceneDataset(1, rig, panorama=(16, 32), first_seed=3, entries=("panorama",))[0]
+    sample = world_scenes(rig, 1, 3, SampleView(panorama=(16, 32)))[0]
     depth = ray_depth(
         make_scene("room", 3, center=rig.center), rig.center, Equirectangular(16, 32).directions
     )
     torch.testing.assert_close(sample["panorama_inverse_depth"], 1 / depth)
     assert torch.equal(sample["panorama_valid"], sample["panorama_inverse_depth"] <= 1 / 0.55)
-    band = SceneDataset(1, rig, panorama=(8, 32), first_seed=3, entries=("panorama",))[0]
+    band = world_scenes(rig, 1, 3, SampleView(panorama=(8, 32)))[0]
     torch.testing.assert_close(band["panorama_inverse_depth"], sample["panorama_inverse_depth"][4:12])
 
 
@@ -94,47 +93,28 @@ def test_only_what_is_asked_for_is_computed(
 
     watch("render_rig")
     watch("ray_depth")
-    sample = scenes(make_rig(image_size=(16, 16)), entries=entries)[0]
+    sample = scenes(make_rig(image_size=(16, 16)), view=view_with(entries, EVERYTHING))[0]
     assert set(sample) == set().union(*(KEYS[entry] for entry in entries)) | {"rig", "frame"}
     assert ("render_rig" in called) == bool({"sphere", "fisheye"} & set(entries))
     assert ("ray_depth" in called) == bool({"sphere", "depth", "panorama"} & set(entries))
 
 
-@pytest.mark.parametrize("stored", [{}, {"stored": "sphere", "entries": ("sphere",)}], ids=str)
+@pytest.mark.parametrize("view", [EVERYTHING, SampleView(3, 1)], ids=str)
 def test_cached_and_fresh_samples_are_equal_and_the_cache_is_read(
-    stored: dict[str, Any],
+    view: SampleView,
     make_rig: Callable[..., CameraRig],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rig = make_rig(image_size=(16, 16))
-    fresh, cached = scenes(rig, **stored), scenes(rig, cache_dir=tmp_path, **stored)
+    fresh, cached = scenes(rig, view=view), scenes(rig, cache_dir=tmp_path, view=view)
     assert not cached.is_cached(0)
     first = fresh[0]
     assert same(first, cached[0])
     assert cached.is_cached(0)
     assert not cached.is_cached(1)
     monkeypatch.setattr(world, "make_scene", lambda *_: pytest.fail("made again"))
-    assert same(first, scenes(rig, cache_dir=tmp_path, **stored)[0])
-
-
-def test_levels_share_images_and_tilted_rigs_share_depths(
-    make_rig: Callable[..., CameraRig], tmp_path: Path
-) -> None:
-    def folders() -> dict[str, int]:
-        found = [path.parent.name.split("-")[0] for path in tmp_path.rglob("*.npz")]
-        return {name: found.count(name) for name in sorted(set(found))}
-
-    rig = make_rig(image_size=(16, 16))
-    scenes(rig, cache_dir=tmp_path)[0]
-    assert folders() == {"depth": 2, "fisheye": 1}
-    scenes(rig, cache_dir=tmp_path, level=4)[0]
-    assert folders() == {"depth": 3, "fisheye": 1}
-    tilted = scenes(rig.rotated(tilt=0.5), cache_dir=tmp_path)
-    assert same(tilted[0], scenes(tilted.rig)[0])
-    assert folders() == {"depth": 3, "fisheye": 2}
-    scenes(rig.scaled(0.9), cache_dir=tmp_path, min_depth=0.5)[0]
-    assert folders() == {"depth": 5, "fisheye": 3}
+    assert same(first, scenes(rig, cache_dir=tmp_path, view=view)[0])
 
 
 def test_masks_cover_images(make_rig: Callable[..., CameraRig]) -> None:
@@ -142,7 +122,7 @@ def test_masks_cover_images(make_rig: Callable[..., CameraRig]) -> None:
     mask = torch.ones(16, 16, dtype=torch.bool)
     mask[8:] = False
     masked = CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})
-    plain, covered = (scenes(r, entries=("fisheye",))[0]["fisheye"] for r in (rig, masked))
+    plain, covered = (scenes(r, view=SampleView(images=True))[0]["fisheye"] for r in (rig, masked))
     assert (covered[0, :, 8:] == 0).all()
     assert torch.equal(covered[0, :, :8], plain[0, :, :8])
     assert torch.equal(covered[1:], plain[1:])
@@ -198,4 +178,4 @@ def test_batches_and_panoramic_cameras(make_rig: Callable[..., CameraRig]) -> No
 def test_cameras_of_several_sizes_see_the_sphere(rig: CameraRig, make_rig: Callable[..., CameraRig]) -> None:
     one, other = rig.cameras["cam1"], make_rig(image_size=(20, 20)).cameras["cam1"]
     mixed = CameraRig([one, other], rig.world_from_camera[:2])
-    assert "images" in scenes(mixed, entries=("sphere",))[0]
+    assert "images" in scenes(mixed, view=SampleView(3))[0]

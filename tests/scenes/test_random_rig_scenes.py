@@ -11,15 +11,17 @@ import torch
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
+from sphericalvision.data import SampleView
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.scenes import World
 from sphericalvision.scenes.disturbances import DISPLAY
 from sphericalvision.scenes.draws import by_purpose
-from sphericalvision.scenes.random_rig_scenes import RandomRigScenes, WorldSamples
 from sphericalvision.scenes.recipes import make_scene, ray_depth, render_directions, render_rig
-from sphericalvision.scenes.world import HELD_OUT_SEED, World, world_values
+from sphericalvision.scenes.world import HELD_OUT_SEED
+from tests.worlds import RANDOM_RIGS, random_rigs
+from tests.worlds import scenes as world_scenes
 
-SMALL = {"level": 3, "image_size": (24, 24)}
-VALUES = world_values("random_rigs")
+VALUES = RANDOM_RIGS
 UNDISTURBED = {**VALUES, "faults": {**VALUES["faults"], "disturbed": 0.0}}
 
 
@@ -28,18 +30,18 @@ def equal(one, other):
 
 
 def test_a_seed_is_a_sample_with_a_cache_and_without(tmp_path):
-    plain, kept = RandomRigScenes(4, 7, **SMALL), RandomRigScenes(4, 7, **SMALL, cache_dir=tmp_path)
+    plain, kept = random_rigs(4, 7), random_rigs(4, 7, cache_dir=tmp_path)
     for index in range(4):
         first, second = kept[index], kept[index]
         assert equal(first, second)
         assert equal(first, plain[index])
         assert torch.equal(first["rig"].world_from_camera, plain[index]["rig"].world_from_camera)
-    assert equal(RandomRigScenes(1, 9, **SMALL)[0], plain[2])
-    assert RandomRigScenes(1, **SMALL).name != RandomRigScenes(1, **SMALL, values=UNDISTURBED).name
+    assert equal(random_rigs(1, 9)[0], plain[2])
+    assert random_rigs().world.fingerprint() != random_rigs(values=UNDISTURBED).world.fingerprint()
 
 
 def test_samples_are_what_they_say():
-    scenes = RandomRigScenes(6, 20, **SMALL, values=UNDISTURBED)
+    scenes = random_rigs(6, 20, values=UNDISTURBED)
     for sample in (scenes[index] for index in range(6)):
         assert sample["images"].shape == (len(sample["rig"]), 3, 642)
         assert (sample["images"].movedim(1, -1)[~sample["seen"]] == 0).all()
@@ -49,7 +51,7 @@ def test_samples_are_what_they_say():
 
 
 def test_rigs_and_scenes_are_of_all_kinds():
-    scenes = RandomRigScenes(300, **SMALL)
+    scenes = random_rigs(300)
     frames = [scenes.world.frame(seed) for seed in range(300)]
     shares = VALUES["kind"]
     kinds = Counter(frame.kind for frame in frames)
@@ -62,7 +64,7 @@ def test_rigs_and_scenes_are_of_all_kinds():
 
 
 def test_scenes_have_other_skies_and_some_no_lamps():
-    scenes = RandomRigScenes(60, **SMALL, values={**VALUES, "kind": {"bare": 1.0}})
+    scenes = random_rigs(60, values={**VALUES, "kind": {"bare": 1.0}})
     own = [make_scene("bare", seed) for seed in range(60)]
     others = [scenes.world.frame(seed).scene for seed in range(60)]
     under = [not torch.equal(a.background, b.background) for a, b in zip(own, others, strict=True)]
@@ -78,7 +80,7 @@ def test_scenes_have_other_skies_and_some_no_lamps():
 
 
 def test_some_samples_are_too_bright():
-    scenes = RandomRigScenes(300, **SMALL, values=UNDISTURBED)
+    scenes = random_rigs(300, values=UNDISTURBED)
     stops = torch.tensor([DISPLAY * math.log2(scenes.world.frame(seed).gain) for seed in range(300)])
     bright = stops > 0
     assert 0.2 < bright.float().mean() < 0.4
@@ -98,8 +100,8 @@ def test_photographs_are_prepared_as_in_use(tmp_path):
         given.append((rig, images))
         return {name: image / 2 for name, image in images.items()}
 
-    plain, dark = RandomRigScenes(2, 40, **SMALL), RandomRigScenes(2, 40, **SMALL, prepare=darkened)
-    assert plain.name != dark.name
+    plain, dark = random_rigs(2, 40), random_rigs(2, 40, prepare=darkened)
+    assert plain.world.fingerprint() != dark.world.fingerprint()
     seen = plain[0]["seen"][:, None]
     torch.testing.assert_close(
         dark[0]["images"] + 1, ((plain[0]["images"] + 1) / 2).where(seen, 1), atol=0.02, rtol=0
@@ -111,18 +113,18 @@ def test_photographs_are_prepared_as_in_use(tmp_path):
 
 def test_seeds_of_the_benchmark_and_unknown_kinds_are_refused():
     with pytest.raises(ArgumentError, match="seeds"):
-        RandomRigScenes(2, HELD_OUT_SEED - 1, **SMALL)
+        random_rigs(2, HELD_OUT_SEED - 1)
     with pytest.raises(ArgumentError, match="shares"):
-        RandomRigScenes(1, values={**VALUES, "kind": {"forest": 1.0}}, **SMALL)
+        random_rigs(1, values={**VALUES, "kind": {"forest": 1.0}})
 
 
 def test_what_happens_how_often_is_plain_values():
     values = VALUES
     faults = {**values["faults"], "disturbed": 1.0, "grey": 1.0, "noise": [0.0, 0.0]}
-    grey = RandomRigScenes(1, 30, **SMALL, values={**values, "carrier": 1.0, "faults": faults})
+    grey = random_rigs(1, 30, values={**values, "carrier": 1.0, "faults": faults})
     spread = grey[0]["images"].amax(1) - grey[0]["images"].amin(1)
     assert spread.max() < 0.02  # but for rounding to bytes
-    assert grey.name != RandomRigScenes(1, 30, **SMALL).name
+    assert grey.world.fingerprint() != random_rigs(1, 30).world.fingerprint()
     for wrong, name in (
         ({"carriers": 0.3}, "carriers"),
         ({"carrier": 1.3}, "carrier"),
@@ -130,7 +132,7 @@ def test_what_happens_how_often_is_plain_values():
         ({"faults": {**faults, "blur": [2.0, 1.0]}}, r"faults\.blur"),
     ):
         with pytest.raises(ArgumentError, match=name):
-            RandomRigScenes(1, **SMALL, values={**values, **wrong})
+            random_rigs(1, values={**values, **wrong})
 
 
 def test_a_carrier_is_in_view_and_in_the_truth_where_it_counts():
@@ -157,7 +159,7 @@ KNOWN = {
 
 def test_a_seed_means_what_it_meant_when_the_weights_that_ship_were_trained():
     shares = {**VALUES["kind"], "terrain": 0.0, "ruins": 0.0, "plain": 0.0, "lit": 0.0}
-    world = RandomRigScenes(1, **SMALL, values={**VALUES, "kind": shares}).world
+    world = random_rigs(1, values={**VALUES, "kind": shares}).world
     for seed, known in KNOWN.items():
         frame = world.frame(seed)
         rig, faults, scene = frame.true_rig, frame.faults, frame.scene
@@ -174,9 +176,9 @@ def test_what_is_drawn_for_one_purpose_changes_nothing_of_another():
         getattr(by_purpose(seed), purpose).initial_seed() for seed in range(200) for purpose in purposes
     ]
     assert len(set(streams)) == len(streams)
-    plain = RandomRigScenes(1, **SMALL).world
+    plain = random_rigs(1).world
     for changed in ({"kind": {"room": 1.0}}, {"level_rigs": 1.0}, {"carrier": 0.0}):
-        world = RandomRigScenes(1, **SMALL, values={**VALUES, **changed}).world
+        world = random_rigs(1, values={**VALUES, **changed}).world
         for seed in range(8):
             one, other = plain.frame(seed), world.frame(seed)
             assert (one.faults, one.gain) == (other.faults, other.gain)
@@ -188,8 +190,8 @@ def test_what_is_drawn_for_one_purpose_changes_nothing_of_another():
 def test_points_nearer_than_the_nearest_hypothesis_are_not_valid():
     """Of a pole that counts as depth: all of it, or what is nearest of it."""
     rig = ring_rig(3, image_size=(24, 24))
-    for nearest in (0.55, 0.05):
-        sample = WorldSamples(World(rig, min_depth=nearest, carrier="pole", carrier_counts=True), 1, 3, 3)[0]
+    for nearest in (0.55, 0.2):
+        sample = world_scenes(rig, 1, 3, SampleView(3, 3), min_depth=nearest, carrier="pole")[0]
         depth = 1 / sample["inverse_depth"]
         assert (depth < nearest).any()
         assert torch.equal(sample["valid"], depth >= nearest)
@@ -198,7 +200,7 @@ def test_points_nearer_than_the_nearest_hypothesis_are_not_valid():
 def test_masks_hide_carriers_from_what_was_seen_and_from_nothing_else():
     values = {**VALUES, "carrier": 1.0}
     hidden, shown, none = (
-        RandomRigScenes(6, 50, **SMALL, values={**values, **changed})
+        random_rigs(6, 50, values={**values, **changed})
         for changed in ({"masked": 1.0}, {"masked": 0.0}, {"carrier": 0.0})
     )
     for index in range(6):

@@ -19,10 +19,11 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ShapeError
+from sphericalvision.data import SampleView
 from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes.recipes import make_scene, ray_depth, render_directions
-from sphericalvision.scenes.scene_dataset import SceneDataset
+from tests.worlds import scenes
 
 Sample = dict[str, Any]
 
@@ -32,7 +33,7 @@ def same(first: Sample, second: Sample) -> bool:
 
 
 def test_sample_holds_what_the_contract_says(rig: CameraRig) -> None:
-    data = SceneDataset(3, rig, level=4, kind="mixed", first_seed=5)
+    data = scenes(rig, 3, 5, SampleView(4, 2), kind="mixed")
     assert len(data) == 3
     sample = data[0]
     assert sample["images"].shape == (4, 3, Icosphere(4).num_vertices)
@@ -53,7 +54,7 @@ def test_ground_truth_is_exact_ray_depth_from_the_centre_of_the_rig(
     poses = rig.world_from_camera.clone()
     poses[:, :3, 3] += torch.tensor([1.0, 2.0, 3.0])
     away = CameraRig(rig.cameras, poses)
-    sample = SceneDataset(1, away, level=4, first_seed=3)[0]
+    sample = scenes(away, 1, 3, SampleView(4, 2))[0]
     depth = ray_depth(make_scene("room", 3), torch.zeros(3), Icosphere(2).vertices)
     torch.testing.assert_close(sample["inverse_depth"], 1 / depth, rtol=1e-3, atol=1e-4)
 
@@ -61,7 +62,7 @@ def test_ground_truth_is_exact_ray_depth_from_the_centre_of_the_rig(
 def test_images_show_what_the_cameras_see_in_world_directions(make_rig: Callable[..., CameraRig]) -> None:
     """At a vertex that a camera sees, the sphere holds the colour along that direction from the camera."""
     rig = make_rig(image_size=(160, 160))
-    sample = SceneDataset(1, rig, level=4, first_seed=1)[0]
+    sample = scenes(rig, 1, 1, SampleView(4, 2))[0]
     scene = make_scene("room", 1, center=rig.center)
     vertices = Icosphere(4).vertices
     spread = math.radians(220) / 160
@@ -76,8 +77,8 @@ def test_images_show_what_the_cameras_see_in_world_directions(make_rig: Callable
 def test_min_depth_scales_the_scene(make_rig: Callable[..., CameraRig]) -> None:
     """Three times the rig and the least depth: a third of the inverse depth, the same images."""
     small, large = make_rig(0.2, image_size=(48, 48)), make_rig(0.6, image_size=(48, 48))
-    first = SceneDataset(1, small, level=3, min_depth=0.55)[0]
-    second = SceneDataset(1, large, level=3, min_depth=1.65)[0]
+    first = scenes(small, min_depth=0.55)[0]
+    second = scenes(large, min_depth=1.65)[0]
     torch.testing.assert_close(second["inverse_depth"] * 3, first["inverse_depth"], rtol=1e-3, atol=1e-3)
     assert ((first["images"] - second["images"]).abs() < 0.05).float().mean() > 0.98
 
@@ -91,10 +92,14 @@ def test_another_parameter_never_reads_a_stale_sample(
     masked = CameraRig(rig.cameras, rig.world_from_camera, {rig.names[0]: mask})
     variants: list[dict[str, Any]] = [
         {},
-        {"level": 4},
+        {"view": SampleView(4, 2)},
+        {"view": SampleView(3, 2)},
+        {"kind": "mixed"},
+        {"tilts": (0.0, 0.1)},
+        {"carrier": "pole"},
         {"samples_per_pixel": 2},
         {"min_depth": 0.5},
-        {"antialias": True},
+        {"view": SampleView(3, 1, antialias=True)},
         {"rig": make_rig(radius=0.21, image_size=(16, 16))},
         {"rig": make_rig(num_cameras=3, image_size=(16, 16))},
         {"rig": make_rig(image_size=(16, 18))},
@@ -102,16 +107,16 @@ def test_another_parameter_never_reads_a_stale_sample(
     ]
     folders = set()
     for variant in variants:
-        arguments = {"num_scenes": 1, "rig": rig, "level": 3, "cache_dir": tmp_path} | variant
-        folders.add(tuple(SceneDataset(**arguments).cache_folders))
-    assert len({images for images, _ in folders}) == len(variants)
-    again = SceneDataset(5, make_rig(image_size=(16, 16)), level=3, first_seed=9, cache_dir=tmp_path)
-    assert tuple(again.cache_folders) in folders
+        arguments = {"rig": rig, "cache_dir": tmp_path} | variant
+        folders.add(scenes(**arguments).cache.folder)
+    assert len(folders) == len(variants)
+    again = scenes(make_rig(image_size=(16, 16)), 5, 9, cache_dir=tmp_path)
+    assert again.cache.folder in folders
 
 
 def test_whatever_happens_to_a_file_it_is_made_anew(rig: CameraRig, tmp_path: Path) -> None:
     """Cut, flipped, replaced: the sample is the same, and the file is whole again; nothing temporary stays."""
-    data = SceneDataset(1, rig, level=3, cache_dir=tmp_path)
+    data = scenes(rig, cache_dir=tmp_path)
     first = data[0]
     paths = sorted(tmp_path.rglob("*.npz"))
     rng = random.Random(0)
@@ -134,20 +139,20 @@ def test_whatever_happens_to_a_file_it_is_made_anew(rig: CameraRig, tmp_path: Pa
             path.write_bytes(content)
             assert same(first, data[0])
     assert [p for p in sorted(tmp_path.rglob("*")) if p.is_file()] == paths
-    assert same(first, SceneDataset(1, rig, level=3, cache_dir=tmp_path)[0])
+    assert same(first, scenes(rig, cache_dir=tmp_path)[0])
 
 
 def test_several_workers_share_a_cache(rig: CameraRig, tmp_path: Path) -> None:
-    data = SceneDataset(2, rig, level=3, cache_dir=tmp_path)
+    data = scenes(rig, 2, cache_dir=tmp_path)
     with ThreadPoolExecutor(4) as pool:
         samples = list(pool.map(data.__getitem__, [0, 1, 0, 1, 0, 1]))
     assert all(same(samples[k], samples[k % 2]) for k in range(6))
-    assert len(list(tmp_path.rglob("*.npz"))) == 4
+    assert len(list(tmp_path.rglob("*.npz"))) == 2
 
 
 def test_there_is_no_sample_after_the_last(rig: CameraRig) -> None:
     with pytest.raises(IndexError, match="3 is outside"):
-        SceneDataset(3, rig, level=3)[3]
+        scenes(rig, 3)[3]
 
 
 @pytest.mark.parametrize("level", [0, 1, 3])
@@ -166,7 +171,7 @@ def _turn(steps: int) -> Tensor:
 
 
 def test_random_rotation_follows_its_generator(rig: CameraRig) -> None:
-    sample = SceneDataset(1, rig, level=3)[0]
+    sample = scenes(rig)[0]
     first, again = (RotateFivefold(torch.Generator().manual_seed(4))(sample) for _ in range(2))
     assert same(first, again)
     with pytest.raises(ShapeError, match="vertices"):
@@ -175,8 +180,7 @@ def test_random_rotation_follows_its_generator(rig: CameraRig) -> None:
 
 def test_data_sets_go_to_processes_that_are_started_anew(make_rig: Callable[..., CameraRig]) -> None:
     """Where processes are not forked (macOS, Windows), a loader's workers get their data set as bytes."""
-    entries = ("sphere", "panorama")
-    scenes = SceneDataset(1, make_rig(image_size=(8, 8)), level=3, entries=entries, panorama=(8, 16))
-    sample, again = scenes[0], pickle.loads(pickle.dumps(scenes))[0]
+    samples = scenes(make_rig(image_size=(8, 8)), view=SampleView(3, 1, panorama=(8, 16)))
+    sample, again = samples[0], pickle.loads(pickle.dumps(samples))[0]
     assert same(sample, again)
     assert torch.equal(sample["panorama_inverse_depth"], again["panorama_inverse_depth"])

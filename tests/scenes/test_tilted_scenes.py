@@ -9,13 +9,15 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.scenes import SceneDataset, make_scene, render_rig
+from sphericalvision.data import SampleView
+from sphericalvision.scenes import make_scene, render_rig
+from tests.worlds import scenes
 
 TILTS = (math.radians(-15), math.radians(45))
 
 
 def test_each_scene_has_a_tilt_of_its_own_and_the_same_depth(rig: CameraRig) -> None:
-    tilted, level = (SceneDataset(3, rig, level=3, tilts=tilts, first_seed=5) for tilts in (TILTS, None))
+    tilted, level = (scenes(rig, 3, 5, tilts=tilts) for tilts in (TILTS, None))
     looks = [[math.degrees(math.asin(axis[1])) for axis in tilted[k]["rig"].axes] for k in range(3)]
     assert all(-23 <= angle <= 53 for angles in looks for angle in angles)
     assert all(max(angles) - min(angles) <= 16 for angles in looks)
@@ -29,13 +31,14 @@ def test_each_scene_has_a_tilt_of_its_own_and_the_same_depth(rig: CameraRig) -> 
 
 def test_images_are_taken_by_the_tilted_cameras(tmp_path: Path, rig: CameraRig) -> None:
     """From the cache, too, where each scene has another rig; cameras' images and those on the sphere alike."""
-    scenes = SceneDataset(2, rig, level=3, entries=("sphere", "fisheye"), tilts=TILTS, cache_dir=tmp_path)
+    view = SampleView(3, 1, images=True)
+    tilted = scenes(rig, 2, view=view, tilts=TILTS, cache_dir=tmp_path)
     for _ in range(2):
-        sample = scenes[1]
+        sample = tilted[1]
         pictures = render_rig(make_scene("room", 1, center=rig.center), sample["rig"])
         expected = torch.stack(list(pictures.values())) * 2 - 1
         seen = sample["fisheye_seen"][:, None]
-        assert ((sample["fisheye"] - expected) * seen).abs().max() <= 0.51 / 127
-    assert len(list(tmp_path.glob("fisheye-*"))) == 1
-    other = SceneDataset(2, rig, level=3, entries=("sphere", "fisheye"), cache_dir=tmp_path)
+        assert ((sample["fisheye"] - expected) * seen).abs().max() <= 0.51 / 127.5
+    assert len(list(tmp_path.iterdir())) == 1
+    other = scenes(rig, 2, view=view, cache_dir=tmp_path)
     assert not torch.equal(other[1]["fisheye"], sample["fisheye"])

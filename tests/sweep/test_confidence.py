@@ -8,11 +8,12 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.data import SampleView
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.scenes import SceneDataset
 from sphericalvision.sweep import index_from_inverse_depth, semi_global_sweep
 from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.confidence import sweep_confidence
+from tests.worlds import scenes as world_scenes
 
 
 def one_valley(index: Tensor, depth: float, number: int = 16) -> Tensor:
@@ -74,7 +75,9 @@ def test_has_nothing_to_say_without_correlation() -> None:
 @pytest.mark.slow
 def test_is_the_share_of_small_errors_on_scenes_it_was_not_fitted_to() -> None:
     rig = ring_rig(4, 0.2, (192, 192))
-    scenes = SceneDataset(4, rig, 6, "mixed", 2_000_000, samples_per_pixel=2, antialias=True)
+    scenes = world_scenes(
+        rig, 4, 2_000_000, SampleView(6, 4, antialias=True), kind="mixed", samples_per_pixel=2
+    )
     errors, confidences = [], []
     for sample in (scenes[number] for number in range(4)):
         found = semi_global_sweep(sample["images"][None], rig, 16, 0.55, seen=sample["seen"][None])

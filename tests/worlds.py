@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Small worlds for tests: samples through one rig or random rigs, and frames as sets on disk hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.data import SampleView
+from sphericalvision.scenes import World, WorldSamples
+from sphericalvision.scenes.draws import by_purpose
+from sphericalvision.scenes.random_rigs import LevelOrRandomRigs
+from sphericalvision.scenes.samples import recorded_sample
+
+RANDOM_RIGS: dict[str, Any] = yaml.safe_load(
+    (Path(__file__).resolve().parents[1] / "conf/world/random_rigs.yaml").read_text()
+)
+"""Arguments of ``World``, and ``level_rigs``, of the training on random rigs."""
+
+
+SMALL = SampleView(3, 1)
+
+
+def scenes(
+    rig: CameraRig,
+    number: int = 1,
+    first_seed: int = 0,
+    view: SampleView = SMALL,
+    cache_dir: Path | None = None,
+    **world: Any,
+) -> WorldSamples:
+    """Samples of scenes that one rig sees."""
+    made = World(rig, carrier_counts=True, **world)
+    return WorldSamples(made, view, range(first_seed, first_seed + number), cache_dir)
+
+
+def random_rigs(
+    number: int = 1,
+    first_seed: int = 0,
+    cache_dir: Path | None = None,
+    values: Mapping[str, Any] = RANDOM_RIGS,
+    prepare: Any = None,
+) -> WorldSamples:
+    """Samples through random rigs with small images, at level 3."""
+    chosen = dict(values)
+    rigs = LevelOrRandomRigs(chosen.pop("level_rigs"), (24, 24))
+    world = World.of(chosen, rig=rigs, draws=by_purpose, prepare=prepare)
+    view = SampleView(3, 3, antialias=True)
+    return WorldSamples(world, view, range(first_seed, first_seed + number), cache_dir)
+
+
+def recorded_frames(
+    rig: CameraRig, numbers: Iterable[int], height: int = 32, kind: str = "mixed"
+) -> list[dict[str, Any]]:
+    """Frames of scenes for ``write_omnistereo``; the seed of frame 1 is 0."""
+    world = World(rig, kind)
+    return [
+        {**recorded_sample(world.frame(number - 1), height), "frame": f"{number:05d}"} for number in numbers
+    ]

@@ -28,7 +28,6 @@ GROUPS = {
     "training": "network",
     "sweep": "network",
     "data": "data",
-    "predict": "predict",
     "fps": "predict",
     "presets": "predict",
 }

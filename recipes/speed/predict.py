@@ -1,28 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction as it is used: frames a second of a ``Predictor``, from video to video, and presets by cost and error."""
+"""Prediction as it is used: frames a second of a ``Predictor``, and presets by cost and error."""
 
 from __future__ import annotations
 
 import statistics
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 
-import cv2
 import torch
 from hydra import compose
 from omegaconf import DictConfig
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.cameras import ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.estimating import threads_kept
-from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
-from sphericalvision.capture.sources.frames import Selection
-from sphericalvision.capture.sources.videos import Videos
-from sphericalvision.recipes.commands.predict import predictor_for, run
+from sphericalvision.recipes.commands.predict import predictor_for
 from sphericalvision.recipes.evaluation.methods import SCALE
 from sphericalvision.recipes.evaluation.places import FrameTruth
 from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, render_frame
@@ -31,7 +25,7 @@ from sphericalvision.recipes.speed.measuring import Comparison, added_memory
 from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.sweep import index_from_inverse_depth
 
-__all__ = ["fps", "predict", "presets"]
+__all__ = ["fps", "presets"]
 
 CONDITIONS = {
     "clean": ("clean",),
@@ -106,39 +100,3 @@ def _on_threads(predictor: Predictor, images: Mapping[str, Tensor], threads: int
     with threads_kept():
         torch.set_num_threads(threads)
         predictor(images)
-
-
-def predict(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
-    """Four fisheye views side by side in a video of ``config.num_frames`` frames, for the presets that stream."""
-    rig = ring_rig(4, image_size=(config.image_sides[0], config.image_sides[0]))
-    images = render_rig(make_scene("room", seed=1), rig)
-    for preset in config.presets:
-        chosen = preset_config(preset, device)
-        predictor = predictor_for(rig, chosen)
-        with tempfile.TemporaryDirectory() as folder:
-            video = Path(folder, "views.avi")
-            _write_video(video, images, config.num_frames)
-            runs = {
-                "Predictor alone, frame after frame": partial(_alone, predictor, images, config.num_frames),
-                "video to video": partial(_end_to_end, predictor, rig, video, chosen.height),
-            }
-            yield Comparison(f"predict, {preset}: {config.num_frames} frames", runs)
-
-
-def _alone(predictor: Predictor, images: Mapping[str, Tensor], number: int) -> None:
-    for _ in range(number):
-        predictor(images)
-
-
-def _end_to_end(predictor: Predictor, rig: CameraRig, video: Path, height: int) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        outputs = Outputs(Path(folder), Settings(["video"], height))
-        run(Videos({"": video}, rig), Selection(), predictor, outputs, None)
-
-
-def _write_video(path: Path, images: Mapping[str, Tensor], number: int) -> None:
-    row = (torch.cat(list(images.values()), -1) * 255).byte().movedim(0, -1).flip(-1).contiguous().numpy()
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (row.shape[1], row.shape[0]))
-    for _ in range(number):
-        writer.write(row)
-    writer.release()

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,12 +29,6 @@ def config(*overrides: str) -> DictConfig:
     tiny = "settings=[[3,4]]", "feature_channels=2", "image_size=[32,32]", "seconds=1e-9", "num_frames=2"
     small = "convolution_settings=[[3,2]]", "num_points=50", "image_sides=[32]"
     return composed("speed", *tiny, *small, *overrides)
-
-
-def test_the_old_name_says_the_new_one_and_does_the_same(failing: Callable[..., str]) -> None:
-    said = failing("benchmark", "seconds=0")
-    assert "is called sphericalvision-speed now" in said
-    assert said.endswith(failing("speed", "seconds=0"))
 
 
 STAGES = {
@@ -126,7 +119,7 @@ def test_presets_are_those_of_predict() -> None:
     assert (live.level, fast.level, default.level, fine.level) == (5, 5, None, 7)
 
 
-@pytest.mark.parametrize("group", ["sweep", "training", "convolutions", "data", "predict", "fps", "presets"])
+@pytest.mark.parametrize("group", ["sweep", "training", "convolutions", "data", "fps", "presets"])
 def test_every_group_measures_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str) -> None:
     monkeypatch.setattr(bench_network, "FRAME", (4, 4))
     monkeypatch.setattr(bench_predict, "CONDITIONS", {"clean": ("clean",)})
@@ -138,7 +131,6 @@ def test_every_group_measures_its_rows(tmp_path: Path, monkeypatch: pytest.Monke
         "training": {"plain", OURS, f"{OURS}, recompute"},
         "convolutions": {"planar", "tangent planes", "hex along charts", "crown, both directions"},
         "data": {"room", "bare", "read"},
-        "predict": {"video to video"},
         "fps": {"live, 1 threads", "fast, 1 threads"},
         "presets": {"live: clean", "fast: clean"},
     }

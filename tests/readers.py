@@ -18,6 +18,7 @@ import yaml
 from sphericalvision.cameras import (
     CameraRig,
     FisheyeCamera,
+    convert,
     read_cameras,
     read_rig,
     read_trajectory,
@@ -163,7 +164,7 @@ def write_own(folder: Path) -> None:
 
 def ocam_rig() -> CameraRig:
     rig = ring_rig(2, image_size=(48, 64))
-    cameras = {name: camera.convert(to="ocam").camera for name, camera in rig.cameras.items()}
+    cameras = {name: convert(camera, to="ocam").camera for name, camera in rig.cameras.items()}
     return CameraRig(cameras, rig.world_from_camera)
 
 
@@ -190,7 +191,7 @@ def write_vins(folder: Path) -> None:
 
 def colmap_rig() -> CameraRig:
     lenses = (
-        FisheyeCamera.from_field_of_view((48, 64), 1.0).convert(to=model).camera
+        convert(FisheyeCamera.from_field_of_view((48, 64), 1.0), to=model).camera
         for model in ("kannala_brandt", "extended_unified")
     )
     return CameraRig(list(lenses), ring_rig(2).world_from_camera)

@@ -18,8 +18,9 @@ from sphericalvision.cameras import (
     straighten,
     straighten_rig,
 )
-from sphericalvision.cameras.base import Conversion
 from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
+from sphericalvision.cameras.conversion.convert import Conversion
+from sphericalvision.cameras.conversion.convert import convert as convert_camera
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.rigs import keys_named, radians, read_calibration
@@ -92,7 +93,8 @@ def _converted(name: str, camera: Camera, config: DictConfig) -> Conversion:
         return Conversion(camera, 0.0, 0.0, float(camera.max_angle))
     try:
         with keys_named(max_angle="fit_angle_deg"):
-            return camera.convert(
+            return convert_camera(
+                camera,
                 to=config.to,
                 max_angle=radians(config.fit_angle_deg),
                 num_coefficients=config.num_coefficients,

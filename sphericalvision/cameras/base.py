@@ -6,7 +6,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, dataclass_transform
 
 import torch
@@ -42,7 +41,7 @@ from sphericalvision.core import (
 from sphericalvision.geometry.directions import broadcast_shapes, components, moderate_lengths
 from sphericalvision.geometry.lookup import bilinear_sample
 
-__all__ = ["Camera", "Conversion", "Projection", "Unprojection", "check_single"]
+__all__ = ["Camera", "Projection", "Unprojection", "check_single"]
 
 AnyCamera = TypeVar("AnyCamera", bound="Camera")
 
@@ -79,20 +78,6 @@ class Unprojection(NamedTuple):
     """Unit vectors (*, 3), also where not valid."""
     valid: Bool[Tensor, "*batch"]
     """bool (*)."""
-
-
-class Conversion(NamedTuple):
-    """A camera of another model, and how well it stands in for the original."""
-
-    camera: Camera
-    """The new camera; its ``max_angle`` is ``covered_angle``."""
-    max_error: float
-    """Largest distance in pixels between the projections of the two, over directions that were not fitted."""
-    rms_error: float
-    """Root mean square of these distances over the solid angle."""
-    covered_angle: float
-    """The angle from the axis, in radians, out to which the model was fitted and the errors hold; less than the
-    original's view where the new model cannot reach as far."""
 
 
 @dataclass_transform(
@@ -415,19 +400,6 @@ class Camera:
                 f"(height x width), got rows {top} to {top + height} and columns {left} to {left + width}"
             )
         return self._on_pixels((1.0, 1.0), (-float(left), -float(top)), new)
-
-    def convert(self, to: type[Camera] | str, **options: Any) -> Conversion:
-        """This camera as another model, and how many pixels apart the two are; see ``cameras.convert``.
-
-        Examples:
-            >>> from sphericalvision.cameras import FisheyeCamera, KannalaBrandtCamera
-            >>> fisheye = FisheyeCamera.from_field_of_view((800, 800), 3.6, "equisolid")
-            >>> fisheye.convert(to=KannalaBrandtCamera).max_error < 0.01
-            True
-        """
-        above = import_module("sphericalvision.cameras.conversion.convert")
-        conversion: Conversion = above.convert(self, to, **options)
-        return conversion
 
     def select(self: AnyCamera, index: int) -> AnyCamera:
         """One camera of a batch."""

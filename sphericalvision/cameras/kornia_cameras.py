@@ -54,7 +54,7 @@ def to_kornia(camera: Camera, camera_from_world: Float[Tensor, "*poses 4 4"] | N
     if not isinstance(camera, kinds) or len(camera.batch_shape) > 1:
         raise ArgumentError(
             f"camera: Kornia has pinhole, Brown-Conrady and Kannala-Brandt cameras and batches (b,), got {camera!r}; "
-            "convert the camera first: camera.convert(to=...)"
+            "convert the camera first: convert(camera, to=...)"
         )
     if camera_from_world is None:
         name, coefficients = _model(camera)

@@ -72,7 +72,7 @@ def test_a_camera_is_its_own_conversion(name: str) -> None:
     camera = (
         camera.exact() if isinstance(camera, OCamCamera) and camera.inverse_polynomial is None else camera
     )
-    conversion = camera.convert(to=type(camera))
+    conversion = convert(camera, to=type(camera))
     fitted = {  # an inverse polynomial; the sequential composition, which conversion makes
         "ocam exact": 0.01,
         "thin prism fisheye, additive": 0.05,
@@ -136,8 +136,8 @@ def test_the_same_lens_in_other_words(name: str) -> None:
 def test_there_and_back_again() -> None:
     """Double sphere to extended unified and back: within what the first of the two conversions said."""
     lens = wide_lens()
-    there = lens.convert(to=ExtendedUnifiedCamera)
-    back = there.camera.convert(to=DoubleSphereCamera)
+    there = convert(lens, to=ExtendedUnifiedCamera)
+    back = convert(there.camera, to=DoubleSphereCamera)
     assert there.max_error < 0.3
     points = unseen_directions(lens, lens.max_angle)
     assert gap(lens, back.camera, points).max() <= there.max_error + back.max_error + EXACT
@@ -160,7 +160,7 @@ TARGETS: dict[type[Camera], float] = {  # pixels of 1216 x 1216, largest
 @pytest.mark.parametrize("to", TARGETS)
 def test_the_error_told_is_the_error_made(to: type[Camera]) -> None:
     lens = wide_lens()
-    camera, largest, rms, covered = lens.convert(to=to)
+    camera, largest, rms, covered = convert(lens, to=to)
     assert type(camera) is to
     assert camera.dtype == lens.dtype
     assert 0 <= rms <= largest < TARGETS[to]
@@ -180,20 +180,20 @@ def test_the_error_told_is_the_error_made(to: type[Camera]) -> None:
 
 def test_ocam_of_220_degrees_as_kannala_brandt() -> None:
     ocam = real_ocam()
-    conversion = ocam.convert(to=KannalaBrandtCamera)
+    conversion = convert(ocam, to=KannalaBrandtCamera)
     assert (
         conversion.max_error < 0.8
     )  # the affine part's shear, which Kannala-Brandt lacks, is 0.7 px at the edge
     upright = OCamCamera(
         ocam.polynomial, None, ocam.principal_point, [1.0003, 0.0, 0.0], ocam.image_size, ocam.max_angle
     )
-    assert upright.convert(to=KannalaBrandtCamera).max_error < 0.15
+    assert convert(upright, to=KannalaBrandtCamera).max_error < 0.15
     assert math.degrees(conversion.covered_angle) == pytest.approx(110)
 
 
 def test_both_polynomials_of_an_ocam_camera_are_the_lens() -> None:
     lens = wide_lens()
-    ocam, largest, _, _ = lens.convert(to=OCamCamera)
+    ocam, largest, _, _ = convert(lens, to=OCamCamera)
     assert isinstance(ocam, OCamCamera)
     points = unseen_directions(lens, lens.max_angle)
     assert gap(lens, ocam, points).max() <= 1.05 * largest
@@ -213,7 +213,7 @@ def test_a_turned_ocam_image_is_off_by_its_turn() -> None:
             turned.project(torch.tensor([math.sin(1.9), 0.0, math.cos(1.9)])).pixels - ocam.principal_point
         ).norm()
     )
-    assert turned.convert(to=KannalaBrandtCamera).max_error == pytest.approx(0.02 * radius, rel=0.05)
+    assert convert(turned, to=KannalaBrandtCamera).max_error == pytest.approx(0.02 * radius, rel=0.05)
 
 
 TURNED = [0.998, 0.021, -0.0185]  # c d e: a turn of 1.13° and some shear
@@ -246,20 +246,20 @@ def test_a_rig_takes_the_turns_of_its_images_into_its_poses() -> None:
     rig = CameraRig([lens, lens], poses)
     straight = straighten_rig(rig)
     torch.testing.assert_close(straight.positions, rig.positions)
-    cameras = {name: camera.convert(to="kannala_brandt").camera for name, camera in straight.cameras.items()}
+    cameras = {name: convert(camera, to="kannala_brandt").camera for name, camera in straight.cameras.items()}
     converted = CameraRig(cameras, straight.world_from_camera)
     points = unseen_directions(lens, math.radians(70), 200) * 3
     before, after = rig.project(points), converted.project(points)
     seen = before.valid & after.valid
     assert seen.sum() > 100
     assert (before.pixels - after.pixels)[seen].abs().max() < 2
-    assert lens.convert(to="kannala_brandt").max_error > 12
+    assert convert(lens, to="kannala_brandt").max_error > 12
 
 
 def test_a_polynomial_that_misses_the_centre_is_converted() -> None:
     """Inverse polynomials of real files are some tenths of a pixel at the axis instead of 0."""
     lens = wide_lens()
-    ocam = lens.convert(to=OCamCamera).camera
+    ocam = convert(lens, to=OCamCamera).camera
     assert isinstance(ocam, OCamCamera)
     inverse = ocam.inverse_polynomial.clone()
     inverse[0] += 0.4
@@ -267,7 +267,7 @@ def test_a_polynomial_that_misses_the_centre_is_converted() -> None:
         ocam.polynomial, inverse, ocam.principal_point, ocam.affine, ocam.image_size, ocam.max_angle
     )
     torch.testing.assert_close(focal_length_on_axis(missing), focal_length_on_axis(ocam), rtol=0.01, atol=0)
-    assert missing.convert(to=KannalaBrandtCamera).max_error < 0.45
+    assert convert(missing, to=KannalaBrandtCamera).max_error < 0.45
 
 
 def test_inverse_polynomial_in_the_convention_of_files() -> None:
@@ -295,13 +295,13 @@ def test_more_coefficients_fit_better() -> None:
     with pytest.raises(ArgumentError, match="1 to 17"):
         fit_inverse_polynomial(real_ocam(), 18)
     lens = wide_lens()
-    errors = [lens.convert(to="radial_polynomial", num_coefficients=n).max_error for n in (2, 4, 7)]
+    errors = [convert(lens, to="radial_polynomial", num_coefficients=n).max_error for n in (2, 4, 7)]
     assert errors == sorted(errors, reverse=True)
 
 
 def test_a_smaller_angle_is_fitted_better() -> None:
     lens = wide_lens()
-    whole, middle = (lens.convert(to=PinholeCamera, max_angle=math.radians(a)) for a in (70, 30))
+    whole, middle = (convert(lens, to=PinholeCamera, max_angle=math.radians(a)) for a in (70, 30))
     assert middle.max_error < 0.2 * whole.max_error
     assert math.degrees(middle.covered_angle) == pytest.approx(30)
 
@@ -309,31 +309,31 @@ def test_a_smaller_angle_is_fitted_better() -> None:
 def test_cropped_cameras_convert_where_they_look() -> None:
     """The axis lies outside of the crop."""
     crop = wide_lens().cropped(0, 0, 500, 560)
-    conversion = crop.convert(to=KannalaBrandtCamera)
+    conversion = convert(crop, to=KannalaBrandtCamera)
     assert conversion.max_error < 0.05
     assert conversion.camera.image_size == (500, 560)
 
 
 def test_dtype_follows_the_camera() -> None:
     lens = wide_lens().to(torch.float32)
-    conversion = lens.convert(to=KannalaBrandtCamera)
+    conversion = convert(lens, to=KannalaBrandtCamera)
     assert conversion.camera.dtype == torch.float32
     assert conversion.max_error < 0.02
 
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
-    "unknown class": (lambda: wide_lens().convert(to=Camera), "PinholeCamera"),
-    "unknown name": (lambda: wide_lens().convert(to="kb4"), "kannala_brandt"),
-    "panorama": (lambda: wide_lens().convert(to=EquirectangularCamera), "reproject"),
-    "from a panorama": (lambda: EquirectangularCamera((32, 64)).convert(to="ocam"), "remap"),
-    "coefficients": (lambda: wide_lens().convert(to="brown_conrady", num_coefficients=6), "4, 5, 8, 12, 14"),
-    "no choice": (lambda: wide_lens().convert(to="double_sphere", num_coefficients=2), "num_coefficients"),
-    "projection": (lambda: wide_lens().convert(to="ocam", projection="equidistant"), "FisheyeCamera"),
-    "past 90°": (lambda: wide_lens().convert(to="pinhole", max_angle=1.6), "before 90°"),
-    "no angle": (lambda: wide_lens().convert(to="ocam", max_angle=0.0), "max_angle"),
-    "batch": (lambda: type(wide_lens()).stack([wide_lens()] * 2).convert(to="ocam"), "select"),
+    "unknown class": (lambda: convert(wide_lens(), to=Camera), "PinholeCamera"),
+    "unknown name": (lambda: convert(wide_lens(), to="kb4"), "kannala_brandt"),
+    "panorama": (lambda: convert(wide_lens(), to=EquirectangularCamera), "reproject"),
+    "from a panorama": (lambda: convert(EquirectangularCamera((32, 64)), to="ocam"), "remap"),
+    "coefficients": (lambda: convert(wide_lens(), to="brown_conrady", num_coefficients=6), "4, 5, 8, 12, 14"),
+    "no choice": (lambda: convert(wide_lens(), to="double_sphere", num_coefficients=2), "num_coefficients"),
+    "projection": (lambda: convert(wide_lens(), to="ocam", projection="equidistant"), "FisheyeCamera"),
+    "past 90°": (lambda: convert(wide_lens(), to="pinhole", max_angle=1.6), "before 90°"),
+    "no angle": (lambda: convert(wide_lens(), to="ocam", max_angle=0.0), "max_angle"),
+    "batch": (lambda: convert(type(wide_lens()).stack([wide_lens()] * 2), to="ocam"), "select"),
     "looks backwards": (
-        lambda: wide_lens().cropped(0, 0, 40, 40).convert(to=PinholeCamera),
+        lambda: convert(wide_lens().cropped(0, 0, 40, 40), to=PinholeCamera),
         "nothing is left|sees nothing",
     ),
 }

@@ -90,7 +90,7 @@ def test_a_registered_camera_is_written_read_back_and_converted_to(tmp_path: Pat
     stereographic = FisheyeCamera("stereographic", [45.0, 45.0], [99.5, 79.5], (160, 200), 1.4).to(
         torch.float64
     )
-    conversion = stereographic.convert(to="parabolic mirror")
+    conversion = convert(stereographic, to="parabolic mirror")
     assert conversion.max_error < 1e-6
     assert conversion.camera.bend.item() == pytest.approx(1.0)
 

@@ -20,6 +20,7 @@ from sphericalvision.cameras import (
     BrownConradyCamera,
     Camera,
     CameraRig,
+    convert,
     read_camera,
     read_cameras,
     read_rig,
@@ -420,7 +421,7 @@ def test_names_of_views_are_kept_whole(tmp_path: Path) -> None:
 
 def test_text_beside_binary_must_hold_the_same(tmp_path: Path) -> None:
     rig = ring_rig(3, radius=0.1)
-    cameras = [camera.convert(to="kannala_brandt").camera for camera in rig.cameras.values()]
+    cameras = [convert(camera, to="kannala_brandt").camera for camera in rig.cameras.values()]
     for suffix in ("bin", "txt"):
         save_rig(CameraRig(cameras, rig.world_from_camera), tmp_path / f"cameras.{suffix}", "colmap")
     assert len(read_rig(tmp_path)) == 3

@@ -16,6 +16,7 @@ from sphericalvision.cameras import (
     DivisionCamera,
     KannalaBrandtCamera,
     ThinPrismFisheyeCamera,
+    convert,
 )
 from tests.cameras.calibration_samples import assert_projects, directions, double, kannala_brandt
 
@@ -161,4 +162,4 @@ def test_mistakes_are_named() -> None:
     ],
 )
 def test_conversion_to_and_from_them(source: Camera, to: str, bound: float) -> None:
-    assert source.convert(to=to).max_error < bound
+    assert convert(source, to=to).max_error < bound

@@ -15,6 +15,7 @@ from sphericalvision.cameras import (
     DoubleSphereCamera,
     KannalaBrandtCamera,
     OCamCamera,
+    convert,
     read_camera,
     read_rig,
     ring_rig,
@@ -139,7 +140,7 @@ def test_real_calibrations(name: str) -> None:
     from sphericalvision.cameras import read_cameras
 
     camera = next(iter(read_cameras(folder / name, dtype=torch.float64).values()))
-    assert camera.convert(to=KannalaBrandtCamera).max_error < FILES[name]
+    assert convert(camera, to=KannalaBrandtCamera).max_error < FILES[name]
 
 
 def test_names_of_cameras_lead_nowhere(run: Run, tmp_path: Path) -> None:

@@ -235,7 +235,7 @@ def lens_of(camera: Camera, lenses: Sequence[Lens], format: str) -> tuple[Lens, 
             f"camera: of {camera.model} the format {format!r} holds "
             + " ".join([*lens.names, *(f"with {name}={value!r}" for name, value in lens.options.items())])
             + f", and this one has {', '.join(f'{name}={value!r}' for name, value in beyond.items())}; write it as "
-            "'native', or convert the camera first: camera.convert(to=...)"
+            "'native', or convert the camera first: convert(camera, to=...)"
         )
     return lens, numbers
 
@@ -252,13 +252,13 @@ def check_holds(format: str, camera: Camera) -> None:
         ]
         raise ArgumentError(
             f"camera: the format {format!r} has no {camera.model} model, it has {', '.join(models)}. Write it as "
-            f"{' or '.join(map(repr, others))}, or convert the camera first: camera.convert(to=...)"
+            f"{' or '.join(map(repr, others))}, or convert the camera first: convert(camera, to=...)"
         )
     formats = _WITH_SKEW[:1] if camera.model in _WITHOUT_SKEW_IN_OPENCV else _WITH_SKEW
     if format not in formats and getattr(camera, "skew", None) is not None:
         raise ArgumentError(
             f"camera: the format {format!r} has no skew; write it as {' or '.join(map(repr, formats))}, or convert "
-            'the camera to OCam, whose affine map holds one: camera.convert(to="ocam")'
+            'the camera to OCam, whose affine map holds one: convert(camera, to="ocam")'
         )
 
 

@@ -200,7 +200,7 @@ def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
     if len(set(kinds.values())) > 1:
         raise ArgumentError(
             f"rig: nerfstudio has one camera model for all frames, got {kinds}; convert the others: "
-            "camera.convert(to=...), or write 'native'"
+            "convert(camera, to=...), or write 'native'"
         )
     content = {"camera_model": next(iter(kinds.values())), "frames": frames}
     write_json(Path(path), content)

@@ -273,7 +273,7 @@ def _values(camera: Camera, suffix: str) -> dict[str, Any]:
         if any(coefficients[4:]):
             raise ArgumentError(
                 f"camera: OpenCV holds 4 numbers of distortion of {camera.model}, got {coefficients}; write it "
-                "as 'native', or convert the camera first: camera.convert(to=...)"
+                "as 'native', or convert the camera first: convert(camera, to=...)"
             )
         coefficients = (coefficients + [0.0] * 4)[:4]
     height, width = camera.image_size

@@ -46,7 +46,7 @@ def save_camera(camera: Camera, path: str | Path, format: str | None = None) -> 
 
     Raises:
         ArgumentError: an unknown format, a batch, or a model that the format does not have; the message names formats
-            that have it. ``camera.convert(to=...)`` fits another model.
+            that have it. ``convert(camera, to=...)`` fits another model.
 
     Examples:
         >>> import tempfile
@@ -78,7 +78,7 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
 
     Raises:
         ArgumentError: an unknown format, a batch, or a model that the format does not have; the message names formats
-            that have it. ``camera.convert(to=...)`` fits another model.
+            that have it. ``convert(camera, to=...)`` fits another model.
 
     Examples:
         >>> from sphericalvision.cameras import read_rig, ring_rig

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Conversion, check_single
+from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.conversion.fit import ROUNDS, cap, fit_model
 from sphericalvision.cameras.field_of_view import directions_around_axis, visible_angle
 from sphericalvision.cameras.fitting import FittedModel, fit_choices, fitted_classes
@@ -23,9 +24,23 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.rootfinding import polynomial
 
-__all__ = ["InverseFit", "convert", "fit_inverse_polynomial"]
+__all__ = ["Conversion", "InverseFit", "convert", "fit_inverse_polynomial"]
 
 _HELD_OUT = 12_000  # directions in the cap of the field of view; fewer are on the image
+
+
+class Conversion(NamedTuple):
+    """A camera of another model, and how well it stands in for the original."""
+
+    camera: Camera
+    """The new camera; its ``max_angle`` is ``covered_angle``."""
+    max_error: float
+    """Largest distance in pixels between the projections of the two, over directions that were not fitted."""
+    rms_error: float
+    """Root mean square of these distances over the solid angle."""
+    covered_angle: float
+    """The angle from the axis, in radians, out to which the model was fitted and the errors hold; less than the
+    original's view where the new model cannot reach as far."""
 
 
 @torch.no_grad()

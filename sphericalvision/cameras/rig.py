@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sphericalvision.cameras.base import Camera, Projection
+from sphericalvision.cameras.base import Camera, Projection, check_single
 from sphericalvision.cameras.checks import check_image, check_poses, check_rotation
 from sphericalvision.cameras.masks import is_usable, resized_mask, stack_masks
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
@@ -486,9 +486,15 @@ class CameraRig:
         """Write the rig as this package's own YAML, which ``read_rig`` reads; masks become images beside it.
 
         Raises:
-            ArgumentError: a camera of one's own model is not registered, so that it could not be read back.
+            ArgumentError: the rig is a batch, or a camera of one's own model is not registered, so that it could not
+                be read back.
         """
-        import_module("sphericalvision.cameras.calibration.native").write_rig(self.in_world(), path)
+        from sphericalvision.cameras.native_files import (
+            write_rig,  # files and images, which a network does not need
+        )
+
+        check_single(self)
+        write_rig(path, self.cameras, self.in_world().world_from_camera, self.masks)
 
     def __repr__(self) -> str:
         kinds = {type(camera).__name__ for camera in self.cameras.values()}

@@ -89,7 +89,8 @@ class Inputs(NamedTuple):
 def inputs_of(batch: Batch, net: DepthNetwork) -> Inputs:
     """The inputs of samples that are put together, or of one frame with ``images`` and ``rig``, a batch of one."""
     if isinstance(batch, dict):
-        return Inputs(*images_of(batch, net), batch["rig"])
+        images, seen = images_of(batch, net)
+        return Inputs(images, seen, batch["rig"])
     intake = net.intake(batch.rig)
     return Inputs(intake(batch.images)[None], intake.seen[None], batch.rig)
 

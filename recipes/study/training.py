@@ -172,7 +172,7 @@ def command_lines(seeds: list[Training]) -> list[list[str]]:
             [*own_configs(), *training.words, f"output={training.folder}", "resume=auto"]
             for training in seeds
         ]
-    launcher = [f"launcher={name}"] if (name := mine.runtime.choices.launcher) else []
+    launcher = [f"launcher={name}"] if (name := mine.runtime.choices["launcher"]) else []
     launcher += [
         word for word in mine.overrides.hydra if word.startswith(("hydra.launcher", "hydra/launcher"))
     ]

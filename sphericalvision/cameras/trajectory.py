@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,13 +15,12 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_poses
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, check_choice, full_precision
+from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
 
 __all__ = ["UPS", "Trajectory"]
 
 UPS = ("-y", "y", "z", "camera")
 """What may point up in a file of poses."""
-TOLERANCE = 0.02
-"""Seconds between an image and its pose, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +30,7 @@ class Trajectory:
     Attributes:
         names: of the poses: their time stamps, their rows counted from 0, or the names of images.
         world_from_camera: ``(n, 4, 4)`` rigid transforms, metres, float64; of a rig that is world from rig.
+        names_are_rows: the names are rows counted from 0, which the file does not state.
 
     Raises:
         ShapeError: there are not as many poses as names.
@@ -49,6 +49,7 @@ class Trajectory:
 
     names: Sequence[str]
     world_from_camera: Float[Tensor, "n 4 4"]
+    names_are_rows: bool = False
 
     def __post_init__(self) -> None:
         check_poses(list(self.names), self.world_from_camera)
@@ -154,17 +155,18 @@ class Trajectory:
         upwards = -poses[:, :3, 1].mean(0) if up == "camera" else poses.new_tensor(axes[up])
         turn = torch.eye(4).to(poses)
         turn[:3, :3] = _shortest_turn(torch.nn.functional.normalize(upwards, dim=0))
-        return Trajectory(self.names, turn @ poses)
+        return replace(self, world_from_camera=turn @ poses)
 
     def of_images(self, images: Sequence[str], times: Sequence[float] | None = None) -> Trajectory:
         """Return the poses of images, called as the images are; images without a pose are left out.
 
-        An image's pose is the one of its name, or the one at its time, at most 20 ms away. Where neither tells and
-        there are as many images as poses, they belong together in their order.
+        An image's pose is the one at its time, at most 20 ms away, or the one of its name. Names that are numbers count
+        where every image has a pose of its number, or every pose an image. Where nothing of this tells and there are
+        as many images as poses, they belong together in their order.
 
         Args:
-            images: names of the images in their order, without suffix: ``"000012"``, ``"1305031102.175304"``
-                (seconds), or ``"1403636579763555584"`` (nanoseconds).
+            images: names of the images in their order, without suffix: ``"000012"``, or times as ``io.times.seconds``
+                reads them: ``"1305031102.175304"`` (seconds), ``"1403636579763555584"`` (nanoseconds).
             times: of the images in seconds, where their names do not tell.
 
         Raises:
@@ -175,50 +177,43 @@ class Trajectory:
             >>> list(three.of_images(["a", "b", "c"]).names), list(three.of_images(["0.099", "0.2"]).names)
             (['a', 'b', 'c'], ['0.099'])
         """
-        places = {name: number for number, name in enumerate(self.names)}
-        by_name = {image: places[image] for image in images if image in places}
-        by_time = self._at_times(images, times)
-        found = max(by_name, by_time, key=len)
-        if len(found) < 0.5 * len(images) and len(images) == len(self):
-            found = {image: number for number, image in enumerate(images)}
-        if not found:
+        matches = self._by_time(images, times) or self._by_name(images)
+        if not matches and len(images) == len(self):
+            matches = {image: number for number, image in enumerate(images)}
+        if not matches:
             raise ArgumentError(
                 f"images: which pose is whose? There are {len(images)} images ({_first(images)}) and {len(self)} poses "
-                f"({_first(self.names)}). Expected equally many, images called as the poses, or times less than "
-                f"{TOLERANCE * 1000:.0f} ms apart"
+                f"({_first(self.names)}{', rows of the file' if self.names_are_rows else ''}). Expected equally many, "
+                f"images called as the poses, or times at most {SAME_TIME * 1000:.0f} ms apart"
             )
-        return Trajectory(list(found), self.world_from_camera[list(found.values())])
+        return Trajectory(list(matches), self.world_from_camera[list(matches.values())])
 
-    def _at_times(self, images: Sequence[str], times: Sequence[float] | None) -> dict[str, int]:
+    def _by_time(self, images: Sequence[str], times: Sequence[float] | None) -> dict[str, int]:
         """Image -> the pose nearest in time, where both have times."""
-        stamps = [_seconds(name) for name in self.names]
-        wanted = [_seconds(name) for name in images] if times is None else list(times)
-        counted = times is None and _are_counted(images)
-        if any(stamp is None for stamp in stamps) or counted != _are_counted(self.names):
+        if are_counts(self.names) or (times is None and are_counts(images)):
             return {}
-        known, order = torch.tensor(stamps, dtype=torch.float64).sort()
-        found = {}
-        for image, time in zip(images, wanted, strict=True):
-            if time is None:
-                continue
-            after = int(torch.searchsorted(known, time))
-            near = [place for place in (after - 1, after) if 0 <= place < len(known)]
-            nearest = min(near, key=lambda place: abs(float(known[place]) - time))
-            if abs(float(known[nearest]) - time) <= TOLERANCE:
-                found[image] = int(order[nearest])
-        return found
+        nearest = nearest_in_time(seconds(images) if times is None else times, seconds(self.names))
+        return {image: place for image, place in zip(images, nearest, strict=True) if place is not None}
+
+    def _by_name(self, images: Sequence[str]) -> dict[str, int]:
+        """Image -> the pose of its name, or of its number where all of the fewer side belong to one of the other.
+
+        Numbers are weak names: images may be counted from 1 where poses are counted from 0. They say which is whose
+        only where none is left over; rows, which no file states, only of images that are counted from 0, too.
+        """
+        if not (are_counts(images) and are_counts([_whole(name) for name in self.names])):
+            places = {name: place for place, name in enumerate(self.names)}
+            return {image: places[image] for image in images if image in places}
+        places = {int(_whole(name)): place for place, name in enumerate(self.names)}
+        numbers = {image: int(image) for image in images}
+        matches = {image: places[number] for image, number in numbers.items() if number in places}
+        is_whole = len(matches) == min(len(images), len(self))
+        return matches if is_whole and (0 in numbers.values() or not self.names_are_rows) else {}
 
 
-def _seconds(name: str) -> float | None:
-    """The time that a name tells, or the number of a row; integers of 14 digits and more are nanoseconds."""
-    if not re.fullmatch(r"\d+(\.\d*)?(e[+-]?\d+)?", name, re.I):
-        return None
-    return int(name) * 1e-9 if re.fullmatch(r"\d{14,}", name) else float(name)
-
-
-def _are_counted(names: Sequence[str]) -> bool:
-    """Whether names are numbers of images or rows, which are no times."""
-    return all(re.fullmatch(r"\d{1,13}", name) for name in names)
+def _whole(name: str) -> str:
+    """A number with decimals that are all zero, without them."""
+    return re.sub(r"\.0*$", "", name)
 
 
 def _first(names: Sequence[str]) -> str:

@@ -205,6 +205,23 @@ def test_images_find_their_poses(
     assert dict(zip(matched.names, matched.positions[:, 0].int().tolist(), strict=True)) == found
 
 
+@pytest.mark.parametrize("first", [0, 1, 7])
+@pytest.mark.parametrize("number", [NUMBER - 3, NUMBER])
+@pytest.mark.parametrize("rows", [True, False], ids=["rows", "stated"])
+def test_numbers_belong_together_where_they_state_it(first: int, number: int, rows: bool) -> None:
+    """Images are counted from ``first``, poses from 0: by number, by position, or refused, never the next one's."""
+    trajectory = Trajectory([str(row) for row in range(NUMBER)], way(), names_are_rows=rows)
+    images = [f"{first + k:06d}" for k in range(number)]
+    shifted = first + number > NUMBER or (first > 0 and rows)
+    if shifted and number < NUMBER:
+        with pytest.raises(ArgumentError, match="which pose is whose"):
+            trajectory.of_images(images)
+        return
+    expected = way()[:number] if shifted else way()[first : first + number]
+    assert list(trajectory.of_images(images).names) == images
+    torch.testing.assert_close(trajectory.of_images(images).world_from_camera, expected)
+
+
 def test_images_without_poses_are_refused() -> None:
     trajectory = Trajectory(["0.0", "0.1", "0.2"], torch.eye(4).repeat(3, 1, 1))
     with pytest.raises(ArgumentError, match=r"2 images \(000, 001\) and 3 poses \(0.0, 0.1, ...\)"):

@@ -107,7 +107,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
         else:
             names.append(str(row) if count % 4 == 0 else words[0])
             poses.append(transform_from_rows(values[count % 4 :], where))
-    return _trajectory(names, poses, path)
+    return _trajectory(names, poses, path, header is None and count % 4 == 0 and count > 8)
 
 
 def _table(path: Path) -> tuple[list[str] | None, list[tuple[int, list[str]]]]:
@@ -149,10 +149,12 @@ def _of_images(path: Path) -> Trajectory:
     return _trajectory([name for name, _ in named], [pose for _, pose in named], path)
 
 
-def _trajectory(names: list[str], poses: list[Tensor], path: Path) -> Trajectory:
+def _trajectory(
+    names: list[str], poses: list[Tensor], path: Path, names_are_rows: bool = False
+) -> Trajectory:
     seen: set[str] = set()
     for name in names:
         if name in seen:
             raise FileFormatError(f"{path}: two poses are called {name}; expected one a time or image")
         seen.add(name)
-    return Trajectory(names, torch.stack(poses))
+    return Trajectory(names, torch.stack(poses), names_are_rows)

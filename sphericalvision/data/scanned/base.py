@@ -21,10 +21,7 @@ from sphericalvision.io.images import read_image, read_pages
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import pixels_seen
 
-__all__ = ["SAME_TIME", "ScannedFrames", "nearest_in_time", "read_raster", "seconds"]
-
-SAME_TIME = 0.02
-"""Seconds between what was taken at one time, at most."""
+__all__ = ["ScannedFrames", "read_raster"]
 
 NOISE = 0.02
 """Metres: standard deviation of a LiDAR's distances, as those of these sets are specified."""
@@ -140,40 +137,6 @@ class ScannedFrames(Dataset[Sample]):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self.root)!r}, {len(self)} frames)"
-
-
-def seconds(stem: str) -> float:
-    """The time that a file's name tells: ``12.5``, ``12_500000000`` (sec, nsec) or 14 digits and more of nanoseconds.
-
-    Raises:
-        ValueError: it tells none.
-
-    Examples:
-        >>> seconds("cloud_1700000000_250000000"), seconds("1700000000.25"), seconds("1700000000250000000")
-        (1700000000.25, 1700000000.25, 1700000000.25)
-    """
-    whole, _, part = stem.removeprefix("cloud_").replace(".", "_").partition("_")
-    if len(whole) >= 14 and not part:
-        return int(whole) * 1e-9
-    return int(whole) + (float(f"0.{part}") if "." in stem else int(part or 0) * 1e-9)
-
-
-def nearest_in_time(
-    wanted: Mapping[str, float], others: Mapping[str, float], tolerance: float = SAME_TIME
-) -> dict[str, str]:
-    """For each wanted name the other one nearest in time; those that are farther away than ``tolerance`` are missing.
-
-    Examples:
-        >>> nearest_in_time({"a": 0.0, "b": 1.0}, {"x": 0.01, "y": 0.9})
-        {'a': 'x'}
-    """
-    names, times = list(others), np.array(list(others.values()))
-    found = {}
-    for name, time in wanted.items():
-        apart = np.abs(times - time)
-        if len(apart) and apart.min() <= tolerance:
-            found[name] = names[int(apart.argmin())]
-    return found
 
 
 def read_raster(path: str | Path, scale: float, size: tuple[int, int], what: str) -> Float[Tensor, "h w"]:

@@ -14,14 +14,9 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import MissingFileError
 from sphericalvision.data.point_files import POINT_SUFFIXES, read_points
-from sphericalvision.data.scanned.base import (
-    SAME_TIME,
-    Sample,
-    ScannedFrames,
-    nearest_in_time,
-    seconds,
-)
+from sphericalvision.data.scanned.base import Sample, ScannedFrames
 from sphericalvision.geometry import transform_points
+from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
 
 __all__ = ["OwnScans"]
 
@@ -68,22 +63,17 @@ class OwnScans(ScannedFrames):
             raise MissingFileError(
                 f"points: {self.root.absolute()} holds no {', '.join(POINT_SUFFIXES)}; expected a scan for each frame"
             )
-        by_name = {name: name for name in images if name in scans}
-        found = by_name or nearest_in_time(_times(images), _times(scans), tolerance)
-        lacking = {name: "a scan of its name or time" for name in images if name not in found}
+        matches = {name: name for name in images if name in scans}
+        if not matches and not are_counts(list(images)) and not are_counts(list(scans)):
+            nearest = nearest_in_time(seconds(list(images)), seconds(list(scans)), tolerance)
+            stems = list(scans)
+            matches = {n: stems[at] for n, at in zip(images, nearest, strict=True) if at is not None}
+        lacking = {name: "a scan of its name or time" for name in images if name not in matches}
         where = f"a scan for each frame, called as it, or at a time at most {tolerance:g} s away"
         self.names = self.complete(list(images), lacking, where)
-        self.scans = {name: scans[scan] for name, scan in found.items()}
+        self.scans = {name: scans[scan] for name, scan in matches.items()}
 
     def points(self, name: str) -> Tensor:
         """Those of the scan, in the rig's world."""
         scan = read_points(self.scans[name], columns=self.columns)
         return transform_points(self.rig_from_scanner.double(), scan.double()).float()
-
-
-def _times(names: Mapping[str, Any]) -> dict[str, float]:
-    times = {}
-    for name in names:
-        if name.replace(".", "").replace("_", "").removeprefix("cloud").isdecimal():
-            times[name] = seconds(name)
-    return times

@@ -13,14 +13,9 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, read_rig
 from sphericalvision.core import MissingFileError
 from sphericalvision.data.point_files import read_points
-from sphericalvision.data.scanned.base import (
-    SAME_TIME,
-    Sample,
-    ScannedFrames,
-    nearest_in_time,
-    seconds,
-)
+from sphericalvision.data.scanned.base import Sample, ScannedFrames
 from sphericalvision.geometry import transform_points
+from sphericalvision.io.times import SAME_TIME, nearest_in_time, seconds
 
 __all__ = ["OURS_FROM_LIDAR", "SpiresDataset"]
 
@@ -79,18 +74,16 @@ class SpiresDataset(ScannedFrames):
             raise MissingFileError(
                 f"{scans.absolute()}: expected cloud_<sec>_<nsec>.pcd of {sequence}, got none"
             )
-        times = {str(cloud): seconds(cloud.stem) for cloud in clouds}
-        found: dict[str, dict[str, str]] = {}
+        times = seconds([cloud.stem for cloud in clouds])
+        names = [f"{sequence}/{cloud.stem}" for cloud in clouds]
+        self.images |= {name: {} for name in names}
         for camera in self.fixed_rig.names:
-            images = (folder / "raw" / camera).glob("*.jpg")
-            found[camera] = nearest_in_time(
-                times, {str(file): seconds(file.stem) for file in images}, tolerance
-            )
-        for cloud in clouds:
-            name = f"{sequence}/{cloud.stem}"
-            self.images[name] = {
-                camera: Path(images[str(cloud)]) for camera, images in found.items() if str(cloud) in images
-            }
+            files = sorted((folder / "raw" / camera).glob("*.jpg"))
+            nearest = nearest_in_time(times, seconds([file.stem for file in files]), tolerance)
+            for name, place in zip(names, nearest, strict=True):
+                if place is not None:
+                    self.images[name][camera] = files[place]
+        for name in names:
             missing = [camera for camera in self.fixed_rig.names if camera not in self.images[name]]
             if missing:
                 lacking[name] = f"an image of {missing[0]} at its time"

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Times as names of files and lines of trajectories tell them, and what was taken at one time."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections.abc import Sequence
+
+__all__ = ["SAME_TIME", "are_counts", "nearest_in_time", "seconds"]
+
+SAME_TIME = 0.02
+"""Seconds between what was taken at one time, at most."""
+
+_NUMBER = re.compile(r"\d+(\.\d*)?(e[+-]?\d+)?", re.IGNORECASE)
+_PARTS = re.compile(r"(\d{1,11})_(\d{1,9})")
+_UNITS = ((1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6))
+"""From, to and seconds: times since 1970 from 2001 to 2103 in milliseconds and microseconds."""
+_NANOSECONDS_FROM = 1e13
+"""Larger numbers are nanoseconds, since 1970 or since a device was switched on hours ago."""
+
+
+def seconds(names: Sequence[str]) -> list[float | None]:
+    """The time in seconds that each name tells; None of a name that tells none.
+
+    A time is a number, with decimals or an exponent or without: nanoseconds, microseconds, milliseconds or seconds by
+    its magnitude; or two numbers, seconds and their fraction in nanoseconds, or in microseconds where no name of all
+    has more than six digits of it. A word before the first underscore does not matter (``cloud_...``).
+
+    Examples:
+        >>> seconds(["cloud_1700000000_250000000", "1700000000.25", "1700000000250000000", "1.70000000025e+18"])
+        [1700000000.25, 1700000000.25, 1700000000.25, 1700000000.25]
+        >>> seconds(["1700000000250000", "1700000000250", "left"]), seconds(["1700000000_250000"])
+        ([1700000000.25, 1700000000.25, None], [1700000000.25])
+    """
+    stems = [re.sub(r"^[A-Za-z]+_(?=\d)", "", name) for name in names]
+    parts = [_PARTS.fullmatch(stem) for stem in stems]
+    fraction = 1e-9 if any(len(part[2]) > 6 for part in parts if part) else 1e-6
+    return [
+        int(part[1]) + int(part[2]) * fraction if part else _of_number(stem)
+        for stem, part in zip(stems, parts, strict=True)
+    ]
+
+
+def _of_number(text: str) -> float | None:
+    if not _NUMBER.fullmatch(text):
+        return None
+    value = float(text)
+    unit = next((unit for low, high, unit in _UNITS if low <= value < high), None)
+    return value * (unit or (1e-9 if value >= _NANOSECONDS_FROM else 1.0))
+
+
+def are_counts(names: Sequence[str]) -> bool:
+    """Whether names are numbers of images or rows, which are no times.
+
+    Examples:
+        >>> are_counts(["000012", "13"]), are_counts(["12.0"]), are_counts(["1700000000250"])
+        (True, False, False)
+    """
+    return all(re.fullmatch(r"\d{1,13}", name) and not 1e12 <= int(name) < 4.2e12 for name in names)
+
+
+def nearest_in_time(
+    times: Sequence[float | None], others: Sequence[float | None], tolerance: float = SAME_TIME
+) -> list[int | None]:
+    """For each time the place of the nearest of ``others``; None where that is farther away than ``tolerance``.
+
+    Examples:
+        >>> nearest_in_time([0.0, 1.0, None], [0.9, 0.01])
+        [1, None, None]
+    """
+    ordered = sorted((other, place) for place, other in enumerate(others) if other is not None)
+    places: list[int | None] = []
+    for time in times:
+        if time is None:
+            places.append(None)
+            continue
+        after = bisect_left(ordered, (time, -1))
+        near = [(abs(other - time), place) for other, place in ordered[max(after - 1, 0) : after + 1]]
+        apart, place = min(near, default=(float("inf"), -1))
+        places.append(place if apart <= tolerance else None)
+    return places

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Times are read from every spelling alike, and what is not at the same time is not brought together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from sphericalvision.io.times import are_counts, nearest_in_time, seconds
+
+MICROSECONDS = [1_418_381_798_086_398 + 62_500 * k for k in range(5)]
+SPELLINGS: dict[str, Callable[[int], str]] = {  # of whole microseconds since 1970
+    "seconds": lambda time: f"{time // 10**6}.{time % 10**6:06d}",
+    "milliseconds": lambda time: f"{time / 1000:.3f}",
+    "microseconds": str,
+    "nanoseconds": lambda time: str(time * 1000),
+    "nanoseconds with decimals": lambda time: f"{time * 1000}.000000",
+    "with an exponent": lambda time: f"{time * 1000:.18e}",
+    "sec_nsec": lambda time: f"{time // 10**6}_{time % 10**6 * 1000}",
+    "sec_nsec, padded": lambda time: f"{time // 10**6}_{time % 10**6 * 1000:09d}",
+    "sec_usec": lambda time: f"{time // 10**6}_{time % 10**6:06d}",
+    "after a word": lambda time: f"cloud_{time // 10**6}_{time % 10**6 * 1000:09d}",
+}
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS.values(), ids=SPELLINGS)
+@pytest.mark.parametrize("other", SPELLINGS.values(), ids=SPELLINGS)
+def test_one_time_in_any_two_spellings_is_one_time(
+    spelling: Callable[[int], str], other: Callable[[int], str]
+) -> None:
+    names = [spelling(time) for time in MICROSECONDS]
+    assert not are_counts(names)
+    assert seconds(names) == pytest.approx([time * 1e-6 for time in MICROSECONDS], abs=1e-3, rel=0)
+    shifted = [other(time + 5_000_000) for time in MICROSECONDS]
+    assert nearest_in_time(seconds(names), seconds([other(time) for time in MICROSECONDS])) == [0, 1, 2, 3, 4]
+    assert nearest_in_time(seconds(names), seconds(shifted)) == [None] * 5  # five seconds later, in any unit
+
+
+def test_words_tell_no_time_and_small_numbers_may_be_counts() -> None:
+    assert seconds(["left", "a_b", "", "12", "0.5", "-3"]) == [None, None, None, 12.0, 0.5, None]
+    assert are_counts(["000001", "12"])
+    assert not are_counts(["000001", "12.0"])
+    assert nearest_in_time([1.0, None], []) == [None, None]

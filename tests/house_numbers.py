@@ -45,6 +45,33 @@ for file, number in calls.items():
 each file."""
 
 
+SAMPLE = """
+import sys
+from pathlib import Path
+import torch
+from hydra import compose, initialize_config_module
+from sphericalvision.data.collate import collate_samples
+from sphericalvision.recipes.commands.train import instantiate_run
+words = ["experiment=refinedsweepnet", "data.image_size=[48,48]", "data.cache_dir=null", "trainer.accelerator=cpu"]
+with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+    run = instantiate_run(compose("train", words), Path("run"))
+run.module.log = lambda *names, **options: None
+samples = run.data.dataset("train")
+files = set()
+def seen(frame, event, arg):
+    if event == "call" and frame.f_code.co_name != "<module>":
+        files.add(frame.f_code.co_filename)
+for number in range(3):
+    torch.manual_seed(number)
+    sys.setprofile(seen if number == 2 else None)
+    run.module.training_step(collate_samples([samples[number]]), 0)
+sys.setprofile(None)
+for file in files:
+    print("CALLS", 1, file)
+"""
+"""The third sample of the training of the default network, from its seed to its loss, and the files that it passes."""
+
+
 def files(*prefixes: str) -> list[Path]:
     """Files under version control whose paths begin so, Python and C++."""
     listed = subprocess.run(
@@ -126,18 +153,24 @@ def loaded(module: str) -> int:
     return int(done.stdout.split()[-1])
 
 
+def files_of_a_sample() -> list[str]:
+    """Files of the product whose functions run between the seed of a training sample and its loss."""
+    return sorted(calls_of(SAMPLE))
+
+
 def files_of_a_frame() -> tuple[list[str], list[str]]:
     """Files of the product whose functions a prediction runs, and those that run once more for a frame more.
 
     The calibration is judged by three frames, however many there are.
     """
-    three, four = calls_of_frames(3), calls_of_frames(4)
+    three, four = calls_of(FRAMES, "3"), calls_of(FRAMES, "4")
     return sorted(four), sorted(file for file, number in four.items() if number > three.get(file, 0))
 
 
-def calls_of_frames(frames: int) -> dict[str, int]:
+def calls_of(program: str, *words: str) -> dict[str, int]:
+    """How often a program calls functions of each file, which it prints."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", FRAMES, str(frames)]
+        command = [sys.executable, "-c", program, *words]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(done.stdout + done.stderr)
@@ -189,6 +222,7 @@ def main() -> None:
         "modules loaded with sphericalvision-train": loaded(TRAIN),
         "files that a prediction runs": len(used),
         "files that a frame passes": len(frame),
+        "files of a training sample to its loss": len(files_of_a_sample()),
         **{f"files with the option {option!r}": files_with(option) for option in ("photometric", "align")},
         "variables of the dialect": dialect(),
         "wheel": newest_wheel(),

@@ -10,6 +10,7 @@ folders.
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import inspect
 import re
@@ -18,9 +19,8 @@ from typing import Any
 
 import yaml
 
-from sphericalvision.recipes.app.checks import expected
+from sphericalvision.recipes.app.checks import expected, hints_of
 from sphericalvision.recipes.app.help import Key, heading, read_keys
-from sphericalvision.recipes.app.keys import type_of as type_of_key
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = r"^::: (sphericalvision\.\w+)(?: from ([\w., ]+))?$"
@@ -101,10 +101,18 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
     return re.sub(BLOCK, block, markdown, flags=re.M)
 
 
+@functools.cache
+def types_of(command: str) -> dict[str, str]:
+    """Key -> what may be put in, of a command."""
+    hints = hints_of(importlib.import_module(f"sphericalvision.recipes.{command}").main.keys)
+    words = {key: expected(hint) for key, hint in hints.items()}
+    return {key: text for key, text in words.items() if text != "a value"}
+
+
 def type_of(key: Key, path: Path) -> str:
     """What may be put in: from the command's types, or else as the default is."""
-    if path.parent.name == "conf" and (hint := type_of_key(path.stem, key.name)) is not None:
-        return expected(hint)
+    if path.parent.name == "conf" and (words := types_of(path.stem).get(key.name)):
+        return words
     value = yaml.safe_load(key.value or "null") if not key.value.startswith(("$", "?")) else None
     words = {
         bool: "true or false",

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cameras from images of a board: ``sphericalvision-calibrate images=board/{camera}/*.png board=target.yaml``."""
 
-from sphericalvision.recipes.app.command import command
+from sphericalvision.recipes.app.command import Command
 
-main = command("calibrate", folder=False)
+main = Command("calibrate")
 
 if __name__ == "__main__":
     main()

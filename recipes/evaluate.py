@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's table row of a checkpoint: ``sphericalvision-evaluate checkpoint=... data=...``."""
 
-from sphericalvision.recipes.app.command import command
+from sphericalvision.recipes.app.command import Command
 
-main = command("evaluate", "commands.evaluate:evaluate_checkpoint")
+main = Command("evaluate", "commands.evaluate:evaluate_checkpoint")
 
 if __name__ == "__main__":
     main()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a rig is and sees, in numbers and pictures: ``sphericalvision-inspect calibration=capture/config.yaml``."""
 
-from sphericalvision.recipes.app.command import command
+from sphericalvision.recipes.app.command import Command
 
-main = command("inspect")
+main = Command("inspect")
 
 if __name__ == "__main__":
     main()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth of one's own captures: ``sphericalvision-predict calibration=... images='c/cam{camera}/{frame:05d}.png'``."""
 
-from sphericalvision.recipes.app.command import command
+from sphericalvision.recipes.app.command import Command
 
-main = command("predict")
+main = Command("predict")
 
 if __name__ == "__main__":
     main()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Render a data set in the layout of OmniThings: ``sphericalvision-render output=... num_frames=...``."""
 
-from sphericalvision.recipes.app.command import command
+from sphericalvision.recipes.app.command import Command
 
-main = command("render", folder=False)
+main = Command("render")
 
 if __name__ == "__main__":
     main()

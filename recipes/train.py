@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Train a network: ``sphericalvision-train experiment=quickstart`` (depth), ``experiment=spherical_digits``."""
 
-from sphericalvision.recipes.app.command import command
+from sphericalvision.recipes.app.command import Command
 
-main = command("train", "commands.train:train_objective")
+main = Command("train", "commands.train:train_objective")
 
 if __name__ == "__main__":
     main()

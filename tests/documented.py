@@ -21,7 +21,7 @@ from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, ring_rig, sa
 from sphericalvision.data import write_omnistereo
 from sphericalvision.io.images import write_image, write_mask
 from sphericalvision.models import IcoSweepNet, save_weights
-from sphericalvision.recipes.app.keys import unused_key, wrong_key
+from sphericalvision.recipes.app.checks import check_keys
 from sphericalvision.recipes.app.running import config_space
 from sphericalvision.recipes.app.words import first_values, read_words
 from tests.recipes.board_pictures import write_boards
@@ -207,8 +207,7 @@ def composed(recipe: str, words: list[str]) -> DictConfig:
     overrides = first_values(line.overrides) if line.multirun else line.overrides
     with config_space(line.config_dir):
         config = compose(recipe, overrides)
-        assert wrong_key(recipe, config) is None
-        assert unused_key(recipe, config, [word.partition("=")[0] for word in overrides]) is None
+        check_keys(import_module(f"sphericalvision.recipes.{recipe}").main.keys, config, overrides)
         return config
 
 

@@ -506,7 +506,7 @@ invert_transform(torch.eye(3)) -> a_from_b: got \(3, 3\)
 coverage(ring_rig(3), torch.eye(3), [1.0, 0.0]) -> depths: expected
 overlap(torch.ones(2, 4), torch.ones(3)) -> solid_angles: got shape \(3,\)
 # capture: preparation
-Preparation.from_keys({'photometric': 'yes'}) -> photometric: expected
+Preparation(photometric='yes') -> photometric: expected
 # sphere: resample
 resample(VALUES, ico(), Equirectangular(4, 8), mode='cubic') -> mode: expected one of 'bilinear', 'nearest'
 resample(torch.zeros(1, 6, 4, 4).long(), Cubemap(4), Healpix(1)) -> values: floating point .* for mode 'bilinear'

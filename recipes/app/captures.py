@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Captures as commands name them: calibration, cameras and masks by keys, and what is said of them."""
+"""Captures as commands name them: calibration, cameras and masks as one value, and what is said of them."""
 
 from __future__ import annotations
 
 import glob
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
 import torch
+from annotated_types import Ge, MinLen
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
-from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, read_cameras, read_trajectory
+from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, read_trajectory
 from sphericalvision.capture import find_own_body
 from sphericalvision.capture.preparation.own_body import MOST
-from sphericalvision.capture.preparation.preparation import AUTO
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import NAME, Moving
 from sphericalvision.capture.sources.opening import (
@@ -27,51 +29,80 @@ from sphericalvision.capture.sources.opening import (
 )
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image_size, read_mask, write_mask
-from sphericalvision.recipes.app.rigs import keys_named, radians, rig_from_file, whole
+from sphericalvision.recipes.app.kinds import STRICT, Count, Names, Number, OnlyWith, Positive, Text
+from sphericalvision.recipes.app.rigs import Calibration, keys_named
 from sphericalvision.sphere.intake import as_photographs
 
-__all__ = ["masked_by_itself", "open_capture", "open_moving", "with_own_body_masked"]
+__all__ = ["AUTO", "Capture", "PosedCapture", "masked_by_itself", "with_own_body_masked"]
 
+AUTO = "auto"
+"""In place of a pattern of masks: those of the rig's own body, found in the frames."""
 PANORAMA = "equirectangular"
 """In place of a calibration file: images are whole panoramas of any size."""
 
 
-def open_capture(keys: Mapping[str, Any]) -> Source:
-    """The frames of a capture, with its rig, in the size of its images and with its masks on.
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class Capture(Calibration):
+    """The frames of a capture and its calibration.
 
-    Args:
-        keys: of a command: ``images``, ``frames``, ``calibration`` (of a pattern with fields the folder above them) and
-            those of ``rig_from_file``, ``cameras``, ``masks`` (``"auto"`` is none yet).
+    Attributes:
+        images: pattern of images or videos, or folder.
+        frames: names or numbers of frames of image files.
+        start: position of the first frame.
+        stop: position before which to stop.
+        every: 2 takes every second frame.
+        cameras: names of the cameras to use, in order.
+        masks: pattern of masks, white where usable; ``AUTO``: of the rig's own body, found in the frames.
     """
-    calibration = keys["calibration"]
-    if "{" in calibration:
-        calibration = str(Path(calibration.partition("{")[0] + "_").parent)
-    said = keys["translation_unit"], keys["max_angle_deg"]
-    try:
-        rig = rig_from_file(calibration, *said, keys["image_size"])
-    except ArgumentError as error:
-        size = None if keys["image_size"] else size_of_images(keys["images"])
-        if size is None or not str(error).startswith("image_size: "):
-            raise
-        rig = rig_from_file(calibration, *said, size)
-    if keys["cameras"] is not None:
-        rig = rig.subset(list(keys["cameras"]))
-    files: list[Path] = []
-    if keys["masks"] not in (None, AUTO):
-        rig, files = rig_with_masks(rig, keys["masks"])
-    source = open_source(keys["images"], rig, keys["frames"], files)
-    sizes = source.sizes()
-    source.rig = rig_for_images(rig, sizes)
-    for name in rig.names:
-        if source.rig.cameras[name].image_size != rig.cameras[name].image_size:
-            (height, width), (h, w) = sizes[name], rig.cameras[name].image_size
-            print(
-                f"Warning: images of {name} have {width} x {height} pixels (width x height), the calibration is for "
-                f"{w} x {h}. They are taken as the whole image resized; if they are a part of it, depth will be wrong: "
-                "crop the calibration, or capture at its size."
-            )
-            break
-    return source
+
+    images: Text
+    frames: Annotated[list[int | str], MinLen(1)] | None = None
+    start: Number = 0
+    stop: Count | None = None
+    every: Count = 1
+    cameras: Names | None = None
+    masks: Text | None = None
+
+    @property
+    def selection(self) -> Selection:
+        """Which of the frames are taken, by position."""
+        return Selection(self.start, self.stop, self.every)
+
+    def open(self) -> Source:
+        """The frames, with their rig, in the size of the images and with its masks on (``AUTO`` is none yet)."""
+        rig = self.rig()
+        if self.cameras is not None:
+            rig = rig.subset(list(self.cameras))
+        files: list[Path] = []
+        if self.masks not in (None, AUTO):
+            rig, files = rig_with_masks(rig, self.masks)
+        source = open_source(self.images, rig, self.frames, files)
+        sizes = source.sizes()
+        source.rig = rig_for_images(rig, sizes)
+        for name in rig.names:
+            if source.rig.cameras[name].image_size != rig.cameras[name].image_size:
+                (height, width), (h, w) = sizes[name], rig.cameras[name].image_size
+                print(
+                    f"Warning: images of {name} have {width} x {height} pixels (width x height), the calibration is "
+                    f"for {w} x {h}. They are taken as the whole image resized; if they are a part of it, depth will "
+                    "be wrong: crop the calibration, or capture at its size."
+                )
+                break
+        return source
+
+    def rig(self, dtype: torch.dtype | None = None) -> CameraRig:
+        """The rig of the file, of a pattern with fields the folder above them; images say the size that it does not."""
+        path = self.calibration
+        if "{" in path:
+            path = str(Path(path.partition("{")[0] + "_").parent)
+        calibration = Calibration(path, self.translation_unit, self.max_angle_deg, self.image_size)
+        try:
+            return calibration.rig(dtype)
+        except ArgumentError as error:
+            size = None if self.image_size else size_of_images(self.images)
+            if size is None or not str(error).startswith("image_size: "):
+                raise
+            return replace(calibration, image_size=size).rig(dtype)
 
 
 def size_of_images(pattern: str) -> tuple[int, int] | None:
@@ -81,41 +112,54 @@ def size_of_images(pattern: str) -> tuple[int, int] | None:
     return sizes.pop() if len(sizes) == 1 else None
 
 
-def open_moving(keys: Mapping[str, Any]) -> Moving:
-    """The images of one camera or of a rig, and their poses.
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class PosedCapture(Capture):
+    """A capture that may have poses: of one camera that moves, or of a rig.
 
-    Args:
-        keys: of ``sphericalvision-predict`` with ``poses``; ``calibration`` may be ``PANORAMA``.
-
-    Raises:
-        ArgumentError: one camera, and a key that is for rigs.
+    Attributes:
+        poses: file of a trajectory.
+        window: images of each camera in a window.
+        spacing: metres that camera or rig goes between images of a window; None takes every image.
+        up: what points up in the world of the poses.
     """
-    trajectory = read_trajectory(keys["poses"]).turned(keys["up"])
-    cameras: dict[str, Camera] = {NAME: EquirectangularCamera((512, 1024))}
-    if keys["calibration"] != PANORAMA:
-        angle, given = radians(keys["max_angle_deg"]), whole(keys["image_size"])
-        with keys_named(path="calibration", max_angle="max_angle_deg"):
-            cameras = read_cameras(keys["calibration"], max_angle=angle, image_size=given)
-    source = open_capture(keys) if len(cameras) > 1 else _open_single(next(iter(cameras.values())), keys)
-    with keys_named(images="poses"):
-        return Moving(source, trajectory, keys["window"], keys["spacing"] or 0.0)
 
+    poses: Text | None = None
+    window: Annotated[int, Ge(2), OnlyWith("poses")] = 3
+    spacing: Annotated[Positive | None, OnlyWith("poses")] = None
+    up: Annotated[Literal["-y", "y", "z", "camera"], OnlyWith("poses")] = "-y"
 
-def _open_single(camera: Camera, keys: Mapping[str, Any]) -> Source:
-    """The images of one camera, with a mask on."""
-    for key in ("cameras", "translation_unit"):
-        if keys[key] is not None:
-            raise ArgumentError(f"{key}: with poses there is one camera, in metres; leave {key} out")
-    if keys["masks"] == AUTO:
-        raise ArgumentError("masks: auto is for rigs; of one camera give an image, white where usable")
-    files = [] if keys["masks"] is None else [Path(keys["masks"])]
-    single = CameraRig({NAME: camera}, torch.eye(4)[None])
-    source = open_source(keys["images"], single, keys["frames"], files)
-    single = rig_for_images(single, source.sizes())
-    size = single.cameras[NAME].image_size
-    masks = [read_mask(file, size, "the mask") for file in files]
-    source.rig = single.replaced(masks=dict(zip([NAME], masks, strict=False)))
-    return source
+    def open(self) -> Source:
+        """The frames; with poses those of windows, where ``calibration`` may be ``PANORAMA``.
+
+        Raises:
+            ArgumentError: one camera, and a key that is for rigs.
+        """
+        if self.poses is None:
+            return super().open()
+        trajectory = read_trajectory(self.poses).turned(self.up)
+        cameras: dict[str, Camera] = {NAME: EquirectangularCamera((512, 1024))}
+        if self.calibration != PANORAMA:
+            cameras = self.camera_models()
+        source = super().open() if len(cameras) > 1 else self._open_single(next(iter(cameras.values())))
+        with keys_named(images="poses"):
+            # Its rig follows from that of its source, and nobody sets it.
+            return Moving(source, trajectory, self.window, self.spacing or 0.0)  # type: ignore[return-value]
+
+    def _open_single(self, camera: Camera) -> Source:
+        """The images of one camera, with a mask on."""
+        for key in ("cameras", "translation_unit"):
+            if getattr(self, key) is not None:
+                raise ArgumentError(f"{key}: with poses there is one camera, in metres; leave {key} out")
+        if self.masks == AUTO:
+            raise ArgumentError("masks: auto is for rigs; of one camera give an image, white where usable")
+        files = [] if self.masks is None else [Path(self.masks)]
+        single = CameraRig({NAME: camera}, torch.eye(4)[None])
+        source = open_source(self.images, single, self.frames, files)
+        single = rig_for_images(single, source.sizes())
+        size = single.cameras[NAME].image_size
+        masks = [read_mask(file, size, "the mask") for file in files]
+        source.rig = single.replaced(masks=dict(zip([NAME], masks, strict=False)))
+        return source
 
 
 def masked_by_itself(source: Source, folder: Path) -> CameraRig:

@@ -1,21 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values of configurations compared with type hints by pydantic, so that a wrong one is told by its key at once."""
+"""Configurations as typed values, and values compared with type hints by pydantic: a wrong one is told by its key."""
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import json
 import re
 import sys
-from collections.abc import Mapping, Sequence
-from typing import Any, get_type_hints
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, PydanticUserError, TypeAdapter, ValidationError
 from pydantic.errors import PydanticInvalidForJsonSchema
+from typing_extensions import is_typeddict
 
-__all__ = ["check_node", "expected", "fault"]
+from sphericalvision.core import ArgumentError
+from sphericalvision.recipes.app.kinds import OnlyWith
+
+__all__ = [
+    "check_keys",
+    "check_node",
+    "expected",
+    "fault",
+    "flat",
+    "hints_of",
+    "marks_of",
+    "typed",
+    "unused_key",
+]
+
+T = TypeVar("T")
 
 WORDS = {
     "integer": "a whole number",
@@ -27,6 +44,120 @@ WORDS = {
     "object": "a table",
 }
 """What types of JSON's schemas are called."""
+
+
+def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
+    """The values of a config as a dataclass of pydantic, or as a ``TypedDict``.
+
+    What is nested takes its keys from the table of its name; a dataclass also from beside the others, where there is no
+    such table: ``start=3`` is what ``capture.start`` will be.
+
+    Args:
+        kind: the dataclass or ``TypedDict``.
+        config: has its keys, and may have others.
+        prefix: of the keys, for messages.
+
+    Raises:
+        ArgumentError: a value does not fit its type; the message names the key.
+
+    Examples:
+        >>> from pydantic.dataclasses import dataclass
+        >>> from sphericalvision.recipes.app.kinds import STRICT, Count
+        >>> @dataclass(config=STRICT)
+        ... class Picture:
+        ...     height: Count
+        >>> typed(Picture, {"height": 3})
+        Picture(height=3)
+        >>> typed(Picture, {"height": 0})
+        Traceback (most recent call last):
+        ...
+        sphericalvision.core.ArgumentError: height: expected a whole number of 1 or more, got 0
+    """
+    hints = get_type_hints(kind, include_extras=True)
+    values = {}
+    for name, hint in hints.items():
+        if _is_nested(hint) and name in config and isinstance(config[name], Mapping | DictConfig):
+            values[name] = typed(hint, config[name], f"{prefix}{name}.")
+        elif dataclasses.is_dataclass(hint):
+            values[name] = typed(hint, config, prefix)  # type: ignore[arg-type]
+        elif name in config.keys():  # noqa: SIM118 (those that lack a value, too)
+            value = config[name]
+            whole = OmegaConf.is_config(value) and _bare(hint) is not Any
+            values[name] = OmegaConf.to_container(value, resolve=True) if whole else value
+    try:
+        return TypeAdapter(kind).validate_python(values) if is_typeddict(kind) else kind(**values)
+    except ValidationError as error:
+        key = str(error.errors()[0]["loc"][0])
+        if key not in values:
+            raise ArgumentError(f"{prefix}{key}: a value is needed here, leave ~{prefix}{key} out") from None
+        raise ArgumentError(f"{prefix}{key}: expected {expected(hints[key])}, got {values[key]!r}") from None
+
+
+def flat(config: Any) -> dict[str, Any]:
+    """Key -> value of a dataclass of keys; what ``typed`` took from beside the others is beside them again."""
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        values |= flat(value) if dataclasses.is_dataclass(value) else {field.name: value}
+    return values
+
+
+def hints_of(kind: Any) -> dict[str, Any]:
+    """Key -> type hint of a dataclass or ``TypedDict``, as flat as ``flat`` has them."""
+    hints: dict[str, Any] = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        hints |= hints_of(hint) if dataclasses.is_dataclass(hint) else {name: hint}
+    return hints
+
+
+def marks_of(kind: Any) -> dict[str, OnlyWith]:
+    """Key -> what it counts only with, of the keys of a dataclass that are marked so."""
+    marks: dict[str, OnlyWith] = {}
+    for name, hint in hints_of(kind).items():
+        for mark in getattr(hint, "__metadata__", ()):
+            if isinstance(mark, OnlyWith):
+                marks |= dict.fromkeys([f"{name}.{part}" for part in mark.parts] or [name], mark)
+    return marks
+
+
+def check_keys(kind: Any, config: DictConfig, words: Sequence[str]) -> None:
+    """Compare the keys of a command with their types, and those of its command line with what they count with.
+
+    Raises:
+        ArgumentError: a value does not fit, or a key does not count; the message names it.
+        MissingMandatoryValue: a value is needed.
+    """
+    typed(kind, config)
+    hints = hints_of(kind)
+    for word in words:
+        key = word.partition("=")[0]
+        if key.startswith("+") and re.split(r"[.@/]", key.lstrip("+"))[0] not in {*hints, "hydra"}:
+            raise ArgumentError(f"{key}: there is no such key in this configuration, and none can be added")
+    if wrong := unused_key(kind, config, [word.partition("=")[0] for word in words]):
+        raise ArgumentError(wrong)
+
+
+def unused_key(kind: Any, config: DictConfig, given: Iterable[str]) -> str | None:
+    """What is wrong with the first key that is ``given``, but that does not count; None if all do."""
+    for key, mark in marks_of(kind).items():
+        needed, equal, values = mark.needed.partition("=")
+        value = OmegaConf.select(config, needed)
+        present = set(map(str, value)) if OmegaConf.is_list(value) else {str(value)}
+        counts = bool(present & {*values.split("|")}) if equal else value is not None
+        if counts or (needed == "outputs" and value is None):  # null are the usual ones, clouds among them
+            continue
+        if unused := [name for name in given if f"{name}.".startswith(f"{key}.")]:
+            word = mark.word or (mark.needed if equal else f"{needed}=...").replace("|", f" or {needed}=")
+            return f"{unused[0]}: counts only with {word}; give that, too, or leave it out"
+    return None
+
+
+def _is_nested(hint: Any) -> bool:
+    return dataclasses.is_dataclass(hint) or is_typeddict(hint)
+
+
+def _bare(hint: Any) -> Any:
+    return get_args(hint)[0] if get_origin(hint) is Annotated else hint
 
 
 def fault(key: str, value: Any, hint: Any) -> str | None:
@@ -81,8 +212,6 @@ def check_node(config: Any, where: str, given: Sequence[str] = ()) -> None:
     Raises:
         ArgumentError: a key that the target does not take, or a value that does not fit its type hint.
     """
-    from sphericalvision.core import ArgumentError
-
     if not isinstance(config, Mapping | DictConfig) or "_target_" not in config:
         return
     try:
@@ -159,6 +288,6 @@ def _in_words(schema: dict[str, Any]) -> str:
         words += " " + " and ".join(limits).replace(f"up to {sys.float_info.max}", "finite")
     if least:
         words += f" of {least}" if least == most else " (not empty)"
-    if items := schema.get("items"):
+    if items := schema.get("items") or schema.get("prefixItems", [None])[0]:  # of tuples all are alike
         words += f", each {_in_words(items)}"
     return words

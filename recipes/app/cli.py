@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
 from importlib.metadata import metadata
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from rich.tree import Tree
 
 from sphericalvision.core import ArgumentError, SphericalVisionError
 from sphericalvision.io.files import write_bytes
-from sphericalvision.recipes.app.checks import check_node
+from sphericalvision.recipes.app.checks import check_node, flat
 
 __all__ = [
     "build",
@@ -66,9 +67,10 @@ def _missing_package(where: str, error: ModuleNotFoundError) -> str:
     return f"needs what is not installed ({str(error).splitlines()[0]}): pip install {command}"
 
 
-def print_config(config: DictConfig, folder: Path | None = None) -> None:
-    """Print the resolved config as a tree; keep it as ``config.yaml`` in ``folder``."""
-    resolved = OmegaConf.create(OmegaConf.to_container(config, resolve=True, throw_on_missing=False))
+def print_config(config: Any, folder: Path | None = None) -> None:
+    """Print the resolved config, or the keys of a dataclass, as a tree; keep it as ``config.yaml`` in ``folder``."""
+    node = OmegaConf.create(flat(config)) if is_dataclass(config) else config
+    resolved = OmegaConf.create(OmegaConf.to_container(node, resolve=True, throw_on_missing=False))
     tree = Tree("config")
     for key, value in resolved.items():
         if isinstance(value, (DictConfig, ListConfig)):

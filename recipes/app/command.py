@@ -5,15 +5,16 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import is_dataclass
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-__all__ = ["command"]
+__all__ = ["Command"]
 
 NEEDED = (
     "hydra",
@@ -28,24 +29,22 @@ NEEDED = (
 """What the extra ``recipes`` brings."""
 
 
-class Main(Protocol):
-    """The function of a console script."""
-
-    def __call__(self, words: Sequence[str] | None = None) -> None:
-        """Do what the command does with some words, those of the command line if not given."""
-
-
-def command(name: str, task: str | None = None, folder: bool = True) -> Main:
+class Command:
     """The ``main`` of a command, which imports what does the work once the command line has been read.
 
     Args:
         name: of its configuration, ``conf/NAME.yaml``.
         task: the function that does the work, as ``module:function`` in ``sphericalvision.recipes``; the one of this
-            name in ``recipes/commands`` if not given. It gets the configuration.
-        folder: whether it gets the folder of the run, too.
+            name in ``recipes/commands`` if not given. It takes the configuration and, if it has a second parameter, the
+            folder of the run.
     """
 
-    def main(words: Sequence[str] | None = None) -> None:
+    def __init__(self, name: str, task: str | None = None) -> None:
+        self.name = name
+        self.task = task or f"commands.{name}:{name}"
+
+    def __call__(self, words: Sequence[str] | None = None) -> None:
+        """Do what the command does with some words, those of the command line if not given."""
         try:
             from sphericalvision.recipes.app.running import run_command
         except ModuleNotFoundError as error:
@@ -57,16 +56,32 @@ def command(name: str, task: str | None = None, folder: bool = True) -> Main:
                 file=sys.stderr,
             )
             raise SystemExit(1) from None
-        words = sys.argv[1:] if words is None else [*words]
-        run_command(name, partial(_work, task or f"commands.{name}:{name}", folder), words)
+        run_command(self, sys.argv[1:] if words is None else [*words])
 
-    return main
+    @property
+    def function(self) -> Callable[..., Any]:
+        """The function that does the work."""
+        module, _, name = self.task.partition(":")
+        work: Callable[..., Any] = getattr(importlib.import_module(f"sphericalvision.recipes.{module}"), name)
+        return work
 
+    @property
+    def keys(self) -> Any:
+        """The types of its keys: the dataclass that the function takes, or of a ``DictConfig`` its annotation."""
+        hint = next(iter(get_type_hints(self.function, include_extras=True).values()))
+        return get_args(hint)[1] if get_origin(hint) is Annotated else hint
 
-def _work(task: str, folder: bool, config: DictConfig) -> Any:
-    from hydra.core.hydra_config import HydraConfig
+    def work(self, config: DictConfig) -> Any:
+        """Do the work of a run that Hydra has begun."""
+        from hydra.core.hydra_config import HydraConfig
 
-    module, _, function = task.partition(":")
-    work = getattr(importlib.import_module(f"sphericalvision.recipes.{module}"), function)
-    # absolute, and right in multi-runs
-    return work(config, Path(HydraConfig.get().runtime.output_dir).absolute()) if folder else work(config)
+        from sphericalvision.recipes.app.checks import typed
+
+        keys = typed(self.keys, config)
+        folder = Path(HydraConfig.get().runtime.output_dir).absolute()  # right in multi-runs
+        return self.call(keys if is_dataclass(keys) else config, folder)
+
+    def call(self, config: Any, folder: Path) -> Any:
+        """Call the function with its configuration and, if it wants that, the folder of the run."""
+        arguments = (config, folder)[: len(signature(self.function).parameters)]
+        return self.function(*arguments)

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Literal
 
 import torch
+from pydantic.dataclasses import dataclass
 
 from sphericalvision.cameras import (
     Camera,
@@ -21,17 +22,16 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
-from sphericalvision.recipes.app.kinds import Count, FullAngle, HalfAngle, Positive, Size, Text, Unit
+from sphericalvision.recipes.app.kinds import STRICT, Count, FullAngle, HalfAngle, Positive, Size, Text, Unit
 
 __all__ = [
+    "Calibration",
     "keys_named",
     "make_corner_rig",
     "make_panorama_ring",
     "make_ring",
     "radians",
-    "read_calibration",
     "rig_from_file",
-    "whole",
 ]
 
 
@@ -106,52 +106,66 @@ def make_corner_rig(
     return rig.rotated(tilt=math.radians(tilt_deg))
 
 
+@dataclass(frozen=True, config=STRICT)
+class Calibration:
+    """A calibration file, and what it may not say itself.
+
+    Attributes:
+        calibration: file of any known format, or folder with ``ocam*.txt`` and ``poses.txt``.
+        translation_unit: of ``poses.txt``: "m", "cm" or "mm".
+        max_angle_deg: half the field of view in degrees, where the file does not say it.
+        image_size: height, width in pixels, where the file does not say it.
+    """
+
+    calibration: Text
+    translation_unit: Unit | None = None
+    max_angle_deg: HalfAngle | None = None
+    image_size: Size | None = None
+
+    def rig(self, dtype: torch.dtype | None = None) -> CameraRig:
+        """The rig of the file, with intrinsics and poses of a type, by default torch's default."""
+        with keys_named(path="calibration", max_angle="max_angle_deg"):
+            return read_rig(
+                self.calibration,
+                translation_unit=self.translation_unit,
+                max_angle=radians(self.max_angle_deg),
+                image_size=self.image_size,
+                dtype=dtype,
+            )
+
+    def camera_models(self, dtype: torch.dtype | None = None) -> dict[str, Camera]:
+        """The cameras of the file by name, poses or not."""
+        with keys_named(path="calibration", max_angle="max_angle_deg"):
+            return read_cameras(
+                self.calibration,
+                max_angle=radians(self.max_angle_deg),
+                image_size=self.image_size,
+                dtype=dtype,
+            )
+
+    def rig_or_cameras(self, dtype: torch.dtype | None = None) -> CameraRig | dict[str, Camera]:
+        """The rig of the file or, if it has no poses, its cameras by name.
+
+        Raises:
+            FileFormatError: the file holds neither.
+        """
+        try:
+            return self.rig(dtype)
+        except FileFormatError as no_rig:
+            try:
+                return self.camera_models(dtype)
+            except FileFormatError:
+                raise no_rig from None
+
+
 def rig_from_file(
     path: Text,
     translation_unit: Unit | None = None,
     max_angle_deg: HalfAngle | None = None,
     image_size: Size | None = None,
 ) -> CameraRig:
-    """A rig from a calibration file of any format that ``sphericalvision.cameras.read_rig`` knows.
-
-    Args:
-        path: file, or folder with ``ocam*.txt`` and ``poses.txt``.
-        translation_unit: of ``poses.txt``: "m", "cm" or "mm".
-        max_angle_deg: half the field of view in degrees, where the file does not say it.
-        image_size: height, width in pixels, where the file does not say it.
-    """
-    angle, size = radians(max_angle_deg), whole(image_size)
-    with keys_named(path="calibration", max_angle="max_angle_deg"):
-        return read_rig(path, translation_unit=translation_unit, max_angle=angle, image_size=size)
-
-
-def read_calibration(
-    keys: Mapping[str, Any], dtype: torch.dtype | None = None
-) -> CameraRig | dict[str, Camera]:
-    """The rig of a command's ``calibration`` or, if it has no poses, its cameras by name.
-
-    Args:
-        keys: of the command: ``calibration``, and those of ``rig_from_file``.
-        dtype: of intrinsics and poses, by default torch's default.
-
-    Raises:
-        FileFormatError: the file holds neither.
-    """
-    path, unit = keys["calibration"], keys["translation_unit"]
-    angle, size = radians(keys["max_angle_deg"]), whole(keys["image_size"])
-    with keys_named(path="calibration", max_angle="max_angle_deg"):
-        try:
-            return read_rig(path, translation_unit=unit, max_angle=angle, image_size=size, dtype=dtype)
-        except FileFormatError as no_rig:
-            try:
-                return read_cameras(path, max_angle=angle, image_size=size, dtype=dtype)
-            except FileFormatError:
-                raise no_rig from None
-
-
-def whole(size: Sequence[int] | None) -> tuple[int, int] | None:
-    """Height and width of a config as a tuple; ``None`` stays."""
-    return None if size is None else (int(size[0]), int(size[1]))
+    """A rig from a calibration file of any format that ``read_rig`` knows; see ``Calibration``."""
+    return Calibration(path, translation_unit, max_angle_deg, image_size).rig()
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import io
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import entry_points
@@ -30,6 +30,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from sphericalvision import __version__
+from sphericalvision.recipes.app.command import Command
 from sphericalvision.recipes.app.errors import override_message, plain_errors, refuse, several_processes
 from sphericalvision.recipes.app.help import print_help
 from sphericalvision.recipes.app.words import first_values, quote_paths, read_words
@@ -39,8 +40,9 @@ __all__ = ["config_space", "run_command"]
 CONF = "pkg://sphericalvision.conf"
 
 
-def run_command(config_name: str, task: Callable[[DictConfig], Any], words: list[str]) -> None:
-    """Do what the words of a command line say: show help or version, refuse what does not fit, or run ``task``."""
+def run_command(command: Command, words: list[str]) -> None:
+    """Do what the words of a command line say: show help or version, refuse what does not fit, or let it work."""
+    config_name = command.name
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names that the terminal has no letters for
@@ -53,7 +55,7 @@ def run_command(config_name: str, task: Callable[[DictConfig], Any], words: list
     if line.config_dir is not None and not Path(line.config_dir).is_dir():
         refuse(f"--config-dir: {line.config_dir} is no folder (looked in {Path.cwd()})")
     warnings.formatwarning = _plain_warning
-    work = partial(do_work, task, line.config_dir and Path(line.config_dir).absolute())
+    work = partial(do_work, command, line.config_dir and Path(line.config_dir).absolute())
     if line.cfg or line.info or line.hydra_help or line.shell_completion or line.config_path:
         sys.argv[1:] = words  # the last: how Lightning starts the further processes of a training
         hydra.main(version_base="1.3", config_path=CONF, config_name=config_name)(work)()
@@ -62,7 +64,7 @@ def run_command(config_name: str, task: Callable[[DictConfig], Any], words: list
         if line.help:
             print_help(config_name, line.overrides)
             return
-        config = checked_config(space, config_name, line.overrides, line.multirun)
+        config = checked_config(space, command, line.overrides, line.multirun)
         try_output(config)
         if line.multirun or config.hydra.mode == RunMode.MULTIRUN:
             space.multirun(config_name, work, [*line.overrides, "hydra.mode=MULTIRUN"])
@@ -75,25 +77,19 @@ def run_command(config_name: str, task: Callable[[DictConfig], Any], words: list
         _ = done.return_value  # raises what the work has raised
 
 
-def checked_config(space: Hydra, config_name: str, overrides: list[str], multirun: bool) -> DictConfig:
+def checked_config(space: Hydra, command: Command, overrides: list[str], multirun: bool) -> DictConfig:
     """The configuration of a command line, of a multi-run's first run; exits where it does not fit."""
     try:
         words = first_values(overrides) if multirun else overrides
-        config = space.compose_config(config_name, words, RunMode.RUN, with_log_configuration=True)
+        config = space.compose_config(command.name, words, RunMode.RUN, with_log_configuration=True)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        refuse(override_message(error, config_name))
-    from sphericalvision.recipes.app.keys import (  # pydantic: a misspelt key does not wait for it
-        unused_key,
-        wrong_key,
-    )
-
-    given = [word.partition("=")[0] for word in words]
-    wrong = wrong_key(config_name, config) or unused_key(config_name, config, given)
-    if wrong or (wrong := several_processes(config) if multirun else None):
+        refuse(override_message(error, command.name))
+    if wrong := several_processes(config) if multirun else None:
         refuse(wrong)
-    for key in map(str, config):
-        if OmegaConf.is_missing(config, key):
-            refuse(f"{key}: a value is needed here; give it on the command line as {key}=...")
+    import_torch()  # not before: a misspelt key does not wait for it
+    from sphericalvision.recipes.app.checks import check_keys
+
+    check_keys(command.keys, config, words)
     return config
 
 
@@ -117,26 +113,30 @@ def try_output(config: DictConfig) -> None:
         )
 
 
-def do_work(task: Callable[[DictConfig], Any], own_files: Path | None, config: DictConfig) -> Any:
-    """Import the Python files beside the user's own configs, do ``task``, and tell mistakes plainly.
+def import_torch() -> None:
+    """Import torch, and keep what that makes out of the garbage collector's sight: modules live until the end.
 
-    What torch's import makes is kept out of the garbage collector's sight: modules live until the end. To look through
-    their hundreds of thousands of objects again and again, and once more at the exit, takes a second of a command that
-    takes five.
+    To look through their hundreds of thousands of objects again and again, and once more at the exit, takes a second of
+    a command that takes five.
     """
-    with plain_errors():
-        if "torch" not in sys.modules:
-            gc.disable()
-            import torch  # noqa: F401
+    if "torch" not in sys.modules:
+        gc.disable()
+        import torch  # noqa: F401
 
-            gc.freeze()
-            gc.enable()
-            atexit.register(gc.freeze)
+        gc.freeze()
+        gc.enable()
+        atexit.register(gc.freeze)
+
+
+def do_work(command: Command, own_files: Path | None, config: DictConfig) -> Any:
+    """Import the Python files beside the user's own configs, let the command work, and tell mistakes plainly."""
+    with plain_errors():
+        import_torch()
         if own_files is not None:
             from sphericalvision.recipes.app.own_files import import_own_files
 
             import_own_files(own_files)
-        return task(config)
+        return command.work(config)
 
 
 @contextmanager

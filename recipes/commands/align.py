@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import DictConfig
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, save_rig
@@ -22,14 +22,27 @@ from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.opening import spread_evenly
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import icosphere_vertices
-from sphericalvision.recipes.app.captures import open_capture
+from sphericalvision.recipes.app.captures import Capture
 from sphericalvision.recipes.app.cli import choose_device, console, print_table
+from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Text
 from sphericalvision.sphere.intake import as_photographs
 
-__all__ = ["align"]
+__all__ = ["AlignConfig", "align"]
 
 
-def align(config: DictConfig) -> RigTurns:
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class AlignConfig:
+    """Keys of ``conf/align.yaml``."""
+
+    capture: Capture
+    num_frames: Count
+    device: Device
+    check: bool
+    output: Text
+    format: Text | None
+
+
+def align(config: AlignConfig) -> RigTurns:
     """Judge a calibration by some frames, as ``predict`` does, and write ``config.output`` if cameras are turned.
 
     Raises:
@@ -38,10 +51,10 @@ def align(config: DictConfig) -> RigTurns:
     """
     if config.format is not None:
         check_choice("format", config.format, RIG_FORMATS)
-    source = open_capture(config)
+    source = config.capture.open()
     if len(source.rig) < 2:
         raise ArgumentError("cameras: expected two or more that see the same things, got one")
-    names = source.names(Selection(config.start, config.stop, config.every))
+    names = source.names(config.capture.selection)
     if names is None:
         raise ArgumentError("images: expected a recording, not live cameras")
     frames = _read(source, spread_evenly(names, config.num_frames))

@@ -8,10 +8,10 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
-from omegaconf import DictConfig
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, save_camera, save_rig
@@ -24,9 +24,28 @@ from sphericalvision.core import ArgumentError, MissingFileError, check_choice
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.cli import console, print_table
+from sphericalvision.recipes.app.kinds import STRICT, Count, FullAngle, OnlyWith, Positive, Text
 from sphericalvision.recipes.app.rigs import keys_named
 
-__all__ = ["board_of", "calibrate"]
+__all__ = ["CalibrateConfig", "board_of", "calibrate"]
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class CalibrateConfig:
+    """Keys of ``conf/calibrate.yaml``."""
+
+    images: Text
+    board: Text
+    square: Positive | None
+    marker: Positive | None
+    dictionary: Annotated[Text, OnlyWith("marker")]
+    to: Text
+    field_of_view_deg: FullAngle
+    num_coefficients: Count | None
+    projection: Annotated[Text | None, OnlyWith("to=fisheye")]
+    output: Text
+    format: Text | None
+
 
 LONE = "camera"
 """Name of the camera of a pattern without ``{camera}``."""
@@ -51,7 +70,7 @@ class Pictures(NamedTuple):
     """(n, cameras, m)."""
 
 
-def calibrate(config: DictConfig) -> RefinedRig:
+def calibrate(config: CalibrateConfig) -> RefinedRig:
     """Find the board in ``config.images``, calibrate, print how well that went, and write ``config.output``.
 
     Raises:
@@ -87,7 +106,7 @@ def calibrate(config: DictConfig) -> RefinedRig:
     return result
 
 
-def board_of(config: DictConfig) -> Board:
+def board_of(config: CalibrateConfig) -> Board:
     """The board that a configuration describes: a target file, or inner corners with the side of squares and markers.
 
     Raises:

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Annotated
 
 import torch
-from omegaconf import DictConfig
+from pydantic.dataclasses import dataclass
 
 from sphericalvision.cameras import (
     Camera,
@@ -23,18 +24,33 @@ from sphericalvision.cameras.conversion.convert import Conversion
 from sphericalvision.cameras.conversion.convert import convert as convert_camera
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import console, print_table
-from sphericalvision.recipes.app.rigs import keys_named, radians, read_calibration
+from sphericalvision.recipes.app.kinds import STRICT, Count, HalfAngle, OnlyWith, Text
+from sphericalvision.recipes.app.rigs import Calibration, keys_named, radians
 
-__all__ = ["convert"]
+__all__ = ["ConvertConfig", "convert"]
 
 
-def convert(config: DictConfig) -> dict[str, Conversion]:
-    """Convert the cameras of ``config.calibration``, print how well that went, and write ``config.output``.
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class ConvertConfig:
+    """Keys of ``conf/convert.yaml``."""
+
+    file: Calibration
+    to: Text | None
+    output: Text | None
+    format: Annotated[Text | None, OnlyWith("output")]
+    camera: Text | int | None
+    num_coefficients: Annotated[Count | None, OnlyWith("to")]
+    projection: Annotated[Text | None, OnlyWith("to")]
+    fit_angle_deg: Annotated[HalfAngle | None, OnlyWith("to")]
+
+
+def convert(config: ConvertConfig) -> dict[str, Conversion]:
+    """Convert the cameras of ``config.file.calibration``, print how well that went, and write ``config.output``.
 
     Raises:
         ArgumentError: an unknown model, format, camera or option; the message names the key.
     """
-    found = read_calibration(config, torch.float64)
+    found = config.file.rig_or_cameras(torch.float64)
     cameras = _chosen(found, config)
     together = isinstance(found, CameraRig) and config.camera is None
     if config.to not in (None, "ocam"):
@@ -61,7 +77,7 @@ def convert(config: DictConfig) -> dict[str, Conversion]:
         save_camera(next(iter(new.values())), path, config.format)
     else:
         raise ArgumentError(
-            f"camera: {config.calibration} has {len(new)} cameras without poses; choose one of {', '.join(new)} "
+            f"camera: {config.file.calibration} has {len(new)} cameras without poses; choose one of {', '.join(new)} "
             "to write it"
         )
     print(path)
@@ -76,19 +92,19 @@ def _tell_turns(turns: dict[str, float], what: str) -> None:
             )
 
 
-def _chosen(found: CameraRig | dict[str, Camera], config: DictConfig) -> dict[str, Camera]:
+def _chosen(found: CameraRig | dict[str, Camera], config: ConvertConfig) -> dict[str, Camera]:
     cameras = found.cameras if isinstance(found, CameraRig) else found
     if config.camera is None:
         return cameras
     if str(config.camera) not in cameras:
         raise ArgumentError(
-            f"camera: expected one of {', '.join(cameras)}, the cameras of {config.calibration}, got "
+            f"camera: expected one of {', '.join(cameras)}, the cameras of {config.file.calibration}, got "
             f"{config.camera!r}"
         )
     return {str(config.camera): cameras[str(config.camera)]}
 
 
-def _converted(name: str, camera: Camera, config: DictConfig) -> Conversion:
+def _converted(name: str, camera: Camera, config: ConvertConfig) -> Conversion:
     if config.to is None:
         return Conversion(camera, 0.0, 0.0, float(camera.max_angle))
     try:
@@ -101,10 +117,10 @@ def _converted(name: str, camera: Camera, config: DictConfig) -> Conversion:
                 projection=config.projection,
             )
     except ArgumentError as error:
-        raise ArgumentError(f"{config.calibration}, {name}: {error}") from None
+        raise ArgumentError(f"{config.file.calibration}, {name}: {error}") from None
 
 
-def _print(config: DictConfig, cameras: dict[str, Camera], converted: dict[str, Conversion]) -> None:
+def _print(config: ConvertConfig, cameras: dict[str, Camera], converted: dict[str, Conversion]) -> None:
     rows = []
     for name, camera in cameras.items():
         new, largest, rms, _ = converted[name]
@@ -112,4 +128,4 @@ def _print(config: DictConfig, cameras: dict[str, Camera], converted: dict[str, 
         models = (camera.model, new.model)
         rows.append([name, *models, f"{before:.1f}°", f"{after:.1f}°", f"{largest:.4f}", f"{rms:.4f}"])
     columns = ["camera", "from", "to", "sees", "kept", "max (px)", "RMS (px)"]
-    print_table(str(config.calibration), columns, rows)
+    print_table(str(config.file.calibration), columns, rows)

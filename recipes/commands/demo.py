@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from omegaconf import DictConfig
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 from torch.utils.data import DataLoader
 
@@ -21,6 +21,7 @@ from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork, WinnerTakesAll
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
+from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, Text
 from sphericalvision.recipes.evaluation.frames import BatchFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import Method, Scale, constants, sweep
@@ -31,10 +32,26 @@ from sphericalvision.sweep import index_from_inverse_depth
 from sphericalvision.viz import depth_panorama, error_panorama, sheet
 from sphericalvision.viz.figure import strip
 
-__all__ = ["demo"]
+__all__ = ["DemoConfig", "demo"]
 
 
-def demo(config: DictConfig, folder: Path) -> Table:
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class DemoConfig:
+    """Keys of ``conf/demo.yaml``."""
+
+    rig: Any
+    output: Text
+    kind: Text
+    scene_seed: Number
+    samples_per_pixel: Count
+    height: Count
+    baseline_scenes: Count
+    train_seed: Number
+    checkpoint: Text | None
+    device: Device
+
+
+def demo(config: DemoConfig, folder: Path) -> Table:
     """Render a scene, estimate its depth, write everything to ``folder`` and return the table."""
     folder.mkdir(parents=True, exist_ok=True)
     net = load_network(config.checkpoint).to(choose_device(config.device))

@@ -6,12 +6,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
+from pydantic import with_config
 from torch import Tensor
+from typing_extensions import TypedDict
 
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.capture.preparation.own_body import MOST
@@ -22,6 +24,7 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.captures import with_own_body_masked
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
+from sphericalvision.recipes.app.kinds import STRICT, Device, Number, OnlyWith, Share, Text
 from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.evaluation.frames import SampleFrames
@@ -38,7 +41,27 @@ from sphericalvision.recipes.evaluation.methods import (
 from sphericalvision.recipes.evaluation.strips import StripErrors, table_beside_published
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 
-__all__ = ["Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
+__all__ = ["EvaluateKeys", "Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
+
+
+@with_config(STRICT)
+class EvaluateKeys(TypedDict, total=False):
+    """Keys of ``conf/evaluate.yaml``; those that are ``Any`` are compared with what their parts take."""
+
+    rig: Annotated[Any, OnlyWith("data.rig", "data=scenes")]
+    data: Annotated[Any, OnlyWith("data.mesh", parts=("mesh_up", "mesh_scale"))]
+    photometric: bool
+    align: bool
+    output: Text
+    checkpoint: Text | None
+    split: Literal["train", "val", "test"]
+    baselines: bool
+    methods: list[str]
+    model: Any
+    masks: Literal["auto"] | None
+    min_confidence: Share
+    device: Device
+    seed: Number
 
 
 FOUND = ("auto", "scene")
@@ -78,8 +101,8 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     for key in (word.partition("=")[0] for word in given):
         if key in [f"data.{name}" for name in data.of_training]:
             raise ArgumentError(f"{key}: counts only in training; leave it out")
-    preparation = Preparation.from_keys(config)
-    as_used = bool(found or preparation != AS_IT_IS)
+    preparation = Preparation(config.photometric, config.align)
+    as_used = bool(found or config.masks or preparation != AS_IT_IS)
     compared = config.baselines or config.methods
     more = ["sphere" if compared else "depth", *(["fisheye"] if as_used else [])]
     data.serve(net, *more, depth_level=config.model.level - 2)
@@ -92,9 +115,8 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     return Evaluation(net.to(device), data, found or net.min_depth, preparation, as_used)
 
 
-def evaluate_checkpoint(config: DictConfig, folder: Path) -> Table:
+def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Path) -> Table:
     """Evaluate as ``config`` says; the table goes to ``folder`` as ``metrics.md``, ``.json`` and ``.csv``."""
-    check_choice("split", config.split, ("train", "val", "test"))
     torch.manual_seed(config.seed)
     evaluation = instantiate_evaluation(config)
     net, data = evaluation.net, evaluation.data
@@ -104,7 +126,7 @@ def evaluate_checkpoint(config: DictConfig, folder: Path) -> Table:
     name = type(net).__name__ if config.checkpoint is None else Path(config.checkpoint).stem
     methods = [Method(name, net, config.min_confidence)]
     if evaluation.as_used:
-        masks = _masks(data.loader(frames)) if evaluation.preparation.own_body else {}
+        masks = _masks(data.loader(frames)) if config.masks else {}
         methods = [
             AsUsed(
                 name,

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Annotated, Literal
 
 import torch
-from omegaconf import DictConfig
+from annotated_types import Ge
+from pydantic.dataclasses import dataclass
 from safetensors.torch import save_file
 from torch import Tensor
 
@@ -24,19 +26,39 @@ from sphericalvision.capture.export import (
 )
 from sphericalvision.io.files import atomic_write
 from sphericalvision.recipes.app.cli import print_config, say
-from sphericalvision.recipes.app.rigs import rig_from_file
+from sphericalvision.recipes.app.kinds import STRICT, Count, Positive, Text
+from sphericalvision.recipes.app.rigs import Calibration
 from sphericalvision.scenes import make_scene, render_rig
 
-__all__ = ["export"]
+__all__ = ["ExportConfig", "export"]
 
 
-def export(config: DictConfig, folder: Path) -> list[Path]:
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class ExportConfig:
+    """Keys of ``conf/export.yaml``."""
+
+    file: Calibration
+    cameras: list[str | int] | None
+    method: Literal["network", "semi_global"]
+    checkpoint: Text | None
+    num_hypotheses: Annotated[int, Ge(2)] | None
+    level: Count | None
+    min_depth: Positive | Literal["auto"]
+    inputs: Literal["camera", "sphere"]
+    height: Count | None
+    tables: Literal["inside", "inputs"]
+    batch: Count | None
+    formats: list[Literal["pt2", "onnx", "compiled"]]
+    output: Text
+
+
+def export(config: ExportConfig, folder: Path) -> list[Path]:
     """Write the program in every format of ``config.formats``; returns the files.
 
     Raises:
         ArgumentError: what ``RigProgram`` refuses.
     """
-    rig = rig_from_file(config.calibration, config.translation_unit, config.max_angle_deg, config.image_size)
+    rig = config.file.rig()
     if config.cameras is not None:
         rig = rig.subset(list(config.cameras))
     min_depth = None if config.min_depth == "auto" else config.min_depth
@@ -70,7 +92,7 @@ def export(config: DictConfig, folder: Path) -> list[Path]:
     return written
 
 
-def programs(program: RigProgram, images: Tensor, config: DictConfig, folder: Path) -> list[Path]:
+def programs(program: RigProgram, images: Tensor, config: ExportConfig, folder: Path) -> list[Path]:
     """Write the files of ``config.formats``; what each took, and how well it computes, is printed."""
     written = []
     start = time.process_time()

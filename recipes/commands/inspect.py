@@ -6,9 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
 
 import torch
-from omegaconf import DictConfig
+from annotated_types import MinLen
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
@@ -19,15 +21,31 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.cli import console, print_table
-from sphericalvision.recipes.app.rigs import read_calibration
+from sphericalvision.recipes.app.kinds import STRICT, Distance, Names, Number, OnlyWith, Text
+from sphericalvision.recipes.app.rigs import Calibration
 from sphericalvision.viz import angle_map, coverage_panorama, rig_picture
 
-__all__ = ["inspect", "load_rig", "print_cameras", "print_poses", "save_pictures"]
+__all__ = ["InspectConfig", "inspect", "load_rig", "print_cameras", "print_poses", "save_pictures"]
 
 
-def load_rig(config: DictConfig) -> tuple[CameraRig, bool]:
-    """The rig of ``config.calibration`` with its masks, and whether poses are known; a camera becomes a rig of one."""
-    found = read_calibration(config)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class InspectConfig:
+    """Keys of ``conf/inspect.yaml``."""
+
+    file: Calibration
+    images: Text | None
+    frame: Annotated[int | str | None, OnlyWith("images")]
+    cameras: Names | None
+    masks: Text | None
+    depths: Annotated[list[Distance], MinLen(1)]
+    picture_depths: list[Distance]
+    level: Number
+    output: Text
+
+
+def load_rig(config: InspectConfig) -> tuple[CameraRig, bool]:
+    """The rig of ``config.file`` with its masks, and whether poses are known; a camera becomes a rig of one."""
+    found = config.file.rig_or_cameras()
     known = isinstance(found, CameraRig)
     rig = found if isinstance(found, CameraRig) else CameraRig(found, torch.eye(4).repeat(len(found), 1, 1))
     if config.cameras is not None:
@@ -49,7 +67,7 @@ def print_cameras(rig: CameraRig, title: str) -> None:
     print_table(title, ["camera", "model", "w x h", "across", "down", "widest", "px/rad on axis"], rows)
 
 
-def print_poses(rig: CameraRig, config: DictConfig) -> None:
+def print_poses(rig: CameraRig, config: InspectConfig) -> None:
     """Print where the cameras are and look, their distances, and their overlap at each depth."""
     rows = []
     for name, position, axis in zip(rig.names, rig.positions - rig.center, rig.axes, strict=True):
@@ -82,7 +100,7 @@ def print_poses(rig: CameraRig, config: DictConfig) -> None:
 
 
 def save_pictures(
-    rig: CameraRig, known: bool, images: Mapping[str, Tensor], config: DictConfig, folder: Path
+    rig: CameraRig, known: bool, images: Mapping[str, Tensor], config: InspectConfig, folder: Path
 ) -> list[Path]:
     """Write the angle map of each camera and, where poses are known, the rig and its coverage; returns the files."""
     written = []
@@ -96,18 +114,18 @@ def save_pictures(
     write_image(written[-1], rig_picture(rig))
     for depth in map(float, config.picture_depths):
         written.append(folder / f"coverage_{'far' if math.isinf(depth) else f'{depth:g}m'}.png")
-        write_image(written[-1], coverage_panorama(rig, depth, title=Path(config.calibration).name))
+        write_image(written[-1], coverage_panorama(rig, depth, title=Path(config.file.calibration).name))
     return written
 
 
-def inspect(config: DictConfig, folder: Path) -> list[Path]:
-    """Print what is to be known about ``config.calibration`` and write pictures to ``folder``; returns the files."""
+def inspect(config: InspectConfig, folder: Path) -> list[Path]:
+    """Print what is to be known about ``config.file`` and write pictures to ``folder``; returns the files."""
     rig, known = load_rig(config)
     images: Mapping[str, Tensor] = {}
     if config.images is not None:
         files = find_capture(config.images, rig.names, None if config.frame is None else [config.frame])
         images = read_frame(next(iter(files.values())), rig)
-    print_cameras(rig, str(config.calibration))
+    print_cameras(rig, str(config.file.calibration))
     if known:
         print_poses(rig, config)
     else:

@@ -6,10 +6,13 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+from annotated_types import Ge
 from omegaconf import DictConfig, OmegaConf
+from pydantic.dataclasses import dataclass
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sphericalvision.cameras import CameraRig, read_rig, save_rig
@@ -21,10 +24,38 @@ from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import Moving
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.models.weights.checkpoints import weights_for
-from sphericalvision.recipes.app.captures import masked_by_itself, open_capture, open_moving
+from sphericalvision.recipes.app.captures import AUTO, PosedCapture, masked_by_itself
+from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
+from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
 
-__all__ = ["open_frames", "predict", "predictor_for"]
+__all__ = ["PredictConfig", "open_frames", "predict", "predictor_for"]
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class PredictConfig:
+    """Keys of ``conf/predict.yaml``."""
+
+    capture: PosedCapture
+    preparation: Preparation
+    method: Literal["network", "semi_global"]
+    checkpoint: Text | None
+    num_hypotheses: Annotated[int, Ge(2)] | None
+    level: Count | None
+    min_depth: Positive | Literal["auto", "scene"]
+    trained_radius: Annotated[Positive, OnlyWith("min_depth=auto")]
+    outputs: list[str] | None
+    height: Count
+    near: Positive | None
+    min_confidence: Annotated[Share, OnlyWith("outputs=cloud|glb|fused", "outputs=[cloud], [glb] or [fused]")]
+    voxel: Annotated[
+        Positive | None, OnlyWith("outputs=cloud|glb|fused", "outputs=[cloud], [glb] or [fused]")
+    ]
+    output: Text
+    skip_existing: bool
+    on_error: Literal["skip", "stop"]
+    device: Device
+
 
 MOST_PATHS = 30
 """Of files that are named at the end."""
@@ -33,13 +64,13 @@ ENOUGH = 0.9
 ALIGNED = "aligned.yaml"
 """Beside the results: the calibration with cameras turned."""
 FREE = (
-    *("frames", "start", "stop", "every", "outputs", "output", "preset"),
+    *("frames", "start", "stop", "every", "outputs", "output"),
     *("skip_existing", "on_error", "device"),
 )
 """Settings that may change between a prediction and its continuation."""
 
 
-def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
+def predictor_for(rig: CameraRig, config: PredictConfig) -> Predictor:
     """The predictor that a configuration describes.
 
     Raises:
@@ -53,39 +84,33 @@ def predictor_for(rig: CameraRig, config: DictConfig) -> Predictor:
         level=config.level,
         num_hypotheses=config.num_hypotheses,
         device=choose_device(config.device),
-        preparation=Preparation.from_keys(config),
+        preparation=config.preparation,
         trained_radius=config.trained_radius,
     )
 
 
-def open_frames(config: DictConfig) -> Source:
+def open_frames(config: PredictConfig) -> Source:
     """The frames that a configuration names, with the rig of each in the size of its images."""
-    if config.poses is None:
-        return open_capture(config)
-    moving = open_moving(config)
-    if moving.unposed:
-        print(f"Warning: {moving.unposed} frame(s) have no pose within 20 ms, or of their name; left out.")
-    return moving
+    source = config.capture.open()
+    if isinstance(source, Moving) and source.unposed:
+        print(f"Warning: {source.unposed} frame(s) have no pose within 20 ms, or of their name; left out.")
+    return source
 
 
-def with_nearest(
-    predictor: Predictor, source: Source, config: DictConfig, before: Mapping[str, Any]
-) -> Predictor:
-    """The predictor with its nearest hypothesis: of the run that it continues, or found in a few frames."""
-    if predictor.min_depth is not None:
-        return predictor
+def nearest(
+    predictor: Predictor, source: Source, config: PredictConfig, before: Mapping[str, Any]
+) -> PredictConfig:
+    """The configuration with its nearest hypothesis: of the run that it continues, or found in a few frames."""
     if "min_depth" in before:
-        config.min_depth = before["min_depth"]
-    elif samples := source.samples():
+        return replace(config, min_depth=before["min_depth"])
+    if samples := source.samples():
         shared = [frame.images for frame in samples if frame.images is not None and frame.rig is None]
         found = [predictor.nearest_depth(shared)] if shared else []
         for frame in samples:  # windows have rigs of their own, and share the depth
             if frame.images is not None and frame.rig is not None:
                 found.append(predictor.with_changes(frame.rig).nearest_depth([frame.images]))
-        config.min_depth = round(min(found), 3)
-    if isinstance(config.min_depth, str):
-        return predictor
-    return predictor.with_changes(min_depth=config.min_depth)
+        return replace(config, min_depth=round(min(found), 3))
+    return config
 
 
 def aligned(predictor: Predictor, source: Source, folder: Path, goes_on: bool) -> Predictor:
@@ -114,7 +139,7 @@ def aligned(predictor: Predictor, source: Source, folder: Path, goes_on: bool) -
     return predictor.with_changes(source.rig)
 
 
-def predict(config: DictConfig, folder: Path) -> list[Path]:
+def predict(config: PredictConfig, folder: Path) -> list[Path]:
     """Write what ``config.outputs`` names of each frame to ``folder``; returns the files.
 
     Raises:
@@ -122,10 +147,14 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
     """
     source = open_frames(config)
     still = source.source if isinstance(source, Moving) else source  # whose frames are made ready once
-    if Preparation.from_keys(config).own_body:
+    if config.capture.masks == AUTO:
         still.rig = masked_by_itself(still, folder)
     before = _settings_before(folder) if config.skip_existing else {}
-    predictor = with_nearest(predictor_for(source.rig, config), source, config, before)
+    predictor = predictor_for(source.rig, config)
+    if predictor.min_depth is None:
+        config = nearest(predictor, source, config, before)
+        if not isinstance(config.min_depth, str):
+            predictor = predictor.with_changes(min_depth=config.min_depth)
     _check_settings(config, before, folder)
     if still is source:
         predictor = aligned(predictor, source, folder, bool(before))
@@ -133,11 +162,11 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         aligned(predictor.with_changes(still.rig), still, folder, bool(before))
         predictor = predictor.with_changes(source.rig)
     print_config(config, folder)
-    selection = Selection(config.start, config.stop, config.every)
+    selection = config.capture.selection
     names = source.names(selection)
     near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
     many = "live" if names is None else f"{len(names)} frame(s)"
-    cameras = "cameras" if config.poses is None else "images in a window"
+    cameras = "cameras" if config.capture.poses is None else "images in a window"
     weights = (
         f", weights {config.checkpoint or weights_for(config.level)}" if config.method == "network" else ""
     )
@@ -152,7 +181,7 @@ def predict(config: DictConfig, folder: Path) -> list[Path]:
         config.height,
         config.min_confidence,
         config.voxel,
-        (source.rate or 10.0) / config.every,
+        (source.rate or 10.0) / config.capture.every,
         config.near,
         config.skip_existing,
     )
@@ -284,15 +313,16 @@ def _settings_before(folder: Path) -> dict[str, Any]:
     return {str(key): stored[key] for key in stored} if isinstance(stored, DictConfig) else {}
 
 
-def _check_settings(config: DictConfig, before: Mapping[str, Any], folder: Path) -> None:
+def _check_settings(config: PredictConfig, before: Mapping[str, Any], folder: Path) -> None:
     """Refuse to mix results of other settings into a folder.
 
     Raises:
         ArgumentError: a setting that changes what frames become is another.
     """
-    wrong = [key for key in before if key in config and key not in FREE and before[key] != config[key]]
+    now = OmegaConf.create(flat(config))
+    wrong = [key for key in before if key in now and key not in FREE and before[key] != now[key]]
     if wrong:
-        told = ", ".join(f"{key} was {before[key]}, is {config[key]}" for key in wrong)
+        told = ", ".join(f"{key} was {before[key]}, is {now[key]}" for key in wrong)
         raise ArgumentError(
             f"skip_existing: {folder} holds results of other settings ({told}); set them as before, or give another "
             "output="

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import yaml
-from omegaconf import DictConfig
+from pydantic.dataclasses import dataclass
 from rich.progress import track
 from torch.utils.data import DataLoader
 
@@ -24,14 +24,37 @@ from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
 from sphericalvision.io.files import write_yaml
 from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.cli import build, console, print_config
+from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Positive, Text
 from sphericalvision.scenes.meshes import MeshFiles, mesh_files
 from sphericalvision.scenes.samples import recorded_sample
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH, World
 
-__all__ = ["RECORD", "check_settings", "missing_frames", "render", "settings_of"]
+__all__ = ["RECORD", "RenderConfig", "check_settings", "missing_frames", "render", "settings_of"]
 
 
-def render(config: DictConfig) -> int:
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class RenderConfig:
+    """Keys of ``conf/render.yaml``."""
+
+    rig: Any
+    output: Text
+    num_frames: Count
+    first_frame: Number
+    first_seed: Number
+    kind: Text
+    mesh: Text | list[str] | None
+    mesh_up: Annotated[Literal["y", "z"], OnlyWith("mesh")]
+    mesh_scale: Annotated[Positive, OnlyWith("mesh")]
+    carrier: Text | None
+    release: Literal["png", "tiff"] | None
+    min_depth: Positive
+    scale: Positive
+    samples_per_pixel: Count
+    height: Count
+    num_workers: Number
+
+
+def render(config: RenderConfig) -> int:
     """Render the frames that ``config.output`` lacks, which the runs of a multi-run share; returns how many these were.
 
     Raises:
@@ -71,11 +94,8 @@ def render(config: DictConfig) -> int:
     return len(missing)
 
 
-def _meshes(config: DictConfig) -> MeshFiles | None:
-    if config.mesh is None:
-        return None
-    given: Any = config.mesh if isinstance(config.mesh, str) else list(config.mesh)
-    return mesh_files(given, config.mesh_up, config.mesh_scale)
+def _meshes(config: RenderConfig) -> MeshFiles | None:
+    return None if config.mesh is None else mesh_files(config.mesh, config.mesh_up, config.mesh_scale)
 
 
 def numbered_frame(world: World, first_seed: int, height: int, number: int) -> dict[str, Any]:
@@ -87,11 +107,11 @@ RECORD = "rendered.yaml"
 """Beside the frames: how they were rendered."""
 
 
-def settings_of(config: DictConfig, rig: CameraRig, release: str) -> dict[str, Any]:
+def settings_of(config: RenderConfig, rig: CameraRig, release: str) -> dict[str, Any]:
     """What all frames of a folder have in common."""
     names = ("kind", "first_seed", "scale", "samples_per_pixel", "height", "min_depth")
     return {
-        **{name: config[name] for name in names},
+        **{name: getattr(config, name) for name in names},
         "release": release,
         "rig": rig_fingerprint(rig, digits=6),
     }

@@ -10,14 +10,18 @@ from __future__ import annotations
 import logging
 import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import pytorch_lightning as pl
+from annotated_types import Ge, MinLen
 from omegaconf import DictConfig
+from pydantic import Field, with_config
 from pytorch_lightning.callbacks import LearningRateMonitor, ModelCheckpoint, ProgressBar
+from typing_extensions import TypedDict
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.app.cli import build, print_config
+from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Share, Text
 from sphericalvision.recipes.app.words import evaluate_command, resume_command
 from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.evaluation.tables import save_errors
@@ -31,7 +35,59 @@ from sphericalvision.recipes.training.run_folder import (
     run_folder,
 )
 
-__all__ = ["Run", "instantiate_run", "train"]
+__all__ = ["Run", "TrainKeys", "instantiate_run", "train"]
+
+
+@with_config(STRICT)
+class TrainerKeys(TypedDict, total=False):
+    """Keys of the group ``trainer`` that Lightning's own hints leave more open; the others are compared with those."""
+
+    max_steps: Annotated[int, Ge(-1)]
+    max_time: (
+        Annotated[str, Field(pattern=r"^\d+:\d\d:\d\d:\d\d$", description="days to seconds as 00:12:00:00")]
+        | dict[str, Any]
+        | None
+    )
+    val_check_interval: Count
+    check_val_every_n_epoch: None
+    limit_val_batches: Count | Share | None
+    num_sanity_val_steps: Annotated[int, Ge(-1)]
+    accelerator: Literal["auto", "cpu", "gpu", "cuda", "mps", "tpu"]
+    devices: (
+        Literal["auto", -1]
+        | Count
+        | Annotated[str, Field(pattern=r"^\d+(,\d+)*$", description="numbers of GPUs as 0,2")]
+        | Annotated[list[Number], MinLen(1)]
+    )
+    num_nodes: Count
+    use_distributed_sampler: Literal[False]
+    accumulate_grad_batches: Count
+    gradient_clip_val: Annotated[float, Ge(0)] | None
+    overfit_batches: Number | Share
+    log_every_n_steps: Number
+    profiler: Literal["simple", "advanced", "pytorch"] | dict[str, Any] | None
+
+
+@with_config(STRICT)
+class TrainKeys(TypedDict, total=False):
+    """Keys of ``conf/train.yaml``; those that are ``Any`` are groups, compared with what their parts take."""
+
+    output: Text
+    tags: list[str | int]
+    seed: Number
+    resume: Text | None
+    init_weights: Text | None
+    task: Any
+    model: Any
+    rig: Annotated[Any, OnlyWith("data.rig", "data=scenes")]
+    data: Annotated[Any, OnlyWith("data.mesh", parts=("mesh_up", "mesh_scale"))]
+    loss: Any
+    optimizer: Any
+    scheduler: Any
+    trainer: TrainerKeys
+    callbacks: Any
+    logger: Any
+    paths: Any
 
 
 class Run(NamedTuple):
@@ -102,7 +158,7 @@ def begin_logging(config: DictConfig, trainer: pl.Trainer) -> None:
             ) from error
 
 
-def train_objective(config: DictConfig, folder: Path) -> float:
+def train_objective(config: Annotated[DictConfig, TrainKeys], folder: Path) -> float:
     """Train, and return the value that a sweep compares."""
     return train(config, folder)[config.task.monitor.rpartition("/")[2].replace("over_", ">")]
 

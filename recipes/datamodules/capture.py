@@ -26,7 +26,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.app.captures import open_capture, with_own_body_masked
+from sphericalvision.recipes.app.captures import AUTO, Capture, with_own_body_masked
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import (
     Count,
@@ -145,8 +145,21 @@ class CaptureDataModule(PreparedSamples):
                 f"data.rendered_seed: seeds from {HELD_OUT_SEED} are held out for the benchmark, and {NUM_RENDERED} "
                 f"scenes follow this one; set {HELD_OUT_SEED - NUM_RENDERED} or less, got {self.rendered_seed}"
             )
-        self.preparation = Preparation.from_keys(vars(self))
-        self.source = open_capture({**vars(self), "calibration": self.calibration or self.images})
+        self.preparation = Preparation(self.photometric)
+        self.capture = Capture(
+            calibration=self.calibration or self.images,
+            translation_unit=self.translation_unit,
+            max_angle_deg=self.max_angle_deg,
+            image_size=self.image_size,
+            images=self.images,
+            frames=self.frames,
+            start=self.start,
+            stop=self.stop,
+            every=self.every,
+            cameras=self.cameras,
+            masks=self.masks,
+        )
+        self.source = self.capture.open()
         if len(self.source.rig) < 2:
             raise ArgumentError("data.cameras: expected two or more that see the same things, got one")
         self.names = self._chosen(self.source)
@@ -155,7 +168,7 @@ class CaptureDataModule(PreparedSamples):
         self.net: DepthNetwork | None = None
 
     def _chosen(self, source: Source) -> list[str]:
-        names = source.names(Selection(self.start, self.stop, self.every))
+        names = source.names(self.capture.selection)
         if names is None:
             raise ArgumentError("data.images: expected a recording, not live cameras")
         if len(names) < 2:
@@ -198,7 +211,7 @@ class CaptureDataModule(PreparedSamples):
             photographs[frame.name] = _kept(as_photographs(frame.images, self.source.rig))
         first = photographs[self.names[0]]
         rig = self.source.rig.resized({name: tuple(image.shape[-2:]) for name, image in first.items()})
-        if self.preparation.own_body:
+        if self.capture.masks == AUTO:
             rig = with_own_body_masked(rig, map(_floats, photographs.values()))
         self.near = self._nearest(rig, photographs)
         self.rig = rig.scaled(self.net.min_depth / self.near)

@@ -106,7 +106,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         world = World.of(
             values,
             rig=LevelOrRandomRigs(values.pop("level_rigs"), size),
-            prepare=Preparation.from_keys(vars(self)).of_images,
+            prepare=Preparation(self.photometric).of_images,
             samples_per_pixel=self.samples_per_pixel,
             draws=by_purpose,
         )

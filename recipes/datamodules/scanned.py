@@ -24,7 +24,7 @@ from sphericalvision.data.scanned.kitti360 import Kitti360Dataset
 from sphericalvision.data.scanned.omnipus import OmniPusDataset
 from sphericalvision.data.scanned.own import OwnScans
 from sphericalvision.data.scanned.spires import SpiresDataset
-from sphericalvision.recipes.app.captures import open_capture
+from sphericalvision.recipes.app.captures import Capture
 from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Positive, Share, Size, Text, Unit
 from sphericalvision.recipes.datamodules.base import Sample
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
@@ -240,7 +240,16 @@ class OwnScansDataModule(ScannedDataModule):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.source: Any = open_capture({**vars(self), "frames": self.frames_named})
+        self.source: Any = Capture(
+            calibration=self.calibration,
+            translation_unit=self.translation_unit,
+            max_angle_deg=self.max_angle_deg,
+            image_size=self.image_size,
+            images=self.images,
+            frames=self.frames_named,
+            cameras=self.cameras,
+            masks=self.masks,
+        ).open()
         if not hasattr(self.source, "files"):
             raise ArgumentError(
                 "data.images: expected image files, one for each camera and frame, not videos"

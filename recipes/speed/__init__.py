@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed, measured beside a plain way to do the same."""
 
-from sphericalvision.recipes.app.command import command
+from sphericalvision.recipes.app.command import Command
 
-main = command("speed", "speed.command:measure_speed")
+main = Command("speed", "speed.command:measure_speed")

@@ -9,16 +9,46 @@ from __future__ import annotations
 import re
 from importlib import import_module
 from pathlib import Path
+from typing import Annotated, Literal
 
 import torch
+from annotated_types import MinLen
 from omegaconf import DictConfig
+from pydantic import with_config
+from typing_extensions import TypedDict
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import choose_device, console
+from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Positive, Size, Text
 from sphericalvision.recipes.speed.measuring import Measurement, measure, prepare_operators
 from sphericalvision.recipes.speed.tables import comparison_table, machine, save_measurements
 
-__all__ = ["GROUPS", "measure_speed"]
+__all__ = ["GROUPS", "SpeedKeys", "measure_speed"]
+
+
+@with_config(STRICT)
+class SpeedKeys(TypedDict, total=False):
+    """Keys of ``conf/speed.yaml``."""
+
+    output: Text
+    groups: Annotated[list[str], MinLen(1)]
+    only: Text | None
+    seconds: Positive
+    threads: Count | None
+    device: Device
+    settings: list[Size]
+    feature_channels: Count
+    image_size: Size
+    training: bool
+    memory: bool
+    options: list[str]
+    num_frames: Count
+    image_sides: Annotated[list[Count], MinLen(1)]
+    presets: Annotated[list[Literal["default", "live", "fast", "fine"]], MinLen(1)]
+    variants: list[str]
+    convolution_settings: list[Size]
+    num_points: Count
+
 
 GROUPS = {
     "cameras": "cameras",
@@ -35,7 +65,7 @@ GROUPS = {
 yields the comparisons, each made when its turn comes."""
 
 
-def measure_speed(config: DictConfig, folder: Path) -> list[Measurement]:
+def measure_speed(config: Annotated[DictConfig, SpeedKeys], folder: Path) -> list[Measurement]:
     """Measure the groups that ``config`` names; the tables go to ``folder``.
 
     Raises:

@@ -16,7 +16,8 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
-from sphericalvision.recipes.commands.predict import predictor_for
+from sphericalvision.recipes.app.checks import typed
+from sphericalvision.recipes.commands.predict import PredictConfig, predictor_for
 from sphericalvision.recipes.evaluation.methods import SCALE
 from sphericalvision.recipes.evaluation.places import FrameTruth
 from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, render_frame
@@ -90,10 +91,12 @@ def _error(predictor: Predictor, frames: Sequence[TrackFrame]) -> float:
     return statistics.fmean(found)
 
 
-def preset_config(name: str, device: torch.device) -> DictConfig:
+def preset_config(name: str, device: torch.device) -> PredictConfig:
     """The configuration of ``sphericalvision-predict`` under a preset, for scenes of natural size."""
     words = ["calibration=rig.yaml", "images=images", f"device={device.type}", "min_depth=0.55"]
-    return compose("predict", words if name == "default" else [f"preset={name}", *words])
+    return typed(
+        PredictConfig, compose("predict", words if name == "default" else [f"preset={name}", *words])
+    )
 
 
 def _on_threads(predictor: Predictor, images: Mapping[str, Tensor], threads: int) -> None:

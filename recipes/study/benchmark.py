@@ -36,7 +36,7 @@ __all__ = ["compare", "run_track", "scores"]
 def compare(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
     """Measure what is missing, write tables and pictures; returns the records by track and method."""
     node = config.benchmark
-    preparation = Preparation.from_keys(node)
+    preparation = Preparation(node.photometric, node.align)
     size = Size(node.level, node.panorama_rows, node.image_rows, node.samples_per_pixel, preparation)
     numbers = range(node.first_frame, node.first_frame + node.frames)
     cache = None if node.cache_dir is None else Path(node.cache_dir).absolute()

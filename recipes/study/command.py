@@ -8,13 +8,17 @@ goes to one folder, and what is there already is not done again: the same comman
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import pytorch_lightning as pl
+from annotated_types import Ge, MinLen
 from omegaconf import DictConfig
+from pydantic import with_config
+from typing_extensions import TypedDict
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
+from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, OnlyWith, Size, Text
 from sphericalvision.recipes.evaluation.loop import evaluate, records_of
 from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.study.benchmark import compare
@@ -23,10 +27,60 @@ from sphericalvision.recipes.study.report import Evaluated, report
 from sphericalvision.recipes.study.training import Training, check_alike, train_all
 from sphericalvision.recipes.study.views import view_frames, views
 
-__all__ = ["run", "study"]
+__all__ = ["StudyKeys", "run", "study"]
 
 
-def run(config: DictConfig, folder: Path) -> Any:
+@with_config(STRICT)
+class BenchmarkKeys(TypedDict, total=False):
+    """Keys of the group ``benchmark``."""
+
+    photometric: bool
+    align: bool
+    methods: list[str]
+    tracks: list[str]
+    frames: Count
+    first_frame: Number
+    meshes: list[str]
+    level: Annotated[int, Ge(3)]
+    panorama_rows: Annotated[int, Ge(2)]
+    image_rows: Annotated[int, Ge(8)]
+    samples_per_pixel: Count
+    cache_dir: Text | None
+    workers: Number
+
+
+@with_config(STRICT)
+class StudyKeys(TypedDict, total=False):
+    """Keys of ``conf/study.yaml`` and its presets; those that are ``Any`` are compared where they are made."""
+
+    output: Text
+    checkpoint: Text | None
+    angles_deg: Annotated[list[float], MinLen(1)]
+    seeds: Annotated[list[Number], MinLen(1)]
+    inputs: Literal["fisheye", "equirect"]
+    num_hypotheses: Annotated[int, Ge(2)]
+    model: Any
+    models: Any
+    data: Any
+    rig: Annotated[Any, OnlyWith("data.rig", "data=scenes")]
+    equirect_rig: Annotated[Any, OnlyWith("inputs=equirect")]
+    frames: Count | None
+    image_size: Size | None
+    equirect_size: Annotated[Size | None, OnlyWith("inputs=equirect")]
+    panorama_size: Size
+    baseline_frames: Count
+    panel_frame: Number
+    panel_height: Count
+    training: list[str]
+    extra_training: list[str]
+    train: bool
+    on_change: Literal["refuse", "redo"]
+    device: Device
+    seed: Number
+    benchmark: BenchmarkKeys
+
+
+def run(config: Annotated[DictConfig, StudyKeys], folder: Path) -> Any:
     """The study, or with ``preset=benchmark`` the benchmark of methods."""
     return compare(config, folder) if "benchmark" in config else study(config, folder)
 

@@ -9,6 +9,8 @@ from hydra import compose, initialize_config_module
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
+from sphericalvision.recipes.app.checks import typed
+from sphericalvision.recipes.commands.predict import PredictConfig
 
 
 @pytest.mark.parametrize(
@@ -17,22 +19,23 @@ from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparatio
         ((), Preparation()),
         (("photometric=false", "align=false"), AS_IT_IS),
         (("preparation=none",), AS_IT_IS),
-        (("preparation=none", "align=true", "masks=auto"), Preparation(photometric=False, own_body=True)),
-        (("masks='cam{camera}.png'",), Preparation()),
+        (("preparation=none", "align=true"), Preparation(photometric=False)),
     ],
 )
 def test_keys_of_predict(words: tuple[str, ...], expected: Preparation) -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        assert Preparation.from_keys(compose("predict", list(words))) == expected
+        config = compose("predict", ["calibration=c", "images=x", *words])
+    assert typed(PredictConfig, config).preparation == expected
 
 
 def test_other_commands_compose_the_same_group_where_they_have_it() -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        assert Preparation.from_keys(compose("evaluate")) == AS_IT_IS
+        evaluation = compose("evaluate")
         study = compose("study", ["preset=benchmark", "benchmark.align=false"]).benchmark
         data = compose("train", ["data=capture", "data.photometric=false"]).data
-    assert Preparation.from_keys(study) == Preparation(align=False)
-    assert Preparation.from_keys(data) == Preparation(photometric=False)
+    assert (evaluation.photometric, evaluation.align) == (False, False)
+    assert (study.photometric, study.align) == (True, False)
+    assert (data.photometric, "align" in data) == (False, False)
 
 
 def test_images_are_left_alone_where_nothing_is_asked_for() -> None:

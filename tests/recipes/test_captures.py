@@ -14,7 +14,7 @@ import torch
 from sphericalvision.capture.sources.frames import find_capture, find_masks
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.captures import open_capture
+from sphericalvision.recipes.app.captures import Capture
 from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
 
@@ -110,17 +110,16 @@ def test_sizes_that_a_calibration_lacks_are_the_images_or_given(
         "calibration": f"{tmp_path}/c/transforms.json",
         "images": f"{tmp_path}/c/{{camera}}.png",
     }
-    keys |= dict.fromkeys(("image_size", "frames", "cameras", "masks", "translation_unit", "max_angle_deg"))
     for number in range(2):
         write_image(tmp_path / f"c/cam{number}.png", torch.zeros(3, 24, 32))
-    assert {camera.image_size for camera in open_capture(keys).rig.cameras.values()} == {(24, 32)}
+    assert {camera.image_size for camera in Capture(**keys).open().rig.cameras.values()} == {(24, 32)}
     write_image(tmp_path / "c/cam1.png", torch.zeros(3, 24, 40))
     with pytest.raises(ArgumentError, match=r"image_size: .* pass image_size=\[height,width\]"):
-        open_capture(keys)
+        Capture(**keys).open()
     for command in ("inspect", "convert"):
         message = failing(command, "calibration=c/transforms.json", f"output={command}.out")
         assert "pass image_size=[height,width]" in message
         run(command, "calibration=c/transforms.json", "image_size=[24,32]", f"output={command}.out")
     make_ring(2, image_size=(24, 32)).to_yaml(tmp_path / "c/rig.yaml")
     with pytest.raises(ArgumentError, match=r"image_size: .*rig\.yaml says itself"):
-        open_capture(keys | {"calibration": f"{tmp_path}/c/rig.yaml", "image_size": [48, 64]})
+        Capture(**keys | {"calibration": f"{tmp_path}/c/rig.yaml", "image_size": [48, 64]}).open()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from sphericalvision.recipes.app.running import run_command
+from sphericalvision.recipes import predict
 from sphericalvision.recipes.app.words import quote_paths, unquote_paths
 from tests.recipes.tiny import TINY_SCENES, Run
 
@@ -42,7 +42,7 @@ def test_words_that_are_no_file_names_stay() -> None:
 def test_a_terminal_without_the_letters_of_a_name_is_none_to_fail_on(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
     monkeypatch.setattr("sys.stdout", terminal)
-    run_command("predict", print, ["--version"])
+    predict.main(["--version"])
     print("output: caf\u00e9")
     assert terminal.buffer.getvalue().endswith(b"output: caf\\xe9\n")  # type: ignore[attr-defined]
 

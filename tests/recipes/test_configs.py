@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -13,9 +14,8 @@ from omegaconf import DictConfig, OmegaConf
 
 import sphericalvision.conf
 from sphericalvision.data import collate_samples, write_omnistereo
-from sphericalvision.recipes.app.checks import check_node
+from sphericalvision.recipes.app.checks import check_node, hints_of
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.app.keys import type_of
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from tests.recipes.tiny import composed
@@ -173,35 +173,30 @@ def test_every_key_is_explained(path: Path) -> None:
         assert " # " in line, f"{path.name}: no comment on {line!r}"
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "train",
-        "evaluate",
-        "predict",
-        "export",
-        "render",
-        "convert",
-        "calibrate",
-        "align",
-        "inspect",
-        "demo",
-    ],
+COMMANDS = (
+    *("train", "evaluate", "predict", "export", "render"),
+    *("convert", "calibrate", "align", "inspect", "demo"),
 )
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_composes(name: str) -> None:
     config = composed(name)
     assert "output" in config
     assert OmegaConf.is_config(config)
 
 
-INNER = ("hydra", "rig", "equirect_rig", "data", "models", "model", "preset", "extra_training", "defaults")
-"""Groups, and what the code behind them checks."""
-
-
 @pytest.mark.parametrize(
     "name", [*(path.stem for path in FILES if path.parent == CONF), "study/preset/_study"]
 )
 def test_every_key_of_a_command_has_a_type(name: str) -> None:
-    keys = [key for key in OmegaConf.load(CONF / f"{name}.yaml") if key not in INNER]
+    keys = {key for key in OmegaConf.load(CONF / f"{name}.yaml") if key not in ("hydra", "defaults")}
     name = name.partition("/")[0]
-    assert [key for key in keys if type_of(name, key) is None] == []
+    hints = hints_of(import_module(f"sphericalvision.recipes.{name}").main.keys)
+    assert keys <= {*hints}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_typed_key_of_a_command_is_in_its_file(name: str) -> None:
+    hints = hints_of(import_module(f"sphericalvision.recipes.{name}").main.keys)
+    assert {*hints} <= {*composed(name).keys()}

@@ -4,21 +4,22 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-import yaml
 from hydra.utils import get_class
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from sphericalvision.cameras import save_camera
-from sphericalvision.capture.preparation.preparation import Preparation
-from sphericalvision.recipes.app import command
+from sphericalvision.recipes.app.checks import marks_of, unused_key
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.app.keys import ONLY_WITH, unused_key
+from sphericalvision.recipes.app.command import Command
+from sphericalvision.recipes.app.kinds import OnlyWith
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.app.words import quote_paths
 from tests.recipes.board_pictures import COLUMNS, ROWS, SQUARE, write_boards
@@ -98,31 +99,37 @@ def capture(tmp_path: Path, weights: Path) -> None:
     (tmp_path / "c/poses.txt").write_text("\n".join(poses))
 
 
+def keys_of(name: str) -> Any:
+    """The types of a command's keys."""
+    return import_module(f"sphericalvision.recipes.{name}").main.keys
+
+
 @pytest.fixture
 def looked_at(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     """Keys of the configuration that a command looks at while it works."""
     found: set[str] = set()
-    work = command._work
+    call = Command.call
 
-    @contextlib.contextmanager
-    def watched(config: DictConfig) -> Iterator[None]:
+    def watched(patch: pytest.MonkeyPatch, config: Any) -> None:
+        kind = type(config)
+        for name in ("__getattribute__",) if is_dataclass(kind) else ("__getattr__", "__getitem__", "get"):
+            read = getattr(kind, name)
+
+            def seen(self: Any, key: Any, *more: Any, read: Callable[..., Any] = read) -> Any:
+                if self is config:
+                    found.add(str(key))
+                return read(self, key, *more)
+
+            patch.setattr(kind, name, seen)
+
+    def calling(self: Command, config: Any, folder: Path) -> Any:
+        nested = [value for value in vars(config).values() if is_dataclass(value)]
         with pytest.MonkeyPatch.context() as patch:
-            for name in ("__getattr__", "__getitem__", "get"):
-                read = getattr(DictConfig, name)
+            for one in (config, *nested):
+                watched(patch, one)
+            return call(self, config, folder)
 
-                def seen(self: DictConfig, key: Any, *more: Any, read: Callable[..., Any] = read) -> Any:
-                    if self is config:
-                        found.add(str(key))
-                    return read(self, key, *more)
-
-                patch.setattr(DictConfig, name, seen)
-            yield
-
-    def working(task: str, folder: bool, config: DictConfig) -> Any:
-        with watched(config):
-            return work(task, folder, config)
-
-    monkeypatch.setattr(command, "_work", working)
+    monkeypatch.setattr(Command, "call", calling)
     return found
 
 
@@ -138,27 +145,31 @@ def test_every_key_is_looked_at_or_refused(
     assert looked_at
     config = composed(name, *quote_paths(overrides))
     keys = [str(key) for key in config if key not in NAMED]
-    forgotten = [key for key in keys if key not in looked_at and not unused_key(name, config, [key])]
+    forgotten = [key for key in keys if key not in looked_at and not unused_key(keys_of(name), config, [key])]
     assert forgotten == []
 
 
+MARKED = ("predict", "inspect", "convert", "render", "calibrate", "train", "evaluate", "study")
+"""Commands that have keys which count only with others."""
+
+
 @pytest.mark.parametrize(
-    ("name", "key", "needed"),
-    [(name, key, needed) for name, table in ONLY_WITH.items() for needed in table for key in table[needed]],
+    ("name", "key", "mark"),
+    [(name, *marked) for name in MARKED for marked in marks_of(keys_of(name)).items()],
 )
-def test_keys_that_do_not_count_are_refused(name: str, key: str, needed: str) -> None:
+def test_keys_that_do_not_count_are_refused(name: str, key: str, mark: OnlyWith) -> None:
     words = {"predict": ["min_depth=1", "outputs=[npz]"], "calibrate": ["to=pinhole"]}.get(
         name, ["data=omnihouse"]
     )
     words = words if name in ("predict", "calibrate", "train", "evaluate", "study") else []
     config = composed(name, *words)
-    message = unused_key(name, config, [key])
+    message = unused_key(keys_of(name), config, [key])
     assert message is not None
-    needed = needed.partition("|")[0]
-    assert message.startswith(f"{key}: counts only with {needed.replace('data.rig', 'data=scenes')}")
-    other, _, value = needed.partition("=")
-    OmegaConf.update(config, other, yaml.safe_load(value or "given"), force_add=True)
-    assert unused_key(name, config, [key]) is None
+    assert message.startswith(f"{key}: counts only with {(mark.word or mark.needed).partition('|')[0]}")
+    other, _, values = mark.needed.partition("=")
+    value: Any = values.partition("|")[0] or "given"
+    OmegaConf.update(config, other, [value] if other == "outputs" else value, force_add=True)
+    assert unused_key(keys_of(name), config, [key]) is None
 
 
 NETWORK = ("model=icosweepnet_small", "model.level=3", "model.num_hypotheses=4", "model.feature_channels=2")
@@ -184,7 +195,7 @@ def test_every_key_of_data_is_looked_at_or_refused(
     read = kind.__getattribute__
 
     def seen(self: Any, name: str) -> Any:
-        found.update(vars(Preparation()) if name == "__dict__" else [name])  # it takes its keys from all
+        found.add(name)
         return read(self, name)
 
     monkeypatch.setattr(kind, "__getattribute__", seen)
@@ -195,7 +206,9 @@ def test_every_key_of_data_is_looked_at_or_refused(
         _ = data.dataset(split)[0]
     data.train_dataloader()
     keys = [str(key) for key in config.data if key != "_target_"]
-    forgotten = [key for key in keys if key not in found and not unused_key("train", config, [f"data.{key}"])]
+    forgotten = [
+        key for key in keys if key not in found and not unused_key(keys_of("train"), config, [f"data.{key}"])
+    ]
     assert forgotten == []
 
 

@@ -19,7 +19,8 @@ from sphericalvision.capture.preparation.alignment import RigTurns
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image, write_image, write_mask
-from sphericalvision.recipes.app.captures import open_moving
+from sphericalvision.recipes.app.captures import PosedCapture
+from sphericalvision.recipes.app.checks import typed
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from tests.recipes.tiny import Run, composed
 
@@ -76,9 +77,9 @@ def of_drive(drive: Path) -> list[str]:
     ]
 
 
-def keys(capture: Path, **given: Any) -> dict[str, Any]:
-    """Those of ``predict`` that say where the images and their poses are."""
-    return {**composed("predict", *inputs(capture)), **given}
+def keys(capture: Path, **given: Any) -> PosedCapture:
+    """What ``predict`` is told of where the images and their poses are."""
+    return typed(PosedCapture, {**composed("predict", *inputs(capture)), **given})
 
 
 def inputs(capture: Path) -> tuple[str, ...]:
@@ -129,7 +130,7 @@ def test_windows_of_a_video_and_of_few_images(capture: Path) -> None:
     for number in range(NUMBER):
         writer.write(np.full((*SIZE, 3), 30 * number, np.uint8))
     writer.release()
-    moving = open_moving(keys(capture, images=f"{capture}/walk.avi", spacing=0.1, up="z"))
+    moving = keys(capture, images=f"{capture}/walk.avi", spacing=0.1, up="z").open()
     assert moving.rig.cameras["000002"].image_size == SIZE
     frames = list(moving.frames(Selection(1, None, 2), lambda _: True))
     assert [frame.name for frame in frames] == ["000002", "000005"]
@@ -138,7 +139,7 @@ def test_windows_of_a_video_and_of_few_images(capture: Path) -> None:
     np.testing.assert_allclose(greys, [120, 150, 180], atol=3)
     assert frames[1].rig is not None
     assert frames[1].rig.names == ["000004", "000005", "000006"]
-    still = open_moving(keys(capture, window=2))
+    still = keys(capture, window=2).open()
     (frame,) = still.frames(Selection(2, 3), lambda _: True)
     assert frame.images is None
     assert "in one place" in str(frame.error)
@@ -148,7 +149,7 @@ def test_too_few_images_and_unknown_poses_are_told(
     run: Run, capture: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(ArgumentError, match=r"spacing: expected 3 poses 0\.4 m apart"):
-        open_moving(keys(capture, spacing=0.4))
+        keys(capture, spacing=0.4).open()
     with pytest.raises(SystemExit):
         run("predict", *words(capture), "cameras=[cam1]")
     assert "with poses there is one camera" in capsys.readouterr().err
@@ -205,7 +206,7 @@ def test_a_rig_that_moves_sees_more_than_one_that_stands(
 def test_bad_windows_of_a_rig_are_told(drive: Path, given: dict[str, Any], message: str) -> None:
     said = {"calibration": f"{drive}/rig.yaml", "images": f"{drive}/drive", "up": "-y"}
     with pytest.raises(ArgumentError, match=message):
-        open_moving(keys(drive, **said, **given))
+        keys(drive, **said, **given).open()
 
 
 def test_one_camera_of_a_rig_needs_movement_and_frames_are_those_of_all_cameras(drive: Path) -> None:
@@ -213,16 +214,16 @@ def test_one_camera_of_a_rig_needs_movement_and_frames_are_those_of_all_cameras(
     said["masks"] = f"{drive}/masks/{{camera}}.png"
     (drive / "drive/cam2/10.304.png").unlink()
     with pytest.warns(UserWarning, match=r"1 frame\(s\) that not every camera has"):
-        moving = open_moving(keys(drive, **said))
+        moving = keys(drive, **said).open()
     assert list(moving.windows) == ["10.204", "10.404"]
     assert list(moving.rig.masks) == moving.rig.names
     rows = (drive / "poses.txt").read_text().splitlines()
     still = [row.split()[0] + " 0 0 0 0 0 0 1" for row in rows]
     (drive / "poses.txt").write_text("\n".join(still))
-    (alone, *_) = open_moving(keys(drive, **said, cameras=["cam1"])).frames(Selection(), lambda _: True)
+    (alone, *_) = keys(drive, **said, cameras=["cam1"]).open().frames(Selection(), lambda _: True)
     assert "10.104, 10.204 are in one place" in str(alone.error)
     with pytest.warns(UserWarning, match="not every camera"):
-        (both, *_) = open_moving(keys(drive, **said)).frames(Selection(), lambda _: True)
+        (both, *_) = keys(drive, **said).open().frames(Selection(), lambda _: True)
     assert both.rig is not None
     assert both.rig.names == ["cam1@10.104", "cam2@10.104", "cam1@10.204", "cam2@10.204"]
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import re
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from hydra import initialize_config_module
 from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.recipes.commands.predict import PredictConfig
 from sphericalvision.recipes.speed import cameras as bench_cameras
 from sphericalvision.recipes.speed import data as bench_data
 from sphericalvision.recipes.speed import network as bench_network
@@ -103,10 +105,8 @@ def test_memory_is_the_most_that_is_held_at_once() -> None:
     assert min(added_memory(run, CPU) for _ in range(5)) == pytest.approx(40, abs=8)
 
 
-def small_preset(name: str, device: torch.device) -> DictConfig:
-    chosen = PRESET(name, device)
-    chosen.update(checkpoint="icosweepnet-small", level=4, height=16)
-    return chosen
+def small_preset(name: str, device: torch.device) -> PredictConfig:
+    return replace(PRESET(name, device), checkpoint="icosweepnet-small", level=4, height=16)
 
 
 PRESET = bench_predict.preset_config

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -24,7 +24,6 @@ from sphericalvision.core import ArgumentError
 
 __all__ = [
     "AS_IT_IS",
-    "AUTO",
     "Compensation",
     "Compensator",
     "Preparation",
@@ -33,8 +32,6 @@ __all__ = [
     "noise_of",
 ]
 
-AUTO = "auto"
-"""In place of a pattern of masks: those of the rig's own body, found in the frames."""
 LEAST_LIGHT = 0.05
 """Share of the light: cameras that differ by less are taken to be alike."""
 SURE = 2.0
@@ -60,31 +57,23 @@ class Preparation:
         photometric: whether noise of more than 1 % is smoothed, and differences in exposure and vignetting between the
             cameras are compensated if they exceed 5 %. All are estimated from each frame (``calibrate_photometry``).
         align: whether cameras that a few frames show to be turned are turned back (``align_rig``).
-        own_body: whether what stands still in all frames, the body that carries the rig, is masked (``find_own_body``).
 
     Raises:
         ArgumentError: a value is not True or False.
 
     Examples:
-        >>> Preparation.from_keys({"photometric": False, "masks": "auto", "output": "out"})
-        Preparation(photometric=False, align=True, own_body=True)
+        >>> Preparation(photometric=False)
+        Preparation(photometric=False, align=True)
     """
 
     photometric: bool = True
     align: bool = True
-    own_body: bool = False
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             if not isinstance(value, bool):
                 raise ArgumentError(f"{field.name}: expected true or false, got {value!r}")
-
-    @classmethod
-    def from_keys(cls, config: Mapping[str, Any]) -> Preparation:
-        """Return what the keys of a command say: those of the attributes' names, and ``masks=auto``."""
-        switches = {name: config[name] for name in ("photometric", "align") if name in config}
-        return cls(**switches, own_body=config.get("masks") == AUTO)
 
     def judges(self, rig: CameraRig) -> bool:
         """Return whether a few frames are to say if cameras are turned; one camera has nothing to be compared with."""

@@ -38,34 +38,36 @@ from sphericalvision.recipes.training.run_folder import (
 __all__ = ["Run", "TrainKeys", "instantiate_run", "train"]
 
 
-@with_config(STRICT)
-class TrainerKeys(TypedDict, total=False):
-    """Keys of the group ``trainer`` that Lightning's own hints leave more open; the others are compared with those."""
-
-    max_steps: Annotated[int, Ge(-1)]
-    max_time: (
-        Annotated[str, Field(pattern=r"^\d+:\d\d:\d\d:\d\d$", description="days to seconds as 00:12:00:00")]
+TrainerKeys = TypedDict(  # noqa: UP013 (Lightning has these names, this file has not: as a class they are dead code)
+    "TrainerKeys",
+    {
+        "max_steps": Annotated[int, Ge(-1)],
+        "max_time": Annotated[
+            str, Field(pattern=r"^\d+:\d\d:\d\d:\d\d$", description="days to seconds as 00:12:00:00")
+        ]
         | dict[str, Any]
-        | None
-    )
-    val_check_interval: Count
-    check_val_every_n_epoch: None
-    limit_val_batches: Count | Share | None
-    num_sanity_val_steps: Annotated[int, Ge(-1)]
-    accelerator: Literal["auto", "cpu", "gpu", "cuda", "mps", "tpu"]
-    devices: (
-        Literal["auto", -1]
+        | None,
+        "val_check_interval": Count,
+        "check_val_every_n_epoch": None,
+        "limit_val_batches": Count | Share | None,
+        "num_sanity_val_steps": Annotated[int, Ge(-1)],
+        "accelerator": Literal["auto", "cpu", "gpu", "cuda", "mps", "tpu"],
+        "devices": Literal["auto", -1]
         | Count
         | Annotated[str, Field(pattern=r"^\d+(,\d+)*$", description="numbers of GPUs as 0,2")]
-        | Annotated[list[Number], MinLen(1)]
-    )
-    num_nodes: Count
-    use_distributed_sampler: Literal[False]
-    accumulate_grad_batches: Count
-    gradient_clip_val: Annotated[float, Ge(0)] | None
-    overfit_batches: Number | Share
-    log_every_n_steps: Number
-    profiler: Literal["simple", "advanced", "pytorch"] | dict[str, Any] | None
+        | Annotated[list[Number], MinLen(1)],
+        "num_nodes": Count,
+        "use_distributed_sampler": Literal[False],
+        "accumulate_grad_batches": Count,
+        "gradient_clip_val": Annotated[float, Ge(0)] | None,
+        "overfit_batches": Number | Share,
+        "log_every_n_steps": Number,
+        "profiler": Literal["simple", "advanced", "pytorch"] | dict[str, Any] | None,
+    },
+    total=False,
+)
+"""Keys of the group ``trainer`` that Lightning's own hints leave more open; the others are compared with those."""
+with_config(STRICT)(TrainerKeys)
 
 
 @with_config(STRICT)

@@ -10,7 +10,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.preparation.preparation import Compensation, Compensator, Preparation
+from sphericalvision.capture.preparation.photometry import pixel_angles
+from sphericalvision.capture.preparation.preparation import (
+    Compensator,
+    Correction,
+    Preparation,
+    differs,
+    needed,
+)
 from sphericalvision.core import full_precision
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
@@ -39,18 +46,17 @@ class Pipeline:
         self.network, self.rig = network, rig
         self.tables, self.intake = network.tables(rig), network.intake(rig)
         self._compensator = Compensator(rig)
-        self._angles = torch.empty(
-            0
-        )  # (n, V) radians from each camera's axis, where images are on icospheres
         if network.images == "sphere":
             vertices = icosphere_vertices(network.level, torch.float32, network.device)
             directions = vertices.to(rig.world_from_camera) @ rig.world_from_camera[:, :3, :3]
             self._angles = angle_from_axis(directions).float()
+        else:
+            self._angles = torch.stack(list(pixel_angles(rig).values()))
 
     @full_precision
     def inputs(
         self, images: Mapping[str, Float[Tensor, "*batch 3 _ _"]], preparation: Preparation
-    ) -> tuple[Float[Tensor, "*batch_and_size"], tuple[Compensation, ...]]:
+    ) -> tuple[Float[Tensor, "*batch_and_size"], tuple[Correction, ...]]:
         """Return ``(*b, n, 3, *size)`` in [-1, 1], 0 where nothing was seen, and what was taken out of each frame.
 
         Args:
@@ -60,22 +66,24 @@ class Pipeline:
         if preparation.of_images is None:
             return self.intake(images), ()
         compensator = self._compensator
-        bright, gains = compensator.brightened(images)
+        batch = next(iter(images.values())).shape[:-3]
+        flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in images.items()}
+        bright, gains = compensator.brightened(flat)
         smooth, noise = compensator.smoothed(bright)
-        flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in smooth.items()}
-        frames = [{name: images[frame] for name, images in flat.items()} for frame in range(len(noise))]
-        lights = [compensator.light(frame) if len(self.rig) > 1 else None for frame in frames]
-        compensations = tuple(map(Compensation, noise, lights, gains))
-        if self.network.images == "camera":
-            even = [compensator.evened(frame, light) for frame, light in zip(frames, lights, strict=True)]
-            stacked = {n: torch.stack([frame[n] for frame in even]).view_as(smooth[n]) for n in smooth}
-            return self.intake(stacked), compensations
-        # On the icosphere there are fewer values to divide than in the images.
+        # Light is divided out of what was looked up: on an icosphere there are fewer values than in the images.
         values = self.intake.looked_up(smooth)
-        for frame, light in zip(values.view(-1, *values.shape[-3:]), lights, strict=True):
-            if light is not None:
-                frame.div_(light.light(self._angles)).clamp_(0, 1)
-        return signed(values, self.intake.seen), compensations
+        corrections = []
+        for place, frame in enumerate(values):
+            light = None
+            if len(self.rig) > 1:
+                light = compensator.light({name: image[place] for name, image in smooth.items()})
+                if needed(differs(light)):
+                    even = (frame / light.light(self._angles).to(frame)).clamp(0, 1)
+                    frame.copy_(even.where(differs(light), frame))
+            corrections.append(Correction(noise[place], gains[place], light))
+        return signed(values, self.intake.seen).unflatten(0, batch or (1,))[() if batch else 0], tuple(
+            corrections
+        )
 
     def estimate(
         self, inputs: Float[Tensor, "*batch_and_size"]

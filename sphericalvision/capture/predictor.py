@@ -212,10 +212,10 @@ class Predictor:
         """
         photographs = self._photographs(images)
         pipeline = self._pipeline_for(photographs)
-        inputs, compensations = pipeline.inputs(photographs, self.preparation)
+        inputs, corrections = pipeline.inputs(photographs, self.preparation)
         with self._turn():
             index, confidence, seen = pipeline.estimate(inputs)
-        return Depth(index, confidence, seen, pipeline.network, self.rig, photographs, compensations)
+        return Depth(index, confidence, seen, pipeline.network, self.rig, photographs, corrections)
 
     def inputs(
         self, images: Mapping[str, Any]

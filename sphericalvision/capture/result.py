@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.capture.points import distance_along
+from sphericalvision.capture.preparation.preparation import Compensation, Correction
 from sphericalvision.core import ArgumentError, full_precision
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere import Icosphere, locate
@@ -69,7 +70,8 @@ class Depth:
         network: the network; ``network.grid`` is the grid of the values.
         rig: the cameras.
         images: camera name -> ``(*b, 3, h, w)`` in [0, 1], for colours.
-        compensations: of each frame a ``Compensation``, what was taken out of its images before depth was estimated.
+        corrections: of each frame a ``Correction`` or ``Compensation``, what was taken out of its images before depth
+            was estimated; ``compensations`` has plain numbers.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -87,7 +89,7 @@ class Depth:
     network: DepthNetwork
     rig: CameraRig
     images: Mapping[str, Tensor] = field(repr=False)
-    compensations: tuple[Any, ...] = field(default=(), repr=False)
+    corrections: tuple[Correction | Compensation, ...] = field(default=(), repr=False)
 
     @property
     def inverse_depth(self) -> Float[Tensor, "*batch_and_grid"]:
@@ -115,6 +117,14 @@ class Depth:
         return float(self.network.depth(torch.tensor(0.5)))
 
     @property
+    def compensations(self) -> tuple[Compensation, ...]:
+        """Of each frame what was taken out of its images; none where that was not asked for."""
+        return tuple(
+            part if isinstance(part, Compensation) else part.compensation(self.rig)
+            for part in self.corrections
+        )
+
+    @property
     def batch_shape(self) -> tuple[int, ...]:
         """``*b``: no dimensions for one frame."""
         return tuple(self.index.shape[: self.index.ndim - len(self.network.grid.shape)])
@@ -135,8 +145,8 @@ class Depth:
             raise ArgumentError("select: this is the depth of one frame, not of a batch")
         images = {name: image[frame] for name, image in self.images.items()}
         index, confidence, seen = self.index[frame], self.confidence[frame], self.seen[frame]
-        taken_out = self.compensations[frame : frame + 1 or None]
-        return Depth(index, confidence, seen, self.network, self.rig, images, taken_out)
+        corrections = self.corrections[frame : frame + 1 or None]
+        return Depth(index, confidence, seen, self.network, self.rig, images, corrections)
 
     @full_precision
     def panorama(self, height: int) -> DepthImage:

@@ -10,26 +10,27 @@ Convention:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.conversion.fit import cap
 from sphericalvision.cameras.masks import resized_mask
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.cameras.remapping.lookup import pixels_a_radian
+from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
-from sphericalvision.cameras.sphere_images import sphere_lookups
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import angle_from_axis
+from sphericalvision.geometry.lookup import ImageLookup
 from sphericalvision.icosphere import icosphere_vertices
 
 __all__ = [
+    "LightEstimate",
     "Photometer",
     "PhotometricCalibration",
     "averaged",
@@ -38,7 +39,8 @@ __all__ = [
     "reduced_rig",
 ]
 
-_POINTS = 2000
+_POINTS, _PARTS = 2000, 12
+"""All around the rig; parts of the sphere, around the corners of an icosahedron."""
 _DISTANCES = (10.0, 30.0, 100.0)
 """Of the points where cameras are compared, in radii of the rig: those of a table, a room, a hall."""
 _DARKEST, _BRIGHTEST = 0.04, 0.97
@@ -75,25 +77,14 @@ class PhotometricCalibration(NamedTuple):
     @property
     def strength(self) -> float:
         """Largest deviation of ``light`` from 1 at the axes and edges of the cameras."""
-        return float((self._at_ends() - 1).abs().max())
-
-    def differing(self, others: Sequence[PhotometricCalibration]) -> float:
-        """Return the standard deviation of ``strength``, from calibrations without one part of the sphere each."""
-        if len(others) < 2:
-            return 0.0
-        at = int((self._at_ends() - 1).abs().argmax())
-        found = torch.stack([other._at_ends().flatten()[at] for other in others])
-        return float(((len(found) - 1) * (found - found.mean()).square().mean()).sqrt())  # the jackknife
-
-    def _at_ends(self) -> Tensor:
-        return self.light(torch.stack((torch.zeros_like(self.edge), self.edge), -1))
+        return float((_at_ends(self.exposure, self.falloff) - 1).abs().max())
 
     def light(self, angles: Float[Tensor, " n *points"]) -> Float[Tensor, "n c *points"]:
         """Factors ``(n, c, *points)`` on what cameras show at ``angles`` ``(n, *points)`` from their axes, radians.
 
         Examples:
-            >>> found = PhotometricCalibration(torch.zeros(1, 3), torch.tensor([[0.5, 0.0]]), torch.tensor([1.6]), 0.0)
-            >>> found.light(torch.tensor([[0.0, 1.6]]))[0, 0]
+            >>> lens = PhotometricCalibration(torch.zeros(1, 3), torch.tensor([[0.5, 0.0]]), torch.tensor([1.6]), 0.0)
+            >>> lens.light(torch.tensor([[0.0, 1.6]]))[0, 0]
             tensor([1.0000, 0.6065])
         """
         count = angles.ndim - 1
@@ -136,6 +127,34 @@ class PhotometricCalibration(NamedTuple):
             )
             even[name] = (images[name] / one.light(angle[None])[0].to(images[name])).clamp(0, 1)
         return even
+
+
+class LightEstimate(NamedTuple):
+    """A ``PhotometricCalibration`` whose every number is a tensor, on the device of the images."""
+
+    exposure: Float[Tensor, "n c"]
+    falloff: Float[Tensor, "n 2"]
+    edge: Float[Tensor, " n"]
+    residual: Float[Tensor, ""]
+    spread: Float[Tensor, ""]
+    strength: Float[Tensor, ""]
+
+    def calibration(self) -> PhotometricCalibration:
+        """Return the same with plain numbers, for which a device is waited for."""
+        return PhotometricCalibration(
+            self.exposure, self.falloff, self.edge, float(self.residual), float(self.spread)
+        )
+
+    def light(self, angles: Float[Tensor, " n *points"]) -> Float[Tensor, "n c *points"]:
+        """Return factors as ``PhotometricCalibration.light`` does."""
+        return PhotometricCalibration(self.exposure, self.falloff, self.edge, 0.0).light(angles)
+
+
+def _at_ends(
+    exposure: Float[Tensor, "*b n c"], falloff: Float[Tensor, "*b n 2"]
+) -> Float[Tensor, "*b n c 2"]:
+    """Factors of light at the axes and at the edges of cameras."""
+    return torch.stack((exposure, exposure - falloff.sum(-1, keepdim=True)), -1).exp()
 
 
 def pixel_angles(rig: CameraRig) -> dict[str, Float[Tensor, "_ _"]]:
@@ -215,7 +234,9 @@ class Photometer:
         self._edge = torch.stack(edges)
         radius = float(rig.radius)
         distances = [far * radius for far in _DISTANCES] if depth is None else [depth]
-        self._places = [_Points(self, 1 / far if far > 0 else 0.0) for far in distances]
+        self._points = _Points(
+            self._small, self._inside, self._edge, [1 / d if d > 0 else 0.0 for d in distances]
+        )
 
     def __call__(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> PhotometricCalibration:
         """Estimate exposure and vignetting.
@@ -224,100 +245,195 @@ class Photometer:
             images: as of ``calibrate_photometry``; so are the errors.
         """
         check_images_of(self.rig, images)
+        return self.estimate(images).calibration()
+
+    def estimate(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> LightEstimate:
+        """Return what a call does as tensors: no number goes to the host, for which a device would be waited for."""
         small = averaged(self._small, images)
         frames = [
             small[name].reshape(-1, *small[name].shape[-3:]) * inside for name, inside in self._inside.items()
         ]
-        found = [points.compared(frames) for points in self._places]
-        best = min(found, key=lambda answer: answer.residual)
-        calibration, *others = (
-            PhotometricCalibration(exposure.to(self._edge), falloff.to(self._edge), self._edge, best.residual)
-            for exposure, falloff in best.answers
-        )
-        return calibration._replace(spread=calibration.differing(others))
+        exposure, falloff, valid, residual = self._points.compared(frames)
+        strength = (_at_ends(exposure, falloff) - 1).abs().flatten(1)
+        # The jackknife: how strength differs without one part of the sphere each, of those that tell anything.
+        place = strength[0].argmax()
+        others = strength[1:].index_select(1, place[None])[:, 0]
+        number = valid.sum()
+        mean = (others * valid).sum() / number.clamp(min=1)
+        spread = (
+            (number - 1).clamp(min=0) * ((others - mean).square() * valid).sum() / number.clamp(min=1)
+        ).sqrt()
+        return LightEstimate(exposure[0], falloff[0], self._edge, residual, spread, strength[0].amax())
 
 
 class _Points:
-    """Where points at one inverse depth, 1/m, fall in the images, and how much light is lost there."""
+    """Where points at some inverse depths, 1/m, fall in the images, and how much light is lost there.
 
-    def __init__(self, of: Photometer, inverse_depth: float) -> None:
-        rig = of._small
-        directions = cap(math.pi, _POINTS, next(iter(rig.cameras.values()))).to(rig.world_from_camera)
-        self.lookups = sphere_lookups(rig, directions, inverse_depth=inverse_depth)
-        rays = directions + inverse_depth * (rig.center - rig.positions)[:, None].to(directions)
-        angles = angle_from_axis(rays @ rig.world_from_camera[:, :3, :3])
-        has_lens = [not isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values()]
-        squared = (angles / of._edge[:, None]).clamp(max=1).square()
-        squared = squared * torch.tensor(has_lens, device=squared.device)[:, None]
-        self.basis = torch.stack((squared, squared.square()), -1)
-        self.parts = (directions @ icosphere_vertices(0).to(directions).mT).argmax(-1)
-        self.shares = [
-            look(inside[None].float(), 0)
-            for look, inside in zip(self.lookups, of._inside.values(), strict=True)
+    Everything has a fixed shape: what cannot be used weighs nothing, and no row is taken out, so that a device never
+    has to tell the host how many there are. Points stand by the twelve parts of the sphere, each filled up to the
+    same number, since sums over parts are wanted as well.
+    """
+
+    def __init__(
+        self, rig: CameraRig, inside: Mapping[str, Tensor], edge: Tensor, inverse_depths: list[float]
+    ) -> None:
+        points = cap(math.pi, _POINTS, next(iter(rig.cameras.values()))).to(rig.world_from_camera)
+        parts = (points @ icosphere_vertices(0).to(points).mT).argmax(-1)
+        members = [(parts == part).nonzero()[:, 0] for part in range(_PARTS)]
+        most = max(map(len, members))
+        slots = torch.stack([F.pad(member, (0, most - len(member))) for member in members])
+        filled = torch.stack([torch.arange(most, device=points.device) < len(member) for member in members])
+        directions = points[slots.flatten()]
+        depths = directions.new_tensor(inverse_depths)
+        seen = rig.project_along(directions, depths)
+        self.num_depths = len(inverse_depths)
+        self.lookups = [
+            ImageLookup(
+                seen.pixels[place].flatten(0, 1).unsqueeze(-2),
+                seen.valid[place].flatten()[:, None],
+                camera.image_size,
+                edges=image_edges(camera),
+            )
+            for place, camera in enumerate(rig.cameras.values())
         ]
+        # Near the border of its view a camera sees a part of a pixel only.
+        shares = [
+            look(inside[name][None].float()) for look, name in zip(self.lookups, rig.names, strict=True)
+        ]
+        self.share = torch.stack(shares).flatten(1)
+        self.usable = (self.share > 0.99) & filled.flatten().repeat(self.num_depths)
+        offsets = (rig.center - rig.positions)[:, None, None].to(directions)
+        rays = directions + depths[:, None, None] * offsets
+        angles = angle_from_axis(rays.flatten(1, 2) @ rig.world_from_camera[:, :3, :3])
+        has_lens = [not isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values()]
+        squared = (angles / edge[:, None]).clamp(max=1).square()
+        squared = squared * torch.tensor(has_lens, device=squared.device)[:, None]
+        basis = torch.stack((squared, squared.square()), -1).double().unflatten(1, (self.num_depths, -1))
+        # Of each two cameras that both see some point: their numbers, and the row of an equation in the difference of
+        # their exposures and the falloff of either, [1, -basis, basis].
+        both = (self.usable[:, None] & self.usable).any(-1)
+        self.one, self.other = both.tril(-1).nonzero().unbind(1)
+        if not len(self.one):  # a camera and itself, which differ by nothing
+            self.one = self.other = self.one.new_zeros(1)
+        ones = basis.new_ones(*basis.shape[:-1], 1)
+        rows = torch.cat((ones[self.one], -basis[self.one], basis[self.other]), -1)
+        self.rows = rows.movedim(0, 1).contiguous()  # (D, pairs, points, 5)
+        self.squares = (self.rows[..., :, None] * self.rows[..., None, :]).flatten(-2)
 
-    def compared(self, images: list[Tensor]) -> _Solution:
-        """Exposure and falloff that explain images ``(b, c, h, w)``, a camera each."""
-        values: list[Tensor] = []  # logarithms (c, b V)
-        usable: list[Tensor] = []  # whether they are seen, and not at the border of the view (b V,)
-        for look, share, frames in zip(self.lookups, self.shares, images, strict=True):
-            found = look(frames, 0) / share.to(frames).clamp(min=0.5)
-            good = (share[0] > 0.99) & (found.amin(1) > _DARKEST) & (found.amax(1) < _BRIGHTEST)
-            values.append(found.clamp(min=_DARKEST).log().movedim(1, 0).flatten(1))
-            usable.append(good.flatten())
-        return _solve(torch.stack(values), torch.stack(usable), self.basis, self.parts)
+    def compared(self, images: list[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """What explains images ``(b, c, h, w)``, a camera each, at the inverse depth where they agree best.
+
+        Returns exposure ``(1 + parts, n, c)`` and falloff ``(1 + parts, n, 2)``, of all points and then without each
+        part of the sphere in turn; which parts tell anything; and the residual.
+
+        By weighted least squares, weighted anew each round; without a part with the weights that all points ended with.
+        """
+        number, channels = len(images), images[0].shape[1]
+        stacked = [look(frames) for look, frames in zip(self.lookups, images, strict=True)]
+        values = torch.stack(stacked) / self.share[:, None, None].to(images[0]).clamp(min=0.5)
+        good = self.usable[:, None] & (values.amin(2) > _DARKEST) & (values.amax(2) < _BRIGHTEST)
+        logs = values.clamp(min=_DARKEST).log()
+        difference = self._by_depth((logs[self.one] - logs[self.other]).double())
+        used = self._by_depth((good[self.one] & good[self.other])[:, :, None].expand(-1, -1, channels, -1))
+        to_all = self._to_all(number, channels)
+        size = to_all.shape[-1]
+        count = used.sum((1, 2, 3))
+        # Where nothing can be compared nothing is to be explained: the regularisation alone decides for zero.
+        hold = _held(number, channels, difference) * (count.clamp(min=1) / size)[:, None, None]
+        unknown = difference.new_zeros(len(count), size)
+        scale = difference.new_full((len(count),), 0.3)
+        for _ in range(_ROUNDS):
+            relative = self._rest(difference, unknown, to_all) / scale.view(-1, 1, 1, 1)
+            weights = used / (1 + relative.square())
+            normal, target = self._normal(weights, difference, to_all, 1)
+            mean = (weights.sum((1, 2, 3)) / count.clamp(min=1)).where(count > 0, 1.0)
+            whole = normal[:, 0] + hold * mean[:, None, None]
+            unknown = solved(whole, target[:, 0])
+            rest = self._rest(difference, unknown, to_all).abs().where(used, math.nan)
+            scale = (1.4826 * rest.flatten(1).nanmedian(1).values.nan_to_num(0.0)).clamp(min=0.01)
+        residual = scale.where(count > 0, 0.0)
+        best = residual.argmin()[None]
+        normal, target = self._normal(weights, difference, to_all, _PARTS)
+        whole, normal, target = (each.index_select(0, best)[0] for each in (whole, normal, target))
+        # Parts are as good as independent, which neighbouring points are not.
+        without = torch.cat((whole[None], whole - normal))
+        targets = torch.cat((target.sum(0)[None], target.sum(0) - target))
+        answers = solved(without, targets).to(self.share)
+        exposure, falloff = answers.split((number * channels, 2 * number), -1)
+        valid = used.index_select(0, best)[0].any(0).any(0).unflatten(0, (_PARTS, -1)).any(-1)
+        return (
+            exposure.unflatten(1, (number, channels)),
+            falloff.unflatten(1, (number, 2)),
+            valid,
+            residual.index_select(0, best)[0],
+        )
+
+    def _by_depth(self, values: Tensor) -> Tensor:
+        """``(D, pairs, b * c, points)`` of ``(pairs, b, c, D * points)``."""
+        return values.flatten(1, 2).unflatten(-1, (self.num_depths, -1)).permute(2, 0, 1, 3).contiguous()
+
+    def _to_all(self, number: int, channels: int) -> Tensor:
+        """``(pairs, c, 5, unknowns)``: which of all unknowns, and with which sign, a row's five values belong to.
+
+        Unknown are exposures ``(n, c)``, then falloffs ``(n, 2)``.
+        """
+        each = torch.eye(number * channels + 2 * number, dtype=torch.float64, device=self.share.device)
+        exposure = each[: number * channels].unflatten(0, (number, channels))
+        falloff = each[number * channels :].unflatten(0, (number, 1, 2)).expand(-1, channels, -1, -1)
+        difference = (exposure[self.one] - exposure[self.other]).unsqueeze(2)
+        return torch.cat((difference, falloff[self.one], falloff[self.other]), 2)
+
+    def _rest(self, difference: Tensor, unknown: Tensor, to_all: Tensor) -> Tensor:
+        """The differences less what the unknowns ``(D, unknowns)`` explain of them."""
+        own = torch.einsum("pcau,du->dpca", to_all, unknown)
+        own = own.repeat(1, 1, difference.shape[2] // own.shape[2], 1)
+        return difference - own @ self.rows.mT
+
+    def _normal(
+        self, weights: Tensor, difference: Tensor, to_all: Tensor, parts: int
+    ) -> tuple[Tensor, Tensor]:
+        """Normal equations of so many parts: ``(D, parts, unknowns, unknowns)`` and ``(D, parts, unknowns)``."""
+
+        def sums(
+            factors: Tensor, of: Tensor
+        ) -> Tensor:  # (D, parts, pairs, c, values), over points and frames
+            grouped = factors.unflatten(-1, (parts, -1)).transpose(2, 3) @ of.unflatten(2, (parts, -1))
+            return grouped.unflatten(3, (-1, to_all.shape[1])).sum(3).transpose(1, 2)
+
+        squares, targets = sums(weights, self.squares), sums(weights * difference, self.rows)
+        squares = squares.unflatten(-1, (5, 5)) @ to_all
+        flat = to_all.flatten(0, 2)
+        return flat.mT @ squares.flatten(2, 4), targets.flatten(2) @ flat
 
 
-class _Solution(NamedTuple):
-    """Exposure ``(n, c)`` and falloff ``(n, 2)``, of all points and then without each part of the sphere in turn."""
+def solved(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Float[Tensor, "*b n"]:
+    """Solve positive definite systems, on a device without a word to the host.
 
-    answers: list[tuple[Tensor, Tensor]]
-    residual: float
+    Libraries report singular matrices to the host, which waits for them; these are never singular, and small.
+
+    Examples:
+        >>> solved(torch.tensor([[2.0, 1.0], [1.0, 2.0]]), torch.tensor([3.0, 0.0]))
+        tensor([ 2., -1.])
+    """
+    if matrix.is_cpu:
+        return torch.linalg.solve(matrix, right)
+    return eliminated(matrix, right)
 
 
-def _solve(
-    values: Float[Tensor, "n c m"],
-    usable: Bool[Tensor, "n m"],
-    basis: Float[Tensor, "n V 2"],
-    parts: Int[Tensor, " V"],
-) -> _Solution:
-    """Weighted least squares, weighted anew each round; without a part with the weights that all points ended with."""
-    number, channels, count = values.shape
-    basis = basis.repeat(1, count // basis.shape[1], 1).double()
-    size = number * channels + 2 * number
-    rows, differences, places = [], [], []
-    for one in range(number):
-        for other in range(one):
-            both = (usable[one] & usable[other]).nonzero()[:, 0]
-            for channel in range(channels):
-                row = basis.new_zeros(len(both), size)
-                for camera, sign in ((one, 1.0), (other, -1.0)):
-                    row[:, camera * channels + channel] = sign
-                    first = number * channels + 2 * camera
-                    row[:, first : first + 2] = -sign * basis[camera, both]
-                rows.append(row)
-                places.append(parts[both % len(parts)])
-                differences.append((values[one, channel, both] - values[other, channel, both]).double())
-    if not rows or not sum(map(len, rows)):
-        return _Solution([(values.new_zeros(number, channels), values.new_zeros(number, 2))], 0.0)
-    matrix, difference = torch.cat(rows), torch.cat(differences)
-    hold = _held(number, channels, basis).mul(len(matrix) / size)
-    found, scale = basis.new_zeros(size), 0.3
-    for _ in range(_ROUNDS):
-        relative = (difference - matrix @ found) / scale
-        weights = 1 / (1 + relative.square())
-        normal = matrix.mT @ (weights[:, None] * matrix) + hold * weights.mean()
-        found = torch.linalg.solve(normal, matrix.mT @ (weights * difference))
-        scale = max(0.01, 1.4826 * float((difference - matrix @ found).abs().median()))
-    place = torch.cat(places)
-    answers = [found]
-    for part in place.unique():  # as good as independent, which neighbouring points are not
-        here, share = matrix[place == part], weights[place == part]
-        without = normal - here.mT @ (share[:, None] * here)
-        wanted = matrix.mT @ (weights * difference) - here.mT @ (share * difference[place == part])
-        answers.append(torch.linalg.solve(without, wanted))
-    split = (answer.split((number * channels, 2 * number)) for answer in answers)
-    return _Solution([(one.view(number, channels), two.view(number, 2)) for one, two in split], scale)
+def eliminated(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Float[Tensor, "*b n"]:
+    """``solved`` by Gauss and Jordan's elimination: each step clears a column of all other rows.
+
+    Examples:
+        >>> eliminated(torch.tensor([[2.0, 1.0], [1.0, 2.0]]), torch.tensor([3.0, 0.0]))
+        tensor([ 2., -1.])
+    """
+    system = torch.cat((matrix, right.unsqueeze(-1)), -1)
+    unit = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
+    for place in range(matrix.shape[-1]):
+        row = system[..., place, :] / system[..., place, place, None]
+        column = system[..., place] - unit[place]
+        system = system - column.unsqueeze(-1) * row.unsqueeze(-2)
+    return system[..., -1]
 
 
 def _held(number: int, channels: int, like: Tensor) -> Tensor:

@@ -15,20 +15,25 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.preparation.photometry import Photometer, PhotometricCalibration, pixel_angles
+from sphericalvision.capture.preparation.photometry import LightEstimate, Photometer, PhotometricCalibration
 from sphericalvision.core import ArgumentError
 
 __all__ = [
     "AS_IT_IS",
     "Compensation",
     "Compensator",
+    "Correction",
     "Preparation",
+    "bilateral",
     "compensated",
     "denoised",
+    "differs",
+    "needed",
     "noise_of",
 ]
 
@@ -126,8 +131,31 @@ class Compensation(NamedTuple):
         return sentences
 
 
+class Correction(NamedTuple):
+    """What was taken out of the images of one frame, as tensors on the device of the images.
+
+    Attributes:
+        noise: ``(n,)`` by camera; 0 where none was smoothed.
+        gain: factor on all images.
+        light: how exposure and vignetting differ; None for one camera. It was taken out if it ``differs``.
+    """
+
+    noise: Float[Tensor, " n"]
+    gain: Float[Tensor, ""]
+    light: LightEstimate | None
+
+    def compensation(self, rig: CameraRig) -> Compensation:
+        """Return the same with plain numbers, for which a device is waited for."""
+        light = None
+        if self.light is not None and differs(self.light):
+            light = self.light.calibration()
+        return Compensation(dict(zip(rig.names, self.noise.tolist(), strict=True)), light, float(self.gain))
+
+
 class Compensator:
     """Takes noise, exposure and vignetting out of the images of a rig; what follows from the rig is computed once.
+
+    What it finds are tensors, and what they decide is chosen by ``where``: no number goes to the host.
 
     Args:
         rig: unbatched.
@@ -138,55 +166,56 @@ class Compensator:
         self._usable = {name: _inside(mask) for name, mask in rig.masks.items()}
 
     @cached_property
-    def _photometer(self) -> Photometer:
+    def photometer(self) -> Photometer:
+        """Of the rig."""
         return Photometer(self.rig)
 
-    @cached_property
-    def _angles(self) -> dict[str, Tensor]:
-        return pixel_angles(self.rig)
-
     def brightened(
-        self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
-    ) -> tuple[dict[str, Float[Tensor, "*batch c _ _"]], list[float]]:
+        self, images: Mapping[str, Float[Tensor, "b c _ _"]]
+    ) -> tuple[dict[str, Float[Tensor, "b c _ _"]], Float[Tensor, " b"]]:
         """Return images as bright as is usual, where those of all cameras are dark, and the factor of each frame.
 
         So are scenes at night, and pictures of 10 or 12 bits that are stored in 16.
         """
-        flat = [image.reshape(-1, *image.shape[-3:]) for image in images.values()]
-        gains = []
-        for frame in zip(*flat, strict=True):
-            values = torch.cat([_spread(image) for image in frame])
-            # Not by `quantile`, which sorts: that took longer than anything else that is done to images.
-            bright = values.kthvalue(math.ceil(BRIGHT_SHARE * len(values))).values.item()
-            gains.append(BRIGHT / bright if BLACK < bright < DARK else 1.0)
-        if all(gain == 1 for gain in gains):
+        values = torch.cat([_spread(image) for image in images.values()], 1)
+        # Not by `quantile`, which sorts: that took longer than anything else that is done to images.
+        bright = values.kthvalue(math.ceil(BRIGHT_SHARE * values.shape[1])).values.double()
+        dark = (bright > BLACK) & (bright < DARK)
+        gains = (BRIGHT / bright).where(dark, 1.0)
+        if not needed(dark):
             return dict(images), gains
-        factors = flat[0].new_tensor(gains).view(-1, 1, 1, 1)
-        bright_images = {
-            name: (image * factors).clamp(max=1).view_as(images[name])
-            for name, image in zip(images, flat, strict=True)
-        }
-        return bright_images, gains
+        factors = gains.to(values.dtype).view(-1, 1, 1, 1)
+        chosen = dark.view(-1, 1, 1, 1)
+        return {
+            name: (image * factors).clamp(max=1).where(chosen, image) for name, image in images.items()
+        }, gains
 
     def smoothed(
-        self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
-    ) -> tuple[dict[str, Float[Tensor, "*batch c _ _"]], list[dict[str, float]]]:
-        """Return images without noise, and frame by frame how much there was in that of each camera."""
-        smooth, noise = {}, {}
+        self, images: Mapping[str, Float[Tensor, "b c _ _"]]
+    ) -> tuple[dict[str, Float[Tensor, "b c _ _"]], Float[Tensor, "b n"]]:
+        """Return images without noise, and how much there was in those of each camera."""
+        smooth, noise = {}, []
         for name, image in images.items():
-            smooth[name], noise[name] = _smoothed(image, self._usable.get(name))
-        return smooth, [dict(zip(noise, frame, strict=True)) for frame in zip(*noise.values(), strict=True)]
+            smooth[name], amounts = _smoothed(image, self._usable.get(name))
+            noise.append(amounts)
+        return smooth, torch.stack(noise, 1)
 
-    def light(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> PhotometricCalibration | None:
-        """Return how exposure and vignetting of the cameras differ, None where the difference is negligible."""
-        calibration = self._photometer(images)
-        return calibration if calibration.strength - SURE * calibration.spread > LEAST_LIGHT else None
+    def light(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> LightEstimate:
+        """Return how exposure and vignetting of the cameras differ; a batch counts as one frame."""
+        return self.photometer.estimate(images)
 
-    def evened(
-        self, images: Mapping[str, Float[Tensor, "*batch c _ _"]], light: PhotometricCalibration | None
-    ) -> dict[str, Float[Tensor, "*batch c _ _"]]:
-        """Return images without these differences."""
-        return dict(images) if light is None else light.divided_out(images, self._angles)
+
+def differs(light: LightEstimate) -> Bool[Tensor, ""]:
+    """Return whether a difference between cameras is large enough, and sure enough, to be taken out."""
+    return light.strength - SURE * light.spread > LEAST_LIGHT
+
+
+def needed(condition: Bool[Tensor, "*any"]) -> bool:
+    """Return whether what is chosen where a condition holds has to be computed.
+
+    A CPU leaves out what nothing asks for. A device would have to be waited for to know, and computes it.
+    """
+    return not condition.is_cpu or bool(condition.any())
 
 
 def compensated(
@@ -197,18 +226,23 @@ def compensated(
     Examples:
         >>> from sphericalvision.cameras import ring_rig
         >>> images = {"cam1": torch.full((3, 32, 32), 0.5), "cam2": torch.full((3, 32, 32), 0.49)}
-        >>> compensated(ring_rig(2, image_size=(32, 32)), images)["cam2"] is images["cam2"]
+        >>> torch.equal(compensated(ring_rig(2, image_size=(32, 32)), images)["cam2"], images["cam2"])
         True
     """
     compensator = Compensator(rig)
-    smooth, _ = compensator.smoothed(compensator.brightened(images)[0])
-    return compensator.evened(smooth, compensator.light(smooth))
+    flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in images.items()}
+    smooth, _ = compensator.smoothed(compensator.brightened(flat)[0])
+    light = compensator.light(smooth)
+    if needed(differs(light)):
+        even = light.calibration().corrected(rig, smooth)
+        smooth = {name: image.where(differs(light), smooth[name]) for name, image in even.items()}
+    return {name: image.view_as(images[name]) for name, image in smooth.items()}
 
 
 def _spread(image: Tensor) -> Tensor:
-    """Some of an image's values, from all over it."""
-    step = max(1, round((image.numel() / MOST_SAMPLES) ** 0.5))
-    return image[:, ::step, ::step].detach().float().flatten()
+    """Some values of each frame ``(b, values)``, from all over the image."""
+    step = max(1, round((image[0].numel() / MOST_SAMPLES) ** 0.5))
+    return image[..., ::step, ::step].detach().float().flatten(1)
 
 
 def denoised(
@@ -226,28 +260,68 @@ def denoised(
     Examples:
         >>> clean = torch.full((3, 64, 64), 0.5)
         >>> noisy = clean + 0.03 * torch.randn(3, 64, 64, generator=torch.Generator().manual_seed(0))
-        >>> bool((denoised(noisy) - clean).std() < 0.5 * (noisy - clean).std()), denoised(clean) is clean
+        >>> bool((denoised(noisy) - clean).std() < 0.5 * (noisy - clean).std()), denoised(clean).equal(clean)
         (True, True)
     """
-    return _smoothed(image, None if usable is None else _inside(usable))[0]
+    frames = image.reshape(-1, *image.shape[-3:])
+    return _smoothed(frames, None if usable is None else _inside(usable))[0].view_as(image)
 
 
-def _smoothed(image: Tensor, inside: np.ndarray | None) -> tuple[Tensor, list[float]]:
-    """An image or a batch of them, smoothed where it has to be, and the noise of each frame that was."""
-    frames = image.detach().reshape(-1, *image.shape[-3:])
-    noise = [found if (found := _noise(frame, inside)) >= LEAST_NOISE else 0.0 for frame in frames]
-    if not any(noise):
+def _smoothed(image: Tensor, inside: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Frames ``(b, c, h, w)``, each smoothed if it has to be, and the noise of those that were ``(b,)``, else 0."""
+    noise = _noise(image.detach(), inside)
+    noise = noise.where(noise >= LEAST_NOISE, 0.0)
+    if not needed(noise > 0):
         return image, noise
-    parts = []
-    for frame, amount in zip(frames, noise, strict=True):
+    chosen = (noise > 0).view(-1, 1, 1, 1)
+    if inside is not None:
+        chosen = chosen & inside
+    filtered = _filtered_by_opencv if image.is_cpu else bilateral
+    return filtered(image.detach(), CONTRAST * noise).where(chosen, image), noise
+
+
+def _filtered_by_opencv(image: Tensor, deviation: Tensor) -> Tensor:
+    """``bilateral`` of the frames whose deviation is above 0; on a CPU ten times as fast."""
+    frames = []
+    for frame, amount in zip(image, deviation.tolist(), strict=True):
         if amount:
-            pixels = np.ascontiguousarray(frame.movedim(0, -1).float().cpu().numpy())
-            smooth = np.atleast_3d(cv2.bilateralFilter(pixels, WINDOW, CONTRAST * amount, REACH))
-            if inside is not None:
-                smooth = np.where(inside[..., None], smooth, pixels)
+            pixels = np.ascontiguousarray(frame.movedim(0, -1).float().numpy())
+            smooth = np.atleast_3d(cv2.bilateralFilter(pixels, WINDOW, amount, REACH))
             frame = torch.from_numpy(smooth).movedim(-1, 0).to(image)
-        parts.append(frame)
-    return torch.stack(parts).view_as(image), noise
+        frames.append(frame)
+    return torch.stack(frames)
+
+
+def bilateral(image: Float[Tensor, "b c h w"], deviation: Float[Tensor, " b"]) -> Float[Tensor, "b c h w"]:
+    """Return weighted means of the pixels around each, those of other colours weighing less; as OpenCV defines it.
+
+    Args:
+        image: ``(b, c, h, w)``.
+        deviation: ``(b,)``, of the weight over differences of colours, which are summed over channels.
+
+    Examples:
+        >>> step = torch.tensor([0.0, 1.0]).repeat_interleave(8).expand(1, 1, 16, 16)
+        >>> torch.equal(bilateral(step, torch.tensor([0.05])), step)  # edges stay
+        True
+    """
+    radius = WINDOW // 2
+    height, width = image.shape[-2:]
+    mode = "reflect" if min(height, width) > radius else "replicate"
+    padded = F.pad(image, (radius,) * 4, mode=mode)
+    steepness = (-0.5 / deviation.square()).where(deviation > 0, 0.0).to(image.dtype).view(-1, 1, 1, 1)
+    weights = torch.zeros_like(image[:, :1])
+    total = torch.zeros_like(image)
+    for down in range(-radius, radius + 1):
+        for across in range(-radius, radius + 1):
+            squared = down**2 + across**2
+            if squared > radius**2:
+                continue
+            moved = padded[..., radius + down :, radius + across :][..., :height, :width]
+            difference = (moved - image).abs_().sum(1, keepdim=True)
+            weight = difference.square_().mul_(steepness).sub_(0.5 * squared / REACH**2).exp_()
+            weights += weight
+            total.addcmul_(weight, moved)
+    return total.div_(weights)
 
 
 def noise_of(image: Float[Tensor, "c h w"], usable: Bool[Tensor, "h w"] | None = None) -> float:
@@ -269,30 +343,28 @@ def noise_of(image: Float[Tensor, "c h w"], usable: Bool[Tensor, "h w"] | None =
         >>> round(noise_of(shade), 3), round(noise_of(noisy), 2)
         (0.0, 0.03)
     """
-    return _noise(image.detach(), None if usable is None else _inside(usable))
+    return float(_noise(image.detach()[None], None if usable is None else _inside(usable)))
 
 
-def _inside(usable: Tensor) -> np.ndarray:
+def _inside(usable: Tensor) -> Tensor:
     """Pixels of which the whole window is usable: True where the filter sees nothing else."""
     kernel = np.ones((WINDOW, WINDOW), np.uint8)
-    return cv2.erode(usable.cpu().numpy().astype(np.uint8), kernel).astype(bool)
+    eroded = cv2.erode(usable.cpu().numpy().astype(np.uint8), kernel)
+    return torch.from_numpy(eroded.astype(bool)).to(usable.device)
 
 
-def _noise(image: Tensor, inside: np.ndarray | None) -> float:
-    """Of some rows of an image: of a second difference down of a second difference across."""
+def _noise(image: Tensor, inside: Tensor | None) -> Tensor:
+    """Of some rows of each frame ``(b, c, h, w)``: of a second difference down of a second difference across."""
     height, width = image.shape[-2:]
     if min(height, width) < 3:
-        return 0.0
-    step = max(1, round(image.numel() / MOST_SAMPLES))
-    above, middle, below = (image[:, start : height - 2 + start : step].float() for start in range(3))
+        return image.new_zeros(len(image), dtype=torch.float64)
+    step = max(1, round(image[0].numel() / MOST_SAMPLES))
+    above, middle, below = (image[..., start : height - 2 + start : step, :].float() for start in range(3))
     down = above - 2 * middle + below
     second = down[..., :-2] - 2 * down[..., 1:-1] + down[..., 2:]
     values = middle[..., 1:-1]
     shown = (values > DARKEST) & (values < BRIGHTEST)
     if inside is not None:
-        shown &= torch.from_numpy(inside[1 : height - 1 : step, 1:-1]).to(shown.device)
-    if not shown.any():
-        return 0.0
-    return float(second[shown].abs().median()) / (
-        6 * 0.6745
-    )  # by the differences' norm; of a Gaussian's median
+        shown &= inside[1 : height - 1 : step, 1:-1]
+    typical = second.abs().where(shown, math.nan).flatten(1).nanmedian(1).values.nan_to_num(0.0)
+    return typical.double() / (6 * 0.6745)  # by the differences' norm; of a Gaussian's median

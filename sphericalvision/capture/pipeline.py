@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.capture.graphs import GraphedFunction
 from sphericalvision.capture.preparation.photometry import pixel_angles
 from sphericalvision.capture.preparation.preparation import (
     Compensator,
@@ -22,17 +26,36 @@ from sphericalvision.core import full_precision
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.models import DepthNetwork
-from sphericalvision.sphere.intake import signed
+from sphericalvision.sphere.intake import as_colors, signed
+from sphericalvision.sweep import DepthEstimate
 
-__all__ = ["Pipeline"]
+__all__ = ["PRECISIONS", "Frame", "Pipeline"]
+
+PRECISIONS = ("float32", "bfloat16", "float16")
+
+
+class Frame(NamedTuple):
+    """What is computed of one frame or a batch of them, all on the device.
+
+    Attributes:
+        estimate: index, confidence and seen ``(*b, *grid)``, as of ``Depth``.
+        corrections: of each frame, what was taken out of its images; none where that is not asked for.
+    """
+
+    estimate: DepthEstimate
+    corrections: tuple[Correction, ...]
 
 
 class Pipeline:
     """A network with everything that follows from a rig, computed once.
 
+    On a device that is not a CPU nothing of a frame is read back before somebody asks for it, and on a CUDA device a
+    frame is one graph.
+
     Args:
         network: at the scale of the rig, on its device.
         rig: unbatched.
+        precision: of ``PRECISIONS``, that the network computes in; geometry and all that is done to images is float32.
 
     Attributes:
         network: as given.
@@ -42,8 +65,8 @@ class Pipeline:
 
     @full_precision
     @torch.inference_mode(False)  # what is kept must be usable where gradients are wanted
-    def __init__(self, network: DepthNetwork, rig: CameraRig) -> None:
-        self.network, self.rig = network, rig
+    def __init__(self, network: DepthNetwork, rig: CameraRig, precision: str = "float32") -> None:
+        self.network, self.rig, self.precision = network, rig, precision
         self.tables, self.intake = network.tables(rig), network.intake(rig)
         self._compensator = Compensator(rig)
         if network.images == "sphere":
@@ -52,6 +75,29 @@ class Pipeline:
             self._angles = angle_from_axis(directions).float()
         else:
             self._angles = torch.stack(list(pixel_angles(rig).values()))
+        self.on_cuda = network.device.type == "cuda"
+        graphed = GraphedFunction("the network", self.estimate)
+        self._graphed = GraphedFunction("a frame", self.frame, partial(self.frame, estimate=graphed))
+
+    def __call__(
+        self, images: Mapping[str, Shaped[Tensor, "*batch c _ _"]], preparation: Preparation, channels: str
+    ) -> Frame:
+        """Return the answer for images as ``ordered_images`` returns them, on the device of the network."""
+        frame = self._graphed if self.on_cuda else self.frame
+        result: Frame = frame(*images.values(), preparation=preparation, channels=channels)
+        return result
+
+    def frame(
+        self,
+        *images: Shaped[Tensor, "*batch c _ _"],
+        preparation: Preparation,
+        channels: str,
+        estimate: Callable[[Tensor], DepthEstimate] | None = None,
+    ) -> Frame:
+        """Return the answer for the images of the cameras in order; ``estimate`` may stand for the network."""
+        colors = [as_colors(image, channels) for image in images]
+        inputs, corrections = self.inputs(dict(zip(self.rig.names, colors, strict=True)), preparation)
+        return Frame((estimate or self.estimate)(inputs), corrections)
 
     @full_precision
     def inputs(
@@ -85,16 +131,17 @@ class Pipeline:
             corrections
         )
 
-    def estimate(
-        self, inputs: Float[Tensor, "*batch_and_size"]
-    ) -> tuple[
-        Float[Tensor, "*batch_and_grid"], Float[Tensor, "*batch_and_grid"], Bool[Tensor, "*batch_and_grid"]
-    ]:
+    def estimate(self, inputs: Float[Tensor, "*batch_and_size"]) -> DepthEstimate:
         """Return index, confidence and seen of what ``inputs`` returned, float32, with the same batch."""
         sizes = self.intake.seen.ndim + 1  # n, 3 and the size
         batch = inputs.shape[:-sizes]
-        estimate = self.network.predict(
-            inputs.reshape(-1, *inputs.shape[-sizes:]), self.tables, self.intake.seen
-        )
+        precision: AbstractContextManager[object] = nullcontext()
+        if self.precision != "float32":  # casts are not cached, since a graph has to hold them
+            dtype = getattr(torch, self.precision)
+            precision = torch.autocast(inputs.device.type, dtype, cache_enabled=False)
+        with precision:
+            estimate = self.network.predict(
+                inputs.reshape(-1, *inputs.shape[-sizes:]), self.tables, self.intake.seen
+            )
         index, confidence, seen = (values.reshape(*batch, *values.shape[1:]) for values in estimate)
-        return index.float(), confidence.float(), seen
+        return DepthEstimate(index.float(), confidence.float(), seen)

@@ -6,8 +6,8 @@ from __future__ import annotations
 import copy
 import os
 import threading
-from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
-from sphericalvision.capture.pipeline import Pipeline
+from sphericalvision.capture.pipeline import PRECISIONS, Pipeline
 from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
     NearestHypothesis,
@@ -32,12 +32,31 @@ from sphericalvision.core import ArgumentError, check_choice, check_type
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.models.weights.checkpoints import read_network
-from sphericalvision.sphere.intake import as_photographs
+from sphericalvision.sphere.intake import as_colors, ordered_images
 from sphericalvision.sweep.hypotheses import check_hypotheses
 
 __all__ = ["METHODS", "Predictor"]
 
 METHODS = ("network", "semi_global")
+
+
+class Colors(Mapping[str, Tensor]):
+    """Camera name -> ``(*b, 3, h, w)`` in [0, 1], of bytes or floats that become it when somebody first asks."""
+
+    def __init__(self, images: Mapping[str, Tensor], channels: str) -> None:
+        self._images, self._channels = dict(images), channels
+        self._colors: dict[str, Tensor] = {}
+
+    def __getitem__(self, name: str) -> Tensor:
+        if name not in self._colors:
+            self._colors[name] = as_colors(self._images[name], self._channels)
+        return self._colors[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._images)
+
+    def __len__(self) -> int:
+        return len(self._images)
 
 
 class Predictor:
@@ -65,6 +84,8 @@ class Predictor:
         preparation: how images are made ready before depth is estimated, ``Preparation()`` when not given: noise is
             smoothed, light compensated. ``align_rig`` finds out whether cameras are turned, from a few frames.
         channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
+        precision: that the network computes in; geometry, light and noise, and the mean over hypotheses are float32.
+            Less is faster on a GPU, and hardly less exact.
         trained_radius: metres; radius of the rigs that the network was trained with.
 
     Attributes:
@@ -100,12 +121,14 @@ class Predictor:
         device: torch.device | str | None = None,
         preparation: Preparation | None = None,
         channels: Literal["rgb", "bgr"] = "rgb",
+        precision: Literal["float32", "bfloat16", "float16"] = "float32",
         trained_radius: float = 0.2,
     ) -> None:
         check_type("rig", rig, CameraRig, "ring_rig makes one, read_rig reads one")
         check_single(rig)
         check_choice("method", method, METHODS)
         check_choice("channels", channels, ("rgb", "bgr"))
+        check_choice("precision", precision, PRECISIONS)
         if level is not None:
             check_level(level)
         net = weights if isinstance(weights, DepthNetwork) else read_network(weights, level)
@@ -126,7 +149,7 @@ class Predictor:
         self.device = net.device if device is None else checked_device(device)
         self.rig = rig.to(self.device)
         self.preparation = Preparation() if preparation is None else preparation
-        self._channels = channels
+        self._channels, self._precision = channels, precision
         near = net.min_depth if self.min_depth is None else self.min_depth
         if method == "semi_global":  # one level coarser than the images
             level = level or (net.level if net.images == "sphere" else SCENE_LEVEL - 1)
@@ -196,7 +219,9 @@ class Predictor:
         Args:
             frames: of images by camera name, as the predictor is called with, one frame each.
         """
-        return self._nearest.in_frames([self._photographs(images) for images in frames], self.rig)
+        return self._nearest.in_frames(
+            [Colors(self._on_device(images), self._channels) for images in frames], self.rig
+        )
 
     @torch.inference_mode()
     def __call__(self, images: Mapping[str, Any]) -> Depth:
@@ -210,18 +235,21 @@ class Predictor:
             ArgumentError: images of other cameras, or values out of range.
             ShapeError: an image has another size than its camera.
         """
-        photographs = self._photographs(images)
-        pipeline = self._pipeline_for(photographs)
-        inputs, corrections = pipeline.inputs(photographs, self.preparation)
-        with self._turn():
-            index, confidence, seen = pipeline.estimate(inputs)
-        return Depth(index, confidence, seen, pipeline.network, self.rig, photographs, corrections)
+        ordered = self._on_device(images)
+        colors = Colors(ordered, self._channels)
+        pipeline = self._pipeline_for(colors)
+        with self._turn(), self._enough_memory():
+            if pipeline.on_cuda:  # bytes go into the graph
+                frame = pipeline(ordered, self.preparation, self._channels)
+            else:  # what is made of them is at hand for the result
+                frame = pipeline(colors, self.preparation, "rgb")
+        return Depth(*frame.estimate, pipeline.network, self.rig, colors, frame.corrections)
 
     def inputs(
         self, images: Mapping[str, Any]
     ) -> tuple[Float[Tensor, "*batch_and_size"], Bool[Tensor, " n *size"]]:
         """Return images as the network takes them, in [-1, 1], and what of them was seen; arguments as of a call."""
-        photographs = self._photographs(images)
+        photographs = Colors(self._on_device(images), self._channels)
         pipeline = self._pipeline_for(photographs)
         return pipeline.inputs(photographs, self.preparation)[0], pipeline.intake.seen
 
@@ -240,9 +268,27 @@ class Predictor:
         room = 2 * torch.get_num_threads() <= (os.cpu_count() or 1)
         return nullcontext() if room and self.device.type == "cpu" else self._lock
 
-    def _photographs(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
-        photographs = as_photographs(images, self.rig, self._channels)
-        return {name: image.to(self.device, non_blocking=True) for name, image in photographs.items()}
+    def _on_device(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
+        """Images in the order of the cameras; bytes travel as bytes."""
+        ordered = ordered_images(images, self.rig)
+        return {name: image.to(self.device, non_blocking=True) for name, image in ordered.items()}
+
+    @contextmanager
+    def _enough_memory(self) -> Iterator[None]:
+        """Raise ``ArgumentError`` with what would help, where the device has not enough memory."""
+        if self.device.type == "cuda":
+            torch.cuda.reset_peak_memory_stats(self.device)
+        try:
+            yield
+        except torch.OutOfMemoryError as error:
+            peak = torch.cuda.max_memory_allocated(self.device) / 2**30
+            free, total = (size / 2**30 for size in torch.cuda.mem_get_info(self.device))
+            level = getattr(self._network, "level", None)
+            less = "" if level is None else f"; level={level - 1} needs about a quarter of it"
+            raise ArgumentError(
+                f"device: a frame needs more than {peak:.1f} GiB of {self.device}, which has {total:.1f} GiB, "
+                f"{free:.1f} GiB of them free{less}"
+            ) from error
 
     def _begin_at(self, metres: float) -> None:
         """Use the hypotheses from a depth on."""
@@ -258,7 +304,7 @@ class Predictor:
             if self._pipeline is None:
                 if self.min_depth is None and photographs is not None:
                     self._begin_at(self._nearest.in_frames(frames_of(photographs), self.rig))
-                self._pipeline = Pipeline(self._network, self.rig)
+                self._pipeline = Pipeline(self._network, self.rig, self._precision)
             return self._pipeline
 
 
@@ -293,6 +339,7 @@ def checked_device(device: torch.device | str) -> torch.device:
     """
     try:
         return torch.empty(0, device=device).device
-    except (RuntimeError, AssertionError, TypeError):
+    except (RuntimeError, AssertionError, TypeError) as error:
         choices = "'cpu' or 'cuda'" if torch.cuda.is_available() else "'cpu', the only one of this machine"
-        raise ArgumentError(f"device: expected {choices}, got {device!r}") from None
+        reason = f"; torch says: {str(error).partition('. ')[0]}" if "driver" in str(error) else ""
+        raise ArgumentError(f"device: expected {choices}, got {device!r}{reason}") from None

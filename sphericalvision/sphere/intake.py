@@ -19,7 +19,15 @@ from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
 
-__all__ = ["Intake", "as_photographs", "pixels_seen", "signed", "unsigned"]
+__all__ = [
+    "Intake",
+    "as_colors",
+    "as_photographs",
+    "ordered_images",
+    "pixels_seen",
+    "signed",
+    "unsigned",
+]
 
 CHANNELS = (1, 3, 4)
 """Grey, colour, and colour with alpha, which is dropped."""
@@ -180,6 +188,28 @@ def as_photographs(
         >>> as_photographs(grey, rig)["cam1"].shape, as_photographs(grey, rig)["cam1"].max()
         (torch.Size([3, 8, 10]), tensor(1.))
     """
+    return {name: as_colors(image, channels) for name, image in ordered_images(images, rig).items()}
+
+
+def as_colors(image: Shaped[Tensor, "*batch c h w"], channels: str = "rgb") -> Float[Tensor, "*batch 3 h w"]:
+    """Return float32 in [0, 1] of three channels, of bytes or of such floats with 1, 3 or 4 channels.
+
+    Examples:
+        >>> as_colors(torch.tensor([[[255]], [[0]], [[51]]], dtype=torch.uint8), "bgr").flatten()
+        tensor([0.2000, 0.0000, 1.0000])
+    """
+    values = image.float() / 255 if image.dtype == torch.uint8 else image
+    if values.shape[-3] == 1:
+        return values.expand(*values.shape[:-3], 3, *values.shape[-2:])
+    values = values[..., :3, :, :]
+    return values.flip(-3) if channels == "bgr" else values
+
+
+def ordered_images(images: Mapping[str, Any], rig: CameraRig) -> dict[str, Shaped[Tensor, "*batch c _ _"]]:
+    """Return camera name -> ``(*b, c, h, w)`` in the order of the rig's cameras, bytes as they are, others as floats.
+
+    Nothing is copied that need not be; arguments and errors as of ``as_photographs``.
+    """
     if not isinstance(images, Mapping):
         raise ArgumentError(
             f"images: expected a mapping {{camera name: image}}, got {type(images).__name__}; "
@@ -196,18 +226,16 @@ def as_photographs(
         raise ArgumentError(
             f"images: {', '.join(unknown)} are no cameras of the rig ({', '.join(rig.names)})"
         )
-    found = {
-        name: _photograph(name, images[name], rig.cameras[name].image_size, channels) for name in rig.names
-    }
-    batches = {name: tuple(image.shape[:-3]) for name, image in found.items()}
+    ordered = {name: _channels_first(name, images[name], rig.cameras[name].image_size) for name in rig.names}
+    batches = {name: tuple(image.shape[:-3]) for name, image in ordered.items()}
     if len(set(batches.values())) > 1:
         raise ShapeError(f"images: expected equally many of each camera, got batches {batches}")
-    return found
+    return ordered
 
 
-def _photograph(name: str, image: Any, size: tuple[int, int], channels: str) -> Tensor:
-    """Float32 ``(*b, 3, h, w)`` of one camera's image in any layout."""
-    values = _scaled(name, image)
+def _channels_first(name: str, image: Any, size: tuple[int, int]) -> Tensor:
+    """One camera's image in any layout as ``(*b, c, h, w)``."""
+    values = _as_tensor(name, image)
     height, width = size
     if values.ndim in (3, 4) and values.shape[-3:-1] == size and values.shape[-1] in CHANNELS:
         values = values.movedim(-1, -3)
@@ -221,17 +249,13 @@ def _photograph(name: str, image: Any, size: tuple[int, int], channels: str) -> 
             f"(h, w, 3) or (3, h, w), with or without a batch before it, got shape {tuple(values.shape)}. For whole "
             f"images that were resized, rig.resized({{{name!r}: (height, width)}}) is the rig"
         )
-    if values.shape[-3] == 1:
-        return values.expand(*values.shape[:-3], 3, height, width)
-    values = values[..., :3, :, :]
-    return values.flip(-3) if channels == "bgr" else values
+    return values
 
 
-def _scaled(name: str, image: Any) -> Tensor:
-    """The values as float32 in [0, 1]."""
-    mode = getattr(
-        image, "mode", None
-    )  # of Pillow: to numpy a palette is grey, and CMYK, YCbCr and HSV are colours
+def _as_tensor(name: str, image: Any) -> Tensor:
+    """The values as they are in bytes, or as float32 in [0, 1]."""
+    # Of Pillow: to numpy a palette is grey, and CMYK, YCbCr and HSV are colours.
+    mode = getattr(image, "mode", None)
     if isinstance(mode, str) and mode not in PILLOW_MODES:
         raise ArgumentError(
             f"images[{name!r}]: expected a picture of mode {', '.join(PILLOW_MODES)}, got {mode}; convert it by "
@@ -244,6 +268,12 @@ def _scaled(name: str, image: Any) -> Tensor:
         raise ArgumentError(f"images[{name!r}]: expected uint8, uint16 or float in [0, 1], got {array.dtype}")
     if isinstance(array, np.ndarray):  # torch takes none that is read-only
         array = torch.from_numpy(np.require(array, np.uint8 if bits == "8" else np.float32, ["C", "W"]))
+    if array.device.type == "meta":
+        raise ArgumentError(
+            f"images[{name!r}]: expected values, got a tensor on the device 'meta', which has none"
+        )
+    if bits == "8":
+        return array
     values = array.float()
     if bits is not None:
         return values / (2 ** int(bits) - 1)

@@ -439,13 +439,12 @@ def eliminated(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) ->
 def _held(number: int, channels: int, like: Tensor) -> Tensor:
     """The regularisation, as a quadratic form: it decides where the images do not."""
     size = number * channels
-    hold = torch.zeros(size + 2 * number, size + 2 * number, dtype=like.dtype, device=like.device)
-    hold.diagonal()[:size] = _HOLD_EXPOSURE
-    hold.diagonal()[size:] = _HOLD_FALLOFF
-    alike = torch.eye(number, dtype=like.dtype, device=like.device) - 1 / number
-    for term in range(2):
-        hold[size + term :: 2, size + term :: 2] += _HOLD_ALIKE * alike
-    return hold
+    own = torch.cat((like.new_full((size,), _HOLD_EXPOSURE), like.new_full((2 * number,), _HOLD_FALLOFF)))
+    identity = torch.eye(number, dtype=like.dtype, device=like.device)
+    alike = torch.kron(
+        identity - 1 / number, identity.new_ones(2).diag()
+    )  # each camera's two, as all cameras' mean
+    return own.diag() + F.pad(_HOLD_ALIKE * alike, (size, 0, size, 0))
 
 
 def reduced_rig(rig: CameraRig, pixel: float) -> CameraRig:

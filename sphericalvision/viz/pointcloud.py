@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, full_precision
 from sphericalvision.io.files import atomic_write, write_bytes
 
 __all__ = ["PointCloud", "point_colors", "save_point_cloud"]
@@ -100,6 +100,7 @@ def _ply(points: npt.NDArray[Any], colors: npt.NDArray[Any], normals: npt.NDArra
     return f"{header}end_header\n".encode() + rows.tobytes()
 
 
+@full_precision
 def point_colors(
     rig: CameraRig, images: Mapping[str, Shaped[Tensor, "c _ _"]], points: Float[Tensor, "n 3"]
 ) -> tuple[Float[Tensor, "c n"], Bool[Tensor, " n"]]:

@@ -161,7 +161,8 @@ def _period(values: Any, width: int) -> int:
 def _ply(path: Path) -> Any:
     import trimesh  # half a second to import
 
-    loaded: Any = trimesh.load(path, process=False)
+    # Of a file without a name trimesh opens no texture, wherever it may lie, and waits for no pipe.
+    loaded: Any = trimesh.load(io.BytesIO(path.read_bytes()), file_type="ply", process=False)
     return np.asarray(loaded.vertices)
 
 

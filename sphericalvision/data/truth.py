@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -15,9 +15,14 @@ from sphericalvision.cameras import Camera
 from sphericalvision.core import ArgumentError, ShapeError, check_floating
 from sphericalvision.sphere.grids.base import SphereGrid
 
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
 __all__ = ["PointTruth", "truth_from_points"]
 
 NEIGHBOURS = 32
+PART = 2**15
+"""Pixels at once: each has numbers of all its neighbours, a dozen kilobytes."""
 STEPS = 6
 """Of the fit of a surface, which leaves out more and more what lies on another one."""
 ONE_SIDED = 0.45
@@ -82,6 +87,8 @@ def truth_from_points(
         >>> truth.valid.all().item(), truth.depth.mean().round(decimals=2).item()
         (True, 2.0)
     """
+    from scipy.spatial import cKDTree  # half a second to import
+
     rays, distance = _seen_from(points, center)
     gap = _line_gap(rays) if gap is None else gap
     if not 0 < gap < math.pi / 2:
@@ -97,9 +104,11 @@ def truth_from_points(
         pixel = pixels[nearest]
         thinned = _nearest_of_each(_cells(rays, gap / 4), distance)
         around = rays[thinned], distance[thinned]
-        depth[pixel], valid[pixel] = _on_planes(
-            rays[nearest], distance[nearest], middles[pixel], *around, gap, tolerance, noise
-        )
+        tree = cKDTree(around[0].numpy())
+        for part, which in zip(nearest.split(PART), pixel.split(PART), strict=True):
+            depth[which], valid[which] = _on_planes(
+                rays[part], distance[part], middles[which], tree, *around, gap, tolerance, noise
+            )
     truth = depth.view(size).to(points), valid.view(size).to(points.device)
     return PointTruth(*truth)
 
@@ -183,6 +192,7 @@ def _on_planes(
     rays: Tensor,
     distance: Tensor,
     middles: Tensor,
+    tree: cKDTree,
     around: Tensor,
     far: Tensor,
     gap: float,
@@ -190,11 +200,7 @@ def _on_planes(
     noise: float,
 ) -> tuple[Tensor, Tensor]:
     """Depth along the rays of pixels of the planes around points, and where the rule lets it stand."""
-    from scipy.spatial import cKDTree
-
-    near, ids = cKDTree(around.numpy()).query(
-        middles.numpy(), k=min(NEIGHBOURS, len(around)), distance_upper_bound=gap
-    )
+    near, ids = tree.query(middles.numpy(), k=min(NEIGHBOURS, len(around)), distance_upper_bound=gap)
     angles, ids = (torch.from_numpy(found).reshape(len(rays), -1) for found in (near, ids))
     there = angles.isfinite()
     ids, angles = ids.where(there, 0), angles.where(there, 0.0)

@@ -8,6 +8,7 @@ import os
 import platform
 import re
 import stat
+import time
 import uuid
 import zlib
 from collections.abc import Iterator
@@ -23,7 +24,17 @@ from sphericalvision.core import MissingFileError
 __all__ = ["atomic_write", "list_folder", "part_of_name", "write_bytes", "write_yaml"]
 
 
-MACHINE = f"{zlib.crc32(platform.node().encode()):08x}"
+def _machine() -> str:
+    """This machine and, on Linux, its numbering of processes: containers may share a folder and a name of the host."""
+    numbering = ""
+    with suppress(OSError):
+        numbering = os.readlink("/proc/self/ns/pid")
+    return f"{zlib.crc32(f'{platform.node()}{numbering}'.encode()):08x}"
+
+
+MACHINE = _machine()
+LEFT = 7 * 24 * 3600
+"""Seconds after which a temporary file of another machine is one that a killed process has left."""
 TEMPORARY = re.compile(r"\.([0-9a-f]{8})-(\d+)-[0-9a-f]{32}(\.|$)")
 """Name of a temporary file: the machine and the process that write it, and a number of its own."""
 
@@ -67,11 +78,14 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
 @cache
 def _sweep(folder: Path) -> None:
-    """Remove, once for a folder, temporary files of processes of this machine that are no more."""
+    """Remove, once for a folder, temporary files of processes of this machine that are no more, and old ones of any."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             made_by = TEMPORARY.match(entry.name)
-            if made_by and made_by[1] == MACHINE and not _lives(int(made_by[2])):
+            if not made_by:
+                continue
+            ours = made_by[1] == MACHINE
+            if not _lives(int(made_by[2])) if ours else time.time() - entry.stat().st_mtime > LEFT:
                 Path(entry.path).unlink(missing_ok=True)
 
 

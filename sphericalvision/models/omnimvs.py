@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, short_repr
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures, Transference
 from sphericalvision.models.weights.registry import register_network
@@ -188,13 +188,14 @@ def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int
     All columns of a scale have to be equally wide, or the last one and the first would not be neighbours. A last row
     may be cut.
     """
-    multiple = 2 ** (num_scales + 1)
     sizes = tuple(output_size)
     whole = len(sizes) == 2 and all(isinstance(size, int) and size > 0 for size in sizes)
-    if not whole or sizes[0] % 2 or sizes[1] % multiple:
+    # No width is a multiple of a power of two with more digits; the power of a number from a file may have no end.
+    halved = whole and num_scales + 1 < sizes[1].bit_length() and sizes[1] % 2 ** (num_scales + 1) == 0
+    if not halved or sizes[0] % 2:
         raise ArgumentError(
-            f"output_size: expected an even height and a width in multiples of {multiple} = 2 ** (num_scales + 1), "
-            f"got {list(sizes)}; choose other sizes or another num_scales"
+            f"output_size: expected an even height and a width in multiples of 2 ** (num_scales + 1) with "
+            f"num_scales={short_repr(num_scales)}, got {list(sizes)}; choose other sizes or another num_scales"
         )
     return sizes[0], sizes[1]
 

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.calibration.files import load_keys
 from sphericalvision.cameras.calibration.keys import check_understood
-from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
+from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file, short_repr
 
 __all__ = ["AprilGrid", "Board", "Charuco", "Checkerboard", "Corners", "read_board"]
 
@@ -43,6 +43,7 @@ _SMALL = 4_000_000
 _THRESHOLDS = 31, 121
 """Pixels of the squares in which a dark pixel is darker than the mean."""
 _LARGEST = 9999
+_MOST = 40_000
 """Number of a target file; more is taken for a damaged one."""
 
 
@@ -313,6 +314,14 @@ def read_board(path: str | Path) -> Board:
 
 
 def _grid(columns: int, rows: int) -> Tensor:
-    """Whole numbers (columns · rows, 3) of a grid, row by row: (column, row, 0)."""
+    """Whole numbers (columns · rows, 3) of a grid, row by row: (column, row, 0).
+
+    Raises:
+        ArgumentError: there are more corners than on any board.
+    """
+    if columns * rows > _MOST:
+        raise ArgumentError(
+            f"columns, rows: expected {_MOST:,} corners at most, got {short_repr(columns)} x {short_repr(rows)}"
+        )
     v, u = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
     return torch.stack((u, v, torch.zeros_like(u)), -1).reshape(-1, 3).double()

@@ -9,12 +9,14 @@ Convention:
 
 from __future__ import annotations
 
+import math
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -112,8 +114,8 @@ class Deep360Dataset(ScannedFrames):
         """What camera 1's map of depth says."""
         path, size = self._depths[name], self.rays.shape[1::-1]
         try:
-            depth = np.load(path)["arr_0"].squeeze().astype(np.float32)
-        except (OSError, ValueError, LookupError, BadZipFile) as error:
+            depth = _array(path, 16 * math.prod(size)).squeeze().astype(np.float32)
+        except (OSError, ValueError, LookupError, zipfile.BadZipFile) as error:
             raise FileFormatError(f"{path}: expected an .npz with arr_0, depth ({error!r:.100})") from error
         if depth.shape != tuple(size):
             raise FileFormatError(
@@ -123,3 +125,18 @@ class Deep360Dataset(ScannedFrames):
         turned = torch.from_numpy(np.rot90(depth).copy())
         known = (turned > 0) & (turned < FARTHEST)
         return (turned[..., None] * self.rays)[known]
+
+
+def _array(path: Path, most: int) -> npt.NDArray[Any]:
+    """The array ``arr_0`` of an ``.npz``; a header that says more than so many numbers is not unpacked."""
+    with zipfile.ZipFile(path) as packed, packed.open("arr_0.npy") as file:
+        version = np.lib.format.read_magic(file)
+        read = (
+            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        )
+        shape, _, kind = read(file)
+        if math.prod(shape) > most or kind.itemsize > 8:
+            raise ValueError(f"{kind} {shape}")
+    with np.load(path) as arrays:
+        array: npt.NDArray[Any] = arrays["arr_0"]
+    return array

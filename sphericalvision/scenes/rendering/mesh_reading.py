@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import warnings
 from collections.abc import Iterator, Mapping
@@ -19,6 +20,8 @@ from sphericalvision.core import FileFormatError, MissingFileError
 
 __all__ = ["load_mesh"]
 
+MOST_EMPTY = 2**20
+"""Points of accessors without a buffer, as those of sparse ones are."""
 SPECULAR = "KHR_materials_pbrSpecularGlossiness"
 
 
@@ -29,6 +32,7 @@ def load_mesh(path: Path) -> trimesh.Scene:
         FileFormatError: it cannot be read.
     """
     beside = Beside(path.parent)
+    _check_accessors(path)
     try:
         with _complaints(beside.missing), path.open("rb") as file:
             loaded = trimesh.load_scene(file, path.suffix[1:].lower(), resolver=beside)
@@ -44,6 +48,25 @@ def load_mesh(path: Path) -> trimesh.Scene:
             stacklevel=3,
         )
     return loaded
+
+
+def _check_accessors(path: Path) -> None:
+    """Raise for a glTF whose accessors hold more numbers than its bytes: without a buffer they are zeros, made here."""
+    if path.suffix.lower() not in (".gltf", ".glb"):
+        return
+    try:
+        with path.open("rb") as file:
+            head = file.read(20)
+            size = int.from_bytes(head[12:16], "little")
+            text = file.read(size) if head[:4] == b"glTF" else head + file.read()
+        accessors = json.loads(text)["accessors"]
+        empty = sum(int(accessor["count"]) for accessor in accessors if "bufferView" not in accessor)
+    except Exception:  # trimesh says what is wrong
+        return
+    if empty > MOST_EMPTY:
+        raise FileFormatError(
+            f"{path}: its accessors without a buffer hold {empty:,} points, all zero; expected {MOST_EMPTY:,} at most"
+        )
 
 
 class Beside(Mapping[str, bytes]):

@@ -129,7 +129,6 @@ METHODS: dict[type, dict[str, Callable[[], Any]]] = {
         "with_max_angle": lambda: lens().with_max_angle(1.2345),
         "resized": lambda: lens().resized((12, 16)),
         "cropped": lambda: lens().cropped(1, 2, 12, 16),
-        "convert": lambda: lens().convert("ocam"),
         "equals": lambda: lens().equals(lens()),
         "select": lambda: Camera.stack([lens(), lens().resized(SIZE)]).select(1),
         "stack": lambda: type(lens()).stack([lens(), lens()]),

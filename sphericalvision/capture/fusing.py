@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -140,7 +141,11 @@ class FusedCloud:
             return
         with atomic_write(path) as temporary:
             frames = np.array(list(self.frames), dtype=np.str_)
-            arrays = {"cubes": self._cubes.numpy(), "sums": self._sums.numpy(), "origin": self.origin.numpy()}
+            arrays: dict[str, Any] = {
+                "cubes": self._cubes.numpy(),
+                "sums": self._sums.numpy(),
+                "origin": self.origin.numpy(),
+            }
             np.savez(temporary, frames=frames, side=self.side, **arrays)
         self._written = time.monotonic()
         self._took = self._written - start

@@ -103,7 +103,8 @@ class GraphedFunction:
 
     def _captured(self, inputs: tuple[Tensor, ...], options: dict[str, Any]) -> _Graph | None:
         if sum(graph is not None for graph in self._graphs.values()) >= MOST_GRAPHS:
-            return self._warn(f"there are {MOST_GRAPHS} graphs of other shapes already")
+            self._warn(f"there are {MOST_GRAPHS} graphs of other shapes already")
+            return None
         try:
             return captured(self.function, inputs, options)
         except torch.OutOfMemoryError:
@@ -112,7 +113,8 @@ class GraphedFunction:
             RuntimeError
         ) as error:  # of whatever cannot be recorded; ending the capture may fail for it, too
             _pools.pop(inputs[0].device, None)  # it may be left in the middle of the capture
-            return self._warn(str(error.__context__ or error).strip().partition("\n")[0])
+            self._warn(str(error.__context__ or error).strip().partition("\n")[0])
+            return None
 
     def _warn(self, reason: str) -> None:
         warnings.warn(f"device: {self.name} is computed without a CUDA graph, because {reason}", stacklevel=5)

@@ -38,8 +38,8 @@ STEPS = (
 BIAS, BIAS_OF_TWO = 0.06, 0.16
 """Pixels, at least of the first step, by which turns may be wrong beyond what parts of the sphere tell: a horizon on
 the rows of coarse images moves all cameras alike in every frame, and of two cameras no third one contradicts."""
-TOLD_OF_TWO = 0.08
-"""Of ``_told_of_two``, of the neighbours in a ring of four: cameras that tell less may be wrong by more."""
+USUAL_OBSERVABILITY = 0.08
+"""``_observability`` of neighbours in a ring of four: turns of cameras that have less may be wrong by more."""
 SURE = 2.5
 """Standard deviations beyond which a camera is turned."""
 ENOUGH = math.radians(0.6)
@@ -178,7 +178,7 @@ def _doubt(verdict: RigTurns, sure: bool, latest: float) -> str:
     if verdict.spread.max() < DOUBT and (sure or verdict.within < ENOUGH):
         return ""
     doubtful = verdict.rig.names[int((verdict.turns.norm(dim=-1) + 2 * verdict.spread).argmax())]
-    apart = len(verdict.rig) == 2 and _told_of_two(verdict.rig) < TOLD_OF_TWO / 2
+    apart = len(verdict.rig) == 2 and _observability(verdict.rig) < USUAL_OBSERVABILITY / 2
     more = "more frames, with more texture where cameras overlap, say more"
     if apart:
         more = "of two cameras that look apart, turns look like depth; calibrate them with a board"
@@ -218,12 +218,12 @@ def _estimated(depths: Sequence[Depth]) -> RigTurns:
         agreements.append(alignment.agreement)
     bias = _pixel(rig) * BIAS
     if len(rig) == 2:
-        bias = _pixel(rig) * BIAS_OF_TWO * max(1.0, math.sqrt(TOLD_OF_TWO / _told_of_two(rig)))
+        bias = _pixel(rig) * BIAS_OF_TWO * max(1.0, math.sqrt(USUAL_OBSERVABILITY / _observability(rig)))
     spread = (alignment.spread.double().square() + bias**2).sqrt()
     return RigTurns(rig, about_most(_between(rig, better)), spread, agreement=agreements[0])
 
 
-def _told_of_two(rig: CameraRig) -> float:
+def _observability(rig: CameraRig) -> float:
     """How much of a turn about the worst axis can be told from depth: 1/3 where all axes are alike, 0 where nothing.
 
     A turn moves what a camera sees. Along the plane of both cameras and the point another depth does so as well; only

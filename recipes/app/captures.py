@@ -71,12 +71,13 @@ class Capture(Calibration):
     def open(self) -> Source:
         """The frames, with their rig, in the size of the images and with its masks on (``AUTO`` is none yet)."""
         rig = self.rig()
-        if self.cameras is not None:
-            rig = rig.subset(list(self.cameras))
         files: list[Path] = []
         if self.masks not in (None, AUTO):
-            rig, files = rig_with_masks(rig, self.masks)
-        source = open_source(self.images, rig, self.frames, files)
+            rig, files = rig_with_masks(rig, self.masks, self.cameras)
+        source = open_source(self.images, rig, self.frames, files, self.cameras)
+        rig = source.rig
+        if source.labels:
+            print("Images: " + ", ".join(f"{name} is {label}" for name, label in source.labels.items()) + ".")
         sizes = source.sizes()
         source.rig = rig_for_images(rig, sizes)
         for name in rig.names:

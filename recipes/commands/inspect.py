@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
-from sphericalvision.capture.sources.frames import find_capture, read_frame
+from sphericalvision.capture.sources.frames import find_capture, find_labels, read_frame
 from sphericalvision.capture.sources.opening import rig_with_masks
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
@@ -44,15 +44,11 @@ class InspectConfig:
 
 
 def load_rig(config: InspectConfig) -> tuple[CameraRig, bool]:
-    """The rig of ``config.file`` with its masks, and whether poses are known; a camera becomes a rig of one."""
-    found = config.file.rig_or_cameras()
-    known = isinstance(found, CameraRig)
-    rig = found if isinstance(found, CameraRig) else CameraRig(found, torch.eye(4).repeat(len(found), 1, 1))
-    if config.cameras is not None:
-        rig = rig.subset([str(name) for name in config.cameras])
-    if config.masks is None:
-        return rig, known
-    return rig_with_masks(rig, config.masks)[0], known
+    """The whole rig of ``config.file``, and whether poses are known; a camera becomes a rig of one."""
+    content = config.file.rig_or_cameras()
+    if isinstance(content, CameraRig):
+        return content, True
+    return CameraRig(content, torch.eye(4).repeat(len(content), 1, 1)), False
 
 
 def print_cameras(rig: CameraRig, title: str) -> None:
@@ -120,10 +116,17 @@ def save_pictures(
 
 def inspect(config: InspectConfig, folder: Path) -> list[Path]:
     """Print what is to be known about ``config.file`` and write pictures to ``folder``; returns the files."""
-    rig, known = load_rig(config)
+    whole, known = load_rig(config)
+    cameras = whole.names if config.cameras is None else [str(name) for name in config.cameras]
+    rig = whole.subset(cameras)
+    if config.masks is not None:
+        rig, _ = rig_with_masks(whole, config.masks, cameras)
+        rig = rig.subset(cameras)
     images: Mapping[str, Tensor] = {}
     if config.images is not None:
-        files = find_capture(config.images, rig.names, None if config.frame is None else [config.frame])
+        labels = find_labels(config.images, whole.names, cameras)
+        frames = None if config.frame is None else [config.frame]
+        files = find_capture(config.images, cameras, frames, labels=labels)
         images = read_frame(next(iter(files.values())), rig)
     print_cameras(rig, str(config.file.calibration))
     if known:

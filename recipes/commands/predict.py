@@ -92,8 +92,12 @@ def predictor_for(rig: CameraRig, config: PredictConfig) -> Predictor:
 def open_frames(config: PredictConfig) -> Source:
     """The frames that a configuration names, with the rig of each in the size of its images."""
     source = config.capture.open()
-    if isinstance(source, Moving) and source.unposed:
-        print(f"Warning: {source.unposed} frame(s) have no pose within 20 ms, or of their name; left out.")
+    if isinstance(source, Moving):
+        print(f"Poses: image {source.first_pair[0]} has the pose {source.first_pair[1]}, and so on.")
+        if source.unposed:
+            print(
+                f"Warning: {source.unposed} frame(s) have no pose within 20 ms, or of their name; left out."
+            )
     return source
 
 

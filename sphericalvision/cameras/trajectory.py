@@ -177,6 +177,11 @@ class Trajectory:
             >>> list(three.of_images(["a", "b", "c"]).names), list(three.of_images(["0.099", "0.2"]).names)
             (['a', 'b', 'c'], ['0.099'])
         """
+        matches = self.matches(images, times)
+        return Trajectory(list(matches), self.world_from_camera[list(matches.values())])
+
+    def matches(self, images: Sequence[str], times: Sequence[float] | None = None) -> dict[str, int]:
+        """Return which pose is whose, as ``of_images`` takes them: image -> place of its pose."""
         matches = self._by_time(images, times) or self._by_name(images)
         if not matches and len(images) == len(self):
             matches = {image: number for number, image in enumerate(images)}
@@ -186,7 +191,7 @@ class Trajectory:
                 f"({_first(self.names)}{', rows of the file' if self.names_are_rows else ''}). Expected equally many, "
                 f"images called as the poses, or times at most {SAME_TIME * 1000:.0f} ms apart"
             )
-        return Trajectory(list(matches), self.world_from_camera[list(matches.values())])
+        return matches
 
     def _by_time(self, images: Sequence[str], times: Sequence[float] | None) -> dict[str, int]:
         """Image -> the pose nearest in time, where both have times."""

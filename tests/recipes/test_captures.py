@@ -5,13 +5,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from sphericalvision.capture.sources.frames import find_capture, find_masks
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture.sources.frames import Selection, find_capture, find_labels, find_masks
+from sphericalvision.capture.sources.opening import open_source
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.captures import Capture
@@ -40,6 +43,75 @@ def test_names_of_cameras_come_before_numbers(tmp_path: Path) -> None:
     root = touch(tmp_path, "front.png", "back.png", "0.png", "1.png")
     (files,) = find_capture(root + "/{camera}.png", ["front", "back"]).values()
     assert [path.name for path in files.values()] == ["front.png", "back.png"]
+
+
+LAYOUTS = {  # names of the cameras, and the folders of their images
+    "names": (["front", "left", "rear"], ["front", "left", "rear"]),
+    "numbers of names": (NAMES, ["1", "2", "3"]),
+    "places from 0": (["front", "left", "rear"], ["0", "1", "2"]),
+    "places from 1": (["front", "left", "rear"], ["1", "2", "3"]),
+    "places from 0, other numbers in the names": (NAMES, ["0", "1", "2"]),
+    "one number in two names": (["cam1_left", "cam1_right", "cam2"], ["0", "1", "2"]),
+    "numbers and more folders": (NAMES, ["0", "1", "2", "3"]),
+}
+
+
+@pytest.mark.parametrize("source", ["{camera}/{frame}.png", "{camera}.png", "folder"])
+@pytest.mark.parametrize(("names", "folders"), LAYOUTS.values(), ids=LAYOUTS)
+def test_a_camera_has_the_same_files_whether_all_are_used_or_some(
+    tmp_path: Path, names: list[str], folders: list[str], source: str
+) -> None:
+    """Which file is whose is decided on the whole rig: no selection, in any order, changes it."""
+    rig = ring_rig(3, image_size=(16, 16))
+    rig = CameraRig(dict(zip(names, rig.cameras.values(), strict=True)), rig.world_from_camera)
+    for place, folder in enumerate(folders):
+        file = tmp_path / (f"{folder}.png" if source == "{camera}.png" else f"{folder}/0001.png")
+        write_image(file, torch.full((3, 16, 16), place / 4))
+    images = str(tmp_path if source == "folder" else tmp_path / source)
+
+    def files(cameras: list[str] | None) -> dict[str, Path]:
+        (found,) = open_source(images, rig, cameras=cameras).files.values()
+        return found
+
+    whole = files(None)
+    assert list(whole) == names
+    assert len(set(whole.values())) == 3
+    for number in (1, 2, 3):
+        for some in permutations(names, number):
+            assert files(list(some)) == {name: whole[name] for name in some}
+
+
+def test_files_of_some_cameras_alone_have_to_be_whose_they_are(tmp_path: Path) -> None:
+    root = touch(tmp_path, "1/1.png", "2/1.png")
+    labels = find_labels(root + "/{camera}/{frame}.png", ["front", "left", "rear"], ["front", "left"])
+    assert labels == {"front": "1", "left": "2"}  # counted from 0 there would be a folder 0
+    with pytest.raises(ArgumentError, match="cam2 is 2; or cam2 is 1"):
+        find_labels(root + "/{camera}/{frame}.png", NAMES, ["cam2"])
+    touch(tmp_path, "cam1/1.png")
+    assert find_labels(root + "/{camera}/{frame}.png", NAMES, ["cam1"])["cam1"] == "cam1"
+
+
+def test_hidden_files_are_no_frames(tmp_path: Path) -> None:
+    """macOS writes ._0001.png beside 0001.png on network drives."""
+    root = touch(tmp_path, *(f"{c}/{dot}{f}.png" for c in "123" for f in ("1", "2") for dot in ("", "._")))
+    assert list(find_capture(root + "/{camera}/{frame}.png", NAMES)) == ["1", "2"]
+
+
+@pytest.mark.parametrize("cameras", [None, ["cam1", "cam2"], ["cam3"]])
+def test_stills_of_all_views_are_cut_as_videos_are(tmp_path: Path, cameras: list[str] | None) -> None:
+    rig = ring_rig(3, image_size=(16, 16))
+    views = torch.cat([torch.full((3, 16, 16), level) for level in (0.2, 0.4, 0.8)], -1)
+    for frame in range(2):
+        write_image(tmp_path / f"R{frame}.png", views)
+    for images in (str(tmp_path), str(tmp_path / "{frame}.png")):
+        source = open_source(images, rig, cameras=cameras)
+        assert source.sizes() == dict.fromkeys(cameras or rig.names, (16, 16))
+        frames = list(source.frames(Selection(), lambda _: True))
+        assert [frame.name for frame in frames] == ["R0", "R1"]
+        for name, image in frames[0].images.items():
+            assert image.mean() == pytest.approx({"cam1": 0.2, "cam2": 0.4, "cam3": 0.8}[name], abs=0.01)
+    with pytest.raises(ArgumentError, match="does not hold 4 views"):
+        open_source(str(tmp_path / "{frame}.png"), ring_rig(4, image_size=(16, 16)))
 
 
 def test_frames_are_in_the_order_of_their_numbers_and_complete(tmp_path: Path) -> None:

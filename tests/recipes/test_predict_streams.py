@@ -7,6 +7,7 @@ import re
 import struct
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -23,7 +24,7 @@ from sphericalvision.capture.outputs import Outputs, Panoramas, Settings
 from sphericalvision.capture.preparation.preparation import Compensation
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source, rig_for_images
-from sphericalvision.capture.sources.videos import views_layout
+from sphericalvision.capture.sources.views import views_layout
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import SemiGlobalSweep
@@ -195,6 +196,34 @@ def test_a_video_that_was_cut_or_is_shorter_than_another_is_told(
     with pytest.warns(UserWarning, match=r"cam2 5.* 2 that not all cameras have are left out"):
         shorter = open_source(str(capture / "videos"), RIG)
     assert len(list(shorter.frames(Selection(), lambda _: True))) == 5
+
+
+@pytest.mark.parametrize(("rate", "said"), [(10, ""), (10.05, "up to"), (20, "different rates")])
+def test_videos_of_different_rates_are_no_frames_of_one_moment(
+    tmp_path: Path, rate: float, said: str
+) -> None:
+    for name, own_rate in zip(RIG.names, (10, 10, rate, 10), strict=True):
+        writer = cv2.VideoWriter(
+            str(tmp_path / f"{name}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), own_rate, (40, 32)
+        )
+        for frame in range(230):
+            writer.write(picture(frame % 7, 0))
+        writer.release()
+    if rate == 20:
+        with pytest.raises(ArgumentError, match=r"different rates \(cam1 10, .*cam3 20.*-r 10"):
+            open_source(str(tmp_path), RIG)
+        return
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        source = open_source(str(tmp_path), RIG)
+    assert [said in str(warning.message) for warning in caught] == [True] * bool(said)
+    np.testing.assert_allclose(source.times(), np.arange(230) / 10, atol=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".insv", ".360", ".lrv", ".MTS"])
+def test_containers_of_several_streams_are_named(tmp_path: Path, suffix: str) -> None:
+    with pytest.raises(ArgumentError, match=rf"suffix \{suffix} is of no video.*-map 0:v:0"):
+        open_source(str(tmp_path / f"{{camera}}{suffix}"), RIG)
 
 
 def test_a_whole_video_whose_header_is_off_about_its_length_is_whole(tmp_path: Path) -> None:

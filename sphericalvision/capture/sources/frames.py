@@ -17,10 +17,20 @@ from typing import Any, NamedTuple, Protocol
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.capture.sources.views import size_of_view, split_views
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.io.images import read_image, read_image_size
 
-__all__ = ["Files", "Frame", "Selection", "Source", "find_capture", "find_masks", "read_frame"]
+__all__ = [
+    "Files",
+    "Frame",
+    "Selection",
+    "Source",
+    "find_capture",
+    "find_labels",
+    "find_masks",
+    "read_frame",
+]
 
 
 class Frame(NamedTuple):
@@ -84,6 +94,8 @@ class Source(Protocol):
     live: bool
     rate: float
     rig: CameraRig
+    labels: dict[str, str]
+    """What ``{camera}`` stood for, by camera name, where it was not the name."""
 
     def sizes(self) -> dict[str, tuple[int, int]]:
         """Camera name -> (height, width) of its images, where known."""
@@ -91,6 +103,10 @@ class Source(Protocol):
 
     def names(self, selection: Selection) -> list[str] | None:
         """Names of the frames chosen; None where nobody knows how many there are."""
+        ...
+
+    def times(self) -> list[float] | None:
+        """Seconds of each frame since the first, where frames have times that their names do not tell."""
         ...
 
     def samples(self) -> list[Frame]:
@@ -106,15 +122,22 @@ class Files:
     """Frames of image files.
 
     Args:
-        files: frame -> camera name -> file.
+        files: frame -> camera name -> file; or under the name ``""`` one that has the views of all cameras.
         rig: of the cameras, for the sizes of their images.
+        whole: the rig whose views a picture holds, of which ``rig`` has some; ``rig`` when not given.
     """
 
     live, rate = False, 0.0
 
-    def __init__(self, files: Mapping[str, Mapping[str, Path]], rig: CameraRig) -> None:
-        self.files, self.rig = dict(files), rig
+    def __init__(
+        self, files: Mapping[str, Mapping[str, Path]], rig: CameraRig, whole: CameraRig | None = None
+    ) -> None:
+        self.files, self.rig, self.whole = dict(files), rig, rig if whole is None else whole
+        self.labels: dict[str, str] = {}
         self._sampled: dict[str, Frame] = {}
+
+    def times(self) -> None:
+        """None: names tell times, if anything does."""
 
     def sizes(self) -> dict[str, tuple[int, int]]:
         """Camera name -> (height, width) of its first image that can be read; the pixels are not."""
@@ -122,7 +145,8 @@ class Files:
         for name in self.rig.names:
             for files in list(self.files.values())[:3]:
                 with suppress(FileFormatError, OSError):
-                    found[name] = read_image_size(files[name])
+                    size = read_image_size(files[name] if name in files else files[""])
+                    found[name] = size if name in files else size_of_view(size, self.whole)
                     break
         return found
 
@@ -148,9 +172,15 @@ class Files:
 
     def _read(self, name: str) -> Frame:
         try:
-            return Frame(name, read_frame(self.files[name], self.rig))
+            return Frame(name, self._images(self.files[name]))
         except (FileFormatError, OSError) as error:
             return Frame(name, None, error)
+
+    def _images(self, files: Mapping[str, Path]) -> dict[str, Any]:
+        if "" not in files:
+            return read_frame(files, self.rig)
+        views = split_views(read_image(files[""], what="a picture of all views").movedim(0, -1), self.whole)
+        return {name: views[name].movedim(-1, 0) for name in self.rig.names}
 
 
 def find_capture(
@@ -159,6 +189,7 @@ def find_capture(
     frames: Iterable[int | str] | None = None,
     leave_out: Iterable[Path] = (),
     key: str = "images",
+    labels: Mapping[str, str] | None = None,
 ) -> dict[str, dict[str, Path]]:
     """Find the frames that every camera has, or the frames asked for: frame -> camera name -> file, frames in order.
 
@@ -172,6 +203,7 @@ def find_capture(
         frames: frame numbers or names; all that are found when not given.
         leave_out: files that are no images, such as masks that lie beside them.
         key: that the pattern was given by, for messages.
+        labels: what ``{camera}`` stands for, as ``find_labels`` has it of the whole rig; by default of ``names``.
 
     A frame that some cameras lack is left out with a warning.
 
@@ -179,27 +211,13 @@ def find_capture(
         ArgumentError: the pattern has no ``{camera}``, or other fields.
         MissingFileError: no files, or a frame asked for is missing; the message names what was looked for.
     """
-    fields = _fields(pattern)
-    named = "camera" in fields or len(names) == 1
-    if not named or not fields <= {"camera", "frame"}:
-        raise ArgumentError(
-            f"{key}: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
-            f"'capture/cam{{camera}}/{{frame:05d}}.png', got {pattern!r}"
-        )
-    wanted = None if frames is None else [_frame_text(pattern, frame) for frame in frames]
+    requested = None if frames is None else [_frame_text(pattern, frame) for frame in frames]
     others = {path.resolve() for path in leave_out}
-    for labels in _labelings(names):
-        found = {name: _files(pattern, label, others) for name, label in zip(names, labels, strict=True)}
-        if all(found.values()):
-            break
-    else:
-        tried = ", ".join(f"{labels[0]}..{labels[-1]}" for labels in _labelings(names))
-        raise MissingFileError(
-            f"{key}: no files of all {len(names)} cameras match {pattern!r} (looked in {Path.cwd()}). {{camera}} was "
-            f"tried as {tried}; the pattern must reach a file for each camera of the rig: {', '.join(names)}."
-        )
+    if labels is None:
+        labels = find_labels(pattern, names, leave_out=leave_out, key=key)
+    found = {name: _files(pattern, labels[name], others) for name in names}
     common = set.intersection(*(set(files) for files in found.values()))
-    if wanted is None:
+    if requested is None:
         chosen = sorted(common, key=_natural)
         counts = ", ".join(f"{name}: {len(files)}" for name, files in found.items())
         if not chosen:
@@ -213,24 +231,79 @@ def find_capture(
                 stacklevel=2,
             )
     else:
-        chosen = wanted
+        chosen = requested
     for frame in chosen:
-        for (name, files), label in zip(found.items(), labels, strict=True):
+        for name, files in found.items():
             if frame not in files:
                 raise MissingFileError(
-                    f"{key}: {_path(pattern, label, frame)}: no such file, frame {frame} of camera {name}; its first "
-                    f"frames are {', '.join(sorted(files, key=_natural)[:4])}. Correct frames=... or the pattern."
+                    f"{key}: {_path(pattern, labels[name], frame)}: no such file, frame {frame} of camera {name}; its "
+                    f"first frames are {', '.join(sorted(files, key=_natural)[:4])}. Correct frames=... or the pattern."
                 )
     return {frame: {name: found[name][frame] for name in names} for frame in chosen}
 
 
-def find_masks(pattern: str, names: Sequence[str]) -> dict[str, Path]:
-    """Find one mask for each camera by a pattern with ``{camera}``; cameras are named as in ``find_capture``."""
+def find_labels(
+    pattern: str,
+    names: Sequence[str],
+    cameras: Sequence[str] | None = None,
+    leave_out: Iterable[Path] = (),
+    key: str = "images",
+) -> dict[str, str]:
+    """What ``{camera}`` stands for in a pattern: camera name -> label, of all cameras that are used.
+
+    It is decided on the whole rig, so that a camera has the same files whether all cameras are used or some: the first
+    way of ``find_capture`` for which all cameras have files; else, as nothing tells for which the others lack them,
+    the only one for which those that are used have files.
+
+    Args:
+        pattern: of the files.
+        names: cameras of the whole rig, in order.
+        cameras: those that are used; all when not given.
+        leave_out: files that are no images.
+        key: that the pattern was given by, for messages.
+
+    Raises:
+        ArgumentError: the pattern has no ``{camera}``, or other fields, or ways differ in which file is whose.
+        MissingFileError: no way has files of all cameras.
+    """
+    fields = _fields(pattern)
+    used = list(names if cameras is None else cameras)
+    if not ("camera" in fields or len(used) == 1) or not fields <= {"camera", "frame"}:
+        raise ArgumentError(
+            f"{key}: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
+            f"'capture/cam{{camera}}/{{frame:05d}}.png', got {pattern!r}"
+        )
+    others = {path.resolve() for path in leave_out}
+    ways = [dict(zip(names, labels, strict=True)) for labels in _labelings(names)]
+    are_there = {label for way in ways for label in way.values() if _files(pattern, label, others)}
+    for way in ways:
+        if are_there.issuperset(way.values()):
+            return {name: way[name] for name in used}
+    partly = [way for way in ways if are_there.issuperset(way[name] for name in used)]
+    is_named = bool(partly) and partly[0] is ways[0]  # names are explicit
+    if not is_named and any(way[name] != partly[0][name] for way in partly for name in used):
+        told = "; or ".join(", ".join(f"{name} is {way[name]}" for name in used) for way in partly)
+        raise ArgumentError(
+            f"{key}: {pattern!r} has files of some cameras of the rig alone, and {{camera}} may stand for several "
+            f"things: {told}. Call the files as the cameras are, or remove the other cameras from the calibration"
+        )
+    if not partly:
+        tried = ", ".join(f"{way[names[0]]}..{way[names[-1]]}" for way in ways)
+        raise MissingFileError(
+            f"{key}: no files of all {len(used)} cameras match {pattern!r} (looked in {Path.cwd()}). {{camera}} was "
+            f"tried as {tried}; the pattern must reach a file for each camera of the rig: {', '.join(used)}."
+        )
+    return {name: partly[0][name] for name in used}
+
+
+def find_masks(pattern: str, names: Sequence[str], cameras: Sequence[str] | None = None) -> dict[str, Path]:
+    """Find one mask for each camera by a pattern with ``{camera}``; cameras are named as in ``find_labels``."""
     if _fields(pattern) != {"camera"}:
         raise ArgumentError(
             f"masks: expected a pattern with {{camera}} only, such as 'capture/cam{{camera}}/mask.png', got {pattern!r}"
         )
-    (files,) = find_capture(pattern, names, key="masks").values()
+    labels = find_labels(pattern, names, cameras, key="masks")
+    (files,) = find_capture(pattern, list(labels), key="masks", labels=labels).values()
     return files
 
 
@@ -250,14 +323,14 @@ def _fields(pattern: str) -> set[str]:
 
 
 def _labelings(names: Sequence[str]) -> list[list[str]]:
-    """What ``{camera}`` may stand for, camera by camera, most explicit first."""
+    """What ``{camera}`` may stand for, camera by camera, most explicit first; never one thing for two cameras."""
     numbers = [re.findall(r"\d+", name) for name in names]
     ways = [list(names)]
     if all(numbers):
-        ways.append([found[-1] for found in numbers])
+        ways.append([digits[-1] for digits in numbers])
     ways.append([str(i) for i in range(len(names))])
     ways.append([str(i + 1) for i in range(len(names))])
-    return [way for i, way in enumerate(ways) if way not in ways[:i]]
+    return [way for i, way in enumerate(ways) if way not in ways[:i] and len(set(way)) == len(way)]
 
 
 def _files(pattern: str, label: str, others: Container[Path] = ()) -> dict[str, Path]:
@@ -280,7 +353,10 @@ def _files(pattern: str, label: str, others: Container[Path] = ()) -> dict[str, 
     files = {}
     for file in anchor.glob(str(path.relative_to(path.anchor) if path.is_absolute() else path)):
         match = re.fullmatch(expression, str(file))
-        if match and file.is_file() and file.resolve() not in others:
+        is_hidden = file.name.startswith(".") and not Path(pattern).name.startswith(
+            "."
+        )  # ._0001.png of macOS
+        if match and not is_hidden and file.is_file() and file.resolve() not in others:
             files[match.groupdict().get("frame") or ""] = file
     return files
 

@@ -39,8 +39,12 @@ class Moving:
             raise ArgumentError(
                 "poses: of images that come live, or whose number nobody knows, poses cannot be told"
             )
-        times = [number / source.rate for number in range(len(names))] if source.rate else None
+        times = source.times()
+        if times is not None:  # a video may end before its header says
+            names, times = names[: len(times)], times[: len(names)]
+        matches = poses.matches(names, times)
         self.poses = poses.of_images(names, times)
+        self.first_pair = next((image, poses.names[place]) for image, place in matches.items())
         if len(self.poses) < size:
             raise ArgumentError(
                 f"window: expected {size} frames with poses or more, got {len(self.poses)} of {len(names)}"
@@ -48,6 +52,7 @@ class Moving:
         self.source, self.rate, self.unposed = source, source.rate, len(names) - len(self.poses)
         windows = self.poses.windows(size, spacing)
         self.windows = {self.poses.names[window[size // 2]]: window for window in windows}
+        self.labels = source.labels
         self._sampled: dict[str, Frame] = {}
 
     @property
@@ -66,6 +71,9 @@ class Moving:
     def sizes(self) -> dict[str, tuple[int, int]]:
         """Of the rig that all windows have in common: as calibrated."""
         return {name: camera.image_size for name, camera in self.rig.cameras.items()}
+
+    def times(self) -> None:
+        """None: windows are called as their images."""
 
     def names(self, selection: Selection) -> list[str]:
         """Names of the windows chosen: those of their images in the middle."""

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.sources.frames import Files, Source, find_capture, find_masks
-from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
+from sphericalvision.capture.sources.frames import Files, Source, find_capture, find_labels, find_masks
+from sphericalvision.capture.sources.videos import OTHER_VIDEOS, VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_mask
 
@@ -30,62 +30,116 @@ ALONE = ("{frame}",)
 
 
 def open_source(
-    images: str, rig: CameraRig, frames: Iterable[int | str] | None = None, leave_out: Iterable[Path] = ()
+    images: str,
+    rig: CameraRig,
+    frames: Iterable[int | str] | None = None,
+    leave_out: Iterable[Path] = (),
+    cameras: Sequence[str] | None = None,
 ) -> Source:
     """Find the frames that ``images`` stands for.
 
     Args:
         images: a pattern of image files (``c/cam{camera}/{frame:05d}.png``) or of videos (``c/{camera}.mp4``); a
-            folder; a video with all views side by side; or ``live:0,1,2,3``, devices of this machine, or ``live:0``,
-            one with all views.
-        rig: the cameras.
+            folder; a video, or stills (``c/{frame}.jpg``), with all views side by side; or ``live:0,1,2,3``, devices of
+            this machine, or ``live:0``, one with all views.
+        rig: all cameras of the calibration: which file belongs to which is decided on all of them.
         frames: names or numbers of the frames to take, of image files.
         leave_out: files that are no images, such as masks beside them.
+        cameras: names of those that are used, in order; all when not given.
 
     Raises:
         ArgumentError: ``images`` is none of these, or frames are named of a video.
         MissingFileError: there is nothing.
     """
+    used = rig if cameras is None else rig.subset(list(cameras))
     if images.startswith("live:"):
         _refuse_frames(frames)
-        return Videos(_devices(images, rig), rig)
+        return Videos(_devices(images, used), used, rig)
     path = Path(images).expanduser()
-    if path.suffix.lower() in VIDEO_SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix in OTHER_VIDEOS:
+        raise ArgumentError(
+            f"images: {path}: the suffix {path.suffix} is of no video that is read here ({', '.join(VIDEO_SUFFIXES)}). "
+            "Such files may hold several streams; write each to a file of its own, "
+            f"ffmpeg -i in{path.suffix} -map 0:v:0 -c copy cam1.mp4, and so on with 0:v:1"
+        )
+    if suffix in VIDEO_SUFFIXES:
         _refuse_frames(frames)
         if "{" not in images:
             if not path.is_file():
                 raise MissingFileError(
                     f"images: {path}: no such file (a video with the views of all cameras expected)"
                 )
-            return Videos({"": path}, rig)
-        (files,) = find_capture(images, rig.names).values()
-        return Videos(files, rig)
+            return Videos({"": path}, used, rig)
+        labels = find_labels(images, rig.names, used.names)
+        (files,) = find_capture(images, used.names, labels=labels).values()
+        return _announced(Videos(files, used, rig), labels)
     if path.is_dir():
-        return _of_folder(path, rig, frames, leave_out)
-    return Files(find_capture(images, rig.names, frames, leave_out), rig)
+        return _of_folder(path, rig, frames, leave_out, used)
+    if len(rig) > 1 and "{camera" not in images:
+        return _stills(images, rig, frames, leave_out, used)
+    labels = find_labels(images, rig.names, used.names, leave_out)
+    return _announced(
+        Files(find_capture(images, used.names, frames, leave_out, labels=labels), used, rig), labels
+    )
+
+
+def _announced(source: Source, labels: Mapping[str, str]) -> Source:
+    """A source that says what ``{camera}`` stands for where it is not the cameras' names."""
+    if any(name != label for name, label in labels.items()) and len(labels) > 1:
+        source.labels = dict(labels)
+    return source
+
+
+def _stills(
+    pattern: str,
+    rig: CameraRig,
+    frames: Iterable[int | str] | None,
+    leave_out: Iterable[Path],
+    used: CameraRig,
+) -> Files:
+    """Pictures that hold the views of all cameras.
+
+    Raises:
+        ArgumentError: the first picture does not hold so many views.
+    """
+    if "{" not in pattern and not Path(pattern).expanduser().is_file():
+        raise ArgumentError(
+            f"images: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
+            f"'capture/cam{{camera}}/{{frame:05d}}.png', or pictures with the views of all cameras, got {pattern!r}"
+        )
+    pictures = find_capture(pattern, ["all"], frames, leave_out)
+    source = Files({name: {"": files["all"]} for name, files in pictures.items()}, used, rig)
+    source.sizes()
+    return source
 
 
 def _of_folder(
-    folder: Path, rig: CameraRig, frames: Iterable[int | str] | None, leave_out: Iterable[Path]
+    folder: Path,
+    rig: CameraRig,
+    frames: Iterable[int | str] | None,
+    leave_out: Iterable[Path],
+    used: CameraRig,
 ) -> Source:
     """The first layout for which there are files of every camera."""
-    there = sorted({file.suffix for file in (*folder.glob("*"), *folder.glob("*/*")) if file.is_file()})
-    left_out = list(leave_out)
+    files = (file for file in (*folder.glob("*"), *folder.glob("*/*")) if not file.name.startswith("."))
+    there = sorted({file.suffix for file in files if file.is_file()})
+    excluded = list(leave_out)
     for suffix in there:
         if suffix.lower() in VIDEO_SUFFIXES:
-            alone = [file for file in folder.glob(f"*{suffix}") if file.is_file()]
+            alone = [file for file in folder.glob(f"[!.]*{suffix}") if file.is_file()]
             stems = [stem for stem in STEMS if "{frame}" not in stem]
             for stem in stems:
                 try:
-                    return open_source(f"{folder}/{stem}{suffix}", rig, frames)
+                    return open_source(f"{folder}/{stem}{suffix}", rig, frames, cameras=used.names)
                 except MissingFileError:
                     continue
             if len(alone) == 1:
-                return open_source(str(alone[0]), rig, frames)
+                return open_source(str(alone[0]), rig, frames, cameras=used.names)
         elif suffix.lower() in IMAGE_SUFFIXES:
-            for stem in (*ALONE[: len(rig) == 1], *STEMS):
+            for stem in (*ALONE[: len(rig) == 1], *STEMS, *ALONE[: len(rig) > 1]):
                 try:
-                    return Files(find_capture(f"{folder}/{stem}{suffix}", rig.names, frames, left_out), rig)
+                    return open_source(f"{folder}/{stem}{suffix}", rig, frames, excluded, used.names)
                 except (MissingFileError, ArgumentError):
                     continue
     raise MissingFileError(
@@ -123,14 +177,17 @@ def rig_for_images(rig: CameraRig, sizes: dict[str, tuple[int, int]]) -> CameraR
     return rig.resized(other) if other else rig
 
 
-def rig_with_masks(rig: CameraRig, masks: str) -> tuple[CameraRig, list[Path]]:
+def rig_with_masks(
+    rig: CameraRig, masks: str, cameras: Sequence[str] | None = None
+) -> tuple[CameraRig, list[Path]]:
     """The rig with masks on, and their files.
 
     Args:
-        rig: of the cameras.
+        rig: of all cameras.
         masks: pattern of images, white where usable.
+        cameras: names of those that are used; all when not given.
     """
-    files = find_masks(masks, rig.names)
+    files = find_masks(masks, rig.names, cameras)
     usable = {
         name: read_mask(path, rig.cameras[name].image_size, f"the mask of camera {name}")
         for name, path in files.items()

@@ -4,22 +4,25 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 import numpy.typing as npt
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.frames import Frame, Selection
+from sphericalvision.capture.sources.views import size_of_view, split_views
 from sphericalvision.core import ArgumentError, FileFormatError
 
-__all__ = ["VIDEO_SUFFIXES", "Videos", "split_views", "views_layout"]
+__all__ = ["OTHER_VIDEOS", "VIDEO_SUFFIXES", "Videos"]
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+OTHER_VIDEOS = (".insv", ".360", ".lrv", ".mts", ".m2ts", ".ts")
+"""Of 360 cameras and camcorders: containers that may hold several streams, of which OpenCV reads the first alone."""
 COUNTED = (".mp4", ".avi", ".mov", ".m4v")
 """Those whose headers say how many frames there are."""
 Picture = npt.NDArray[Any]
@@ -31,24 +34,32 @@ class Videos:
 
     Args:
         files: camera name -> file or index of a device; or under the name ``""`` one that has all views.
-        rig: its cameras say how views lie side by side.
+        rig: of the cameras.
+        whole: the rig whose cameras say how views lie side by side, of which ``rig`` has some; ``rig`` when not given.
 
     Raises:
+        ArgumentError: rates differ, so that frames of one number are of different moments.
         FileFormatError: OpenCV cannot open or decode one of them.
     """
 
-    def __init__(self, files: Mapping[str, Path | int], rig: CameraRig) -> None:
-        self.files, self.rig = dict(files), rig
+    def __init__(
+        self, files: Mapping[str, Path | int], rig: CameraRig, whole: CameraRig | None = None
+    ) -> None:
+        self.files, self.rig, self.whole = dict(files), rig, rig if whole is None else whole
+        self.labels: dict[str, str] = {}
         self._sampled: list[Frame] = []
         self.live = isinstance(next(iter(self.files.values())), int)
         with ExitStack() as stack:
             videos = self._open(stack)
-            self.rate = next(iter(videos.values())).get(cv2.CAP_PROP_FPS) or 0.0
+            rates = {name: video.get(cv2.CAP_PROP_FPS) or 0.0 for name, video in videos.items()}
+            self.rate = next(iter(rates.values()))
             counts = {name: int(video.get(cv2.CAP_PROP_FRAME_COUNT)) for name, video in videos.items()}
             self._sizes = {
                 name: (int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(video.get(cv2.CAP_PROP_FRAME_WIDTH)))
                 for name, video in videos.items()
             }
+        if not self.live:
+            _check_rates(rates, counts)
         fewest, most = min(counts.values()), max(counts.values())
         self.num_frames = None if self.live or fewest <= 0 else fewest
         if self.num_frames and fewest < most:
@@ -63,9 +74,21 @@ class Videos:
         """Camera name -> (height, width) of its images."""
         if "" not in self._sizes:
             return self._sizes
-        rows, columns = views_layout(self._sizes[""], self.rig)
-        height, width = self._sizes[""]
-        return dict.fromkeys(self.rig.names, (height // rows, width // columns))
+        return dict.fromkeys(self.rig.names, size_of_view(self._sizes[""], self.whole))
+
+    def times(self) -> list[float]:
+        """Seconds of each frame since the first, as the file has them: frames may last unevenly long.
+
+        The whole video of the first camera is passed through; where it has no times, they follow from its rate.
+        """
+        times: list[float] = []
+        with ExitStack() as stack:
+            video = next(iter(self._open(stack).values()))
+            while video.grab():
+                times.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+        if len(times) < 2 or not all(before < after for before, after in pairwise(times)):
+            return [number / self.rate for number in range(len(times))] if self.rate else []
+        return [time - times[0] for time in times]
 
     def names(self, selection: Selection) -> list[str] | None:
         """Names of the frames chosen; None where nobody knows how many there are."""
@@ -133,7 +156,10 @@ class Videos:
 
     def _by_camera(self, images: Mapping[str, Picture]) -> dict[str, Picture]:
         rgb = {name: cv2.cvtColor(image, cv2.COLOR_BGR2RGB) for name, image in images.items()}
-        return split_views(rgb[""], self.rig) if "" in rgb else rgb
+        if "" not in rgb:
+            return rgb
+        views = split_views(rgb[""], self.whole)
+        return {name: views[name] for name in self.rig.names}
 
     def _open(self, stack: ExitStack) -> Opened:
         videos = {}
@@ -152,44 +178,25 @@ class Videos:
         return videos
 
 
-def split_views(image: Picture, rig: CameraRig) -> dict[str, Picture]:
-    """Cut a picture with the views of all cameras in rows and columns, in the order of the rig.
-
-    Examples:
-        >>> from sphericalvision.cameras import ring_rig
-        >>> views = split_views(np.zeros((16, 80, 3), np.uint8), ring_rig(4, image_size=(16, 20)))
-        >>> list(views), views["cam4"].shape
-        (['cam1', 'cam2', 'cam3', 'cam4'], (16, 20, 3))
-    """
-    rows, columns = views_layout((image.shape[0], image.shape[1]), rig)
-    strips = [view for row in np.split(image, rows, 0) for view in np.split(row, columns, 1)]
-    return dict(zip(rig.names, strips, strict=True))
-
-
-def views_layout(size: Sequence[int], rig: CameraRig) -> tuple[int, int]:
-    """Rows and columns in which n views fill a picture, told by the shape of the cameras' images.
-
-    Raises:
-        ArgumentError: no arrangement has views of that shape.
-
-    Examples:
-        >>> from sphericalvision.cameras import ring_rig
-        >>> views_layout((32, 40), ring_rig(4, image_size=(16, 20)))
-        (2, 2)
-    """
-    number = len(rig)
-    expected = {camera.image_size for camera in rig.cameras.values()}
-    for rows in range(1, number + 1):
-        columns = number // rows
-        if rows * columns == number and size[0] % rows == 0 and size[1] % columns == 0:
-            height, width = size[0] // rows, size[1] // columns
-            if all(abs(height * w - width * h) <= 0.01 * height * w for h, w in expected):
-                return rows, columns
-    shapes = " or ".join(f"{width} x {height}" for height, width in sorted(expected))
-    raise ArgumentError(
-        f"images: a picture of {size[1]} x {size[0]} (width x height) does not hold {number} views of the shape "
-        f"{shapes} in rows and columns"
-    )
+def _check_rates(rates: Mapping[str, float], counts: Mapping[str, int]) -> None:
+    """Refuse rates that differ by 2 % and more, and warn of less where it adds up to a frame."""
+    told = {name: rate for name, rate in rates.items() if rate > 0}
+    if len(told) < 2:
+        return
+    slowest, fastest = min(told.values()), max(told.values())
+    listed = ", ".join(f"{name} {rate:.5g}" for name, rate in told.items())
+    if fastest > 1.02 * slowest:
+        raise ArgumentError(
+            f"images: the videos have different rates ({listed} frames a second), so that frames of one number are of "
+            f"different moments; write them anew at one rate, such as ffmpeg -i in.mp4 -r {slowest:.5g} out.mp4"
+        )
+    drift = min(counts.values()) * (1 / slowest - 1 / fastest)
+    if drift * fastest > 1:
+        warnings.warn(
+            f"images: the videos have different rates ({listed} frames a second); the last frames of one number are up "
+            f"to {drift:.2g} s apart",
+            stacklevel=3,
+        )
 
 
 def _name(number: int) -> str:

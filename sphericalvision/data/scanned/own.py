@@ -58,7 +58,8 @@ class OwnScans(ScannedFrames):
         self.images, self.fixed_rig = images, rig
         self.rig_from_scanner = torch.eye(4) if rig_from_scanner is None else rig_from_scanner
         self.columns = columns
-        scans = {path.stem: path for path in sorted(self.root.iterdir()) if path.suffix in POINT_SUFFIXES}
+        files = sorted(path for path in self.root.iterdir() if not path.name.startswith("."))
+        scans = {path.stem: path for path in files if path.suffix in POINT_SUFFIXES}
         if not scans:
             raise MissingFileError(
                 f"points: {self.root.absolute()} holds no {', '.join(POINT_SUFFIXES)}; expected a scan for each frame"

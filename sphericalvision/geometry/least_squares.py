@@ -85,16 +85,16 @@ def solve_least_squares(
         along = u.mT @ rows[:, -1]
         for _ in range(_PATIENCE):
             step = -scale * (vh.mT @ (s / (s * s + damping) * along))
-            tried = (x + step).clamp(low, high)
-            tried_residual = residuals(tried)
-            tried_cost = _cost(tried_residual)
-            if tried_cost < cost:
+            candidate = (x + step).clamp(low, high)
+            candidate_residual = residuals(candidate)
+            candidate_cost = _cost(candidate_residual)
+            if candidate_cost < cost:
                 break
             damping = min(damping * 10, 1e8)
         else:
             break  # no direction leads down any more
-        gain = 1 - tried_cost / cost
-        x, residual, cost, damping = tried, tried_residual, tried_cost, max(damping / 10, 1e-12)
+        gain = 1 - candidate_cost / cost
+        x, residual, cost, damping = candidate, candidate_residual, candidate_cost, max(damping / 10, 1e-12)
         if gain < tolerance:
             break
     return LeastSquares(x, (cost / max(residual.numel(), 1)) ** 0.5)

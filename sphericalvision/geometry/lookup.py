@@ -153,10 +153,10 @@ def weighted_rows(
 
 def _term_by_term(rows: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
     """The same, slower, with derivatives of any order."""
-    found = rows.index_select(0, ids[:, 0]) * weights[:, :1]
+    total = rows.index_select(0, ids[:, 0]) * weights[:, :1]
     for k in range(1, ids.shape[-1]):
-        found = found + rows.index_select(0, ids[:, k]) * weights[:, k, None]
-    return found
+        total = total + rows.index_select(0, ids[:, k]) * weights[:, k, None]
+    return total
 
 
 def weighted_sums(
@@ -183,13 +183,13 @@ def weighted_sums(
             total = total + values.gather(-1, ids[..., None, :, k].expand(shape)) * weights[..., None, :, k]
         return total
     if ids.numel() < values.shape[-1]:  # few of many: the rest is not touched
-        found = values.index_select(-1, ids.flatten()).unflatten(-1, tuple(ids.shape))
-        return (found * weights).sum(-1)
+        terms = values.index_select(-1, ids.flatten()).unflatten(-1, tuple(ids.shape))
+        return (terms * weights).sum(-1)
     # All channels of a value side by side, so that they are read at once.
     rows = values.reshape(math.prod(values.shape[:-1]), values.shape[-1]).t().contiguous()
     wants_grad = torch.is_grad_enabled() and (values.requires_grad or weights.requires_grad)
-    found = (_term_by_term if wants_grad else weighted_rows)(rows, ids, weights)
-    return found.t().reshape(*values.shape[:-1], len(ids)).contiguous()
+    sums = (_term_by_term if wants_grad else weighted_rows)(rows, ids, weights)
+    return sums.t().reshape(*values.shape[:-1], len(ids)).contiguous()
 
 
 class Lookup(nn.Module):
@@ -229,15 +229,17 @@ class Lookup(nn.Module):
         """``values`` (*b, C, *source) at the targets, (*b, C, P)."""
         values = values.flatten(-self.dims)
         if self.weights is not None:
-            found = weighted_sums(values, self.ids, self.weights)
+            result = weighted_sums(values, self.ids, self.weights)
         elif self.ids.ndim == 1:
-            found = values.index_select(-1, self.ids)
+            result = values.index_select(-1, self.ids)
         else:
             batch = broadcast_shapes(values.shape[:-2], self.ids.shape[:-1])
             ids = self.ids.unsqueeze(-2).expand(*batch, values.shape[-2], -1)
-            found = values.expand(*batch, *values.shape[-2:]).gather(-1, ids)
+            result = values.expand(*batch, *values.shape[-2:]).gather(-1, ids)
         return (
-            found if self.seen is None else torch.where(self.seen.unsqueeze(-2), found, found.new_zeros(()))
+            result
+            if self.seen is None
+            else torch.where(self.seen.unsqueeze(-2), result, result.new_zeros(()))
         )
 
 
@@ -308,16 +310,18 @@ class ImageLookup(nn.Module):
 
     def forward(self, images: Float[Tensor, "*images C h w"]) -> Float[Tensor, "*batch C P"]:
         """``images`` (*b, C, height, width) at the targets, (*b, C, P)."""
-        found = self._interpolated(images)
+        result = self._interpolated(images)
         if self.across is not None and self.across_ids is not None and self.across_weights is not None:
             edge = weighted_sums(images.flatten(-2), self.across_ids, self.across_weights)
-            found = found.contiguous()  # the interpolation may have put its channels side by side
-            found.view(*found.shape[:-2], -1).index_copy_(-1, self.across, edge.expand(*found.shape[:-2], -1))
+            result = result.contiguous()  # the interpolation may have put its channels side by side
+            result.view(*result.shape[:-2], -1).index_copy_(
+                -1, self.across, edge.expand(*result.shape[:-2], -1)
+            )
         if self.seen is not None:
-            found = torch.where(self.seen.unsqueeze(-3), found, 0.0)
+            result = torch.where(self.seen.unsqueeze(-3), result, 0.0)
         if self.shares is not None:
-            return (found * self.shares.to(found.dtype).unsqueeze(-3)).sum(-1)
-        return found.squeeze(-1) if found.shape[-1] == 1 else found.mean(-1)
+            return (result * self.shares.to(result.dtype).unsqueeze(-3)).sum(-1)
+        return result.squeeze(-1) if result.shape[-1] == 1 else result.mean(-1)
 
     def _interpolated(self, images: Tensor) -> Tensor:
         """What ``grid_sample`` finds, (*b, C, P, m)."""
@@ -331,10 +335,10 @@ class ImageLookup(nn.Module):
         parts = self._parts(flat)
         if parts > 1:
             grid, flat = grid.view(parts, -1, *grid.shape[2:]), flat.expand(parts, *size)
-        found = F.grid_sample(flat, grid, self.mode, padding_mode="zeros", align_corners=True)
+        samples = F.grid_sample(flat, grid, self.mode, padding_mode="zeros", align_corners=True)
         if parts > 1:
-            found = found.transpose(0, 1)
-        return found.reshape(*batch, size[0], *self.grid.shape[-3:-1])
+            samples = samples.transpose(0, 1)
+        return samples.reshape(*batch, size[0], *self.grid.shape[-3:-1])
 
     def _parts(self, images: Tensor) -> int:
         """How many parts to cut results into: on a CPU ``grid_sample`` gives each image of a batch to one thread."""

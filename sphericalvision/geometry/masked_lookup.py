@@ -58,9 +58,9 @@ class MaskedLookup(nn.Module):
         gain = None
         if usable is not None or not whole:
             everywhere = torch.ones(source_shape, dtype=torch.bool, device=next(lookup.buffers()).device)
-            given = everywhere if usable is None else self._checked(usable)
-            self.usable = None if usable is None else given
-            gain, self.valid = self._weigh(given, next(self.lookup.buffers()).dtype)
+            mask = everywhere if usable is None else self._checked(usable)
+            self.usable = None if usable is None else mask
+            gain, self.valid = self._weigh(mask, next(self.lookup.buffers()).dtype)
         self.register_buffer("gain", gain, persistent=False)
         if self.valid is not None and self.valid.device.type != "meta" and bool(self.valid.all()):
             self.valid = None
@@ -78,18 +78,18 @@ class MaskedLookup(nn.Module):
             )
         if self.picks:
             self._check_fill(values)
-            found, valid = self.lookup(values), self._valid(mask)
+            result, valid = self.lookup(values), self._valid(mask)
             if valid is not None:
-                found = torch.where(
-                    valid.unsqueeze(-2), found, torch.full_like(found[..., :1, :1], self.fill)
+                result = torch.where(
+                    valid.unsqueeze(-2), result, torch.full_like(result[..., :1, :1], self.fill)
                 )
-            return found.unflatten(-1, self.target_shape)  # type: ignore[no-any-return]
-        found, valid = self.means(values.to(torch.promote_types(values.dtype, torch.float32)), mask)
+            return result.unflatten(-1, self.target_shape)  # type: ignore[no-any-return]
+        result, valid = self.means(values.to(torch.promote_types(values.dtype, torch.float32)), mask)
         if valid is not None and self.fill != 0:
             # Zeros stand there: a sum is faster than a choice in all channels.
             filling = self._filling(valid) if mask is not None or self.filling is None else self.filling
-            found = found + filling.to(found.dtype).unsqueeze(-2)
-        return found.to(values.dtype).unflatten(-1, self.target_shape)
+            result = result + filling.to(result.dtype).unsqueeze(-2)
+        return result.to(values.dtype).unflatten(-1, self.target_shape)
 
     def means(
         self, values: Float[Tensor, " ..."], mask: Shaped[Tensor, " ..."] | None = None
@@ -101,8 +101,8 @@ class MaskedLookup(nn.Module):
             gain, valid = self._weigh(usable, values.dtype)
         if usable is not None:
             values = torch.where(usable.unsqueeze(-len(self.source_shape) - 1), values, 0.0)
-        found: Tensor = self.lookup(values)
-        return found if gain is None else found * gain.to(found.dtype).unsqueeze(-2), valid
+        result: Tensor = self.lookup(values)
+        return result if gain is None else result * gain.to(result.dtype).unsqueeze(-2), valid
 
     def mask(self, mask: Shaped[Tensor, " ..."] | None = None) -> Bool[Tensor, " ..."]:
         """Where results are valid, bool ``(*b, *target_shape)``, given the values that may be used."""
@@ -175,10 +175,10 @@ class LookupModule(nn.Module):
         if not isinstance(image, Tensor):
             like = next(buffer for buffer in self.buffers() if buffer.is_floating_point())
             image = _images().to_tensor(image).to(like)
-        found = super().__call__(image, *others, **named)
-        if not self.disable_features and has_numbers(found):
-            self._output_image = found.detach()
-        return found if output_type == "pt" else _images()._convert_output(found, output_type)
+        result = super().__call__(image, *others, **named)
+        if not self.disable_features and has_numbers(result):
+            self._output_image = result.detach()
+        return result if output_type == "pt" else _images()._convert_output(result, output_type)
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in super().__getstate__().items() if key != "_output_image"}

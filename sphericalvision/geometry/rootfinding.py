@@ -41,11 +41,11 @@ def _horner(coefficients: Tensor, x: Tensor, order: int) -> list[Tensor]:
     descending = coefficients.unbind(-1)[::-1]
     taylor = [descending[0]]  # grows by one with each coefficient, up to what is asked for
     for coefficient in descending[1:]:
-        known = taylor
-        taylor = [torch.addcmul(coefficient, known[0], x)]
-        taylor += [torch.addcmul(known[k - 1], known[k], x) for k in range(1, len(known))]
-        if len(known) <= order:
-            taylor.append(known[-1])
+        previous = taylor
+        taylor = [torch.addcmul(coefficient, previous[0], x)]
+        taylor += [torch.addcmul(previous[k - 1], previous[k], x) for k in range(1, len(previous))]
+        if len(previous) <= order:
+            taylor.append(previous[-1])
     if len(descending) <= order + 1:  # too few for all to have got the shape of x
         zero = torch.zeros_like(taylor[0] + x)
         taylor = [value + zero for value in taylor] + [zero] * (order + 1 - len(taylor))
@@ -258,11 +258,11 @@ def tabulate_inverse(
     with torch.no_grad():
         arguments = arguments.expand(values.shape)
         places = _place(values / values[..., -1:]).contiguous()
-        wanted = torch.linspace(0, 1, size, dtype=values.dtype, device=values.device)
-        wanted = wanted + torch.zeros_like(places[..., :1])  # batched by vmap if the places are
-        above = torch.searchsorted(places, wanted).clamp(1, values.shape[-1] - 1)
+        targets = torch.linspace(0, 1, size, dtype=values.dtype, device=values.device)
+        targets = targets + torch.zeros_like(places[..., :1])  # batched by vmap if the places are
+        above = torch.searchsorted(places, targets).clamp(1, values.shape[-1] - 1)
         low, high = places.gather(-1, above - 1), places.gather(-1, above)
-        share = ((wanted - low) / (high - low)).nan_to_num(0.0).clamp(0, 1)
+        share = ((targets - low) / (high - low)).nan_to_num(0.0).clamp(0, 1)
         knots = torch.lerp(arguments.gather(-1, above - 1), arguments.gather(-1, above), share)
         steps = torch.cat((knots.diff(dim=-1), torch.zeros_like(knots[..., :1])), dim=-1)
         return InverseTable(values[..., -1], knots, steps)

@@ -113,10 +113,10 @@ def icosphere_normals(points: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*ba
     check_last_dim("points", points, 3)
     faces = icosphere_faces(level_from_num_vertices(points.shape[-2]), points.device)
     finite = points.isfinite().all(-1)
-    known = finite[..., faces].all(-1)
+    valid = finite[..., faces].all(-1)
     a, b, c = torch.where(finite[..., None], points, 0.0)[..., faces, :].unbind(-2)
     face_normals = torch.linalg.cross(b - a, c - a)  # as long as twice the area
-    face_normals = torch.where(known[..., None], face_normals, 0.0)
+    face_normals = torch.where(valid[..., None], face_normals, 0.0)
     total = torch.zeros_like(points)
     for corner in faces.unbind(1):
         total = total.index_add(-2, corner, face_normals)

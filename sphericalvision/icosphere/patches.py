@@ -95,8 +95,8 @@ def icosphere_rings(
     for ring in range(1, num_rings + 1):
         last = rings[-1]
         reached = torch.where(last[..., None] < 0, -1, neighbors[last]).flatten(1)
-        known = torch.cat(rings[-2:], 1)  # what touches the last ring lies in it, in the one before or beyond
-        rings.append(_unknown(reached, known, count)[:, : 6 * ring])
+        inner = torch.cat(rings[-2:], 1)  # what touches the last ring lies in it, in the one before or beyond
+        rings.append(_unknown(reached, inner, count)[:, : 6 * ring])
     return torch.cat(rings, 1)
 
 

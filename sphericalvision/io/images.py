@@ -147,13 +147,13 @@ def read_mask(
     elif page.ndim == 3:
         page = cv2.cvtColor(_to_rgb(page), cv2.COLOR_RGB2GRAY)
     white = next(level for level in (1, 255, 65535) if page.max(initial=0) <= level)
-    kept = (page > white // 2) == (usable == "white")
-    if not kept.any() or 0 < page.max(initial=0) <= white // 2:
+    mask = (page > white // 2) == (usable == "white")
+    if not mask.any() or 0 < page.max(initial=0) <= white // 2:
         raise FileFormatError(
             f"{path}: the mask leaves nothing of the image, or has no white; {what} has to be {usable} where images "
             "are usable"
         )
-    return torch.from_numpy(kept)
+    return torch.from_numpy(mask)
 
 
 def write_pages(path: str | Path, pages: list[Array]) -> None:

@@ -70,8 +70,8 @@ def evaluation_mask(
     valid = torch.ones_like(inverse_depth, dtype=torch.bool) if valid is None else valid.bool()
     if valid.shape != inverse_depth.shape:
         raise ShapeError(f"valid: expected {tuple(inverse_depth.shape)}, got {tuple(valid.shape)}")
-    known = torch.where(valid, inverse_depth, 0.0)
-    mask = valid & (seen_by(rig, directions, known) >= least_cameras)
+    masked = torch.where(valid, inverse_depth, 0.0)
+    mask = valid & (seen_by(rig, directions, masked) >= least_cameras)
     return EvaluationMask(mask, 1 - mask.sum(1) / valid.sum(1))
 
 

@@ -52,17 +52,17 @@ def bootstrap_interval(
         raise ArgumentError(
             f"probability, draws: expected a number in (0, 1) and 1 or more, got {probability} and {draws}"
         )
-    known = torch.as_tensor(values, dtype=torch.float64).flatten()
-    known = known[~known.isnan()]
-    if not len(known):
+    samples = torch.as_tensor(values, dtype=torch.float64).flatten()
+    samples = samples[~samples.isnan()]
+    if not len(samples):
         return Interval(torch.nan, torch.nan, torch.nan)
     generator = torch.Generator().manual_seed(seed)
-    chosen = torch.randint(len(known), (draws, len(known)), generator=generator)
-    means = known.cpu()[chosen].mean(1)
+    chosen = torch.randint(len(samples), (draws, len(samples)), generator=generator)
+    means = samples.cpu()[chosen].mean(1)
     tail = (1 - probability) / 2
     bounds = means.quantile(torch.tensor([tail, 1 - tail], dtype=torch.float64))
     low, high = bounds.nan_to_num(nan=torch.inf, posinf=torch.inf).tolist()  # between infinities it finds NaN
-    return Interval(known.mean().item(), low, high)
+    return Interval(samples.mean().item(), low, high)
 
 
 def error_of_surest(
@@ -100,9 +100,9 @@ def error_of_surest(
         confidence.nan_to_num(-torch.inf, torch.inf, -torch.inf),
     )
     rows = []
-    for errors, sure, known in zip(error, confidence, counts, strict=True):
-        order = sure[known].argsort(descending=True)
-        ranked = errors[known][order]
-        kept = [max(1, round(share * len(ranked))) for share in shares]
-        rows.append(torch.stack([ranked[:k].mean() for k in kept]))
+    for errors, sure, valid in zip(error, confidence, counts, strict=True):
+        order = sure[valid].argsort(descending=True)
+        ranked = errors[valid][order]
+        sizes = [max(1, round(share * len(ranked))) for share in shares]
+        rows.append(torch.stack([ranked[:k].mean() for k in sizes]))
     return torch.stack(rows)

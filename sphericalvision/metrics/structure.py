@@ -65,11 +65,11 @@ def local_contrast(image: Float[Tensor, "*batch C V"]) -> Float[Tensor, "*batch 
     """
     grey = image.mean(-2)
     rings = _rings(level_from_num_vertices(grey.shape[-1]), 2, grey.device)
-    known = rings >= 0
+    valid = rings >= 0
     around = grey[..., rings.clamp(min=0)]
-    count = known.sum(-1)
-    mean = (around * known).sum(-1) / count
-    return (((around - mean[..., None]).square() * known).sum(-1) / count).sqrt()
+    count = valid.sum(-1)
+    mean = (around * valid).sum(-1) / count
+    return (((around - mean[..., None]).square() * valid).sum(-1) / count).sqrt()
 
 
 def _most(values: Tensor, rings: Tensor) -> Tensor:
@@ -85,9 +85,9 @@ def _most(values: Tensor, rings: Tensor) -> Tensor:
 def _off_plane(index: Tensor, rings: Tensor) -> Tensor:
     """Largest residual ``(*, V)`` within rings of a linear function of the direction that fits best."""
     level = level_from_num_vertices(index.shape[-1])
-    known = (rings >= 0).to(torch.float64)[..., None]
-    places = icosphere_vertices(level, torch.float64, index.device)[rings.clamp(min=0)] * known
-    values = index.double()[..., rings.clamp(min=0)] * known[..., 0]
+    valid = (rings >= 0).to(torch.float64)[..., None]
+    places = icosphere_vertices(level, torch.float64, index.device)[rings.clamp(min=0)] * valid
+    values = index.double()[..., rings.clamp(min=0)] * valid[..., 0]
     normal = places.mT @ places  # (V, 3, 3), well away from singular: directions are unit vectors that differ
     slope = torch.linalg.solve(normal, (places.mT @ values[..., None]))
     return (values - (places @ slope)[..., 0]).abs().amax(-1).to(index.dtype)

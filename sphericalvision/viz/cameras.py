@@ -53,9 +53,9 @@ def angle_map(
         3
     """
     height, width = camera.image_size
-    for name, given in (("image", image), ("mask", mask)):
-        if given is not None and tuple(given.shape[-2:]) != camera.image_size:
-            raise ShapeError(f"{name}: expected {height} x {width}, got shape {tuple(given.shape)}")
+    for name, value in (("image", image), ("mask", mask)):
+        if value is not None and tuple(value.shape[-2:]) != camera.image_size:
+            raise ShapeError(f"{name}: expected {height} x {width}, got shape {tuple(value.shape)}")
     horizontal, vertical, widest = (math.degrees(angle) for angle in field_of_view(camera))
     step = max(max(height, width) / _SAMPLES, 1.0)
     u = torch.linspace(0, width - 1, round(width / step), dtype=torch.float64)

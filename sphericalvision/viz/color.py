@@ -173,7 +173,7 @@ def colorize(scaled: npt.NDArray[np.float64], color_map: str) -> Picture:
 @lru_cache(maxsize=8)
 def _table(color_map: str) -> Picture:
     """The colours of a map, as OpenCV has them, and the grey of what is unknown after them."""
-    known = {name[9:].lower(): code for name, code in vars(cv2).items() if name.startswith("COLORMAP_")}
-    check_choice("color_map", color_map, tuple(known))
-    shades = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], known[color_map])[0, :, ::-1]
+    codes = {name[9:].lower(): code for name, code in vars(cv2).items() if name.startswith("COLORMAP_")}
+    check_choice("color_map", color_map, tuple(codes))
+    shades = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], codes[color_map])[0, :, ::-1]
     return np.concatenate((shades, np.full((1, 3), UNKNOWN_GREY, np.uint8)))

@@ -51,11 +51,11 @@ def icosphere_mesh(
         colors = depth.new_full((3, len(depth)), 0.7)
     if tuple(colors.shape) != (3, len(depth)):
         raise ShapeError(f"colors: expected {(3, len(depth))} to go with depth, got {tuple(colors.shape)}")
-    known = depth.isfinite() & (depth > 0)
-    safe = torch.where(known, depth, 1.0)
+    valid = depth.isfinite() & (depth > 0)
+    safe = torch.where(valid, depth, 1.0)
     corners = safe[grid.faces]
-    kept = known[grid.faces].all(-1) & (corners.amax(-1) <= max_jump * corners.amin(-1))
-    faces = grid.faces[kept].flip(-1)  # seen from inside
+    valid_faces = valid[grid.faces].all(-1) & (corners.amax(-1) <= max_jump * corners.amin(-1))
+    faces = grid.faces[valid_faces].flip(-1)  # seen from inside
     levels = (colors.clamp(0, 1) * 255).round().to(torch.uint8)
     import trimesh  # a second to import
 

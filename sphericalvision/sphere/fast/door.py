@@ -92,8 +92,8 @@ def _sums_of_taps(
             )  # beyond a pole, on the other side: between two for an odd width
             row = row.clamp(0, height - 1)
             for turn in (width // 2, (width + 1) // 2):
-                there = torch.where(over, column + turn, column) % width
-                entries.append((made, row * step + there % step, there // step, share / 2))
+                wrapped = torch.where(over, column + turn, column) % width
+                entries.append((made, row * step + wrapped % step, wrapped // step, share / 2))
     made, row, shift, weight = (torch.cat(parts) for parts in zip(*entries, strict=True))
     # The same pixel twice is one entry, and what has no weight is none.
     length = width // step

@@ -109,11 +109,11 @@ class _Convolution(torch.autograd.Function):
     def forward(rows: Tensor, weight: Tensor, forward: RowSums, backward: RowSums, groups: int) -> Tensor:
         kernel = weight.unsqueeze(-1)
         num_taps = weight.shape[-1]
-        found = [
+        outputs = [
             torch.cat([F.conv2d(read, kernel, None, (num_taps, 1), groups=groups) for _, read in parts], 2)
             for parts in (_read(sample, forward, num_taps) for sample in rows)
         ]
-        return torch.cat(found)
+        return torch.cat(outputs)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
@@ -126,8 +126,8 @@ class _Convolution(torch.autograd.Function):
         results = []
         for place in range(info.batch_size):
             rows, weight = (
-                given if dim is None else given.select(dim, place)
-                for given, dim in zip(inputs[:2], in_dims[:2], strict=True)
+                tensor if dim is None else tensor.select(dim, place)
+                for tensor, dim in zip(inputs[:2], in_dims[:2], strict=True)
             )
             results.append(_Convolution.apply(rows, weight, *inputs[2:]))
         return torch.stack(results), 0
@@ -138,11 +138,11 @@ class _Convolution(torch.autograd.Function):
         want_rows, want_weight = ctx.needs_input_grad[:2]
         groups, num_taps = ctx.groups, weight.shape[-1]
         if torch.is_grad_enabled():  # to be differentiated again: the same from operations of torch
-            wanted = [tensor for tensor in (rows, weight) if tensor.requires_grad]
-            found = torch.autograd.grad(
-                _gathered(rows, weight, ctx.sums, groups), wanted, gradient, create_graph=True
+            inputs = [tensor for tensor in (rows, weight) if tensor.requires_grad]
+            results = torch.autograd.grad(
+                _gathered(rows, weight, ctx.sums, groups), inputs, gradient, create_graph=True
             )
-            gradients = iter(found)
+            gradients = iter(results)
             return (*(next(gradients) if t.requires_grad else None for t in (rows, weight)), None, None, None)
         # In and out change places: (in, out / groups, K, 1).
         turned = weight.unflatten(0, (groups, -1)).transpose(1, 2).flatten(0, 1).unsqueeze(-1).contiguous()
@@ -206,6 +206,6 @@ def _gathered(rows: Tensor, weight: Tensor, sums: RowSums, groups: int) -> Tenso
     read = rows.new_zeros(())
     for row, shift, share in zip(sums.row.T, sums.shift.T, sums.weight.T, strict=True):
         ids = row[:, None] * length + (shift[:, None] + columns) % length
-        found = rows.flatten(2).index_select(2, ids.flatten()).unflatten(2, tuple(ids.shape))
-        read = read + found * share[:, None].to(rows)
+        pixels = rows.flatten(2).index_select(2, ids.flatten()).unflatten(2, tuple(ids.shape))
+        read = read + pixels * share[:, None].to(rows)
     return F.conv2d(read, weight.unsqueeze(-1), None, (num_taps, 1), groups=groups)

@@ -26,9 +26,9 @@ def check_cells(count: int, **sizes: int) -> None:
         >>> check_cells(4 * 8, height=4, width=8)
     """
     if count > MAX_CELLS:
-        given = ", ".join(map(str, sizes.values()))
+        numbers = ", ".join(map(str, sizes.values()))
         raise ArgumentError(
-            f"{', '.join(sizes)}: expected a grid of {MAX_CELLS:,} values at most (8192 x 16384), got {given}, "
+            f"{', '.join(sizes)}: expected a grid of {MAX_CELLS:,} values at most (8192 x 16384), got {numbers}, "
             f"which makes {count:,}; take a smaller one"
         )
 
@@ -128,8 +128,8 @@ class GridModule(nn.Module):
             ShapeError: if the values are not on this grid.
         """
         check_values(values, self.shape)
-        found: Tensor = self._interpolated(values, directions)
-        return found
+        result: Tensor = self._interpolated(values, directions)
+        return result
 
     def _interpolated(self: Any, values: Tensor, directions: Tensor) -> Tensor:
         return bilinear_sample(self.image(values), self.image_pixels(directions))

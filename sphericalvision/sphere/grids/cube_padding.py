@@ -121,9 +121,9 @@ def _fold(row: Tensor, column: Tensor, size: int) -> Tensor:
     forward = size - (row.abs() - size).clamp(min=0) - (column.abs() - size).clamp(min=0)
     local = torch.stack((column.clamp(-size, size), row.clamp(-size, size), forward), -1)
     world = (world_from_face[:, None] * local[:, None, :]).sum(-1)
-    there = (world[..., None, :, None] * world_from_face).sum(-2)  # in the frame of each of six faces
-    face = there[..., 2].argmax(-1)
-    column, row, _ = there.gather(-2, face[..., None, None].expand(*face.shape, 1, 3)).squeeze(-2).unbind(-1)
+    coords = (world[..., None, :, None] * world_from_face).sum(-2)  # in the frame of each of six faces
+    face = coords[..., 2].argmax(-1)
+    column, row, _ = coords.gather(-2, face[..., None, None].expand(*face.shape, 1, 3)).squeeze(-2).unbind(-1)
     return (face * size + (row + size - 1) // 2) * size + (column + size - 1) // 2
 
 

@@ -126,9 +126,9 @@ class Healpix(GridModule):
         """
         ids = torch.arange(self.num_pixels, device=self.directions.device)
         of = place_from_nested if self.nested else place_from_ring
-        face, column, row, there = neighbor_places(*of(ids, self.nside), self.nside)
+        face, column, row, exists = neighbor_places(*of(ids, self.nside), self.nside)
         number = nested_from_place if self.nested else ring_from_place
-        return torch.where(there, number(face, column, row, self.nside), -1)
+        return torch.where(exists, number(face, column, row, self.nside), -1)
 
     def locate(
         self, directions: Float[Tensor, "*batch 3"], interpolation: str = "healpy"

@@ -202,11 +202,11 @@ def neighbor_places(
     x, y = x - over_x * nside, y - over_y * nside
     zone = torch.div(face, 4, rounding_mode="floor")[:, None]
     crossings = torch.tensor(_CROSSINGS, device=face.device)[zone, 3 * over_y + over_x + 4]
-    there, around, turn = crossings.unbind(-1)
+    next_zone, around, turn = crossings.unbind(-1)
     mirrored_x, mirrored_y = nside - 1 - x, nside - 1 - y
     columns = torch.stack((x, y, mirrored_x, mirrored_y), -1).gather(-1, turn[..., None]).squeeze(-1)
     rows = torch.stack((y, mirrored_x, mirrored_y, x), -1).gather(-1, turn[..., None]).squeeze(-1)
-    return 4 * there.clamp(min=0) + (face[:, None] + around) % 4, columns, rows, there >= 0
+    return 4 * next_zone.clamp(min=0) + (face[:, None] + around) % 4, columns, rows, next_zone >= 0
 
 
 def place_of_direction(

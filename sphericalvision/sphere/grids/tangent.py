@@ -202,9 +202,9 @@ def _face_containing(directions: Tensor, level: int) -> Tensor:
     faces = icosphere_faces(level, directions.device)
     base = num_icosphere_vertices(level)
     digits = torch.tensor([base * base, base, 1], device=directions.device)
-    known, order = (faces.sort(-1).values * digits).sum(-1).sort()
+    keys, order = (faces.sort(-1).values * digits).sum(-1).sort()
     ids, _ = locate(directions, level)
-    return order[torch.searchsorted(known, (ids.sort(-1).values * digits).sum(-1))]
+    return order[torch.searchsorted(keys, (ids.sort(-1).values * digits).sum(-1))]
 
 
 def solid_angles_in_triangle(

@@ -64,8 +64,8 @@ def resample_tables(
     if rotation is not None:
         rotation = rotation.to(device=device, dtype=dtype)
     if mode == "conservative":
-        kept = overlaps(source, target, rotation, device)
-        return MaskedLookup(kept, source_shape, target_shape, mode, fill, None, usable)
+        conservative = overlaps(source, target, rotation, device)
+        return MaskedLookup(conservative, source_shape, target_shape, mode, fill, None, usable)
     middles = _samples(source, target, rotation, dtype, device)
     groups = cell_groups(_spans(source, target, middles), _image_size(source)) if mode == "area" else []
     averages = any(group.level or group.samples != (1, 1) for group in groups)
@@ -244,8 +244,8 @@ class _GridImageLookup(nn.Module):
         self.lookup = ImageLookup(pixels, seen, (height, width), shares, edges)
 
     def forward(self, values: Tensor) -> Tensor:
-        found: Tensor = self.lookup(self.source.image(values))
-        return found
+        result: Tensor = self.lookup(self.source.image(values))
+        return result
 
 
 class _DirectionLookup(nn.Module):
@@ -261,9 +261,9 @@ class _DirectionLookup(nn.Module):
         self.register_buffer("shares", shares, persistent=False)
 
     def forward(self, values: Tensor) -> Tensor:
-        found = self.source.sample(values, self.directions.flatten(-3, -2).to(values.dtype))
-        found = found.unflatten(-1, self.shares.shape[-2:])
-        return (found * self.shares.to(found.dtype).unsqueeze(-3)).sum(-1)
+        samples = self.source.sample(values, self.directions.flatten(-3, -2).to(values.dtype))
+        samples = samples.unflatten(-1, self.shares.shape[-2:])
+        return (samples * self.shares.to(samples.dtype).unsqueeze(-3)).sum(-1)
 
 
 def _merged(ids: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:

@@ -102,8 +102,8 @@ class Views:
         for _, alike in itertools.groupby(self.images, lambda image: image.shape):
             images = torch.stack(list(alike))
             parts = images.flatten(0, -4).split(batch or images.shape[:-3].numel())
-            found = torch.cat([self._checked(function(part), part) for part in parts])
-            results += found.unflatten(0, images.shape[:-3])
+            outputs = torch.cat([self._checked(function(part), part) for part in parts])
+            results += outputs.unflatten(0, images.shape[:-3])
         sizes = {name: tuple(image.shape[-2:]) for name, image in zip(self.rig.names, results, strict=True)}
         return Views(results, self.rig.resized(sizes), self._target)
 
@@ -148,8 +148,8 @@ class Views:
         check_choice("quantity", quantity, QUANTITIES)
         is_depth = quantity != "values"
         target = self.target if target is None else target
-        found = [self._seen_in(target, rotation, name, quantity, mode) for name in self.rig.names]
-        values, weights = (torch.stack(torch.broadcast_tensors(*part)) for part in zip(*found, strict=True))
+        pairs = [self._seen_in(target, rotation, name, quantity, mode) for name in self.rig.names]
+        values, weights = (torch.stack(torch.broadcast_tensors(*part)) for part in zip(*pairs, strict=True))
         dims = len(grid_shape(target, "target"))
         if is_depth:
             values = torch.where(weights > 0, values, 1.0).log()
@@ -185,8 +185,8 @@ class Views:
         weight = _weights(camera).to(image).expand_as(image[..., :1, :, :])
         tables = resample_tables(camera, target, turn, mode, 0.0, usable, image.device)
         dims = len(tables.target_shape)
-        found, seen = tables(torch.cat((image, weight), -3)), tables.mask().unsqueeze(-1 - dims)
-        shown, weight = found.split((image.shape[-3], 1), -1 - dims)
+        result, seen = tables(torch.cat((image, weight), -3)), tables.mask().unsqueeze(-1 - dims)
+        shown, weight = result.split((image.shape[-3], 1), -1 - dims)
         if quantity != "values":
             shown = 1 / torch.where(seen, shown, 1.0)
         return shown, torch.where(seen, weight, 0.0)
@@ -327,10 +327,10 @@ def _log_scales(values: Tensor, weights: Tensor, dims: int) -> Tensor:
     Minimises the weighted squares of deviations from the mean of all views, of which a view's share of each place is
     a graph Laplacian; its weights are those of Cauchy from the second round on, as views see other things at edges.
     """
-    flat, given = (
+    flat, flat_weights = (
         part.flatten(-1 - dims).movedim(0, -2).double() for part in (values, weights)
     )  # (*b, n, V)
-    scales, trust = torch.zeros_like(flat[..., :1]), given
+    scales, trust = torch.zeros_like(flat[..., :1]), flat_weights
     for _ in range(_ROUNDS):
         total = trust.sum(-2, keepdim=True)
         shares = trust / torch.where(total > 0, total, 1.0)
@@ -339,5 +339,7 @@ def _log_scales(values: Tensor, weights: Tensor, dims: int) -> Tensor:
         scales = torch.linalg.pinv(laplacian, rtol=1e-9, hermitian=True) @ difference
         aligned = (flat + scales).detach().movedim(-2, 0)
         _, squared = _mean_and_squares(aligned.unsqueeze(-2), trust.movedim(-2, 0).unsqueeze(-2), 1)
-        trust = given * _cauchy(squared, given.movedim(-2, 0).unsqueeze(-2), 1).squeeze(-2).movedim(0, -2)
+        trust = flat_weights * _cauchy(squared, flat_weights.movedim(-2, 0).unsqueeze(-2), 1).squeeze(
+            -2
+        ).movedim(0, -2)
     return scales.movedim(-2, 0).to(values)[(..., *(None,) * dims)]

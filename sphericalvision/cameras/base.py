@@ -151,8 +151,8 @@ class Camera:
         self, image_size: Sequence[int], max_angle: float | Float[Tensor, "*#batch"], **intrinsics: Any
     ) -> None:
         self.image_size = checked_size(image_size)
-        given = [value for value in (*intrinsics.values(), max_angle) if isinstance(value, Tensor)]
-        floating = [value for value in given if value.is_floating_point()]
+        tensors = [value for value in (*intrinsics.values(), max_angle) if isinstance(value, Tensor)]
+        floating = [value for value in tensors if value.is_floating_point()]
         like = floating[0] if floating else torch.empty(())
         check_precision(like.dtype)
         for name, value in intrinsics.items():

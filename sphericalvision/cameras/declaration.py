@@ -167,9 +167,9 @@ def constructor(declared: Mapping[str, Declared], assign: Callable[[Any, dict[st
     signature = inspect.Signature(parameters)
 
     def __init__(self: Any, *values: Any, **named: Any) -> None:
-        given = signature.bind(self, *values, **named)
-        given.apply_defaults()
-        assign(self, {name: given.arguments[name] for name in declared})
+        bound = signature.bind(self, *values, **named)
+        bound.apply_defaults()
+        assign(self, {name: bound.arguments[name] for name in declared})
 
     __init__.__signature__ = signature  # type: ignore[attr-defined]
     return __init__

@@ -95,8 +95,8 @@ def points_from_depth(
         >>> points.norm(dim=-1).mean().item(), valid.all().item()
         (3.0, True)
     """
-    directions, looks = _directions(depth, camera, "depth")
-    valid = looks & depth.isfinite() & (depth > 0)
+    directions, seen = _directions(depth, camera, "depth")
+    valid = seen & depth.isfinite() & (depth > 0)
     points = torch.where(valid, depth, 0.0).unsqueeze(-1) * directions
     return points, valid
 

@@ -223,7 +223,7 @@ def with_shapes(
 
     For each shape, focal lengths and principal point follow by linear least squares.
     """
-    tried = []
+    candidates = []
     for numbers in shapes:
         shape = samples.pixels.new_tensor(list(numbers))
         unit = torch.cat((shape.new_ones(2), shape.new_zeros(2), shape))
@@ -236,8 +236,8 @@ def with_shapes(
         focal_length = (centred * (y - y.mean(0))).sum(0) / (centred * centred).sum(0)
         center = y.mean(0) - focal_length * x.mean(0)
         rms = float((focal_length * x + center - y).square().mean().sqrt())
-        tried.append((int((~valid).sum()), rms, torch.cat((focal_length, center, shape))))
-    return [vector for *_, vector in sorted(tried, key=lambda entry: entry[:2])[:2]]
+        candidates.append((int((~valid).sum()), rms, torch.cat((focal_length, center, shape))))
+    return [vector for *_, vector in sorted(candidates, key=lambda entry: entry[:2])[:2]]
 
 
 def shape_grid(*axes: Sequence[float]) -> Callable[[FittedModel, Samples], list[Tensor]]:

@@ -82,10 +82,10 @@ def _model(camera: PinholeCamera | BrownConradyCamera | KannalaBrandtCamera) -> 
         )
     if isinstance(camera, PinholeCamera):
         return name, camera.focal_length[..., :0]
-    most, given = _COEFFICIENTS[name], camera.distortion
-    if bool((given.detach()[..., most:] != 0).any()):
-        raise ArgumentError(f"camera: Kornia's {name} has {most} coefficients, got {given.tolist()}")
-    return name, torch.nn.functional.pad(given[..., :most], (0, max(0, most - given.shape[-1])))
+    most, distortion = _COEFFICIENTS[name], camera.distortion
+    if bool((distortion.detach()[..., most:] != 0).any()):
+        raise ArgumentError(f"camera: Kornia's {name} has {most} coefficients, got {distortion.tolist()}")
+    return name, torch.nn.functional.pad(distortion[..., :most], (0, max(0, most - distortion.shape[-1])))
 
 
 def from_kornia(camera: Any) -> Camera:
@@ -112,8 +112,8 @@ def from_kornia(camera: Any) -> Camera:
         focal_length = torch.stack((matrix[:, 0, 0], matrix[:, 1, 1]), -1)
         size = [int(side) for side in sides[0]]
         skew = matrix[:, 0, 1] if bool((matrix[:, 0, 1] != 0).any()) else None
-        found = PinholeCamera(focal_length, matrix[:, :2, 2], size, skew=skew)
-        return found.select(0) if len(matrix) == 1 else found
+        result = PinholeCamera(focal_length, matrix[:, :2, 2], size, skew=skew)
+        return result.select(0) if len(matrix) == 1 else result
     if isinstance(camera, CameraModel):
         camera = camera._model
     if isinstance(camera, CameraModelBase):

@@ -51,14 +51,14 @@ def stack_masks(rigs: Sequence[HasMasks]) -> dict[str, Tensor]:
     stacked = {}
     for name, camera in rigs[0].cameras.items():
         masks = [rig.masks.get(name) for rig in rigs]
-        given = [mask for mask in masks if mask is not None]
-        if not given:
+        present = [mask for mask in masks if mask is not None]
+        if not present:
             continue
-        if len(given) == len(masks) and all(
-            mask is given[0] or torch.equal(mask, given[0]) for mask in given
+        if len(present) == len(masks) and all(
+            mask is present[0] or torch.equal(mask, present[0]) for mask in present
         ):
-            stacked[name] = given[0]
+            stacked[name] = present[0]
         else:
-            usable = torch.ones(camera.image_size, dtype=torch.bool, device=given[0].device)
+            usable = torch.ones(camera.image_size, dtype=torch.bool, device=present[0].device)
             stacked[name] = torch.stack([usable if mask is None else mask for mask in masks])
     return stacked

@@ -66,10 +66,10 @@ def camera_model_names() -> tuple[str, ...]:
 
 def check_registered(camera: Camera) -> None:
     """Raise ``ArgumentError`` unless the camera's class is found by its name."""
-    found = camera_model(camera.model)
-    if found is not type(camera):
+    registered = camera_model(camera.model)
+    if registered is not type(camera):
         kind = type(camera).__name__
-        problem = f"is {found.__name__}'s name" if found else "is not known"
+        problem = f"is {registered.__name__}'s name" if registered else "is not known"
         raise ArgumentError(
             f"camera: {kind} could not be read back: its model {camera.model!r} {problem}. Register the class with "
             f"sphericalvision.cameras.register_camera, or as an entry point of {ENTRY_POINTS!r}"

@@ -245,8 +245,8 @@ class CameraRig:
         """
         names = self.names
         for key in which:
-            known = key in names if isinstance(key, str) else -len(names) <= key < len(names)
-            if not known:
+            exists = key in names if isinstance(key, str) else -len(names) <= key < len(names)
+            if not exists:
                 raise ArgumentError(
                     f"cameras: expected names among {', '.join(names)} or indices, got {key!r}"
                 )
@@ -449,10 +449,12 @@ class CameraRig:
         pixels, valid = [], []
         for index, (name, camera) in enumerate(self.cameras.items()):
             world_from_camera = self.world_from_camera[..., index, :3, :3].to(rays[index])
-            found, seen = camera.project(rays[index] @ world_from_camera)
+            coords, seen = camera.project(rays[index] @ world_from_camera)
             if name in self.masks:
-                seen = seen & is_usable(camera, self.masks[name], torch.where(seen.unsqueeze(-1), found, 0.0))
-            pixels.append(found)
+                seen = seen & is_usable(
+                    camera, self.masks[name], torch.where(seen.unsqueeze(-1), coords, 0.0)
+                )
+            pixels.append(coords)
             valid.append(seen)
         return Projection(torch.stack(pixels, -3), torch.stack(valid, -2))
 

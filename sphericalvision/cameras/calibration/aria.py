@@ -48,19 +48,19 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     Raises:
         ArgumentError: the size of a camera is not known by its label, and not given.
     """
-    found = Gathered(options)
+    calibration = Gathered(options)
     for values in content.several("CameraCalibrations"):
         label, projection = values.entry("Label"), values.inner("Projection")
         if not isinstance(label, str):
             raise FileFormatError(f"{values.at('Label')}: expected a name, got {short_repr(label)}")
         lens = lens_called(_LENSES, projection.chosen("Name", [lens.name for lens in _LENSES]))
         numbers = projection.numbers("Params", len(lens.keys))
-        known = (size for start, size in _SIZES.items() if label.startswith(start))
-        size = options.image_size or next(known, None)
+        sizes = (size for start, size in _SIZES.items() if label.startswith(start))
+        size = options.image_size or next(sizes, None)
         size = size or options.given_size(f"{projection.where} of {label!r}")
         camera = lens.camera(numbers, size, projection.where)
-        found.add(label, camera, values.where, _pose(values.inner("T_Device_Camera")))
-    return found.contents
+        calibration.add(label, camera, values.where, _pose(values.inner("T_Device_Camera")))
+    return calibration.contents
 
 
 def _pose(values: Keys) -> Tensor:
@@ -68,8 +68,8 @@ def _pose(values: Keys) -> Tensor:
     where = values.at("UnitQuaternion")
     if not isinstance(quaternion, list) or len(quaternion) != 2:
         raise FileFormatError(f"{where}: expected [w, [x, y, z]], got {short_repr(quaternion)}")
-    found = [*numbers(quaternion[0], where, 1), *numbers(quaternion[1], where, 3)]
-    return transform_from_numbers(found, translation, where)
+    wxyz = [*numbers(quaternion[0], where, 1), *numbers(quaternion[1], where, 3)]
+    return transform_from_numbers(wxyz, translation, where)
 
 
 register_format(

@@ -54,10 +54,10 @@ def _camera(content: Keys) -> Camera:
     content.chosen("camera_model", ("pinhole",))
     kinds = [lens.name for lens in _LENSES]
     lens = lens_called(_LENSES, content.model("distortion_model", kinds, default="none"))
-    found = content.numbers("intrinsics", 4) + content.coefficients(
+    intrinsics = content.numbers("intrinsics", 4) + content.coefficients(
         "distortion_coefficients", len(lens.keys) - 4
     )
-    return lens.camera(found, content.size("resolution"), content.where)
+    return lens.camera(intrinsics, content.size("resolution"), content.where)
 
 
 def write_asl_camera(camera: Camera, path: str | Path) -> None:
@@ -86,15 +86,15 @@ def write_asl_rig(rig: CameraRig, folder: str | Path) -> None:
 
 
 def _values(camera: Camera, body_from_camera: Tensor) -> dict[str, Any]:
-    lens, found = lens_of(camera, _LENSES, "asl")
+    lens, intrinsics = lens_of(camera, _LENSES, "asl")
     return {
         "sensor_type": "camera",
         "T_BS": {"rows": 4, "cols": 4, "data": numbers_of(body_from_camera)},
         "resolution": list(camera.image_size[::-1]),
         "camera_model": "pinhole",
-        "intrinsics": found[:4],
+        "intrinsics": intrinsics[:4],
         "distortion_model": lens.name,
-        "distortion_coefficients": found[4:],
+        "distortion_coefficients": intrinsics[4:],
     }
 
 

@@ -64,14 +64,14 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
                 f"{value0.at(key)}: holds {count} cameras and intrinsics {len(lenses)}; one entry for each camera "
                 "expected"
             )
-    found = Gathered(options)
+    calibration = Gathered(options)
     for index, values in enumerate(lenses):
         size = size_from_width_height(sizes[index], f"{value0.at('resolution')}[{index}]")
         mask_path = path.parent / f"cam{index}" / "mask.png"
         mask = read_mask(mask_path, size) if mask_path.is_file() else None
         pose = _pose(poses[index]) if poses else None
-        found.add(f"cam{index}", _camera(values, size), values.where, pose, mask=mask)
-    return found.contents
+        calibration.add(f"cam{index}", _camera(values, size), values.where, pose, mask=mask)
+    return calibration.contents
 
 
 def _pose(values: Keys) -> Tensor:
@@ -82,9 +82,9 @@ def _pose(values: Keys) -> Tensor:
 def _camera(values: Keys, image_size: tuple[int, int]) -> Camera:
     lens = lens_called(_LENSES, values.chosen("camera_type", [lens.name for lens in _LENSES]))
     intrinsics = values.inner("intrinsics")
-    found = [intrinsics.number(key) for key in lens.keys]
-    max_angle = math.atan(found[-1]) if lens.name == "pinhole-radtan8" and found[-1] > 0 else None
-    return lens.camera(found, image_size, intrinsics.where, max_angle)
+    parameters = [intrinsics.number(key) for key in lens.keys]
+    max_angle = math.atan(parameters[-1]) if lens.name == "pinhole-radtan8" and parameters[-1] > 0 else None
+    return lens.camera(parameters, image_size, intrinsics.where, max_angle)
 
 
 def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
@@ -100,9 +100,9 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
     rig = as_rig(cameras)
     value0: dict[str, list[Any]] = {"T_imu_cam": [], "intrinsics": [], "resolution": []}
     for camera, pose in zip(rig.cameras.values(), rig.world_from_camera, strict=True):
-        lens, found = lens_of(camera, _LENSES, "basalt")
+        lens, parameters = lens_of(camera, _LENSES, "basalt")
         value0["intrinsics"].append(
-            {"camera_type": lens.name, "intrinsics": dict(zip(lens.keys, found, strict=True))}
+            {"camera_type": lens.name, "intrinsics": dict(zip(lens.keys, parameters, strict=True))}
         )
         value0["resolution"].append(list(camera.image_size[::-1]))
         rotation = quaternion_from_rotation(pose[:3, :3])

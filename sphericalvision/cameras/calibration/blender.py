@@ -61,12 +61,12 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed file."""
-    found, cameras = Gathered(options), content.inner("cameras")
+    calibration, cameras = Gathered(options), content.inner("cameras")
     for name in cameras:
         lens = cameras.inner(name)
         pose = _pose(lens["matrix_world"], lens.at("matrix_world")) if "matrix_world" in lens else None
-        found.add(str(name), _camera(lens), lens.where, pose)
-    return found.contents
+        calibration.add(str(name), _camera(lens), lens.where, pose)
+    return calibration.contents
 
 
 def _pose(rows: Any, where: str) -> Tensor:

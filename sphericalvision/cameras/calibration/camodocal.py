@@ -60,14 +60,14 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file, called by its ``camera_name``; or several cameras by name."""
-    found = Gathered(options)
+    calibration = Gathered(options)
     if "model_type" in content or any(key in content for key in _SECTIONS):
         name = str(content.get("camera_name") or path.stem)
-        return found.add(name, _camera(content), content.where).contents
+        return calibration.add(name, _camera(content), content.where).contents
     for name, values in content.items():
         if isinstance(values, Keys):
-            found.add(str(name), _camera(content.inner(name)), values.where)
-    return found.contents
+            calibration.add(str(name), _camera(content.inner(name)), values.where)
+    return calibration.contents
 
 
 def _camera(values: Keys) -> Camera:
@@ -76,13 +76,13 @@ def _camera(values: Keys) -> Camera:
         return _ocam(values)
     lens = lens_called(_LENSES, kind)
     size = values.size("image_width", "image_height")
-    found = []
+    intrinsics = []
     for key, name in zip(lens.keys, lens.names, strict=True):
         section = "mirror" if name == "xi" else "distortion"
         if name in ("fx", "fy", "cx", "cy") or lens.name == "KANNALA_BRANDT":
             section = "projection"
-        found.append(values.inner(f"{section}_parameters").number(key))
-    return lens.camera(found, size, values.where)
+        intrinsics.append(values.inner(f"{section}_parameters").number(key))
+    return lens.camera(intrinsics, size, values.where)
 
 
 def _ocam(values: Keys) -> Camera:
@@ -106,9 +106,9 @@ def camera_in(file: Path) -> Camera:
     content = load_keys(file, "model_type, mirror_parameters and so on")
     if not recognizes(content):
         raise FileFormatError(f"{file}: expected model_type, mirror_parameters and so on, found none of them")
-    found = contents(content, file, Options(max_angle=math.pi))
+    calibration = contents(content, file, Options(max_angle=math.pi))
     check_understood(content, str(file), IGNORED)
-    return next(iter(found.cameras.values()))
+    return next(iter(calibration.cameras.values()))
 
 
 def kitti360_contents(path: Path, options: Options) -> Contents:
@@ -118,18 +118,18 @@ def kitti360_contents(path: Path, options: Options) -> Contents:
         MissingFileError: no camera that has a pose has a file ``image_0?.yaml``.
         FileFormatError: a file is broken; the message names line or key.
     """
-    found = Gathered(options)
+    calibration = Gathered(options)
     for line, (label, *words) in data_lines(path):
         name = label.rstrip(":")
         pose = transform_from_rows(words, f"{path}, line {line}, {name}")
         file = path.parent / f"{part_of_name(name)}.yaml"
         if file.is_file():  # the perspective pair has other files
-            found.add(name, camera_in(file), str(file), pose)
-    if not found.cameras:
+            calibration.add(name, camera_in(file), str(file), pose)
+    if not calibration.cameras:
         raise MissingFileError(
             f"{path}: none of its cameras has a file image_02.yaml, image_03.yaml beside it"
         )
-    return found.contents
+    return calibration.contents
 
 
 register_format(

@@ -128,12 +128,12 @@ def contents(path: Path, options: Options) -> Contents:
 
 
 def _cameras(path: Path, options: Options) -> dict[str, Camera]:
-    found = Gathered(options)
+    calibration = Gathered(options)
     for record in cameras_in(path):
-        found.add(f"cam{record.id}", _camera(record), record.where)
-    if not found.cameras:
+        calibration.add(f"cam{record.id}", _camera(record), record.where)
+    if not calibration.cameras:
         raise FileFormatError(f"{path}: no camera in it")
-    return found.cameras
+    return calibration.cameras
 
 
 def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path, options: Options) -> Contents:
@@ -143,7 +143,7 @@ def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path, opti
             f"{path}: expected one rig of several cameras, got {len(several)}; the poses of images are in "
             f"images{path.suffix}"
         )
-    rig, found = several[0], Gathered(options)
+    rig, calibration = several[0], Gathered(options)
     for sensor in (rig.reference._replace(pose=[1.0, 0, 0, 0, 0, 0, 0]), *rig.sensors):
         name = f"cam{sensor.id}"
         if sensor.type != "CAMERA":
@@ -152,16 +152,16 @@ def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path, opti
             raise FileFormatError(f"{rig.where}: expected a number of a camera, got {sensor.id}")
         if sensor.pose is None:
             raise FileFormatError(f"{rig.where}: camera {sensor.id} has no pose in the rig")
-        found.add(name, cameras[name], rig.where, _world_from(sensor.pose, rig.where))
-    if not found.cameras:
+        calibration.add(name, cameras[name], rig.where, _world_from(sensor.pose, rig.where))
+    if not calibration.cameras:
         raise FileFormatError(f"{rig.where}: the rig has no camera")
-    return found.contents
+    return calibration.contents
 
 
 def _of_images(
     images: list[ImageRecord], cameras: dict[str, Camera], path: Path, options: Options
 ) -> Contents:
-    found = Gathered(options)
+    calibration = Gathered(options)
     for image in images:
         name, camera = view_name(image.name), cameras.get(f"cam{image.camera}")
         if not name:
@@ -170,10 +170,10 @@ def _of_images(
             raise FileFormatError(
                 f"{image.where}: there is no camera {image.camera} in cameras{path.suffix}; it has {', '.join(cameras)}"
             )
-        found.add(name, camera, image.where, _world_from(image.pose, image.where))
-    if not found.cameras:
+        calibration.add(name, camera, image.where, _world_from(image.pose, image.where))
+    if not calibration.cameras:
         raise FileFormatError(f"{path}: no image in it")
-    return found.contents
+    return calibration.contents
 
 
 def _world_from(pose: list[float], where: str) -> Tensor:

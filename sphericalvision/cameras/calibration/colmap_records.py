@@ -138,7 +138,7 @@ def images_in(path: Path) -> list[ImageRecord]:
                 f"{path}, line {number}: expected the points of the image above, X Y POINT3D_ID each, or an empty "
                 f"line, got {line.strip()!r:.80}"
             )
-    found = []
+    images = []
     for number, line in lines[::2]:
         words = line.split(maxsplit=9)
         if not words:
@@ -150,15 +150,15 @@ def images_in(path: Path) -> list[ImageRecord]:
             )
         image, camera = _ids([words[0], words[8]], where)
         pose = numbers(words[1:8], f"{where}, QW QX QY QZ TX TY TZ", 7)
-        found.append(ImageRecord(where, image, pose, camera, words[9].strip()))
-    return found
+        images.append(ImageRecord(where, image, pose, camera, words[9].strip()))
+    return images
 
 
 def rigs_in(path: Path) -> list[RigRecord]:
     """Of ``rigs.txt`` or ``rigs.bin``."""
     if path.suffix == ".bin":
         return _binary_rigs(_Bytes(path))
-    found = []
+    rigs = []
     for line, words in data_lines(path):
         where = f"{path}, line {line}"
         words = list(words)
@@ -185,8 +185,8 @@ def rigs_in(path: Path) -> list[RigRecord]:
             raise FileFormatError(
                 f"{where}: announces {count} sensors and has {len(sensors)} and {len(words)} words more; is it cut off?"
             )
-        found.append(RigRecord(where, rig, reference, sensors))
-    return found
+        rigs.append(RigRecord(where, rig, reference, sensors))
+    return rigs
 
 
 def _ids(words: list[str], where: str) -> list[int]:
@@ -238,7 +238,7 @@ class _Bytes:
 
 def _binary_cameras(file: _Bytes) -> list[CameraRecord]:
     by_number = {number: (name, _parameters(name)) for name, (number, _) in MODELS.items()}
-    found = []
+    cameras = []
     for _ in range(file.take("Q")[0]):
         where = file.where
         id, model, width, height = file.take("IiQQ")
@@ -253,25 +253,27 @@ def _binary_cameras(file: _Bytes) -> list[CameraRecord]:
             )
         values = list(file.take(f"{len(names)}d"))
         parameters = numbers(values, f"{where}, {name} ({' '.join(names)})")
-        found.append(CameraRecord(where, id, name, (width, height), parameters))
+        cameras.append(CameraRecord(where, id, name, (width, height), parameters))
     file.end()
-    return found
+    return cameras
 
 
 def _binary_images(file: _Bytes) -> list[ImageRecord]:
-    found = []
+    images = []
     for _ in range(file.take("Q")[0]):
         where = file.where
         image, *pose, camera = file.take("I7dI")
         name = file.word()
         file.skip(24 * file.take("Q")[0])
-        found.append(ImageRecord(where, image, numbers(pose, f"{where}, QW QX QY QZ TX TY TZ"), camera, name))
+        images.append(
+            ImageRecord(where, image, numbers(pose, f"{where}, QW QX QY QZ TX TY TZ"), camera, name)
+        )
     file.end()
-    return found
+    return images
 
 
 def _binary_rigs(file: _Bytes) -> list[RigRecord]:
-    found = []
+    rigs = []
     for _ in range(file.take("Q")[0]):
         where = file.where
         rig, count = file.take("II")
@@ -281,12 +283,12 @@ def _binary_rigs(file: _Bytes) -> list[RigRecord]:
         sensors = []
         for _ in range(count - 1):
             type, id = _binary_sensor(file)
-            known = file.take("B")[0]
-            pose = numbers(list(file.take("7d")), f"{where}, QW QX QY QZ TX TY TZ") if known else None
+            has_pose = file.take("B")[0]
+            pose = numbers(list(file.take("7d")), f"{where}, QW QX QY QZ TX TY TZ") if has_pose else None
             sensors.append(SensorRecord(type, id, pose))
-        found.append(RigRecord(where, rig, reference, sensors))
+        rigs.append(RigRecord(where, rig, reference, sensors))
     file.end()
-    return found
+    return rigs
 
 
 def _binary_sensor(file: _Bytes) -> tuple[str, int]:
@@ -320,8 +322,8 @@ def text_files(
         lines["rigs"].append(_joined(*head, *others))
         data = [word for image in images for word in ("CAMERA", image.camera, image.id)]
         lines["frames"].append(_joined(rig.id, rig.id, *images[0].pose, len(images), *data))
-    wanted = lines if images else {"cameras": lines["cameras"]}
-    return {f"{name}.txt": ("\n".join(text) + "\n").encode() for name, text in wanted.items()}
+    texts = lines if images else {"cameras": lines["cameras"]}
+    return {f"{name}.txt": ("\n".join(text) + "\n").encode() for name, text in texts.items()}
 
 
 def _joined(*words: object) -> str:

@@ -98,8 +98,8 @@ class Contents:
 
     def cast(self, dtype: torch.dtype | None) -> dict[str, Camera]:
         """The cameras with intrinsics of ``dtype``, by default torch's default."""
-        wanted = dtype or torch.get_default_dtype()
-        return {name: camera.to(wanted) for name, camera in self.cameras.items()}
+        target = dtype or torch.get_default_dtype()
+        return {name: camera.to(target) for name, camera in self.cameras.items()}
 
     def rig(self, path: Path, dtype: torch.dtype | None) -> CameraRig:
         """The rig, which must have poses.
@@ -158,9 +158,9 @@ class Gathered:
         """
         if name in self.cameras:
             raise FileFormatError(f"{where}: a second camera named {short_repr(name)}; give it another name")
-        told = max_angle if self.options.max_angle is None else self.options.max_angle
+        limit = max_angle if self.options.max_angle is None else self.options.max_angle
         if id(camera) not in self._lenses:  # of which there may be many views
-            self._lenses[id(camera)] = camera, bounded(camera, told, where, mask)
+            self._lenses[id(camera)] = camera, bounded(camera, limit, where, mask)
         self.cameras[name] = self._lenses[id(camera)][1]
         if pose is not None:
             self._poses.append(pose)

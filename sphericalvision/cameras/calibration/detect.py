@@ -54,8 +54,10 @@ def read_rig(
         (['cam1', 'cam2', 'cam3'], 0.1)
     """
     check_type("path", path, (str, Path))
-    path, found = _contents(Path(path), Options(max_angle, dtype, translation_unit, image_size, rig=True))
-    return found.rig(path, dtype)
+    path, calibration = _contents(
+        Path(path), Options(max_angle, dtype, translation_unit, image_size, rig=True)
+    )
+    return calibration.rig(path, dtype)
 
 
 def read_cameras(
@@ -127,19 +129,19 @@ def _contents(path: Path, options: Options) -> tuple[Path, Contents]:
         )
     path, *others = _calibration_files(path)
     if others and path.is_dir():
-        found = joined([(part, _read(part, options)) for part in others])
+        calibration = joined([(part, _read(part, options)) for part in others])
     else:
-        found = _read(path, options)
+        calibration = _read(path, options)
         for twin in others:
-            if not found.is_like(_read(twin, options)):
+            if not calibration.is_like(_read(twin, options)):
                 raise ArgumentError(f"path: {path} and {twin.name} hold different cameras or poses; name one")
-    for name, camera in found.cameras.items():
+    for name, camera in calibration.cameras.items():
         if options.image_size is not None and tuple(options.image_size) != camera.image_size:
             raise ArgumentError(
                 f"image_size: {path} says itself that images of {name:.80} are {camera.image_size} (height, width), "
                 f"got {tuple(options.image_size)}; leave it out, or bring the camera to that size: camera.resized"
             )
-    return path, found
+    return path, calibration
 
 
 def _read(path: Path, options: Options) -> Contents:
@@ -157,9 +159,9 @@ def _read(path: Path, options: Options) -> Contents:
         if format.recognizes_keys and format.contents_of_keys and format.recognizes_keys(content):
             _check_unit(path, format, options)
             content.forget()
-            found = format.contents_of_keys(content, path, options)
+            calibration = format.contents_of_keys(content, path, options)
             check_understood(content, str(path), format.ignored)
-            return found if format.name == "native" else found.with_checked_centers(path)
+            return calibration if format.name == "native" else calibration.with_checked_centers(path)
     keys = f"; its keys are {', '.join(map(str, content))[:200]}" if isinstance(content, dict) else ""
     raise FileFormatError(f"{path}: {_likely_program(path)}; {known_formats()}{keys}")
 
@@ -209,17 +211,17 @@ def _calibration_files(path: Path) -> list[Path]:
             f"{path}: no such file or folder (a calibration was expected; {known_formats()})"
         )
     usual = [name for format in file_formats() for name in format.usual_names]
-    there = [[path / name for name in f.usual_names if (path / name).is_file()] for f in file_formats()]
-    found = [files for files in there if files]
-    if not found:
+    per_format = [[path / name for name in f.usual_names if (path / name).is_file()] for f in file_formats()]
+    matches = [files for files in per_format if files]
+    if not matches:
         for format in file_formats():
             if format.files_of_rig and (parts := format.files_of_rig(path)):
                 return [path, *parts]
         hint = "; ocam*.txt are there, but no poses.txt" if any(path.glob("ocam*.txt")) else ""
         raise MissingFileError(f"{path}: none of {', '.join(usual)} in this folder{hint}; {known_formats()}")
-    if len(found) > 1:
+    if len(matches) > 1:
         raise ArgumentError(
-            f"path: {path} holds {' and '.join(files[0].name for files in found)}, which may differ in scale; name the "
-            "one to read"
+            f"path: {path} holds {' and '.join(files[0].name for files in matches)}, which may differ in scale; name "
+            "the one to read"
         )
-    return found[0]
+    return matches[0]

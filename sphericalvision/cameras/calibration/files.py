@@ -93,11 +93,11 @@ def load(path: Path) -> Any:
         if start.startswith(("<?xml", "<opencv_storage")) or path.suffix.lower() == ".xml":
             root = parse_xml(text, path)
             is_opencv = root.tag == "opencv_storage"
-            found = _from_element(root, path) if is_opencv else {root.tag: from_xml(root, path)}
-            return noted(found, str(path))
+            content = _from_element(root, path) if is_opencv else {root.tag: from_xml(root, path)}
+            return noted(content, str(path))
         if path.suffix.lower() == ".json":
-            found = json.loads(text, object_pairs_hook=lambda pairs: once(pairs, path))
-            return noted(found, str(path))
+            content = json.loads(text, object_pairs_hook=lambda pairs: once(pairs, path))
+            return noted(content, str(path))
         if start.startswith("%YAML"):  # "%YAML:1.0" is no directive that YAML knows
             text = text.replace("%YAML", "# ", 1)
             text = re.sub(
@@ -128,12 +128,12 @@ def _one_document(text: str, path: Path) -> Any:
     Messages of a topic, as ROS prints them, end in ``---``, behind which there may be another one, or nothing.
     """
     parts = re.split(r"(?m)^(?:---|\.\.\.)(?=\s|$)", text)
-    told = (
+    ignored = (
         r"(?m)^[ \t]*(#.*)?\n|^header:.*\n([ \t]+.*\n)*"  # neither comments nor blank lines nor headers count
     )
-    if (count := len({re.sub(told, "", f"{part}\n").strip() for part in parts} - {""})) > 1:
+    if (count := len({re.sub(ignored, "", f"{part}\n").strip() for part in parts} - {""})) > 1:
         raise FileFormatError(f"{path}: holds {count} YAML documents that differ; keep the one to be read")
-    return next((found for found in yaml.load_all(text, Loader=_Loader) if found is not None), None)
+    return next((document for document in yaml.load_all(text, Loader=_Loader) if document is not None), None)
 
 
 def once(pairs: Iterable[tuple[str, Any]], path: Path) -> dict[str, Any]:
@@ -223,7 +223,7 @@ def from_xml(element: ElementTree.Element, path: Path) -> Any:
     children: dict[str, list[Any]] = {}
     for child in element:
         children.setdefault(_bare(child.tag), []).append(from_xml(child, path))
-    pairs += [(name, found if len(found) > 1 else found[0]) for name, found in children.items()]
+    pairs += [(name, values if len(values) > 1 else values[0]) for name, values in children.items()]
     text = (element.text or "").strip()
     if not pairs:
         return text

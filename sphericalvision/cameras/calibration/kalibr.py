@@ -51,8 +51,8 @@ _COUNTS = {"none": 0, "fov": 1}
 
 
 def _names(content: dict[str, Any]) -> list[str]:
-    found = [key for key in content if isinstance(key, str) and re.fullmatch(r"cam\d+", key)]
-    return sorted(found, key=lambda name: int(name[3:]))
+    names = [key for key in content if isinstance(key, str) and re.fullmatch(r"cam\d+", key)]
+    return sorted(names, key=lambda name: int(name[3:]))
 
 
 def recognizes(content: dict[str, Any]) -> bool:
@@ -66,10 +66,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     names = _names(content)
     chain = [content.inner(name) for name in names]
     cameras = [_camera(values) for values in chain]
-    found, poses = Gathered(options), _poses(chain, names, path)
+    calibration, poses = Gathered(options), _poses(chain, names, path)
     for name, values, camera, pose in zip(names, chain, cameras, poses, strict=True):
-        found.add(name, camera, values.where, pose)
-    return found.contents
+        calibration.add(name, camera, values.where, pose)
+    return calibration.contents
 
 
 def _camera(values: Keys) -> Camera:
@@ -81,9 +81,11 @@ def _camera(values: Keys) -> Camera:
     lens = lens_called(_LENSES, f"{kind} {distortion}")
     last = _COUNTS.get(distortion, 4)
     order = lens.keys[: len(lens.keys) - last]
-    found = numbers(values.entry("intrinsics"), f"{values.at('intrinsics')} ({' '.join(order)})", len(order))
-    found += values.coefficients("distortion_coeffs", last)
-    return lens.camera(found, values.size("resolution"), values.where)
+    intrinsics = numbers(
+        values.entry("intrinsics"), f"{values.at('intrinsics')} ({' '.join(order)})", len(order)
+    )
+    intrinsics += values.coefficients("distortion_coeffs", last)
+    return lens.camera(intrinsics, values.size("resolution"), values.where)
 
 
 def _poses(chain: list[Keys], names: list[str], path: Path) -> list[Tensor | None]:
@@ -138,16 +140,16 @@ def _near(first: Tensor, second: Tensor) -> bool:
 
 def _imu_from_camera(values: Keys) -> Tensor | None:
     """Of ``T_cam_imu`` as Kalibr writes it, or ``T_imu_cam`` as OpenVINS does; None without either."""
-    found = []
+    poses = []
     if "T_cam_imu" in values:
-        found.append(invert_transform(values.pose("T_cam_imu")))
+        poses.append(invert_transform(values.pose("T_cam_imu")))
     if "T_imu_cam" in values:
-        found.append(values.pose("T_imu_cam"))
-    if len(found) == 2 and not _near(*found):
+        poses.append(values.pose("T_imu_cam"))
+    if len(poses) == 2 and not _near(*poses):
         raise FileFormatError(
             f"{values.where}: T_cam_imu and T_imu_cam contradict each other; keep the right one"
         )
-    return found[0] if found else None
+    return poses[0] if poses else None
 
 
 def write_kalibr(cameras: Camera | CameraRig, path: str | Path) -> None:
@@ -172,14 +174,14 @@ def write_kalibr(cameras: Camera | CameraRig, path: str | Path) -> None:
 
 
 def _values(camera: Camera) -> dict[str, Any]:
-    lens, found = lens_of(camera, _LENSES, "kalibr")
+    lens, intrinsics = lens_of(camera, _LENSES, "kalibr")
     kind, distortion = lens.name.split()
-    first = len(found) - _COUNTS.get(distortion, 4)
+    first = len(intrinsics) - _COUNTS.get(distortion, 4)
     return {
         "camera_model": kind,
-        "intrinsics": found[:first],
+        "intrinsics": intrinsics[:first],
         "distortion_model": distortion,
-        "distortion_coeffs": found[first:],
+        "distortion_coeffs": intrinsics[first:],
         "resolution": list(camera.image_size[::-1]),
     }
 

@@ -76,10 +76,10 @@ class Keys(dict[Any, Any]):
     def __contains__(self, key: Any) -> bool:
         if self.layers:
             return any(key in layer for layer in self.layers)
-        found = super().__contains__(key)
-        if not found:
+        exists = super().__contains__(key)
+        if not exists:
             self.missed.add(str(key))
-        return found
+        return exists
 
     def forget(self) -> None:
         """Take no notice of what was asked for so far."""
@@ -100,8 +100,8 @@ class Keys(dict[Any, Any]):
 
     def get(self, key: Any, default: Any = None) -> Any:
         """The value of a key, which counts as read."""
-        there = key in self
-        return self[key] if there else default
+        exists = key in self
+        return self[key] if exists else default
 
     def entry(self, key: str) -> Any:
         """The value of a key that must be there."""
@@ -132,10 +132,10 @@ class Keys(dict[Any, Any]):
 
     def count(self, key: str, most: int, default: float | None = None) -> int:
         """A whole number from 1 to ``most``."""
-        found = self.number(key, default)
-        if found != int(found) or not 1 <= found <= most:
-            raise FileFormatError(f"{self.at(key)}: expected a count from 1 to {most}, got {found:g}")
-        return int(found)
+        number = self.number(key, default)
+        if number != int(number) or not 1 <= number <= most:
+            raise FileFormatError(f"{self.at(key)}: expected a count from 1 to {most}, got {number:g}")
+        return int(number)
 
     def numbers(self, key: str, count: int | None = None) -> list[float]:
         """A list of finite numbers."""

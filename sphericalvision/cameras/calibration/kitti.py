@@ -59,7 +59,7 @@ def contents(path: Path, options: Options) -> Contents:
     indices = sorted(match[1] for key in table if (match := re.fullmatch(r"K_(\d\d)", key)))
     if not indices:
         raise FileFormatError(f"{path}: the key 'K_00' is missing; found {', '.join(table)}")
-    found = Gathered(options)
+    calibration = Gathered(options)
     for index in indices:
         where = f"{path}, line {table[f'K_{index}'][0]}, K_{index}"
         fx, skew, cx, _, fy, cy, *last = get(f"K_{index}", 9)
@@ -71,9 +71,9 @@ def contents(path: Path, options: Options) -> Contents:
         turn, place = get(f"R_{index}", 9), get(f"T_{index}", 3)
         rows = [[*turn[3 * row : 3 * row + 3], place[row]] for row in range(3)]
         pose = transform_from_rows(rows, f"{path}, line {table[f'R_{index}'][0]}, R_{index}")
-        found.add(f"cam{int(index)}", camera, where, invert_transform(pose))
+        calibration.add(f"cam{int(index)}", camera, where, invert_transform(pose))
     check_understood(table, str(path), r"corner_dist|(S_rect|R_rect|P_rect|P)_\d\d")
-    return found.contents
+    return calibration.contents
 
 
 register_format(

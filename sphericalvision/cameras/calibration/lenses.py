@@ -66,9 +66,9 @@ class Lens:
 
     @cached_property
     def _class(self) -> type[Camera]:
-        found = camera_model(self.model)
-        assert found is not None, self.model
-        return found
+        model = camera_model(self.model)
+        assert model is not None, self.model
+        return model
 
     @cached_property
     def keys(self) -> tuple[str, ...]:
@@ -101,19 +101,21 @@ class Lens:
             return self._class(image_size=image_size, **self.options)
         if self.model == "atan" and numbers[self.names.index("omega")] == 0:  # which stands for no distortion
             return Lens(self.name, "pinhole", "fx fy cx cy").camera(numbers[:4], image_size, where, max_angle)
-        given = dict.fromkeys(self.zeros.split(), 0.0) | dict(zip(self.names, numbers, strict=False))
+        parameters = dict.fromkeys(self.zeros.split(), 0.0) | dict(zip(self.names, numbers, strict=False))
         if self._has_alpha:
-            if not 0 <= given["xi"] < 1:
-                raise FileFormatError(f"{where}, alpha: expected a number in [0, 1), got {given['xi']:g}")
-            given |= {name: given[name] / (1 - given["xi"]) for name in ("fx", "fy", "xi")}
+            if not 0 <= parameters["xi"] < 1:
+                raise FileFormatError(
+                    f"{where}, alpha: expected a number in [0, 1), got {parameters['xi']:g}"
+                )
+            parameters |= {name: parameters[name] / (1 - parameters["xi"]) for name in ("fx", "fy", "xi")}
         if skew is not None:
-            given["skew"] = skew
-        if "f" in given:
-            given["fx"] = given["fy"] = given["f"]
+            parameters["skew"] = skew
+        if "f" in parameters:
+            parameters["fx"] = parameters["fy"] = parameters["f"]
         keys = [key for key, name in zip(self.keys, self.names, strict=True) if name in ("f", "fx", "fy")]
-        focal_lengths([given["fx"], given["fy"]], f"{where}, {' and '.join(keys)}")
+        focal_lengths([parameters["fx"], parameters["fy"]], f"{where}, {' and '.join(keys)}")
         intrinsics = {
-            name: _tensor(name, declared, given)
+            name: _tensor(name, declared, parameters)
             for name, declared in self._class.declared.items()
             if isinstance(declared, Intrinsic)
         }
@@ -135,18 +137,18 @@ class Lens:
             for name, value in self.options.items()
             if getattr(camera, name) != value
         }
-        given: dict[str, float] = {}
+        parameters: dict[str, float] = {}
         for name, declared in self._class.declared.items():
             if isinstance(declared, Intrinsic):
                 value, names = getattr(camera, name), declared.names(name)
                 if value is None and set(names) & set(self.names):
                     beyond[name] = None
-                found = [] if value is None else numbers_of(value)
-                given |= zip(names, found * 2 if name == "focal_length" else found, strict=False)
-        beyond |= {name: value for name, value in given.items() if value and name not in self.names}
+                numbers = [] if value is None else numbers_of(value)
+                parameters |= zip(names, numbers * 2 if name == "focal_length" else numbers, strict=False)
+        beyond |= {name: value for name, value in parameters.items() if value and name not in self.names}
         if self._has_alpha:
-            given |= {name: given[name] / (1 + given["xi"]) for name in ("fx", "fy", "xi")}
-        return [given.get(name, 0.0) for name in self.names], beyond
+            parameters |= {name: parameters[name] / (1 + parameters["xi"]) for name in ("fx", "fy", "xi")}
+        return [parameters.get(name, 0.0) for name in self.names], beyond
 
 
 PANORAMA = Lens(
@@ -161,12 +163,12 @@ PANORAMA = Lens(
 def _tensor(name: str, declared: Intrinsic, given: Mapping[str, float]) -> Tensor | None:
     """An intrinsic, in float64, of numbers by name."""
     names = declared.names(name)
-    there = [index for index, number in enumerate(names) if number in given]
-    if not there and declared.optional:
+    indices = [index for index, number in enumerate(names) if number in given]
+    if not indices and declared.optional:
         return None
     if not declared.sizes:
         return torch.tensor(given[name], dtype=torch.float64)
-    size = min(size for size in declared.sizes if size > max(there, default=0))
+    size = min(size for size in declared.sizes if size > max(indices, default=0))
     return torch.tensor([given.get(number, 0.0) for number in names[:size]], dtype=torch.float64)
 
 
@@ -228,8 +230,8 @@ def lens_of(camera: Camera, lenses: Sequence[Lens], format: str) -> tuple[Lens, 
         ArgumentError: there is none; the message says what the format has.
     """
     check_holds(format, camera)
-    tried = [(lens, *lens.split(camera)) for lens in lenses if lens.model == camera.model]
-    lens, numbers, beyond = min(tried, key=lambda entry: len(entry[2]))  # the first of equals
+    candidates = [(lens, *lens.split(camera)) for lens in lenses if lens.model == camera.model]
+    lens, numbers, beyond = min(candidates, key=lambda entry: len(entry[2]))  # the first of equals
     if beyond:
         raise ArgumentError(
             f"camera: of {camera.model} the format {format!r} holds "
@@ -246,9 +248,9 @@ def check_holds(format: str, camera: Camera) -> None:
     models = file_format(format).models
     if models and camera.model not in models:
         others = [
-            known.name
-            for known in file_formats()
-            if (known.write_camera or known.write_rig) and (not known.models or camera.model in known.models)
+            other.name
+            for other in file_formats()
+            if (other.write_camera or other.write_rig) and (not other.models or camera.model in other.models)
         ]
         raise ArgumentError(
             f"camera: the format {format!r} has no {camera.model} model, it has {', '.join(models)}. Write it as "

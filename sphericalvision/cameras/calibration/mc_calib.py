@@ -48,7 +48,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             f"translation_unit: {path} does not tell the unit of camera_pose_matrix, which is that of the board; pass "
             "'m', 'cm' or 'mm'"
         )
-    found = Gathered(options)
+    calibration = Gathered(options)
     for name, values in zip(names, several, strict=True):
         fx, skew, cx, zero, fy, cy, *last = values.matrix("camera_matrix", 9)
         if skew or zero or last != [0.0, 0.0, 1.0]:
@@ -61,8 +61,8 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         camera = distorted("equidistant" if kind else "radtan", numbers, size, values.where)
         pose = values.pose("camera_pose_matrix")
         pose[:3, 3] *= metres_per(options.translation_unit)
-        found.add(name, camera, values.where, pose)
-    return found.contents
+        calibration.add(name, camera, values.where, pose)
+    return calibration.contents
 
 
 register_format(

@@ -100,8 +100,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
 
 def _each(values: Any, key: str) -> Iterator[Keys]:
     """The elements of a name, of which there may be one or several."""
-    found = values.get(key, []) if isinstance(values, Keys) else []
-    yield from (value for value in (found if isinstance(found, list) else [found]) if isinstance(value, Keys))
+    elements = values.get(key, []) if isinstance(values, Keys) else []
+    yield from (
+        value for value in (elements if isinstance(elements, list) else [elements]) if isinstance(value, Keys)
+    )
 
 
 def _floats(value: Any, where: str, count: int | None = None) -> list[float]:
@@ -148,9 +150,9 @@ def _of_cameras(
         raise FileFormatError(
             f"{path}: the cameras are of {len(used)} components, which have no common frame; export one"
         )
-    found = torch.stack(poses)
-    found[:, :3, 3] *= _metres(chunk, components.get(used.pop()), path)
-    return Contents(cameras, found)
+    world_from_camera = torch.stack(poses)
+    world_from_camera[:, :3, 3] *= _metres(chunk, components.get(used.pop()), path)
+    return Contents(cameras, world_from_camera)
 
 
 def _cameras_in(values: Any) -> Iterator[Keys]:
@@ -162,28 +164,28 @@ def _cameras_in(values: Any) -> Iterator[Keys]:
 
 def _metres(chunk: Any, component: Any, path: Path) -> float:
     """The scale that the component or the chunk says, or 1."""
-    found = [
+    scales = [
         _floats(transform["scale"], f"{path}, scale", 1)[0]
         for place in (chunk, component)
         for transform in _each(place, "transform")
         if "scale" in transform
     ]
-    if any(abs(scale / found[0] - 1) > 1e-6 if found[0] else True for scale in found[1:]):
-        raise FileFormatError(f"{path}, scale: that of the chunk and that of its component differ, {found}")
-    return found[-1] if found else 1.0
+    if any(abs(scale / scales[0] - 1) > 1e-6 if scales[0] else True for scale in scales[1:]):
+        raise FileFormatError(f"{path}, scale: that of the chunk and that of its component differ, {scales}")
+    return scales[-1] if scales else 1.0
 
 
 def _camera(values: Keys, sensor: Keys, where: str) -> Camera:
     def get(key: str) -> float:
         return _floats(values[key], f"{where}, {key}", 1)[0] if key in values else 0.0
 
-    told = ((values, "type"), (values, "projection"), (sensor, "type"))
-    kinds = {str(place[key]).strip() for place, key in told if key in place}
+    entries = ((values, "type"), (values, "projection"), (sensor, "type"))
+    kinds = {str(place[key]).strip() for place, key in entries if key in place}
     kind = chosen(kinds.pop() if kinds else "frame", _TYPES, f"{where}, type")
     if kinds:
         raise FileFormatError(f"{where}, type: {kind} and {' and '.join(kinds)} are told; keep the right one")
-    told_sizes = [place.inner("resolution") for place in (values, sensor) if "resolution" in place]
-    sizes = {told.size("width", "height") for told in told_sizes}
+    resolutions = [place.inner("resolution") for place in (values, sensor) if "resolution" in place]
+    sizes = {resolution.size("width", "height") for resolution in resolutions}
     if "width" in values or "height" in values or not sizes:
         sides = [get("width"), get("height")]
         sizes.add(size_from_width_height(sides, f"{where}, width and height"))
@@ -203,18 +205,18 @@ def _camera(values: Keys, sensor: Keys, where: str) -> Camera:
             f"b2 = {b2:g}, k4 = {k4:g}, p3 = {p3:g} and p4 = {p4:g}; calibrate without them"
         )
     plane = [f + b1, f, size[1] / 2 + cx - 0.5, size[0] / 2 + cy - 0.5]
-    found = [k1, k2, k3, p1, p2, k4]
+    coefficients = [k1, k2, k3, p1, p2, k4]
     if kind == "equisolid_fisheye":
-        if any(found):
+        if any(coefficients):
             raise FileFormatError(
-                f"{where}: an {kind} with k1 k2 k3 p1 p2 k4 = {found} has no camera here; calibrate without them, or "
-                "as equidistant_fisheye"
+                f"{where}: an {kind} with k1 k2 k3 p1 p2 k4 = {coefficients} has no camera here; calibrate without "
+                "them, or as equidistant_fisheye"
             )
         return _EQUISOLID.camera(plane, size, where)
     if kind != "frame":
-        return _FISHEYE.camera([*plane, *found], size, where)
-    lens = _FRAME if any(found) else _PLAIN
-    return lens.camera([*plane, *found[:5]], size, where, skew=b2 or None)
+        return _FISHEYE.camera([*plane, *coefficients], size, where)
+    lens = _FRAME if any(coefficients) else _PLAIN
+    return lens.camera([*plane, *coefficients[:5]], size, where, skew=b2 or None)
 
 
 register_format(

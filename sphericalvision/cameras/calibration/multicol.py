@@ -52,9 +52,9 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     Raises:
         MissingFileError: there are poses, but the file of a camera is not beside them.
     """
-    found = Gathered(options)
+    calibration = Gathered(options)
     if not any(str(key).startswith("CameraSystem.") for key in content):
-        return found.add(path.stem, _camera(content), str(path)).contents
+        return calibration.add(path.stem, _camera(content), str(path)).contents
     for index in range(content.count("CameraSystem.nrCams", 100)):
         name = f"cam{index + 1}"
         keys = [f"CameraSystem.{name}_{place}" for place in range(1, 7)]
@@ -64,8 +64,8 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         camera = _camera(values)
         check_understood(values, str(file), _IGNORED)
         quaternion = torch.cat((row.new_ones(1), row[:3]))  # (1, c) up to its length
-        found.add(name, camera, str(file), transform_from_quaternion(quaternion, row[3:]))
-    return found.contents
+        calibration.add(name, camera, str(file), transform_from_quaternion(quaternion, row[3:]))
+    return calibration.contents
 
 
 def _polynomial(content: Keys, name: str, count_key: str) -> torch.Tensor:
@@ -75,8 +75,8 @@ def _polynomial(content: Keys, name: str, count_key: str) -> torch.Tensor:
         raise FileFormatError(
             f"{content.at(count_key)}: announces {count} coefficients, but Camera.{name}{count} is there"
         )
-    found = [content.number(f"Camera.{name}{power}") for power in range(count)]
-    return torch.tensor(found, dtype=torch.float64)
+    coefficients = [content.number(f"Camera.{name}{power}") for power in range(count)]
+    return torch.tensor(coefficients, dtype=torch.float64)
 
 
 def _camera(content: Keys) -> OCamCamera:

@@ -95,17 +95,17 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
                 f"{content.at(key)}: expected 1, got {content[key]}; divide the positions by it"
             )
     shared = None if all(own) else _camera(content, options)
-    found = Gathered(options)
+    calibration = Gathered(options)
     for frame, has_own in zip(frames, own, strict=True):
         name = view_name(frame.entry("file_path"))
         camera = shared if shared and not has_own else _camera(frame.over(content), options)
-        found.add(name, camera, frame.where, frame.pose("transform_matrix") @ OPENGL_FROM_OPENCV)
+        calibration.add(name, camera, frame.where, frame.pose("transform_matrix") @ OPENGL_FROM_OPENCV)
         mask = frame.get("mask_path")
         if mask and (path.parent / str(mask)).is_file():
-            found.masks[name] = read_mask(path.parent / str(mask), camera.image_size)
+            calibration.masks[name] = read_mask(path.parent / str(mask), camera.image_size)
     if not options.rig and shared and not any(own):
         return Gathered(options).add("cam1", shared, content.where).contents
-    return found.contents
+    return calibration.contents
 
 
 def _camera(values: Keys, options: Options) -> Camera:
@@ -130,8 +130,8 @@ def _camera(values: Keys, options: Options) -> Camera:
     def get(*keys: str) -> list[float]:
         return [values.number(key) if values.get(key) is not None else 0.0 for key in keys]
 
-    given = [key for key in ("k1", "k2", "k3", "k4") if values.get(key) is not None]
-    gaps = [key for key in ("k1", "k2", "k3", "k4")[: len(given)] if key not in given]
+    present = [key for key in ("k1", "k2", "k3", "k4") if values.get(key) is not None]
+    gaps = [key for key in ("k1", "k2", "k3", "k4")[: len(present)] if key not in present]
     gaps += [
         key for key, other in (("p1", "p2"), ("p2", "p1")) if values.get(other) and values.get(key) is None
     ]
@@ -161,25 +161,25 @@ def _focal_lengths(values: Keys, width: int, height: int, is_fisheye: bool) -> l
     What a frame says in one of these ways counts before what the top says in the other. Files say both; they have to
     agree, but for fisheyes, of which programs mean several things by the angle.
     """
-    found: list[float] = []
+    lengths: list[float] = []
     for key, angle, side in (("fl_x", "camera_angle_x", width), ("fl_y", "camera_angle_y", height)):
         level = next((part for part in values.layers or (values,) if key in part or angle in part), Keys())
         half = level.number(angle) / 2 if angle in level else None
         if key in level:
-            found.append(level.number(key))
+            lengths.append(level.number(key))
         if half is not None and not (key in level and is_fisheye):
             if not 0 < half < math.pi / 2:
                 raise FileFormatError(
                     f"{values.at(angle)}: expected radians between 0 and π, got {2 * half:g}"
                 )
-            found.append(side / 2 / math.tan(half))
-            if key in level and abs(found.pop() - found[-1]) > 0.01 * found[-1]:
+            lengths.append(side / 2 / math.tan(half))
+            if key in level and abs(lengths.pop() - lengths[-1]) > 0.01 * lengths[-1]:
                 raise FileFormatError(
                     f"{values.where}: {key} and {angle} tell different lenses; keep the right one"
                 )
-    if not found:
+    if not lengths:
         values.entry("fl_x")
-    return focal_lengths([found[0], found[-1]], values.where)
+    return focal_lengths([lengths[0], lengths[-1]], values.where)
 
 
 def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
@@ -209,8 +209,12 @@ def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
 def _values(camera: Camera) -> tuple[str, dict[str, Any]]:
     """Nerfstudio's name of the model, and the keys of its parameters."""
     height, width = camera.image_size
-    lens, found = lens_of(camera, _LENSES, "nerfstudio")
-    return lens.name, {"w": width, "h": height, **dict(zip(lens.keys, lens.shifted(found, 0.5), strict=True))}
+    lens, intrinsics = lens_of(camera, _LENSES, "nerfstudio")
+    return lens.name, {
+        "w": width,
+        "h": height,
+        **dict(zip(lens.keys, lens.shifted(intrinsics, 0.5), strict=True)),
+    }
 
 
 register_format(

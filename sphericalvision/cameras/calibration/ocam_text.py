@@ -122,9 +122,9 @@ def check_inverse(camera: OCamCamera, where: str) -> OCamCamera:
     half = camera.image_size[1] / 4
     u = camera.principal_point[0] + torch.linspace(-half, half, 33, dtype=torch.float64)
     pixels = torch.stack((u, camera.principal_point[1].expand_as(u)), -1)
-    directions, there = camera.unproject(pixels)
+    directions, valid = camera.unproject(pixels)
     back, seen = camera.project(directions)
-    off = float(torch.where(there & seen, (back - pixels).norm(dim=-1), 0.0).max())
+    off = float(torch.where(valid & seen, (back - pixels).norm(dim=-1), 0.0).max())
     if off > 0.05 * camera.image_size[1]:
         raise FileFormatError(
             f"{where}: the direct and the inverse polynomial contradict each other by {off:.0f} pixels; are they of "
@@ -178,13 +178,13 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
             f"{poses_path}: holds {len(lines)} poses, but the folder has {len(files)} cameras "
             f"({', '.join(file.name for file in files)}); one line for each camera expected"
         )
-    found = Gathered(options)
+    calibration = Gathered(options)
     for place, (file, (number, words)) in enumerate(zip(files, lines, strict=True), start=1):
         name = f"cam{file.stem.removeprefix('ocam').lstrip('_') or place}"
         row = torch.tensor(numbers(words, f"{poses_path}, line {number}", 6), dtype=torch.float64)
         pose = transform_from_axis_angle(row[:3], row[3:] * unit)
-        found.add(name, _ocam(file), str(file), pose, STEREO_SETS_MAX_ANGLE)
-    return found.contents
+        calibration.add(name, _ocam(file), str(file), pose, STEREO_SETS_MAX_ANGLE)
+    return calibration.contents
 
 
 def ocam_numbers(camera: Camera, format: str) -> dict[str, list[float]]:
@@ -219,8 +219,8 @@ def write_ocam_text(camera: Camera, path: str | Path) -> None:
     """
     values = ocam_numbers(camera, "ocamcalib")
     lines = []
-    for title, found in zip(_LINES, values.values(), strict=True):
-        lines += [f"# {title}", "", " ".join(map(repr, found)), ""]
+    for title, row in zip(_LINES, values.values(), strict=True):
+        lines += [f"# {title}", "", " ".join(map(repr, row)), ""]
     with atomic_write(path) as unfinished:
         unfinished.write_text("\n".join(lines), encoding="utf-8")
 

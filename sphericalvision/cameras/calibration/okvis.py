@@ -36,15 +36,15 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed file."""
-    found = Gathered(options)
+    calibration = Gathered(options)
     for index, values in enumerate(content.several("cameras")):
         numbers = focal_lengths(values.numbers("focal_length", 2), values.where)
         numbers += values.numbers("principal_point", 2) + values.matrix("distortion_coefficients")
         values.model("cam_model", ("pinhole",), default="pinhole")
         where = values.at("distortion_type")
         camera = distorted(values.entry("distortion_type"), numbers, values.size("image_dimension"), where)
-        found.add(f"cam{index}", camera, values.where, values.pose("T_SC"))
-    return found.contents
+        calibration.add(f"cam{index}", camera, values.where, values.pose("T_SC"))
+    return calibration.contents
 
 
 register_format(

@@ -46,7 +46,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
 
     ``invalid_mask`` images, white where a pixel must not be used, are read where they exist; they are seldom shipped.
     """
-    found = Gathered(options)
+    calibration = Gathered(options)
     for values in content.several("cameras"):
         name = f"cam{values.entry('cam_id')}"
         values.where += f" ({name:.80})"
@@ -58,11 +58,11 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
                     f"{values.at('max_fov')}: expected degrees up to 360, got {values['max_fov']}; are these radians?"
                 )
         pose = torch.tensor(values.numbers("pose", 6), dtype=torch.float64)
-        found.add(name, camera, values.where, transform_from_axis_angle(pose[:3], pose[3:]), view)
+        calibration.add(name, camera, values.where, transform_from_axis_angle(pose[:3], pose[3:]), view)
         mask = values.get("invalid_mask")
         if mask and (path.parent / str(mask)).is_file():
-            found.masks[name] = read_mask(path.parent / str(mask), camera.image_size, usable="black")
-    return found.contents
+            calibration.masks[name] = read_mask(path.parent / str(mask), camera.image_size, usable="black")
+    return calibration.contents
 
 
 def _camera(values: Keys) -> OCamCamera:

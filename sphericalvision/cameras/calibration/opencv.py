@@ -87,15 +87,15 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         ArgumentError: the unit of the translation, or the size of the images, is neither in the file nor given.
     """
     _add_other_half(content, path)
-    where, found = str(path), Gathered(options)
+    where, calibration = str(path), Gathered(options)
     if find(content, MATRIX):
         camera = _as_published(_camera(content, "", where, options), content)
-        return found.add(str(content.get("camera_name") or "cam1"), camera, where).contents
+        return calibration.add(str(content.get("camera_name") or "cam1"), camera, where).contents
     lenses = [_camera(content, index, f"{path}, camera {index}", options) for index in ("1", "2")]
     poses = _poses(content, options)
     for index, (camera, pose) in enumerate(zip(lenses, poses, strict=True), start=1):
-        found.add(f"cam{index}", camera, f"{path}, camera {index}", pose)
-    return found.contents
+        calibration.add(f"cam{index}", camera, f"{path}, camera {index}", pose)
+    return calibration.contents
 
 
 def _poses(content: Keys, options: Options) -> tuple[Tensor | None, Tensor | None]:
@@ -158,19 +158,19 @@ def _image_size(content: Keys, index: str, where: str, options: Options) -> tupl
         height = find(content, ("imageheight", "height", "imgheight"), suffix, where)
         both = find(content, SIZE, suffix, where)
         sides = (width or f"image_width{suffix}", height or f"image_height{suffix}")
-        told = {content.size(*sides)} if width or height else set()
+        sizes = {content.size(*sides)} if width or height else set()
         if both:
-            told.add(size_from_width_height(content.matrix(both, 2), content.at(both)))
-        if len(told) > 1:
+            sizes.add(size_from_width_height(content.matrix(both, 2), content.at(both)))
+        if len(sizes) > 1:
             raise FileFormatError(f"{where}: {both} and {width}, {height} differ; keep the right ones")
-        if told:
-            return told.pop()
+        if sizes:
+            return sizes.pop()
     return options.given_size(where, "image_width and image_height")
 
 
 def _kind(content: Keys, index: str, where: str, distortion_key: str, count: int) -> str:
     """The model: what all keys say together that tell it, or else the one that has so many coefficients."""
-    told = {"xi": "omni"} if find(content, ("xi",), index) else {}
+    models = {"xi": "omni"} if find(content, ("xi",), index) else {}
     is_plain = False
     for names in (_FLAG, MODEL[:2], MODEL[2:]):
         key = find(content, names, index, where) or find(content, names, "", where)
@@ -179,10 +179,10 @@ def _kind(content: Keys, index: str, where: str, distortion_key: str, count: int
             is_plain = meant not in ("1", "10", "true")
             meant = "" if is_plain else "equidistant"
         if key and meant and not (meant == "none" and names is MODEL[2:]):  # any camera is a pinhole to some
-            told[key] = meant
-    meanings = set(told.values()) - ({"radtan"} if "xi" in told else set())
+            models[key] = meant
+    meanings = set(models.values()) - ({"radtan"} if "xi" in models else set())
     if len(meanings) > 1 or (is_plain and "equidistant" in meanings):
-        raise FileFormatError(f"{where}: {', '.join(told)} tell different models; keep the right one")
+        raise FileFormatError(f"{where}: {', '.join(models)} tell different models; keep the right one")
     if meanings:
         return meanings.pop()
     if count and not is_plain and find(content, ("xi",), {"1": "2", "2": "1"}.get(index, "")):

@@ -35,21 +35,21 @@ def find(content: Mapping[Any, Any], names: tuple[str, ...], index: str = "", wh
     Raises:
         FileFormatError: ``where`` is given, and there are several keys that say different things.
     """
-    wanted = set(names)
+    spellings = set(names)
     if index:
         ends = _INDICES[index]
-        wanted = {f"{name}{end}" for name in names for end in ends} | {
+        spellings = {f"{name}{end}" for name in names for end in ends} | {
             f"{end}{name}" for name in names for end in ends[1:2]
         }
-    found = [str(key) for key in content if re.sub(r"[^a-z0-9]", "", str(key).lower()) in wanted]
-    if where and len(found) > 1:
+    keys = [str(key) for key in content if re.sub(r"[^a-z0-9]", "", str(key).lower()) in spellings]
+    if where and len(keys) > 1:
         read = rotation if names is ROTATION else _plain
-        values = [read(content[key], f"{where}, {key}") for key in found]
+        values = [read(content[key], f"{where}, {key}") for key in keys]
         if not all(np.array_equal(values[0], value) or np.allclose(values[0], value) for value in values[1:]):
             raise FileFormatError(
-                f"{where}: {' and '.join(found)} stand for the same thing and differ; keep one"
+                f"{where}: {' and '.join(keys)} stand for the same thing and differ; keep one"
             )
-    return found[0] if found else None
+    return keys[0] if keys else None
 
 
 def _plain(value: Any, where: str) -> Any:
@@ -58,11 +58,11 @@ def _plain(value: Any, where: str) -> Any:
 
 def rotation(value: Any, where: str) -> Float[Tensor, "3 3"]:
     """A rotation (3, 3) from a matrix or a rotation vector."""
-    found = matrix(value, where)
-    if len(found) == 3:
-        return torch.from_numpy(cv2.Rodrigues(np.array(found))[0])
-    if len(found) != 9:
+    elements = matrix(value, where)
+    if len(elements) == 3:
+        return torch.from_numpy(cv2.Rodrigues(np.array(elements))[0])
+    if len(elements) != 9:
         raise FileFormatError(
-            f"{where}: expected a 3 x 3 rotation or a rotation vector, got {len(found)} numbers"
+            f"{where}: expected a 3 x 3 rotation or a rotation vector, got {len(elements)} numbers"
         )
-    return torch.tensor(found, dtype=torch.float64).reshape(3, 3)
+    return torch.tensor(elements, dtype=torch.float64).reshape(3, 3)

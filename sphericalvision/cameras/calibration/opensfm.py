@@ -57,7 +57,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         cameras.add(str(name), _camera(lenses.inner(name)), lenses.at(name))
     if not options.rig or "shots" not in content:
         return cameras.contents
-    shots, found = content.inner("shots"), Gathered(options)
+    shots, calibration = content.inner("shots"), Gathered(options)
     for file in shots:
         shot = shots.inner(file)
         lens, name = str(shot.entry("camera")), view_name(file)
@@ -70,10 +70,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         parts = [shot.numbers(key, 3) for key in ("rotation", "translation")]
         turn, place = torch.tensor(parts, dtype=torch.float64)
         pose = invert_transform(transform_from_axis_angle(turn, place))
-        found.add(name, cameras.cameras[lens], shot.where, pose)
-    if not found.cameras:
+        calibration.add(name, cameras.cameras[lens], shot.where, pose)
+    if not calibration.cameras:
         raise FileFormatError(f"{path}, shots: expected at least one")
-    return found.contents
+    return calibration.contents
 
 
 def _camera(values: Keys) -> Camera:

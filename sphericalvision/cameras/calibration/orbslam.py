@@ -51,12 +51,12 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     first = "Camera1" if any(str(key).startswith("Camera1.") for key in content) else "Camera"
     body, stereo = _transform(content, _BODY), _transform(content, _STEREO)
     start = torch.eye(4, dtype=torch.float64) if body is None else body
-    found = Gathered(options)
+    calibration = Gathered(options)
     if "Camera2.fx" not in content:
-        return found.add("cam1", _camera(content, first), content.at(first), body).contents
-    found.add("cam1", _camera(content, first), content.at(first), start)
+        return calibration.add("cam1", _camera(content, first), content.at(first), body).contents
+    calibration.add("cam1", _camera(content, first), content.at(first), start)
     second = None if stereo is None else start @ stereo
-    return found.add("cam2", _camera(content, "Camera2"), content.at("Camera2"), second).contents
+    return calibration.add("cam2", _camera(content, "Camera2"), content.at("Camera2"), second).contents
 
 
 def _transform(content: Keys, keys: tuple[str, ...]) -> Tensor | None:
@@ -75,8 +75,8 @@ def _camera(content: Keys, prefix: str) -> Camera:
         lens = kinds["rectified"]
     elif lens.name == "PinHole" and f"{prefix}.k3" in content:
         lens = _LENSES[-1]
-    found = [content.number(f"{prefix}.{key}") for key in lens.keys]
-    return lens.camera(found, content.size("Camera.width", "Camera.height"), content.at(prefix))
+    intrinsics = [content.number(f"{prefix}.{key}") for key in lens.keys]
+    return lens.camera(intrinsics, content.size("Camera.width", "Camera.height"), content.at(prefix))
 
 
 def write_orbslam(cameras: Camera | CameraRig, path: str | Path) -> None:
@@ -99,8 +99,8 @@ def write_orbslam(cameras: Camera | CameraRig, path: str | Path) -> None:
     height, width = several[0].image_size
     lines = ["%YAML:1.0", 'File.version: "1.0"', f'Camera.type: "{kind}"']
     lines += [f"Camera.width: {width}", f"Camera.height: {height}"]
-    for index, (lens, found) in enumerate(written, start=1):
-        lines += [f"Camera{index}.{key}: {value!r}" for key, value in zip(lens.keys, found, strict=True)]
+    for index, (lens, intrinsics) in enumerate(written, start=1):
+        lines += [f"Camera{index}.{key}: {value!r}" for key, value in zip(lens.keys, intrinsics, strict=True)]
     if isinstance(cameras, CameraRig):
         poses = cameras.world_from_camera.detach().cpu().double()
         lines += _matrix_lines(_BODY[0], poses[0])

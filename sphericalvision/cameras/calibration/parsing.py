@@ -76,18 +76,18 @@ def matrix(value: Any, where: str, count: int | None = None) -> list[float]:
             )
         rows, columns = numbers([value["rows"], value["cols"]], f"{where}, rows and cols", 2)
         data = value["data"]
-        found = [] if rows * columns == 0 else numbers(data, f"{where}, data")
-        if rows * columns != len(found):
+        elements = [] if rows * columns == 0 else numbers(data, f"{where}, data")
+        if rows * columns != len(elements):
             raise FileFormatError(
-                f"{where}: announces {rows:g} x {columns:g} numbers but holds {len(found)}; is the file truncated?"
+                f"{where}: announces {rows:g} x {columns:g} numbers but holds {len(elements)}; is the file truncated?"
             )
     else:
         if isinstance(value, list) and all(isinstance(row, list) for row in value):
             value = [number for row in value for number in row]
-        found = [] if value == [] else numbers(value, where)
-    if count is not None and len(found) != count:
-        raise FileFormatError(f"{where}: expected {count} numbers, got {len(found)}")
-    return found
+        elements = [] if value == [] else numbers(value, where)
+    if count is not None and len(elements) != count:
+        raise FileFormatError(f"{where}: expected {count} numbers, got {len(elements)}")
+    return elements
 
 
 def focal_lengths(values: list[float], where: str) -> list[float]:

@@ -70,10 +70,10 @@ def contents(path: Path, options: Options) -> Contents:
 
 def _camera(values: Keys, path: Path, options: Options) -> Camera:
     def get(key: str, default: str | None = None, count: int | None = 1) -> list[float]:
-        found = values.get(key, default)
-        if found is None:
+        text = values.get(key, default)
+        if text is None:
             raise FileFormatError(f"{path}: {key} is missing; found {', '.join(values) or 'none'}")
-        return numbers(found.split(), f"{path}, {key}", count)
+        return numbers(text.split(), f"{path}, {key}", count)
 
     kind = values.get("DistortionModel", "perspective")
     coefficients = get("DistortionCoeficients", None if kind in _MODELS[1:] else "0 0 0 0 0 0", None)

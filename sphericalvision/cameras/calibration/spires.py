@@ -38,7 +38,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     sensor, key = content.inner("sensor"), "T_cam_lidar_t_xyz_q_xyzw"
     model = _MODELS[sensor.chosen("camera_model", _MODELS)]
     view = math.radians(sensor.number("camera_fov")) / 2 if "camera_fov" in sensor else None
-    found = Gathered(options)
+    calibration = Gathered(options)
     for values in sensor.several("cameras"):
         numbers = values.numbers("intrinsics", 4)
         if values.entry("extra_params"):
@@ -47,8 +47,8 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         x, y, z, *turn = values.numbers(key, 7)
         pose = transform_from_numbers([turn[3], *turn[:3]], [x, y, z], values.at(key))
         camera = distorted(model, numbers, size, values.at("extra_params"))
-        found.add(str(values.entry("label")), camera, values.where, invert_transform(pose), view)
-    return found.contents
+        calibration.add(str(values.entry("label")), camera, values.where, invert_transform(pose), view)
+    return calibration.contents
 
 
 register_format(

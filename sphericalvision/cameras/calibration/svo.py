@@ -44,17 +44,17 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             f"{path}, scale: expected 1, got {content['scale']}; the numbers are those of images before the program "
             "makes them smaller: leave it out to read these"
         )
-    found = Gathered(options)
+    calibration = Gathered(options)
     if "cam_model" in content:
-        return found.add(path.stem, _first_age(content), content.where).contents
+        return calibration.add(path.stem, _first_age(content), content.where).contents
     cameras = content.several("cameras")
     lenses = [values.inner("camera") for values in cameras]
     names = [str(lens.get("label") or f"cam{index}") for index, lens in enumerate(lenses)]
     if len(set(names)) < len(names):
         names = [f"cam{index}" for index in range(len(names))]
     for name, lens, values in zip(names, lenses, cameras, strict=True):
-        found.add(name, _camera(lens), values.where, values.pose("T_B_C"))
-    return found.contents
+        calibration.add(name, _camera(lens), values.where, values.pose("T_B_C"))
+    return calibration.contents
 
 
 def _camera(values: Keys) -> Camera:

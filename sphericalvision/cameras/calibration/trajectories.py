@@ -72,12 +72,12 @@ def read_trajectory(path: str | Path) -> Trajectory:
     """
     path = Path(path)
     if path.is_dir():
-        there = [path / name for name in ("images.bin", "images.txt") if (path / name).is_file()]
-        if not there:
+        files = [path / name for name in ("images.bin", "images.txt") if (path / name).is_file()]
+        if not files:
             raise MissingFileError(
                 f"{path}: expected images.txt or images.bin in this folder, or a file of poses"
             )
-        path = there[0]
+        path = files[0]
     check_file(path, "poses of a moving camera")
     if path.suffix == ".bin":
         return _of_images(path)

@@ -28,7 +28,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     Raises:
         MissingFileError: the file of a camera is not where this one says.
     """
-    found = Gathered(options)
+    calibration = Gathered(options)
     count = 2 if "cam1_calib" in content else 1
     if content.number("num_of_cam", count) != count:
         raise FileFormatError(
@@ -46,8 +46,8 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         sides = ("image_width", "image_height")
         if any(side in content for side in sides) and content.size(*sides) != camera.image_size:
             raise FileFormatError(f"{content.at(*sides)}: differ from those of {file}; correct one")
-        found.add(name, camera, str(file), content.pose(f"body_T_{name}"))
-    return found.contents
+        calibration.add(name, camera, str(file), content.pose(f"body_T_{name}"))
+    return calibration.contents
 
 
 register_format(

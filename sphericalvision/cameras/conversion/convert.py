@@ -148,9 +148,9 @@ def _candidates(
 ) -> list[FittedModel]:
     choices = fit_choices(to)
     if choices is None:
-        known = ", ".join(kind.__name__ for kind in fitted_classes())
+        names = ", ".join(kind.__name__ for kind in fitted_classes())
         raise ArgumentError(
-            f"to: expected one of {known}; {to.__name__} does not say how it is fitted "
+            f"to: expected one of {names}; {to.__name__} does not say how it is fitted "
             "(sphericalvision.cameras.fitting.fitted)"
         )
     if num_coefficients is not None and num_coefficients not in choices.num_coefficients:

@@ -86,7 +86,7 @@ def straighten_rig(rig: CameraRig) -> CameraRig:
     check_single(rig)
     straight = {name: straighten(camera) for name, camera in rig.cameras.items()}
     poses = rig.world_from_camera.double()
-    turns = torch.stack([found.old_from_new for found in straight.values()]).to(poses)
+    turns = torch.stack([upright.old_from_new for upright in straight.values()]).to(poses)
     poses = torch.cat((poses[:, :3, :3] @ turns, poses[:, :3, 3:]), -1)
     poses = torch.cat((poses, rig.world_from_camera[:, 3:].double()), 1).to(rig.world_from_camera.dtype)
-    return rig.replaced({name: found.camera for name, found in straight.items()}, poses)
+    return rig.replaced({name: upright.camera for name, upright in straight.items()}, poses)

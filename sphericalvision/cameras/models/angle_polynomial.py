@@ -82,8 +82,8 @@ def project_angle_polynomial(
     inside = (target <= largest * (1 + 16 * torch.finfo(target.dtype).eps)) & (target < math.pi)
     target = torch.minimum(target, largest)
     start = _start(coefficients, widest, target.detach())
-    found, converged = refine_root(lambda rho: _radius(coefficients, rho), target, start, widest)
-    scale = found / radius
+    root, converged = refine_root(lambda rho: _radius(coefficients, rho), target, start, widest)
+    scale = root / radius
     return Projection(
         pixels_from_plane(x * scale, y * scale, focal_length, principal_point), converged & inside
     )

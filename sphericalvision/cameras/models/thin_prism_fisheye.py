@@ -172,22 +172,22 @@ def unproject_thin_prism_fisheye(
     u, v = plane_from_pixels(pixels, focal_length, principal_point)
     u, v, near = _within_reach(u, v, coefficients)
     if composition == "sequential":
-        found = invert_plane_map(lambda x, y: _sequential(x, y, tangential, thin_prism), u, v, (u, v))
-        place = from_components(found.x, found.y)
+        radial = invert_plane_map(lambda x, y: _sequential(x, y, tangential, thin_prism), u, v, (u, v))
+        place = from_components(radial.x, radial.y)
         unit, zero = torch.ones_like(focal_length), torch.zeros_like(principal_point)
         directions, valid = unproject_kannala_brandt(place, unit, zero, distortion)
-        return Unprojection(directions, valid & found.converged & near)
-    found = invert_plane_map(
+        return Unprojection(directions, valid & radial.converged & near)
+    angles = invert_plane_map(
         lambda x, y: _additive(x, y, coefficients, tangential, thin_prism),
         u,
         v,
         _radial_start(u, v, coefficients),
     )
-    squared = addcmul(found.x * found.x, found.y, found.y)
+    squared = addcmul(angles.x * angles.x, angles.y, angles.y)
     cosine, sinc = cosine_and_lifted_sinc(squared)
     widest = widest_angle(coefficients) * (1 + 16 * torch.finfo(u.dtype).eps)
-    valid = found.converged & near & (squared <= widest * widest)
-    return Unprojection(unit_directions(found.x * sinc, found.y * sinc, cosine), valid)
+    valid = angles.converged & near & (squared <= widest * widest)
+    return Unprojection(unit_directions(angles.x * sinc, angles.y * sinc, cosine), valid)
 
 
 def _within_reach(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor, Tensor]:

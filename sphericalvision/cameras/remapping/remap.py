@@ -205,9 +205,9 @@ def remap_tables(
     groups = cell_groups(footprint(pixels, valid, source).flatten(0, 1), size) if mode == "area" else []
     averages = any(group.level or group.samples != (1, 1) for group in groups)
     if mode == "nearest":
-        found = torch.where(valid.unsqueeze(-1), pixels, 0.0)
+        positions = torch.where(valid.unsqueeze(-1), pixels, 0.0)
         lookup: Lookup | ImageLookup | PyramidLookup = Lookup(
-            nearest_pixel(source, found).flatten(-2), dims=2
+            nearest_pixel(source, positions).flatten(-2), dims=2
         )
     elif averages:
 
@@ -233,14 +233,14 @@ class _InverseLookup(MaskedLookup):
     def forward(self, values: Tensor, mask: Tensor | None = None) -> Tensor:
         if not values.is_floating_point():
             return super().forward(values, mask)  # which says what is wrong
-        known = (values > 0).all(-3)
+        valid_depth = (values > 0).all(-3)
         inverse = 1 / torch.where(values > 0, values, 1.0).to(
             torch.promote_types(values.dtype, torch.float32)
         )
-        found, valid = self.means(inverse, known if mask is None else known & self._checked(mask))
-        near = found > 0
-        far = torch.full_like(found[..., :1, :], torch.inf)
+        mean, valid = self.means(inverse, valid_depth if mask is None else valid_depth & self._checked(mask))
+        near = mean > 0
+        far = torch.full_like(mean[..., :1, :], torch.inf)
         if valid is not None:
             far = torch.where(valid.unsqueeze(-2), far, self.fill)
-        depth = torch.where(near, 1 / torch.where(near, found, 1.0), far)
+        depth = torch.where(near, 1 / torch.where(near, mean, 1.0), far)
         return depth.to(values.dtype).unflatten(-1, self.target_shape)

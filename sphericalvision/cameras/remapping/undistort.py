@@ -96,7 +96,7 @@ def undistorted_camera(
     """
     check_type("camera", camera, Camera)
     height, width = camera.image_size if image_size is None else checked_size(image_size)
-    if sum(given is not None for given in (field_of_view, focal_length, balance)) > 1:
+    if sum(value is not None for value in (field_of_view, focal_length, balance)) > 1:
         raise ArgumentError(
             "field_of_view, focal_length, balance: give one of them, the others follow from the width"
         )
@@ -104,8 +104,8 @@ def undistorted_camera(
         check_type("balance", balance, (int, float), "from 0, all valid, to 1, all kept")
         if not 0 <= balance <= 1:
             raise ArgumentError(f"balance: expected 0 (every pixel valid) to 1 (all kept), got {balance}")
-        valid, kept = _focal_lengths_at_limits(camera, (height, width))
-        focal_length = (1 - balance) * valid + balance * kept
+        valid, whole = _focal_lengths_at_limits(camera, (height, width))
+        focal_length = (1 - balance) * valid + balance * whole
     if field_of_view is not None:
         check_type("field_of_view", field_of_view, (int, float), "radians from the left to the right edge")
         if not 0 < field_of_view < math.pi:

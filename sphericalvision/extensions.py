@@ -61,10 +61,10 @@ class Registry(Generic[Thing]):
                 f"{self.argument}: expected {self.expected} for the name {name!r}, got {thing!r}"
             )
         self._import_own(name)  # whose name nobody else may take
-        known = self.things.get(name, thing)
-        if _identity(known) != _identity(thing):
+        existing = self.things.get(name, thing)
+        if _identity(existing) != _identity(thing):
             raise ArgumentError(
-                f"{self.argument}: {name!r} is {_identity(known)} already; choose another name for "
+                f"{self.argument}: {name!r} is {_identity(existing)} already; choose another name for "
                 f"{_identity(thing)}"
             )
         self.things[name] = thing  # also where it was defined anew, as when a notebook's cell runs again
@@ -91,13 +91,13 @@ class Registry(Generic[Thing]):
 
     def all(self) -> list[Thing]:
         """All things in the order of their names."""
-        found = (self.find(name) for name in self.names())
-        return [thing for thing in found if thing is not None]
+        things = (self.find(name) for name in self.names())
+        return [thing for thing in things if thing is not None]
 
     def name_of(self, thing: Thing) -> str | None:
         """The name of a class, or None; an installed package that offers it need not have been asked before."""
-        for name, known in self.things.items():
-            if known is thing:
+        for name, other in self.things.items():
+            if other is thing:
                 return name
         for point in entry_points(group=self.group):
             # The package of a class has been imported, so only its own entry points are worth following.

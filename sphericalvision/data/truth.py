@@ -122,10 +122,10 @@ def _seen_from(points: Tensor, center: Tensor | None) -> tuple[Tensor, Tensor]:
     if center is not None:
         rays = rays - torch.as_tensor(center).detach().cpu().double()
     distance = rays.norm(dim=-1)
-    there = distance.isfinite() & (distance > 1e-6)
-    if not there.any():
+    valid = distance.isfinite() & (distance > 1e-6)
+    if not valid.any():
         raise ArgumentError(f"points: expected some that are finite and not at the centre, got {len(points)}")
-    return rays[there] / distance[there, None], distance[there]
+    return rays[valid] / distance[valid, None], distance[valid]
 
 
 def _rays_of(onto: SphereGrid | Camera) -> tuple[Tensor, tuple[int, ...]]:
@@ -169,7 +169,7 @@ def _line_gap(rays: Tensor) -> float:
     generator = torch.Generator().manual_seed(0)
     probes = rays[torch.randperm(len(rays), generator=generator)[:1000]]
     near, ids = cKDTree(rays.numpy()).query(probes.numpy(), k=min(64, len(rays)))
-    angles, ids = (torch.from_numpy(found).reshape(len(probes), -1) for found in (near, ids))
+    angles, ids = (torch.from_numpy(part).reshape(len(probes), -1) for part in (near, ids))
     right, down = _frames(probes)
     offsets = rays[ids]
     turn = torch.atan2((offsets * down[:, None]).sum(-1), (offsets * right[:, None]).sum(-1))
@@ -201,9 +201,9 @@ def _on_planes(
 ) -> tuple[Tensor, Tensor]:
     """Depth along the rays of pixels of the planes around points, and where the rule lets it stand."""
     near, ids = tree.query(middles.numpy(), k=min(NEIGHBOURS, len(around)), distance_upper_bound=gap)
-    angles, ids = (torch.from_numpy(found).reshape(len(rays), -1) for found in (near, ids))
-    there = angles.isfinite()
-    ids, angles = ids.where(there, 0), angles.where(there, 0.0)
+    angles, ids = (torch.from_numpy(part).reshape(len(rays), -1) for part in (near, ids))
+    within = angles.isfinite()
+    ids, angles = ids.where(within, 0), angles.where(within, 0.0)
     others = around[ids]
     # On the plane n · X = 1 inverse depth is n · d: linear. Relative to the point (distance r along d) and without
     # what is the same for every plane, r / r' - d · d' is linear in the offset of d' from d, with two unknowns.
@@ -211,7 +211,7 @@ def _on_planes(
     rise = distance[:, None] / far[ids] - along
     frame = _frames(rays)
     u, v = ((others * axis[:, None]).sum(-1) for axis in frame)
-    weights, apart = there / (1 + (rise / 0.05).square()), rise
+    weights, apart = within / (1 + (rise / 0.05).square()), rise
     a = b = torch.zeros_like(distance)
     blur = noise / distance[:, None]
     limit = tolerance + 4 * blur
@@ -224,9 +224,9 @@ def _on_planes(
         determinant = uu * vv - uv * uv
         a, b = (vv * ur - uv * vr) / determinant, (uu * vr - uv * ur) / determinant
         apart = rise - a[:, None] * u - b[:, None] * v
-        weights = there / (1 + (apart / (0.01 + blur)).square())
-    in_front = (there & (apart > limit)).any(1)
-    behind = (there & (angles < gap / 2) & (apart < -limit)).any(1)
+        weights = within / (1 + (apart / (0.01 + blur)).square())
+    in_front = (within & (apart > limit)).any(1)
+    behind = (within & (angles < gap / 2) & (apart < -limit)).any(1)
     mean = ((others - middles[:, None]) * weights[..., None]).sum(1).norm(dim=-1)
     spread = ((weights * angles.square()).sum(1) * weights.sum(1)).sqrt()
     changed = (middles * (rays + a[:, None] * frame[0] + b[:, None] * frame[1])).sum(-1)

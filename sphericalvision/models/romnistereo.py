@@ -148,8 +148,8 @@ class RomniStereo(DepthNetwork):
         """Return the loss of every iteration, the later the heavier; arguments as in ``DepthNetwork``."""
         tables, maps = self._inputs(images, rig, seen)
         indices = self.refined(*self.volumes(maps, tables))
-        left = TRAINED_ITERATIONS / len(indices)
-        weights = [DECAY ** (left * (len(indices) - 1 - i)) for i in range(len(indices))]
+        spacing = TRAINED_ITERATIONS / len(indices)
+        weights = [DECAY ** (spacing * (len(indices) - 1 - i)) for i in range(len(indices))]
         losses = [w * loss(index, target, valid) for w, index in zip(weights, indices, strict=True)]
         return torch.stack(losses).sum()
 
@@ -191,7 +191,7 @@ class RomniStereo(DepthNetwork):
         state = torch.tanh(self.initial(reference[..., 0]))
         index = torch.zeros_like(correlation[:, 0, ..., 0])
         window = torch.arange(-RADIUS, RADIUS + 1, device=index.device).to(index.dtype)
-        found = []
+        indices = []
         for _ in range(self.iterations):
             # Each iteration learns its own step alone, as in RAFT: where it began is taken as it is.
             index = index.detach()
@@ -203,8 +203,8 @@ class RomniStereo(DepthNetwork):
             context = at_hypotheses(reference, index.clamp(0, last).unsqueeze(-1)).squeeze(-1)
             state, step, weights = self.update(state, clues, context, index)
             index = index + step
-            found.append(upsampled(self.sweep.every * index, weights))
-        return found
+            indices.append(upsampled(self.sweep.every * index, weights))
+        return indices
 
 
 class AlignedSweep(PanoramaSweep):
@@ -268,10 +268,13 @@ class Update(nn.Module):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return the state ``(B, 2 C, h, w)``, the step of the index ``(B, h, w)`` and logits ``(B, 36, h, w)``."""
         index = index.unsqueeze(1)
-        heard, known = clues, index
+        correlation_features, index_features = clues, index
         for convolve, look in zip(self.correlation, self.index, strict=True):
-            heard, known = F.relu(convolve(heard)), F.relu(look(known))
-        motion = F.relu(self.motion(torch.cat((heard, known), 1)))
+            correlation_features, index_features = (
+                F.relu(convolve(correlation_features)),
+                F.relu(look(index_features)),
+            )
+        motion = F.relu(self.motion(torch.cat((correlation_features, index_features), 1)))
         inputs = torch.cat((F.relu(context), motion, index), 1)
         both = torch.cat((state, inputs), 1)
         keep, reset = torch.sigmoid(self.keep(both)), torch.sigmoid(self.reset(both))

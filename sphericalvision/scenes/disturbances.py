@@ -260,11 +260,11 @@ class RandomFaults:
 
 
 def _of_ones_own(name: str) -> Disturb:
-    found = DISTURBANCES.find(name)
-    if found is None:
+    disturb = DISTURBANCES.find(name)
+    if disturb is None:
         check_choice("disturbance", name, (*AMOUNTS, *DISTURBANCES.names()))
-    assert found is not None
-    return found
+    assert disturb is not None
+    return disturb
 
 
 def vignetted(image: Float[Tensor, "3 h w"], camera: Camera, loss: float) -> Float[Tensor, "3 h w"]:

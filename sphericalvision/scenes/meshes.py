@@ -66,14 +66,14 @@ def mesh_files(mesh: str | Path | list[str], up: str = "y", scale: float = 1.0) 
     places = [Path(place) for place in (mesh if isinstance(mesh, list) else [mesh])]
     paths: list[Path] = []
     for place in places:
-        found = (
+        files = (
             sorted(p for p in place.iterdir() if p.suffix.lower() in SUFFIXES) if place.is_dir() else [place]
         )
-        if not found:
+        if not files:
             raise ArgumentError(
                 f"mesh: expected meshes ({', '.join(SUFFIXES)}) in the folder {place}, found none"
             )
-        paths += [Path(check_file(path, "a mesh")) for path in found]
+        paths += [Path(check_file(path, "a mesh")) for path in files]
     if not paths:
         raise ArgumentError("mesh: expected a file, a folder or a list of files, got an empty list")
     return MeshFiles(tuple(paths), up, scale)

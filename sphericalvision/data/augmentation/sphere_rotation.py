@@ -173,11 +173,11 @@ def random_rotations(
         raise ArgumentError(f"max_angle: expected more than 0, up to π radians, got {max_angle!r}")
     axis = F.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=-1)
     share = torch.rand(count, generator=generator, dtype=torch.float64)
-    wanted = share * (max_angle - math.sin(max_angle))
+    target = share * (max_angle - math.sin(max_angle))
     low, high = torch.zeros_like(share), torch.full_like(share, max_angle)
     for _ in range(60):  # the angle whose distribution function is the share, by bisection
         angle = (low + high) / 2
-        below = angle - angle.sin() < wanted
+        below = angle - angle.sin() < target
         low, high = torch.where(below, angle, low), torch.where(below, high, angle)
     half = high[:, None] / 2
     quaternion = torch.cat((half.cos(), half.sin() * axis), -1)

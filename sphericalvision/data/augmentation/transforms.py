@@ -154,8 +154,8 @@ class ToSphere:
             self._panorama = Equirectangular.with_square_pixels(*inverse_depth.shape)
         directions = self._depth_directions.to(inverse_depth.device)
         ids, inside = self._panorama.nearest(directions), self._panorama.contains(directions)
-        known = inside & valid.flatten()[ids]
-        return torch.where(known, inverse_depth.flatten()[ids], 0.0), known
+        mask = inside & valid.flatten()[ids]
+        return torch.where(mask, inverse_depth.flatten()[ids], 0.0), mask
 
     def __repr__(self) -> str:
         return f"ToSphere(level={self.level}, depth_level={self.depth_level}, antialias={self.antialias})"

@@ -123,12 +123,12 @@ class OmniStereoDataset(Dataset[Sample]):
             name: index_frames(self.root / name, f"images of camera {name}") for name in self.rig.names
         }
         if frames is not None:
-            wanted = [int(frame) for frame in frames]
+            numbers = [int(frame) for frame in frames]
         elif split == "all":
-            wanted = sorted(self._truths)
+            numbers = sorted(self._truths)
         else:
-            wanted = split_frames(dataset, split, protocol)
-        self.frames = self._present(wanted, skip=missing == "skip")
+            numbers = split_frames(dataset, split, protocol)
+        self.frames = self._present(numbers, skip=missing == "skip")
 
     def __len__(self) -> int:
         return len(self.frames)

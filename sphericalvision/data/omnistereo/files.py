@@ -132,10 +132,10 @@ def find_release(root: str | Path, name: str | None = None) -> Release:
     truths = [release for release in RELEASES.values() if (root / release.ground_truth_folder).is_dir()]
     calibrations = [release for release in RELEASES.values() if (root / release.calibration).is_file()]
     complete = [release for release in truths if release in calibrations]
-    wanted = [release for release in complete if name in (None, release.name)]
-    if len(wanted) == 1:
-        return wanted[0]
-    if len(wanted) > 1:
+    matches = [release for release in complete if name in (None, release.name)]
+    if len(matches) == 1:
+        return matches[0]
+    if len(matches) > 1:
         raise ArgumentError(
             f"release: {root} holds both releases, which differ in scale; choose release='png' or 'tiff'"
         )

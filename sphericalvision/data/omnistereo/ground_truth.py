@@ -135,16 +135,16 @@ def write_ground_truth(
         raise ShapeError(f"inverse_depth: expected (H, W), got {tuple(inverse_depth.shape)}")
     check_panorama_size(*inverse_depth.shape)
     values = inverse_depth.detach().to("cpu", torch.float32)
-    known = values.isfinite() & (values >= 0)
+    mask = values.isfinite() & (values >= 0)
     if valid is not None:
-        known &= valid.cpu()
+        mask &= valid.cpu()
     if path.suffix == ".tiff":
-        stored = torch.where(known, values, torch.nan).numpy()
-        write_pages(path, [_thumbnail(values, known, min_depth), stored])
+        stored = torch.where(mask, values, torch.nan).numpy()
+        write_pages(path, [_thumbnail(values, mask, min_depth), stored])
     elif path.suffix == ".png":
-        if not known.all():
+        if not mask.all():
             raise ArgumentError(
-                f"{path.name}: {int((~known).sum())} points of inverse_depth are unknown (invalid, NaN or "
+                f"{path.name}: {int((~mask).sum())} points of inverse_depth are unknown (invalid, NaN or "
                 f"negative), which the PNG encoding cannot say. Write the TIFF release instead."
             )
         too_near = values.to(torch.float64) * (PNG_SCALE * min_depth) > 65535.5

@@ -94,14 +94,16 @@ def write_omnistereo(
     check_scale(root, layout, min_depth, float(rig.radius))
     stored = _stored_rig(rig, layout)
     _refuse_other_calibration(root, layout, stored, min_depth)
-    kept = layout.name == "png" and (root / layout.calibration).is_file() and bool(_frames_in(root, layout))
-    if not kept:  # files of the same rig differ in the last digits of their fits from run to run
+    has_calibration = (
+        layout.name == "png" and (root / layout.calibration).is_file() and bool(_frames_in(root, layout))
+    )
+    if not has_calibration:  # files of the same rig differ in the last digits of their fits from run to run
         _write_calibration(root, _calibration(root, layout, stored, min_depth))
     written = [_write_frame(root, layout, rig, sample, min_depth) for sample in frames]
-    known: list[int] = []
-    while layout.name == "tiff" and known != (now := _frames_in(root, layout)):
+    numbers: list[int] = []
+    while layout.name == "tiff" and numbers != (now := _frames_in(root, layout)):
         # Now config.yaml knows the last frame; once more if another process has added some meanwhile.
-        known = now
+        numbers = now
         _write_calibration(root, _calibration(root, layout, stored, min_depth))
     return [f"{frame:05d}" for frame in written]
 
@@ -202,9 +204,9 @@ def _refuse_other_calibration(root: Path, layout: Release, rig: CameraRig, min_d
     if not path.is_file() or not _frames_in(root, layout):
         return
     in_cm = "cm" if layout.name == "png" else None
-    there = read_rig(path, translation_unit=in_cm, dtype=torch.float64)
+    existing = read_rig(path, translation_unit=in_cm, dtype=torch.float64)
     its_depth = read_min_depth(path) if layout.name == "tiff" else None
-    if not _alike(there, rig, layout) or its_depth not in (None, float(min_depth)):
+    if not _alike(existing, rig, layout) or its_depth not in (None, float(min_depth)):
         raise ArgumentError(
             f"root: {root} holds frames whose {layout.calibration} differs from the rig or min_depth given; to add "
             "frames use the same, else write into another folder"

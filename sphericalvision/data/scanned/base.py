@@ -104,15 +104,17 @@ class ScannedFrames(Dataset[Sample]):
 
     def _warn_of_another_frame(self, rig: CameraRig, points: Tensor, known: float, name: str) -> None:
         share = float(rig.project(points).valid.any(0).float().mean()) if len(points) else 0.0
-        said = ""
+        problem = ""
         if share < 0.5:
-            said = f"cameras see {share:.0%} of the points of {name}; expected half of them or more"
+            problem = f"cameras see {share:.0%} of the points of {name}; expected half of them or more"
         elif known < 0.01:
-            said = f"points of {name} tell the depth of {known:.1%} of all directions; expected 1 % or more"
-        if said and not self._warned:
+            problem = (
+                f"points of {name} tell the depth of {known:.1%} of all directions; expected 1 % or more"
+            )
+        if problem and not self._warned:
             self._warned = True
             warnings.warn(
-                f"{self.root}: {said}. Are the points in the frame of the rig (x right, y down, z forward, metres), "
+                f"{self.root}: {problem}. Are the points in the frame of the rig (x right, y down, z forward, metres), "
                 "and is the scanner's pose right?",
                 stacklevel=3,
             )
@@ -123,9 +125,9 @@ class ScannedFrames(Dataset[Sample]):
         Raises:
             MissingFileError: none is complete.
         """
-        kept = [name for name in wanted if name not in lacking]
+        complete = [name for name in wanted if name not in lacking]
         first = next(iter(lacking.items()), ("", ""))
-        if not kept:
+        if not complete:
             why = f" The first, {first[0]}, lacks {first[1]}." if lacking else ""
             raise MissingFileError(f"{self.root.absolute()}: no complete frame; expected {where}.{why}")
         if lacking:
@@ -133,7 +135,7 @@ class ScannedFrames(Dataset[Sample]):
                 f"{self.root}: {len(lacking)} of {len(wanted)} frames were left out; the first, {first[0]}, lacks "
                 f"{first[1]}"
             )
-        return kept
+        return complete
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self.root)!r}, {len(self)} frames)"

@@ -123,8 +123,8 @@ class Deep360Dataset(ScannedFrames):
                 "have to be of one size"
             )
         turned = torch.from_numpy(np.rot90(depth).copy())
-        known = (turned > 0) & (turned < FARTHEST)
-        return (turned[..., None] * self.rays)[known]
+        valid = (turned > 0) & (turned < FARTHEST)
+        return (turned[..., None] * self.rays)[valid]
 
 
 def _array(path: Path, most: int) -> npt.NDArray[Any]:

@@ -102,16 +102,16 @@ class HelvipadDataset(ScannedFrames):
             )
         self.truth_folder = "depth_maps_augmented" if augmented else "depth_maps"
         bottom = self.folder / "images_bottom"
-        wanted = sorted(str(p.relative_to(bottom).with_suffix("")) for p in bottom.glob("*/*.jpg"))
+        names = sorted(str(p.relative_to(bottom).with_suffix("")) for p in bottom.glob("*/*.jpg"))
         needed = {"images_top": ".jpg", self.truth_folder: ".png"}
         lacking = {
             name: f"{folder}/{name}{suffix}"
-            for name in wanted
+            for name in names
             for folder, suffix in needed.items()
             if not (self.folder / folder / f"{name}{suffix}").is_file()
         }
         self.names = self.complete(
-            wanted, lacking, f"images_top, images_bottom and {self.truth_folder} in {split}/"
+            names, lacking, f"images_top, images_bottom and {self.truth_folder} in {split}/"
         )
         cameras = ("bottom", "top")
         self.images = {

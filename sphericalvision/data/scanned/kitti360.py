@@ -163,10 +163,10 @@ def at_one_time(
 
 
 def _named_transforms(path: Path) -> dict[str, Tensor]:
-    found = {}
+    transforms = {}
     for line, (label, *words) in data_lines(check_file(path, "KITTI-360's calibration")):
         where = f"{path}, line {line}"
-        found[label.rstrip(":")] = transform_from_rows(numbers(words, where, 12), where)
-    if not found:
+        transforms[label.rstrip(":")] = transform_from_rows(numbers(words, where, 12), where)
+    if not transforms:
         raise MissingFileError(f"{path}: no transform in it")
-    return found
+    return transforms

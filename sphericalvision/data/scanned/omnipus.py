@@ -57,9 +57,9 @@ class OmniPusDataset(ScannedFrames):
         super().__init__(root, height, transform)
         check_choice("split", split, ("train", "test"))
         folder = self.root / "calibration"
-        found = [_camera(folder / f"cam{k}.yaml") for k in (1, 2, 3, 4)]
-        cameras = {f"cam{k}": camera for k, (camera, _) in enumerate(found, 1)}
-        poses = torch.stack([OURS_FROM_LIDAR @ pose for _, pose in found])
+        calibrations = [_camera(folder / f"cam{k}.yaml") for k in (1, 2, 3, 4)]
+        cameras = {f"cam{k}": camera for k, (camera, _) in enumerate(calibrations, 1)}
+        poses = torch.stack([OURS_FROM_LIDAR @ pose for _, pose in calibrations])
         masks = {name: folder / f"{name}_mask.png" for name in cameras}
         self.fixed_rig = CameraRig(
             cameras,
@@ -92,8 +92,8 @@ class OmniPusDataset(ScannedFrames):
     def points(self, name: str) -> Tensor:
         """What the map of inverse depth says, around the rig's centre."""
         near = read_raster(self._truths[name], 1.0, TRUTH_SIZE, "inverse depth")
-        known = near.isfinite() & (near > 0)
-        return self.truth.directions[known] / near[known][:, None] + self.fixed_rig.center
+        valid = near.isfinite() & (near > 0)
+        return self.truth.directions[valid] / near[valid][:, None] + self.fixed_rig.center
 
 
 def _camera(path: Path) -> tuple[KannalaBrandtCamera, Tensor]:

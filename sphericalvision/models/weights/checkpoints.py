@@ -63,15 +63,15 @@ def read_network(source: str | Path | None = None, level: int | None = None) -> 
         return pretrained(weights_for(level))
     if str(source) in (*available_weights(), *STUDY) and not Path(source).exists():
         return pretrained(str(source))
-    known = ", ".join(available_weights())
-    path = check_file(source, f"a checkpoint (.safetensors, .ckpt, or the authors' format) or one of {known}")
+    names = ", ".join(available_weights())
+    path = check_file(source, f"a checkpoint (.safetensors, .ckpt, or the authors' format) or one of {names}")
     if path.suffix == ".safetensors":
         return load_weights(path)
     if path.suffix in REFERENCE_SUFFIXES:
         return (load_romnistereo_checkpoint if is_romnistereo(path) else load_reference_checkpoint)(path)
     if path.suffix != ".ckpt":
-        known = ", ".join((".safetensors", ".ckpt", *REFERENCE_SUFFIXES))
-        raise ArgumentError(f"checkpoint: {path} has none of the suffixes of checkpoints, {known}")
+        suffixes = ", ".join((".safetensors", ".ckpt", *REFERENCE_SUFFIXES))
+        raise ArgumentError(f"checkpoint: {path} has none of the suffixes of checkpoints, {suffixes}")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         state = {key[4:]: value for key, value in content["state_dict"].items() if key.startswith("net.")}

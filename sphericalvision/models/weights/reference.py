@@ -75,11 +75,11 @@ def load_reference_checkpoint(
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise FileFormatError(f"{path}: not a checkpoint of tensors and plain values: {reason}") from error
     if not isinstance(checkpoint, Mapping) or not isinstance(checkpoint.get("state_dict"), Mapping):
-        found = (
+        content = (
             ", ".join(map(str, list(checkpoint)[:4])) if isinstance(checkpoint, Mapping) else "no dictionary"
         )
         raise FileFormatError(
-            f"{path}: expected the key 'state_dict', 'ndisp', 'min_depth' and 'level', found {found}"
+            f"{path}: expected the key 'state_dict', 'ndisp', 'min_depth' and 'level', found {content}"
         )
     settings: dict[str, Any] = {
         "level": checkpoint.get("level") if level is None else level,

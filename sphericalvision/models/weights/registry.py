@@ -63,13 +63,13 @@ def network_class(name: str) -> type[DepthNetwork]:
         >>> network_class("icosweepnet").__name__
         'IcoSweepNet'
     """
-    found = NETWORKS.find(name)
-    if found is None:
+    network = NETWORKS.find(name)
+    if network is None:
         raise ArgumentError(
             f"name: expected one of {', '.join(map(repr, network_names()))}, got {name!r}; if the network is from "
             "another package, install that, or call register_network"
         )
-    return found
+    return network
 
 
 def network_name(network: DepthNetwork | type[DepthNetwork]) -> str:
@@ -83,11 +83,11 @@ def network_name(network: DepthNetwork | type[DepthNetwork]) -> str:
         >>> network_name(OmniMVS)
         'omnimvs'
     """
-    wanted = network if isinstance(network, type) else type(network)
-    name = NETWORKS.name_of(wanted)
+    kind = network if isinstance(network, type) else type(network)
+    name = NETWORKS.name_of(kind)
     if name is None:
         raise ArgumentError(
-            f"network: {wanted.__module__}.{wanted.__qualname__} has no name by which a file could say which network "
+            f"network: {kind.__module__}.{kind.__qualname__} has no name by which a file could say which network "
             f"its weights are of; call register_network, or add an entry point of the group {ENTRY_POINTS} to its "
             "package"
         )

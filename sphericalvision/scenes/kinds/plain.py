@@ -43,10 +43,10 @@ def random_plain(generator: torch.Generator, clear_radius: float = 0.6) -> Scene
     for _ in range(palette.integer(2, 12)):
         palette.choose((_block, _block, _bars, _board))(room)
     # The furniture of other kinds is grained; here most of it has lost that, to its own mean colour or towards grey.
-    left, grey = palette.choose(FAINTEST), palette.chance(0.3)
+    contrast, grey = palette.choose(FAINTEST), palette.chance(0.3)
     for number, material in enumerate(palette.materials[finished:], finished):
         bright = _mixed(GREY, material.bright, 0.15) if grey else material.bright
-        share = left if palette.chance(0.8) else 1.0
+        share = contrast if palette.chance(0.8) else 1.0
         palette.materials[number] = material._replace(
             bright=bright, dark=_mixed(bright, material.dark, share)
         )

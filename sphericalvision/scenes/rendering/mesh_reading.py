@@ -126,6 +126,6 @@ def _complaints(found: list[str]) -> Iterator[None]:
 
 def _colours_only(context: Mapping[str, Any]) -> dict[str, Any]:
     """What is drawn of a material with `SPECULAR`, as trimesh names it."""
-    found = context["parse_textures"](data=context["data"])
+    values = context["parse_textures"](data=context["data"])
     names = {"diffuseTexture": "baseColorTexture", "diffuseFactor": "baseColorFactor"}
-    return {names[name]: value for name, value in found.items() if name in names}
+    return {names[name]: value for name, value in values.items() if name in names}

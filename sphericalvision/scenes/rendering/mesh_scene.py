@@ -101,9 +101,9 @@ class MeshScene:
         self.faces = np.concatenate(faces)
         numbers = [number for number, _ in places]
         self.part_of_face = torch.from_numpy(np.repeat(numbers, [len(each) for each in faces]))
-        looks = [_look(part) for part in parts]
-        self.textures = [texture for texture, _ in looks]
-        self.corner_values = torch.cat([looks[number][1] for number in numbers])
+        appearances = [_look(part) for part in parts]
+        self.textures = [texture for texture, _ in appearances]
+        self.corner_values = torch.cat([appearances[number][1] for number in numbers])
         self.exposure = torch.tensor(1.0)
         self.background = torch.zeros(2, 3)
         _ = self._caster  # says at once if it cannot be made

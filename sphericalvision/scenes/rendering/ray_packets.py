@@ -114,8 +114,8 @@ def candidate_pairs(
     rate = torch.maximum(rate, torch.as_tensor(soonest).to(rate))
     possible = enter.amax(0).mul_(rate) <= 1  # (P, b)
     if own is not None:
-        known = (own >= 0).nonzero()[:, 0]
-        possible[table.place[own[known]], known] = False
+        packets = (own >= 0).nonzero()[:, 0]
+        possible[table.place[own[packets]], packets] = False
     place, packet = possible.nonzero(as_tuple=True)
     near = ((outside - NEAREST / table.half[..., None]).amax(0) <= 0).expand_as(possible)
     return CandidatePairs(place, packet, near[place, packet])

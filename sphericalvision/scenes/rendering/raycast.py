@@ -100,7 +100,7 @@ def first_hits(primitives: Primitives, rays: RayPackets) -> tuple[Tensor, Tensor
     Distances are inf, and rows -1, where nothing is hit.
     """
     nearest = torch.full_like(rays.direction[0], FAR)
-    found = []
+    candidates = []
     for pairs, enter, leave in _intersections(primitives, rays, candidate_pairs(primitives, rays)):
         # A ray that starts inside a primitive has entered it in the past and meets the far side. Only pairs that may
         # hold such a ray take this detour.
@@ -113,9 +113,9 @@ def first_hits(primitives: Primitives, rays: RayPackets) -> tuple[Tensor, Tensor
         first = enter.add_(miss, alpha=HUGE)
         packet = pairs.packet[:, None].expand_as(first)
         nearest.scatter_reduce_(0, packet, first, "amin")
-        found.append((pairs, packet, first))
+        candidates.append((pairs, packet, first))
     which = torch.full_like(nearest, FAR)
-    for pairs, packet, first in found:
+    for pairs, packet, first in candidates:
         # `scatter_reduce_` tells the least value of a ray, not whose it is. So all are asked again: each bids its row
         # of the table plus HUGE times how much later than the nearest it is. For the nearest that is the row alone (a
         # float32 holds whole numbers up to 2**24); for all others it is beyond FAR, since floats that differ at all

@@ -233,9 +233,9 @@ def check_node(config: Any, where: str, given: Sequence[str] = ()) -> None:
         if str(key).startswith("_"):
             continue
         if key not in parameters and not open_ended:
-            known = [name for name in parameters if name not in given]
+            options = [name for name in parameters if name not in given]
             name = str(config["_target_"]).rpartition(".")[2]
-            raise ArgumentError(f"{where}.{key}: {name} has no such option; it has {', '.join(known)}")
+            raise ArgumentError(f"{where}.{key}: {name} has no such option; it has {', '.join(options)}")
         if isinstance(config, DictConfig) and OmegaConf.is_missing(config, key):
             raise ArgumentError(
                 f"{where}.{key}: a value is needed here; give it on the command line as {where}.{key}=..."

@@ -64,10 +64,10 @@ def override_message(error: Exception, command: str) -> str:
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, option = error.missing_cfg_file.rpartition("/")
         extra = f" (a plugin? pip install 'sphericalvision[{PLUGINS[group]}]')" if group in PLUGINS else ""
-        known = ", ".join(name for name in error.options or () if not name.startswith("_"))  # as in --help
+        options = ", ".join(name for name in error.options or () if not name.startswith("_"))  # as in --help
         if group.partition("/")[0] == "rig":
             extra = "; a calibration file is rig=file rig.path=..."
-        return f"{group}={option}: there is no such option{extra}; known are {known}"
+        return f"{group}={option}: there is no such option{extra}; known are {options}"
     program = "python -m sphericalvision.recipes.demo" if command == "demo" else f"sphericalvision-{command}"
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown[1]

@@ -61,10 +61,10 @@ def read_keys(text: str) -> Iterator[Key]:
     """Keys of a YAML file, in their order, those that hold further keys included."""
     path: list[tuple[int, str]] = []
     for line in re.sub(r"^defaults:\n(?: +.*\n|\n)*", "", text, flags=re.M).splitlines():
-        if found := re.match(r"^( *)([\w/]+): *(.*?)(?:(?:^| +)# (.*))?$", line):
-            depth = len(found[1])
-            path = [(d, key) for d, key in path if d < depth] + [(depth, found[2])]
-            yield Key(".".join(key for _, key in path), found[3], found[4] or "")
+        if match := re.match(r"^( *)([\w/]+): *(.*?)(?:(?:^| +)# (.*))?$", line):
+            depth = len(match[1])
+            path = [(d, key) for d, key in path if d < depth] + [(depth, match[2])]
+            yield Key(".".join(key for _, key in path), match[3], match[4] or "")
 
 
 def heading(text: str) -> list[str]:
@@ -132,10 +132,10 @@ class _Sources:
     def comments(self, name: str, package: str) -> dict[str, str]:
         """Key -> the comment beside it, of a file and of those it inherits from."""
         text = self.text(name)
-        found: dict[str, str] = {}
+        comments: dict[str, str] = {}
         group = name.rpartition("/")[0]
         for parent in re.findall(r"^ {2}- (\w+) *(?:#.*)?$", text.partition("defaults:")[2], re.MULTILINE):
             if group and parent != "_self_":
-                found |= self.comments(f"{group}/{parent}", package)
+                comments |= self.comments(f"{group}/{parent}", package)
         prefix = f"{package}." if package else ""
-        return found | {f"{prefix}{key.name}": key.comment for key in read_keys(text) if key.comment}
+        return comments | {f"{prefix}{key.name}": key.comment for key in read_keys(text) if key.comment}

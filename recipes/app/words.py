@@ -114,14 +114,14 @@ def _quoted(word: str, parser: OverridesParser) -> str:
 def resume_command(last: Path, max_steps: int | None = None) -> str:
     """Command line that goes on with this run in the same folder, to ``max_steps`` if given."""
     replaced = ("resume=", "output=", *(["trainer.max_steps="] if max_steps else []))
-    given = [word for word in HydraConfig.get().overrides.task if not word.startswith(replaced)]
+    overrides = [word for word in HydraConfig.get().overrides.task if not word.startswith(replaced)]
     longer = [f"trainer.max_steps={max_steps}"] if max_steps else []
     alone = (
         ["hydra.mode=RUN"] if HydraConfig.get().mode == RunMode.MULTIRUN else []
     )  # a file of hparams sweeps
     words = [
         *own_configs(),
-        *unquote_paths(given),
+        *unquote_paths(overrides),
         *alone,
         *longer,
         f"output={last.parent.parent}",
@@ -141,10 +141,10 @@ def evaluate_command(best: Path, config: DictConfig, of_training: Sequence[str])
     choices = HydraConfig.get().runtime.choices
     groups = [f"data={choices['data']}"] + ([f"rig={choices['rig']}"] if "rig" in config.data else [])
     usual = compose("evaluate", groups)
-    known = {group: set(usual[group]) for group in ("rig", "data")}  # "in" says no to keys that lack a value
+    names = {group: set(usual[group]) for group in ("rig", "data")}  # "in" says no to keys that lack a value
     changes = [
         f"{group}.{key}={value}".replace(" ", "").replace("None", "null")
-        for group, keys in known.items()
+        for group, keys in names.items()
         for key, value in config[group].items()
         if key in keys and key != "rig" and (group == "rig" or key not in of_training)
         if group == "data" or "rig" in config.data

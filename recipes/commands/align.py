@@ -60,23 +60,23 @@ def align(config: AlignConfig) -> RigTurns:
     frames = _read(source, spread_evenly(names, config.num_frames))
     start = time.perf_counter()
     with console.status(f"comparing {len(frames)} frame(s) with the calibration"):
-        found = align_rig(Predictor(source.rig, level=LEVEL, device=choose_device(config.device)), frames)
-    _print(source.rig, found, frames)
-    print(f"alignment {found.described()} ({len(frames)} frame(s), {time.perf_counter() - start:.1f} s).")
-    if not config.check and found.turned:
+        result = align_rig(Predictor(source.rig, level=LEVEL, device=choose_device(config.device)), frames)
+    _print(source.rig, result, frames)
+    print(f"alignment {result.described()} ({len(frames)} frame(s), {time.perf_counter() - start:.1f} s).")
+    if not config.check and result.turned:
         Path(config.output).parent.mkdir(parents=True, exist_ok=True)
-        save_rig(found.rig.to("cpu"), config.output, config.format)
+        save_rig(result.rig.to("cpu"), config.output, config.format)
         print(config.output)
-    return found
+    return result
 
 
 def _read(source: Source, wanted: list[str]) -> list[Mapping[str, Any]]:
-    found: list[Mapping[str, Any]] = []
+    frames: list[Mapping[str, Any]] = []
     for frame in source.frames(Selection(), lambda name: name in wanted):
         if frame.images is None:
             raise frame.error or ArgumentError(f"images: frame {frame.name} has none")
-        found.append(as_photographs(frame.images, source.rig))
-    return found
+        frames.append(as_photographs(frame.images, source.rig))
+    return frames
 
 
 def _print(rig: CameraRig, found: RigTurns, frames: list[Mapping[str, Tensor]]) -> None:

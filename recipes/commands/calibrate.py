@@ -136,7 +136,7 @@ def _files(pattern: str) -> dict[str, dict[str, Path]]:
         re.escape(pattern).replace(r"\*\*/", "(.*)").replace(r"\*", "([^/]*)").replace(r"\?", "([^/])")
     )
     expression = expression.replace(r"\{camera\}", "(?P<camera>[^/]+)", 1)
-    found: dict[str, dict[str, Path]] = {}
+    files: dict[str, dict[str, Path]] = {}
     for path in sorted(glob.glob(pattern.replace("{camera}", "*"), recursive=True)):
         match = re.fullmatch(expression, path)
         camera, moment = LONE, path
@@ -144,13 +144,13 @@ def _files(pattern: str) -> dict[str, dict[str, Path]]:
             camera = match.groupdict().get("camera", LONE)
             own = match.re.groupindex.get("camera")
             moment = " ".join(text for number, text in enumerate(match.groups(), 1) if number != own)
-        found.setdefault(moment, {})[camera] = Path(path)
-    if not found:
+        files.setdefault(moment, {})[camera] = Path(path)
+    if not files:
         raise MissingFileError(
             f"images: no file like {pattern!r}; a pattern such as board/*.png or, of a rig, board/{{camera}}/*.png is "
             "expected"
         )
-    return found
+    return files
 
 
 def _read(files: Mapping[str, Mapping[str, Path]], names: list[str], board: Board) -> Pictures:
@@ -166,11 +166,11 @@ def _read(files: Mapping[str, Mapping[str, Path]], names: list[str], board: Boar
                 place = names.index(name)
                 pixels[moment, place], seen[moment, place] = board.find(image)
     for place, name in enumerate(names):
-        there = sum(name in cameras for cameras in files.values())
+        count = sum(name in cameras for cameras in files.values())
         boards = int((seen[:, place].sum(-1) >= FEWEST).sum())
         if boards < 3:
             raise ArgumentError(
-                f"images: the board is found on {boards} of {there} pictures of {name}, and three are needed, better "
+                f"images: the board is found on {boards} of {count} pictures of {name}, and three are needed, better "
                 "twenty; for squares board= counts the corners between them, not the squares; leave a white border "
                 "around the board"
             )

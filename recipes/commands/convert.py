@@ -50,14 +50,14 @@ def convert(config: ConvertConfig) -> dict[str, Conversion]:
     Raises:
         ArgumentError: an unknown model, format, camera or option; the message names the key.
     """
-    found = config.file.rig_or_cameras(torch.float64)
-    cameras = _chosen(found, config)
-    together = isinstance(found, CameraRig) and config.camera is None
+    calibration = config.file.rig_or_cameras(torch.float64)
+    cameras = _chosen(calibration, config)
+    together = isinstance(calibration, CameraRig) and config.camera is None
     if config.to not in (None, "ocam"):
         turns = {name: straighten(camera).angle for name, camera in cameras.items()}
-        if isinstance(found, CameraRig) and together:
-            found = straighten_rig(found)
-            cameras = found.cameras
+        if isinstance(calibration, CameraRig) and together:
+            calibration = straighten_rig(calibration)
+            cameras = calibration.cameras
             _tell_turns(turns, "is a turn of its pose now")
         else:
             _tell_turns(turns, "no other model has, and without a pose nothing else can take it up")
@@ -71,8 +71,8 @@ def convert(config: ConvertConfig) -> dict[str, Conversion]:
     new = {name: conversion.camera for name, conversion in converted.items()}
     path = Path(config.output)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if isinstance(found, CameraRig) and config.camera is None:
-        save_rig(found.replaced(new), path, config.format)
+    if isinstance(calibration, CameraRig) and config.camera is None:
+        save_rig(calibration.replaced(new), path, config.format)
     elif len(new) == 1:
         save_camera(next(iter(new.values())), path, config.format)
     else:

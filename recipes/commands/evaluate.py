@@ -89,20 +89,20 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     level = config.model.level
     net = read_network(config.checkpoint, level)
     near = config.model.min_depth
-    found: Literal["auto", "scene"] | None = None
+    search: Literal["auto", "scene"] | None = None
     if isinstance(near, str):
         check_choice("model.min_depth", near, FOUND)
-        found, near = near, None  # type: ignore[assignment]
+        search, near = near, None  # type: ignore[assignment]
     net = net.with_changes(level=level if net.images == "sphere" else None, min_depth=near)
     OmegaConf.update(config, "model.level", net.level if net.images == "sphere" else level or 5)
     OmegaConf.update(config, "model.min_depth", net.min_depth)
     data: SampleDataModule = build(config.data, "data")
-    given = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
-    for key in (word.partition("=")[0] for word in given):
+    overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    for key in (word.partition("=")[0] for word in overrides):
         if key in [f"data.{name}" for name in data.of_training]:
             raise ArgumentError(f"{key}: counts only in training; leave it out")
     preparation = Preparation(config.photometric, config.align)
-    as_used = bool(found or config.masks or preparation != AS_IT_IS)
+    as_used = bool(search or config.masks or preparation != AS_IT_IS)
     compared = config.baselines or config.methods
     more = ["sphere" if compared else "depth", *(["fisheye"] if as_used else [])]
     data.serve(net, *more, depth_level=config.model.level - 2)
@@ -112,7 +112,7 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
             f"entry 'fisheye'), which samples of {type(data).__name__} do not hold; take other data, or leave them out"
         )
     device = choose_device(config.device)
-    return Evaluation(net.to(device), data, found or net.min_depth, preparation, as_used)
+    return Evaluation(net.to(device), data, search or net.min_depth, preparation, as_used)
 
 
 def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Path) -> Table:

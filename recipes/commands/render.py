@@ -138,10 +138,10 @@ def check_settings(folder: Path, settings: dict[str, Any], release: str) -> None
     except (yaml.YAMLError, AttributeError, UnicodeDecodeError) as error:
         raise FileFormatError(f"{path}: is damaged; choose another output=... folder ({error})") from None
     if differ:
-        there = ", ".join(f"{key}={value}" for key, value in differ.items())
+        before = ", ".join(f"{key}={value}" for key, value in differ.items())
         here = ", ".join(f"{key}={settings[key]}" for key in differ)
         raise ArgumentError(
-            f"output: {folder} holds frames rendered with {there}, this command says {here}; use the same to add "
+            f"output: {folder} holds frames rendered with {before}, this command says {here}; use the same to add "
             "frames, or choose another folder"
         )
 
@@ -154,8 +154,8 @@ def missing_frames(root: Path, frames: range, release: str, num_cameras: int) ->
         images = [root / f"cam{number + 1}" / f"{frame:05d}.png" for number in range(num_cameras)]
         return [*images, root / layout.ground_truth_folder / f"{frame:05d}{layout.suffix}"]
 
-    there = [frame for frame in frames if all(path.is_file() for path in files_of(frame))]
-    reading = track(there, "reading what is there", console=console, disable=not there)
+    complete = [frame for frame in frames if all(path.is_file() for path in files_of(frame))]
+    reading = track(complete, "reading what is there", console=console, disable=not complete)
     whole = {frame for frame in reading if _can_be_read(files_of(frame), layout)}
     return [frame for frame in frames if frame not in whole]
 

@@ -177,7 +177,7 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
 
 def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[str, float]:
     """Train in a folder that no one else uses, from a checkpoint if there is one."""
-    for known in (
+    for pattern in (
         ".*exists and is not empty.*",
         ".*not resumable.*",
         ".*many workers.*",
@@ -185,7 +185,7 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
         ".*logging interval.*",
         ".*lr_scheduler.step.*",
     ):
-        warnings.filterwarnings("ignore", known)
+        warnings.filterwarnings("ignore", pattern)
     logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
     module, data, trainer = instantiate_run(config, folder)
     if trainer.is_global_zero:

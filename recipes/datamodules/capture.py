@@ -337,14 +337,14 @@ class CaptureSamples(Dataset[Sample]):
 
 def _kept(images: dict[str, Tensor]) -> dict[str, Tensor]:
     """Images as bytes, averaged down where they are larger than needed."""
-    kept = {}
+    encoded = {}
     for name, image in images.items():
         factor = image.shape[-2] / MOST_ROWS
         if factor > 1:
             size = (MOST_ROWS, round(image.shape[-1] / factor))
             image = F.interpolate(image[None], size, mode="area")[0]
-        kept[name] = encode(image)
-    return kept
+        encoded[name] = encode(image)
+    return encoded
 
 
 def _floats(images: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -51,8 +51,8 @@ class WithFixedInputs(Dataset[Sample]):
 
     def _compute(self, sample: Sample) -> dict[str, torch.Tensor]:
         images, seen = sample["images"][None], sample["seen"][None]
-        kept = self.net.fixed_inputs(images, sample["rig"], seen)
-        return {name: values[0] for name, values in kept.items()}
+        inputs = self.net.fixed_inputs(images, sample["rig"], seen)
+        return {name: values[0] for name, values in inputs.items()}
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

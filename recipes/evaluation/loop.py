@@ -48,11 +48,11 @@ def evaluate(
         ]
         for method in methods
     }
-    wanted = set().union(*missing.values())
-    if not wanted:
+    remaining = set().union(*missing.values())
+    if not remaining:
         return records
     try:
-        for names, batch in frames.batches([name for name in frames.names if name in wanted]):
+        for names, batch in frames.batches([name for name in frames.names if name in remaining]):
             batch = _on(batch, measure.directions.device)
             truth = measure.truth(batch)
             for method in methods:
@@ -62,14 +62,14 @@ def evaluate(
                 answer = method(batch)
                 errors = measure.errors(answer, truth)
                 for frame, name in enumerate(names):
-                    found = errors_of_frame(errors, frame)
+                    frame_errors = errors_of_frame(errors, frame)
                     if count_cost:
-                        found["seconds"] = answer.seconds
+                        frame_errors["seconds"] = answer.seconds
                     drawn = None
                     if name in frames.drawn:
-                        index, known = answer.index_at(measure.directions, measure.scale)
-                        drawn = index[frame].where(known[frame], math.nan)
-                    record.add(name, found, drawn)
+                        index, valid = answer.index_at(measure.directions, measure.scale)
+                        drawn = index[frame].where(valid[frame], math.nan)
+                    record.add(name, frame_errors, drawn)
                 if count_cost and record.cost is None:
                     record.cost = method.cost(batch)
                 record.save(at_once=False)
@@ -125,14 +125,14 @@ def errors_of_frame(errors: Mapping[str, Any], frame: int) -> Errors:
         >>> errors_of_frame({"all": {"MAE": torch.tensor([1.0, torch.nan])}}, 1)
         {'all': {'MAE': None}}
     """
-    found: Errors = {}
+    result: Errors = {}
     for key, value in errors.items():
         if isinstance(value, Mapping):
-            found[key] = errors_of_frame(value, frame)
+            result[key] = errors_of_frame(value, frame)
         else:
             number = float(value[frame])
-            found[key] = None if math.isnan(number) else number
-    return found
+            result[key] = None if math.isnan(number) else number
+    return result
 
 
 class VertexErrors:
@@ -161,10 +161,10 @@ class VertexErrors:
     def errors(self, answer: Answer, truth: tuple[Tensor, Tensor]) -> dict[str, Any]:
         """``errors``: of ``depth_index_error``; ``points``: percent that are kept."""
         target, counts = truth
-        index, known = answer.index_at(self.directions, self.scale)
-        kept = 100 * (counts & known).sum(1) / counts.sum(1)
-        errors = depth_index_error(index, target, self.scale.num_hypotheses, counts & known)
-        return {"errors": errors, "points": {"kept": kept}}
+        index, valid = answer.index_at(self.directions, self.scale)
+        share = 100 * (counts & valid).sum(1) / counts.sum(1)
+        errors = depth_index_error(index, target, self.scale.num_hypotheses, counts & valid)
+        return {"errors": errors, "points": {"kept": share}}
 
 
 def mean_errors_by_method(records: Mapping[str, Record]) -> dict[str, dict[str, float]]:
@@ -173,8 +173,8 @@ def mean_errors_by_method(records: Mapping[str, Record]) -> dict[str, dict[str, 
     partial = any(
         mean["points"]["kept"] is not None and mean["points"]["kept"] < 100 for mean in means.values()
     )
-    known = {name: mean["errors"] | (mean["points"] if partial else {}) for name, mean in means.items()}
+    rows = {name: mean["errors"] | (mean["points"] if partial else {}) for name, mean in means.items()}
     return {
         name: {key: math.nan if value is None else value for key, value in row.items()}
-        for name, row in known.items()
+        for name, row in rows.items()
     }

@@ -227,16 +227,16 @@ class Answer:
         Between the points of the network's grid it is linear. Where that does not reach, it is that of the nearest
         point, and not known.
         """
-        index, known = self._look_up(self.estimate.index, directions)
+        index, valid = self._look_up(self.estimate.index, directions)
         if scale == (self.net.num_hypotheses, self.net.min_depth):
             index = index.clamp(min=0)  # where it is interpolated infinity may be a rounding beyond
         else:
             inverse_depth = inverse_depth_from_index(index, self.net.num_hypotheses, self.net.min_depth)
             index = index_from_inverse_depth(inverse_depth, *scale)
-        known = known.expand(index.shape)
+        valid = valid.expand(index.shape)
         if self.min_confidence > 0:
-            known = known & (self.confidence_at(directions) >= self.min_confidence)
-        return index, known
+            valid = valid & (self.confidence_at(directions) >= self.min_confidence)
+        return index, valid
 
     def confidence_at(self, directions: Tensor) -> Tensor:
         """Confidence ``(B, V)``."""

@@ -49,8 +49,8 @@ class DrawnFrame(NamedTuple):
         """The view, the truth and every estimate with its mean absolute error in percent of N, by their titles."""
         pictures = {"view": self.view, "truth": self._depth(self.truth)}
         for name, index in self.estimates.items():
-            known = self.counts & ~self._error(index).isnan()
-            mean = f"{float(self._error(index)[known].mean()):.2f}" if known.any() else "-"
+            valid = self.counts & ~self._error(index).isnan()
+            mean = f"{float(self._error(index)[valid].mean()):.2f}" if valid.any() else "-"
             pictures[f"{name}: MAE {mean}"] = self._faded(self._depth(index))
         return pictures
 
@@ -68,9 +68,9 @@ class DrawnFrame(NamedTuple):
         return (index - self.truth).abs() * (100 / self.scale.num_hypotheses)
 
     def _depth(self, index: Tensor) -> Picture:
-        known = icosphere_to_panorama((~index.isnan()).float(), len(self.view)) > 0.5
+        valid = icosphere_to_panorama((~index.isnan()).float(), len(self.view)) > 0.5
         filled = icosphere_to_panorama(index.nan_to_num().clamp(min=0), len(self.view))
-        depth = depth_from_index(filled, *self.scale).where(known, math.nan)
+        depth = depth_from_index(filled, *self.scale).where(valid, math.nan)
         return depth_to_color(depth, self.scale.min_depth)
 
     def _faded(self, picture: Picture) -> Picture:

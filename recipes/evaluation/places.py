@@ -66,8 +66,8 @@ class FrameTruth:
         self.around, self.solid_angles = grid.directions.reshape(-1, 3), grid.solid_angles.reshape(-1)
         flat = frame.panorama.reshape(-1)
         self.panorama = index_from_inverse_depth(flat, *SCALE)
-        known = flat <= 1 / SCALE.min_depth
-        self.panorama_counts = known & _two_see(frame.free_rig, self.around, flat.where(known, 0.0))
+        valid = flat <= 1 / SCALE.min_depth
+        self.panorama_counts = valid & _two_see(frame.free_rig, self.around, flat.where(valid, 0.0))
 
 
 class PlaceErrors:
@@ -94,22 +94,24 @@ class PlaceErrors:
 
     def errors(self, answer: Answer, truth: FrameTruth) -> dict[str, Any]:
         """Errors of the frame, tensors ``(1,)``."""
-        (fine, known), coarse = answer.index_at(self.directions, SCALE), truth.coarse_ids
+        (fine, valid), coarse = answer.index_at(self.directions, SCALE), truth.coarse_ids
         levels = {
             name: {
-                region: _errors(fine[:, ids], truth.index[ids], (mask & known)[:, ids])
+                region: _errors(fine[:, ids], truth.index[ids], (mask & valid)[:, ids])
                 for region, mask in truth.regions.items()
             }
             for name, ids in (("coarse", coarse), ("fine", slice(None)))
         }
-        panorama, there = answer.index_at(truth.around, SCALE)
-        mask = (truth.regions["all"] & known)[:, coarse]
+        panorama, panorama_valid = answer.index_at(truth.around, SCALE)
+        mask = (truth.regions["all"] & valid)[:, coarse]
         depth = depth_from_index(fine[:, coarse], *SCALE)
         metres = depth_error(depth, truth.inverse_depth[coarse].reciprocal()[None], mask)
         solid_angles = truth.solid_angles.float()
         return {
             **levels,
-            "panorama": _errors(panorama, truth.panorama, truth.panorama_counts & there, solid_angles),
+            "panorama": _errors(
+                panorama, truth.panorama, truth.panorama_counts & panorama_valid, solid_angles
+            ),
             "metres": {key: metres[key] for key in ("AbsRel", "d<1.25")},
             "kept": _kept(
                 fine[:, coarse],

@@ -103,15 +103,15 @@ class Protocols:
         * ``points``: percent of the valid vertices left out, and of the others that the model says nothing about.
         """
         number = self.scale.num_hypotheses
-        index, known = answer.index_at(self.directions, self.scale)
-        mask = truth.counts & known
+        index, valid = answer.index_at(self.directions, self.scale)
+        mask = truth.counts & valid
         zones = {name: mask & zone for name, zone in self.zones.items()}
         zones |= {"two": mask & (truth.cameras == 2), "three": mask & (truth.cameras == 3)}
         zones |= {"four": mask & (truth.cameras > 3)}
         depth, true_depth = depth_from_index(index, *self.scale), truth.inverse_depth.reciprocal()
         return {
             "paper": depth_index_error(index, truth.indices, number, mask),
-            "all": depth_index_error(index, truth.indices, number, truth.valid & known),
+            "all": depth_index_error(index, truth.indices, number, truth.valid & valid),
             "solid_angle": depth_index_error(index, truth.indices, number, mask, self.solid_angles),
             "omnimvs": self._official(answer, truth),
             "seam": depth_index_error(index, truth.indices, number, mask & self.seam),
@@ -125,8 +125,8 @@ class Protocols:
         }
 
     def _official(self, answer: Answer, truth: Truth) -> dict[str, Tensor]:
-        index, known = answer.index_at(truth.panorama_directions, self.scale)
+        index, valid = answer.index_at(truth.panorama_directions, self.scale)
         inverse_depth = inverse_depth_from_index(index, *self.scale)
         shape = truth.panorama.shape
-        mask = truth.panorama_counts & known.view(shape)
+        mask = truth.panorama_counts & valid.view(shape)
         return omnimvs_error(inverse_depth.view(shape), truth.panorama, self.scale.min_depth, mask)

@@ -55,11 +55,11 @@ class Record:
         if path is None or not path.is_file():
             return
         try:
-            kept = read_json(path)
-            if kept["key"] == self.key:
+            content = read_json(path)
+            if content["key"] == self.key:
                 with np.load(path.with_suffix(".npz")) as stored:
                     self.drawn = {name: torch.from_numpy(stored[name]).float() for name in stored.files}
-                self.frames, self.cost = kept["frames"], kept["cost"]
+                self.frames, self.cost = content["frames"], content["cost"]
         except Exception:  # damaged, so it is measured again; numpy raises nearly anything
             self.drawn = {}
 
@@ -110,19 +110,19 @@ def _mean(items: list[Any]) -> Any:
     if nested:
         keys = dict.fromkeys(key for item in nested for key in item)
         return {key: _mean([item.get(key) for item in nested]) for key in keys}
-    known = [item for item in items if item is not None]
-    return math.fsum(known) / len(known) if known else None
+    numbers = [item for item in items if item is not None]
+    return math.fsum(numbers) / len(numbers) if numbers else None
 
 
 def values_of(frames: Mapping[str, Errors], *path: str) -> list[float]:
     """One number of each frame, NaN where there is none."""
-    found = []
+    values = []
     for errors in frames.values():
         value: Any = errors
         for key in path:
             value = value.get(key) if isinstance(value, Mapping) else None
-        found.append(math.nan if value is None else float(value))
-    return found
+        values.append(math.nan if value is None else float(value))
+    return values
 
 
 def read_json(path: Path) -> dict[str, Any]:

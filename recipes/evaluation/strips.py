@@ -43,13 +43,13 @@ class StripErrors(VertexErrors):
 
     def errors(self, answer: Answer, truth: Any) -> dict[str, Any]:
         """``errors`` and ``points`` as of ``VertexErrors``; ``depth`` in metres and ``disparity`` in degrees."""
-        found = super().errors(answer, truth.at_vertices)
+        errors = super().errors(answer, truth.at_vertices)
         rig, depth, augmented = (truth.batch[key] for key in ("rig", "strip_depth", "strip_depth_augmented"))
         height, width = depth.shape[-2:]
         grid = Equirectangular(height, width, latitudes=HELVIPAD_LATITUDES, device=depth.device)
         estimate = torch.zeros_like(depth)
-        wanted = (depth > 0) | (augmented > 0)
-        for frame, pixels in enumerate(wanted):
+        measured = (depth > 0) | (augmented > 0)
+        for frame, pixels in enumerate(measured):
             offset = (rig.positions[frame, 0] - rig.center[frame]).to(depth)
             estimate[frame, pixels] = depth_beside(
                 answer, frame, grid.directions[pixels], offset, self.scale
@@ -57,9 +57,9 @@ class StripErrors(VertexErrors):
         pairs = {"depth": (estimate, depth)}
         pairs["disparity"] = tuple(disparity_from_depth(v, grid.directions) for v in pairs["depth"])  # type: ignore[assignment]
         for name, (ours, right) in pairs.items():
-            found[name] = stereo_error(ours.flatten(1), right.flatten(1), (depth > 0).flatten(1))
-        found["depth"] |= left_right_error(estimate, augmented)
-        return found
+            errors[name] = stereo_error(ours.flatten(1), right.flatten(1), (depth > 0).flatten(1))
+        errors["depth"] |= left_right_error(estimate, augmented)
+        return errors
 
 
 def depth_beside(answer: Answer, frame: int, rays: Tensor, offset: Tensor, scale: Scale) -> Tensor:

@@ -198,10 +198,12 @@ def summarize(values: Iterable[float | None], digits: int = 2) -> Cell | None:
         >>> summarize([1.0, 3.0, None])
         Cell(mean=2.0, spread=1.4142135623730951, digits=2, interval=None, best=False)
     """
-    known = [value for value in values if value is not None and not math.isnan(value)]
-    if not known:
+    numbers = [value for value in values if value is not None and not math.isnan(value)]
+    if not numbers:
         return None
-    return Cell(statistics.fmean(known), statistics.stdev(known) if len(set(known)) > 1 else None, digits)
+    return Cell(
+        statistics.fmean(numbers), statistics.stdev(numbers) if len(set(numbers)) > 1 else None, digits
+    )
 
 
 def _exact(value: float | None) -> str | None:

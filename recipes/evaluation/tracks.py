@@ -171,12 +171,12 @@ def chosen_tracks(words: Sequence[str], meshes: Sequence[str] = ()) -> list[Trac
         >>> [track.name for track in chosen_tracks(["tilts", "room"])]
         ['room', 'tilt_0', 'tilt_15', 'tilt_30', 'tilt_45']
     """
-    known = dict(TRACKS)
+    tracks = dict(TRACKS)
     if meshes:
-        known["meshes"] = Track("meshes", "meshes", "mesh", meshes=tuple(meshes))
+        tracks["meshes"] = Track("meshes", "meshes", "mesh", meshes=tuple(meshes))
     for word in words:
-        check_choice("benchmark.tracks", word, ("all", *GROUPS, *known, *DISTURBANCES.names()))
-        if word not in ("all", *GROUPS, *known):
-            known[word] = Track(word, "disturbances", disturbance=CameraDisturbance(others={word: 1.0}))
-    wanted = set(words)
-    return [t for t in known.values() if "all" in wanted or wanted & {t.name, t.group} or t.meshes]
+        check_choice("benchmark.tracks", word, ("all", *GROUPS, *tracks, *DISTURBANCES.names()))
+        if word not in ("all", *GROUPS, *tracks):
+            tracks[word] = Track(word, "disturbances", disturbance=CameraDisturbance(others={word: 1.0}))
+    selected = set(words)
+    return [t for t in tracks.values() if "all" in selected or selected & {t.name, t.group} or t.meshes]

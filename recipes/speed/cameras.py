@@ -69,7 +69,7 @@ def cameras(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
 def models() -> dict[str, Camera]:
     """One camera of every kind."""
     pinhole = (FOCAL, CENTER)
-    found: dict[str, Camera] = {
+    examples: dict[str, Camera] = {
         "pinhole": PinholeCamera(*pinhole, SIZE),
         "Brown-Conrady, 5": BrownConradyCamera(*pinhole, PLUMB_BOB, SIZE),
         "Kannala-Brandt": KannalaBrandtCamera(*pinhole, DISTORTION, SIZE, WIDE),
@@ -83,8 +83,8 @@ def models() -> dict[str, Camera]:
     }
     for projection in ("equidistant", "equisolid", "stereographic", "orthographic"):
         widest = min(WIDE, math.radians(89)) if projection == "orthographic" else WIDE
-        found[projection] = FisheyeCamera(projection, torch.tensor(FOCAL), CENTER, SIZE, widest)
-    return found
+        examples[projection] = FisheyeCamera(projection, torch.tensor(FOCAL), CENTER, SIZE, widest)
+    return examples
 
 
 def _others(name: str, verb: str, values: Tensor) -> Runs:

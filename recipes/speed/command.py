@@ -74,7 +74,7 @@ def measure_speed(config: Annotated[DictConfig, SpeedKeys], folder: Path) -> lis
     for group in config.groups:
         check_choice("groups", group, tuple(GROUPS))
     try:
-        wanted = re.compile(config.only or "")
+        pattern = re.compile(config.only or "")
     except re.error as error:
         raise ArgumentError(f"only: expected a regular expression, got {config.only!r}: {error}") from error
     if config.threads is not None:
@@ -89,7 +89,7 @@ def measure_speed(config: Annotated[DictConfig, SpeedKeys], folder: Path) -> lis
     for group in config.groups:
         module = import_module(f"sphericalvision.recipes.speed.{GROUPS[group]}")
         for comparison in getattr(module, group)(config, device):
-            if not wanted.search(comparison.title):
+            if not pattern.search(comparison.title):
                 titles.append(comparison.title)
                 continue
             with console.status(comparison.title):

@@ -74,8 +74,8 @@ def _comparison(
     """Planar layers on images, and layers of the sphere on values at vertices."""
     runs = {name: _forward_and_backward(layer, image) for name, (layer, image) in planar.items()}
     for name, layer in sphere.items():
-        given = to_crown(values) if name.startswith("crown") else values
-        runs[name] = _forward_and_backward(layer, given)
+        inputs = to_crown(values) if name.startswith("crown") else values
+        runs[name] = _forward_and_backward(layer, inputs)
         if "layers" in config.options:
             runs[f"{name}, layers"] = kernels("plain")(runs[name])
     return Comparison(f"convolution, forward and backward: {title}", runs)
@@ -88,11 +88,11 @@ def _forward_and_backward(layer: nn.Module, given: Tensor | Crown) -> Callable[[
     ]
     argument = Crown(*inputs) if isinstance(given, Crown) else inputs[0]
     layer = layer.to(inputs[0].device)
-    wanted = [*inputs, *layer.parameters()]
+    variables = [*inputs, *layer.parameters()]
 
     def outputs() -> list[Tensor]:
         result = layer(argument)
         return list(result) if isinstance(result, Crown) else [result]
 
     weights = [torch.randn_like(output) for output in outputs()]
-    return lambda: torch.autograd.grad(outputs(), wanted, weights)
+    return lambda: torch.autograd.grad(outputs(), variables, weights)

@@ -160,11 +160,11 @@ def variant(name: str, level: int, num_hypotheses: int) -> IcoSweepNet:
     folder = files("sphericalvision.conf") / "model"
     path = folder / f"{name}.yaml"
     if not path.is_file():
-        known = sorted(
+        names = sorted(
             entry.name.removesuffix(".yaml") for entry in folder.iterdir() if "icosweep" in entry.name
         )
         raise ArgumentError(
-            f"variants: expected names of conf/model, such as {', '.join(known)}, got {name!r}"
+            f"variants: expected names of conf/model, such as {', '.join(names)}, got {name!r}"
         )
     options: dict[str, Any] = OmegaConf.to_container(OmegaConf.create(path.read_text()))  # type: ignore[assignment]
     if "aggregation" not in options:

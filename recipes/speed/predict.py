@@ -80,15 +80,15 @@ def presets(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
 
 def _error(predictor: Predictor, frames: Sequence[TrackFrame]) -> float:
     """Mean absolute error of the index, percent of N."""
-    found = []
+    errors = []
     for frame in frames:
         truth = FrameTruth(frame)
         ids = truth.coarse_ids[truth.regions["all"][truth.coarse_ids]]
         depth = predictor.with_changes(frame.rig)(frame.images)
         inverse_depth = depth.at(truth.fine.vertices[ids].to(depth.index))[0].cpu()
         index = index_from_inverse_depth(inverse_depth, *SCALE)
-        found.append((index - truth.index[ids]).abs().mean().item() * 100 / SCALE.num_hypotheses)
-    return statistics.fmean(found)
+        errors.append((index - truth.index[ids]).abs().mean().item() * 100 / SCALE.num_hypotheses)
+    return statistics.fmean(errors)
 
 
 def preset_config(name: str, device: torch.device) -> PredictConfig:

@@ -92,8 +92,8 @@ def scores(
     """
     chosen = TRACKS[track] if isinstance(track, str) else track
     method = Method("network", network)
-    given = TrackFrames(chosen, range(frames), size, None if cache is None else Path(cache))
-    return run_track(given, [method], None)["network"].means
+    track_frames = TrackFrames(chosen, range(frames), size, None if cache is None else Path(cache))
+    return run_track(track_frames, [method], None)["network"].means
 
 
 def run_track(frames: TrackFrames, methods: Sequence[Method], folder: Path | None) -> Mapping[str, Record]:

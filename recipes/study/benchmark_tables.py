@@ -43,8 +43,8 @@ class Results(NamedTuple):
     def mean(self, method: str, *path: str) -> float:
         """Mean of one number over the frames of all tracks that have it; NaN if none has."""
         every = [value for track in self.tracks for value in values_of(self.frames(track, method), *path)]
-        known = [value for value in every if not math.isnan(value)]
-        return math.fsum(known) / len(known) if known else math.nan
+        numbers = [value for value in every if not math.isnan(value)]
+        return math.fsum(numbers) / len(numbers) if numbers else math.nan
 
 
 def report(folder: Path, results: Results) -> None:
@@ -140,8 +140,8 @@ def _confidence(results: Results, level: str) -> Table:
     rows: list[Row] = []
     for method in results.methods:
         every = results.mean(method, "kept", "1")
-        kept = [results.mean(method, "kept", f"{share:g}") / every for share in KEPT[1:]]
-        rows.append([method, *map(_number, (every, *kept))])
+        ratios = [results.mean(method, "kept", f"{share:g}") / every for share in KEPT[1:]]
+        rows.append([method, *map(_number, (every, *ratios))])
     columns = ["method", "MAE of all", *(f"surest {100 * share:g} %" for share in KEPT[1:])]
     title = f"MAE at {level} of the points of which a method is surest, as a ratio to that of all; mean over tracks."
     return Table(title, columns, [rows])

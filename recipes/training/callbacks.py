@@ -67,8 +67,8 @@ class DepthPanels(Callback):
         """Estimate, ground truth and error of some frames as one picture."""
         number, nearest = module.net.num_hypotheses, module.net.min_depth
         columns = []
-        for index, truth, known in zip(estimate.float(), target.float(), valid, strict=True):
-            truth = truth.where(known, float("nan"))
+        for index, truth, mask in zip(estimate.float(), target.float(), valid, strict=True):
+            truth = truth.where(mask, float("nan"))
             error = (index - truth).abs() * (100 / number)
             depths = [
                 1 / module.panorama(inverse_depth_from_index(x, number, nearest), self.height)
@@ -123,12 +123,13 @@ class PlainProgress(Callback):
         self.shown = now
         per_step = (now - self.began) / max(1, trainer.global_step - self.first_step)
         loss = trainer.callback_metrics.get("train/loss", float("nan"))
-        left = ""
+        remaining = ""
         if trainer.max_steps > 0:
             seconds = int(per_step * (trainer.max_steps - trainer.global_step))
-            left = f" of {trainer.max_steps}, {timedelta(seconds=seconds)} left"
+            remaining = f" of {trainer.max_steps}, {timedelta(seconds=seconds)} left"
         print(
-            f"step {trainer.global_step}{left}, {per_step:.2f} s a step, loss {float(loss):.3f}", flush=True
+            f"step {trainer.global_step}{remaining}, {per_step:.2f} s a step, loss {float(loss):.3f}",
+            flush=True,
         )
 
     def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:

@@ -103,12 +103,12 @@ def resume_path(resume: str | None, folder: Path) -> Path | None:
     last = folder / "checkpoints" / "last.ckpt"
     if resume == "auto":
         return last if last.is_file() else None
-    wanted = "a Lightning checkpoint to resume from, such as checkpoints/last.ckpt"
-    path = None if resume is None else check_file(resume, wanted).absolute()
-    there = [name for name in ("last.ckpt", "best.ckpt") if (last.parent / name).is_file()]
-    if there and is_first_process() and (path is None or path.parent != last.parent):
+    expected = "a Lightning checkpoint to resume from, such as checkpoints/last.ckpt"
+    path = None if resume is None else check_file(resume, expected).absolute()
+    names = [name for name in ("last.ckpt", "best.ckpt") if (last.parent / name).is_file()]
+    if names and is_first_process() and (path is None or path.parent != last.parent):
         raise ArgumentError(
-            f"output: {folder} holds a training already (checkpoints/{there[0]}), which would be overwritten; go on "
+            f"output: {folder} holds a training already (checkpoints/{names[0]}), which would be overwritten; go on "
             "with it by resume=auto, choose another output=..., or remove that folder"
         )
     return path

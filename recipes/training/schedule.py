@@ -70,7 +70,7 @@ def progress_only(state: dict[str, Any]) -> dict[str, Any]:
 
     Otherwise a cosine that goes on to more iterations would keep its old end, and rise again behind it.
     """
-    kept = {key: value for key, value in state.items() if key in PROGRESS}
-    if "_schedulers" in kept:
-        kept["_schedulers"] = [progress_only(part) for part in kept["_schedulers"]]
-    return kept
+    progress = {key: value for key, value in state.items() if key in PROGRESS}
+    if "_schedulers" in progress:
+        progress["_schedulers"] = [progress_only(part) for part in progress["_schedulers"]]
+    return progress

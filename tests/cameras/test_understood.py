@@ -27,7 +27,7 @@ from sphericalvision.cameras import (
     ring_rig,
     save_rig,
 )
-from sphericalvision.cameras.calibration.keys import check_understood, noted
+from sphericalvision.cameras.calibration.keys import check_understood, with_keys
 from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError
 from tests.cameras.calibration_samples import (
     MRCAL,
@@ -307,7 +307,7 @@ def test_a_list_that_holds_itself_ends(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text("format: sphericalvision-rig\nversion: 1\ncameras: &a [*a]\n")
     with pytest.raises(FileFormatError, match=r"rig\.yaml"):
         read_rig(tmp_path / "rig.yaml")
-    keys = noted(yaml.safe_load("comment: &a [*a, {focal: 1}]"), "file")
+    keys = with_keys(yaml.safe_load("comment: &a [*a, {focal: 1}]"), "file")
     keys.get("comment")
     with pytest.raises(FileFormatError, match="focal"):
         check_understood(keys, "file", "")

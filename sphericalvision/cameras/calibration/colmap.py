@@ -246,9 +246,9 @@ def _pose(transform: Tensor) -> list[float]:
 
 
 def _records(named: Mapping[str, Camera]) -> list[CameraRecord]:
-    known = all(re.fullmatch(r"cam\d+", name) for name in named)
+    all_numbered = all(re.fullmatch(r"cam\d+", name) for name in named)
     return [
-        _record(int(name[3:]) if known else place, camera)
+        _record(int(name[3:]) if all_numbered else place, camera)
         for place, (name, camera) in enumerate(named.items(), start=1)
     ]
 

@@ -104,7 +104,7 @@ def cameras_in(path: Path) -> list[CameraRecord]:
     """Of ``cameras.txt`` or ``cameras.bin``."""
     if path.suffix == ".bin":
         return _binary_cameras(_Bytes(path))
-    found = []
+    cameras = []
     for line, words in data_lines(path):
         where = f"{path}, line {line}"
         if len(words) < 4:
@@ -117,8 +117,8 @@ def cameras_in(path: Path) -> list[CameraRecord]:
             raise FileFormatError(f"{where}: expected a model among {', '.join(MODELS)}, got {words[1]}")
         names = _parameters(words[1])
         parameters = numbers(words[4:], f"{where}, {words[1]} ({' '.join(names)})", len(names))
-        found.append(CameraRecord(where, int(words[0]), words[1], words[2:4], parameters))
-    return found
+        cameras.append(CameraRecord(where, int(words[0]), words[1], words[2:4], parameters))
+    return cameras
 
 
 def images_in(path: Path) -> list[ImageRecord]:

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 import yaml
 
-from sphericalvision.cameras.calibration.keys import Keys, noted
+from sphericalvision.cameras.calibration.keys import Keys, with_keys
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import atomic_write
 
@@ -94,16 +94,16 @@ def load(path: Path) -> Any:
             root = parse_xml(text, path)
             is_opencv = root.tag == "opencv_storage"
             content = _from_element(root, path) if is_opencv else {root.tag: from_xml(root, path)}
-            return noted(content, str(path))
+            return with_keys(content, str(path))
         if path.suffix.lower() == ".json":
             content = json.loads(text, object_pairs_hook=lambda pairs: once(pairs, path))
-            return noted(content, str(path))
+            return with_keys(content, str(path))
         if start.startswith("%YAML"):  # "%YAML:1.0" is no directive that YAML knows
             text = text.replace("%YAML", "# ", 1)
             text = re.sub(
                 r"^([ \t]*[\w.]+):(?=[^\s:])", r"\1: ", text, flags=re.MULTILINE
             )  # its "key:1" is no pair to YAML
-        return noted(_one_document(text, path), str(path))
+        return with_keys(_one_document(text, path), str(path))
     except json.JSONDecodeError as error:
         raise FileFormatError(f"{path}: not valid json ({error}); is it truncated?") from None
     except yaml.YAMLError as error:

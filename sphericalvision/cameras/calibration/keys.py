@@ -27,7 +27,7 @@ from sphericalvision.cameras.calibration.parsing import (
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.core import FileFormatError, short_repr
 
-__all__ = ["SETTINGS", "Keys", "as_keys", "check_understood", "noted"]
+__all__ = ["SETTINGS", "Keys", "as_keys", "check_understood", "with_keys"]
 
 _NEVER_MATTER = re.compile(
     "(time|date|stamp|timestamp|comment|note|description|author|error|rms|residual|board|square|marker|chessboard|charuco|aruco"
@@ -182,21 +182,21 @@ def as_keys(value: Any, where: str) -> Keys:
     return value
 
 
-def noted(value: Any, where: str, known: dict[int, Any] | None = None) -> Any:
+def with_keys(value: Any, where: str, converted: dict[int, Any] | None = None) -> Any:
     """What was parsed, with ``Keys`` in place of all mappings; what stands at two places stays one thing."""
-    known = {} if known is None else known
-    if not isinstance(value, dict | list) or isinstance(value, Keys) or id(value) in known:
-        return known.get(id(value), value)
+    converted = {} if converted is None else converted
+    if not isinstance(value, dict | list) or isinstance(value, Keys) or id(value) in converted:
+        return converted.get(id(value), value)
     if isinstance(value, dict):
-        keys = known[id(value)] = Keys(where)
+        keys = converted[id(value)] = Keys(where)
         for key, inner in value.items():
-            dict.__setitem__(keys, key, noted(inner, f"{where}, {key!s:.80}", known))
+            dict.__setitem__(keys, key, with_keys(inner, f"{where}, {key!s:.80}", converted))
         return keys
     several: list[Any] = []
-    known[id(value)] = several
+    converted[id(value)] = several
     for index, inner in enumerate(value):  # most are lists of numbers, which need no names
         is_number = isinstance(inner, int | float)
-        several.append(inner if is_number else noted(inner, f"{where}[{index}]", known))
+        several.append(inner if is_number else with_keys(inner, f"{where}[{index}]", converted))
     return several
 
 
@@ -206,7 +206,7 @@ def check_understood(
     """Raise for a key that was not read and may matter.
 
     Args:
-        content: ``noted``, after it was read.
+        content: ``with_keys``, after it was read.
         where: the file, in errors.
         ignored: what does not matter in this format, as a regular expression for the whole way to a key, ``a/b`` being
             the key b in that of a; places in lists do not count.

@@ -19,7 +19,7 @@ import torch
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import as_keys, check_understood, noted
+from sphericalvision.cameras.calibration.keys import as_keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle
@@ -49,7 +49,7 @@ def contents(path: Path, options: Options) -> Contents:
     """The camera of a file, called like it, and its pose."""
     where = str(path)
     try:
-        values = as_keys(noted(ast.literal_eval(read_text(path).strip()), where), where)
+        values = as_keys(with_keys(ast.literal_eval(read_text(path).strip()), where), where)
     except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError) as error:
         raise FileFormatError(f"{path}: not a literal of Python ({error!s:.200}); is it truncated?") from None
     kind, count = _MODELS[values.chosen("lensmodel", _MODELS)]

@@ -11,7 +11,7 @@ import torch
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import Keys, as_keys, noted
+from sphericalvision.cameras.calibration.keys import Keys, as_keys, with_keys
 from sphericalvision.cameras.calibration.parsing import (
     errors_of_file,
     numbers,
@@ -44,7 +44,7 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
         >>> camera_from_dict(camera_to_dict(EquirectangularCamera((160, 320))), "here").image_size
         (160, 320)
     """
-    values = as_keys(noted(values, where), where)
+    values = as_keys(with_keys(values, where), where)
     name = values.entry("model")
     model = camera_model(name) if isinstance(name, str) else None
     if model is None:

@@ -24,7 +24,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.files import once, parse_xml, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
-from sphericalvision.cameras.calibration.keys import Keys, check_understood, noted
+from sphericalvision.cameras.calibration.keys import Keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import Lens
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
@@ -61,7 +61,7 @@ def contents(path: Path, options: Options) -> Contents:
         if element.tag.startswith(_XCR):
             pairs.append((element.tag, element.text or ""))
         pairs += [(key, text) for key, text in element.attrib.items() if _XCR in key]
-    values = noted(once(((key.removeprefix(_XCR), text) for key, text in pairs), path), str(path))
+    values = with_keys(once(((key.removeprefix(_XCR), text) for key, text in pairs), path), str(path))
     camera = _camera(values, path, options)
     pose = _pose(values) if "Rotation" in values or "Position" in values else None
     check_understood(values, str(path), _IGNORED)

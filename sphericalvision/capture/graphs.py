@@ -17,12 +17,11 @@ __all__ = ["GraphedFunction", "NoWaiting"]
 
 MOST_GRAPHS = 4
 """Of a function: each holds the memory of its inputs and results."""
-WARM_UPS = 2
-"""Calls before a capture: what is made once, and what libraries ask of the device, must not be recorded."""
-
 _turns = threading.RLock()
 """One replay at a time: all graphs of a device share their memory."""
 _pools: dict[torch.device, Any] = {}
+_idle: dict[torch.device, Any] = {}
+"""Events: the device has done with the results of the last replay, whichever graph and stream it was of."""
 
 
 class _Graph(NamedTuple):
@@ -30,7 +29,6 @@ class _Graph(NamedTuple):
     replay: Callable[[], Any]
     outputs: Any
     idle: Any
-    """An event: the device has done with the last results."""
 
 
 class NoWaiting(TorchDispatchMode):
@@ -70,8 +68,9 @@ def _between_devices(name: str, args: tuple[Any, ...], result: Any) -> bool:
 
 
 class GraphedFunction:
-    """A function of tensors on a CUDA device, captured as a graph at the first call for inputs of their shapes.
+    """A function of tensors on a CUDA device, captured as a graph at the second call with inputs of some shapes.
 
+    The first makes what is made once, and what is called once, as for a window of a camera that moves, needs no graph.
     Inputs are copied to where the graph reads them, and results are copied from where it leaves them, so that calls
     from several threads get results of their own. The function must not read values back from the device.
 
@@ -85,6 +84,7 @@ class GraphedFunction:
         self, name: str, function: Callable[..., Any], otherwise: Callable[..., Any] | None = None
     ) -> None:
         self.name, self.function, self.otherwise = name, function, otherwise or function
+        self._called: set[Any] = set()
         self._graphs: dict[Any, _Graph | None] = {}
 
     def __call__(self, *inputs: Tensor, **options: Any) -> Any:
@@ -94,6 +94,9 @@ class GraphedFunction:
             tuple(options.items()),
         )
         with _turns:
+            if key not in self._called:
+                self._called.add(key)
+                return self.function(*inputs, **options)
             if key not in self._graphs:
                 self._graphs[key] = self._captured(inputs, options)
             graph = self._graphs[key]
@@ -120,7 +123,7 @@ class GraphedFunction:
         warnings.warn(f"device: {self.name} is computed without a CUDA graph, because {reason}", stacklevel=5)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_graphs": {}}  # graphs stay where they were captured
+        return {**vars(self), "_called": set(), "_graphs": {}}  # graphs stay where they were captured
 
 
 def captured(function: Callable[..., Any], inputs: tuple[Tensor, ...], options: dict[str, Any]) -> _Graph:
@@ -134,18 +137,17 @@ def captured(function: Callable[..., Any], inputs: tuple[Tensor, ...], options: 
         static = tuple(value.clone() for value in inputs)
         stream = torch.cuda.Stream()
         stream.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(stream):
-            for _ in range(WARM_UPS):
-                function(*static, **options)
-            with NoWaiting():  # before a capture fails, which leaves torch's memory in disorder
-                function(*static, **options)
+        # What libraries ask of the device for a new stream must not be recorded. And a capture that fails leaves the
+        # memory of torch in disorder: what would make it fail is looked for before.
+        with torch.cuda.stream(stream), NoWaiting():
+            function(*static, **options)
         torch.cuda.current_stream().wait_stream(stream)
         pool = _pools.setdefault(device, torch.cuda.graph_pool_handle())
         graph = torch.cuda.CUDAGraph()
         # Other threads may go on with what they do on the device.
         with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
             outputs = function(*static, **options)
-        return _Graph(static, graph.replay, outputs, torch.cuda.Event())
+        return _Graph(static, graph.replay, outputs, _idle.setdefault(device, torch.cuda.Event()))
 
 
 def replayed(graph: _Graph, inputs: tuple[Tensor, ...]) -> Any:

@@ -11,7 +11,7 @@ from torchmetrics.classification import MulticlassAccuracy
 
 from sphericalvision.core import check_file
 from sphericalvision.models.classifier import SphereClassifier
-from sphericalvision.models.weights.filling import made
+from sphericalvision.models.weights.filling import make_network
 from sphericalvision.recipes.app.checkpoints import read_checkpoint, refuse_others
 from sphericalvision.recipes.digits.dataset import ORIENTATIONS
 from sphericalvision.recipes.training.orientations import OrientationModule
@@ -48,10 +48,10 @@ class ClassificationModule(OrientationModule):
             FileFormatError: the file is no checkpoint of a classifier.
         """
 
-        def found(content: dict[str, Any]) -> SphereClassifier:
+        def classifier_of(content: dict[str, Any]) -> SphereClassifier:
             stored = content["state_dict"].items()
             state = {key[4:]: value for key, value in stored if key.startswith("net.")}
-            return made(SphereClassifier, content["network_hyperparameters"], state, checkpoint)
+            return make_network(SphereClassifier, content["network_hyperparameters"], state, checkpoint)
 
         check_file(checkpoint, "a checkpoint (.ckpt) of a classifier")
-        return read_checkpoint("init_weights", checkpoint, "a checkpoint of a classifier", found)
+        return read_checkpoint("init_weights", checkpoint, "a checkpoint of a classifier", classifier_of)

@@ -124,7 +124,7 @@ class CameraDisturbance:
             if not amount >= 0:
                 raise ArgumentError(f"{name}: expected 0 or more, got {amount!r}")
         for name in self.others:
-            _of_ones_own(name)
+            _extension(name)
         if self.vignetting > 1:
             raise ArgumentError(
                 f"vignetting: expected at most 1, all light at the edge, got {self.vignetting}"
@@ -181,7 +181,7 @@ class CameraDisturbance:
             drawn = torch.randn(image.shape, generator=generator)
             image = image + amount(self.noise) * drawn.to(image)
         for name, most in self.others.items():
-            image = _of_ones_own(name)(image, camera, amount(most), generator)
+            image = _extension(name)(image, camera, amount(most), generator)
         return image.clamp(0, 1)
 
 
@@ -213,7 +213,7 @@ class RandomFaults:
         if not set(AMOUNTS) <= set(self.amounts):
             raise ArgumentError(f"faults: expected {', '.join(AMOUNTS)}, got {', '.join(self.amounts)}")
         for name in self._others:
-            _of_ones_own(name)
+            _extension(name)
         shares = {
             "disturbed": (1.0 if self.disturbed is None else self.disturbed, 0.0),
             "grey": (self.grey, 0.0),
@@ -259,7 +259,7 @@ class RandomFaults:
         return CameraDisturbance(grey, **amounts, others={name: sometimes(name) for name in self._others})
 
 
-def _of_ones_own(name: str) -> Disturb:
+def _extension(name: str) -> Disturb:
     disturb = DISTURBANCES.find(name)
     if disturb is None:
         check_choice("disturbance", name, (*AMOUNTS, *DISTURBANCES.names()))

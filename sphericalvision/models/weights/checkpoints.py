@@ -10,7 +10,7 @@ import torch
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.weights.files import load_weights
-from sphericalvision.models.weights.filling import made
+from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.pretrained import STUDY, available_weights, pretrained
 from sphericalvision.models.weights.reference import load_reference_checkpoint
 from sphericalvision.models.weights.registry import network_class
@@ -80,7 +80,7 @@ def read_network(source: str | Path | None = None, level: int | None = None) -> 
                 state = {key.removeprefix(prefix): value for key, value in state.items()}
         network = network_class(content["architecture"])
         state = network.updated_weights(state)
-        return made(network, content["network_hyperparameters"], state, path).eval()
+        return make_network(network, content["network_hyperparameters"], state, path).eval()
     except FileFormatError:
         raise
     except Exception as error:  # whatever a damaged file makes of itself

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
 from sphericalvision.io.files import atomic_write
 from sphericalvision.models.base import DepthNetwork
-from sphericalvision.models.weights.filling import made
+from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.registry import network_class, network_name
 
 __all__ = ["load_weights", "save_weights"]
@@ -136,7 +136,7 @@ def load_weights(path: str | Path) -> DepthNetwork:
         raise FileFormatError(f"{path}: holds the weights of an unknown network: {error}") from error
     try:
         state = network.updated_weights(state)
-        return made(network, json.loads(metadata["hyperparameters"]), state, path).eval()
+        return make_network(network, json.loads(metadata["hyperparameters"]), state, path).eval()
     except FileFormatError:
         raise
     except Exception as error:  # whatever a stranger's hyper-parameters make of themselves

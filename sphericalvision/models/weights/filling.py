@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from sphericalvision.core import FileFormatError
 
-__all__ = ["filled", "made"]
+__all__ = ["load_state", "make_network"]
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -22,7 +22,7 @@ LARGEST = 5_000
 """Sum of all whole numbers in the hyper-parameters of a network: hypotheses, widths, pixels, layers."""
 
 
-def made(
+def make_network(
     network: Callable[..., Network],
     hyperparameters: Mapping[str, Any],
     state: Mapping[str, Tensor],
@@ -35,8 +35,8 @@ def made(
     numbers first, to compare shapes.
 
     Raises:
-        FileFormatError: as ``filled`` does, and for hyper-parameters that are too large. Whatever ``network`` raises of
-            hyper-parameters passes.
+        FileFormatError: as ``load_state`` does, and for hyper-parameters that are too large. Whatever ``network``
+            raises of hyper-parameters passes.
     """
     sizes = [abs(size) for size in _whole_numbers(hyperparameters)]
     if sum(sizes) > LARGEST:
@@ -48,7 +48,7 @@ def made(
     shown = max((size for tensor in state.values() for size in tensor.shape), default=0)
     if max(sizes, default=0) > max(shown, len(state), USUAL):
         _check_outline(network, hyperparameters, state, source)
-    return filled(network(**hyperparameters), state, source)
+    return load_state(network(**hyperparameters), state, source)
 
 
 def _whole_numbers(value: Any) -> Iterator[int]:
@@ -79,7 +79,7 @@ def _check_outline(
     _check_fits(outline, state, source)
 
 
-def filled(net: Network, state: Mapping[str, Tensor], source: str | Path) -> Network:
+def load_state(net: Network, state: Mapping[str, Tensor], source: str | Path) -> Network:
     """Return ``net`` with the weights ``state``.
 
     Raises:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.models.icosweepnet import IcoSweepNet
-from sphericalvision.models.weights.filling import filled
+from sphericalvision.models.weights.filling import load_state
 
 __all__ = ["load_reference_checkpoint", "state_dict_from_reference"]
 
@@ -110,7 +110,7 @@ def load_reference_checkpoint(
         )
     except (TypeError, ValueError) as error:
         raise FileFormatError(f"{path}: no network has these settings ({settings}): {error}") from error
-    return filled(net, state, path).eval()
+    return load_state(net, state, path).eval()
 
 
 def state_dict_from_reference(

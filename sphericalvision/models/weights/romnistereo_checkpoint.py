@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.models.romnistereo import PYRAMID, RADIUS, RomniStereo
-from sphericalvision.models.weights.filling import filled
+from sphericalvision.models.weights.filling import load_state
 
 __all__ = ["is_romnistereo", "load_romnistereo_checkpoint"]
 
@@ -130,7 +130,7 @@ def load_romnistereo_checkpoint(
         raise FileFormatError(
             f"{path}: net_opts: no network has these options ({options}): {error}"
         ) from error
-    return filled(net, _renamed(state, path), path).eval()
+    return load_state(net, _renamed(state, path), path).eval()
 
 
 def _renamed(state: Mapping[str, Any], path: Path) -> dict[str, Tensor]:

@@ -15,7 +15,7 @@ from sphericalvision.scenes.kinds.labels import labelled
 from sphericalvision.scenes.kinds.palette import Palette
 from sphericalvision.scenes.rendering.primitives import Part
 
-__all__ = ["AGAINST_WALLS", "FREE_STANDING", "Maker", "footprint_radius", "made", "place"]
+__all__ = ["AGAINST_WALLS", "FREE_STANDING", "Maker", "footprint_radius", "make_piece", "place"]
 
 Maker = Callable[[Palette], list[Part]]
 
@@ -269,6 +269,6 @@ NAMES: dict[Maker, str] = {
 }
 
 
-def made(maker: Maker, palette: Palette) -> list[Part]:
+def make_piece(maker: Maker, palette: Palette) -> list[Part]:
     """A piece of furniture, labelled."""
     return labelled(maker(palette), NAMES.get(maker, "other"))

@@ -12,7 +12,7 @@ from sphericalvision.scenes.kinds.furniture import (
     AGAINST_WALLS,
     FREE_STANDING,
     footprint_radius,
-    made,
+    make_piece,
     place,
 )
 from sphericalvision.scenes.kinds.labels import labelled
@@ -293,7 +293,7 @@ def furnish(room: Room, count: int) -> None:
     (x0, z0), (x1, z1) = room.low, room.high
     for _ in range(count):
         if palette.chance(0.5):
-            parts = made(palette.choose(AGAINST_WALLS), palette)
+            parts = make_piece(palette.choose(AGAINST_WALLS), palette)
             yaw, x, z, start, end = palette.choose(room.sides())
             depth = max(part.half[2] - part.center[2] for part in parts) + 0.03
             width = max(abs(part.center[0]) + part.half[0] for part in parts)
@@ -304,7 +304,7 @@ def furnish(room: Room, count: int) -> None:
             spot = place([Part("box", (along, 0.0, -depth), (1.0, 1.0, 1.0))], x, 0.0, z, yaw)[0].center
             room.stand(parts, spot[0], spot[2], yaw + math.pi)
         else:
-            parts = made(palette.choose(FREE_STANDING), palette)
+            parts = make_piece(palette.choose(FREE_STANDING), palette)
             edge = min(footprint_radius(parts), 0.45 * min(x1 - x0, z1 - z0))
             spot_x, spot_z = palette.uniform(x0 + edge, x1 - edge), palette.uniform(z0 + edge, z1 - edge)
             room.stand(parts, spot_x, spot_z, palette.uniform(0, 2 * math.pi))

@@ -31,16 +31,16 @@ def load_mesh(path: Path) -> trimesh.Scene:
     Raises:
         FileFormatError: it cannot be read.
     """
-    beside = Beside(path.parent)
+    folder = MeshFolder(path.parent)
     _check_accessors(path)
     try:
-        with _complaints(beside.missing), path.open("rb") as file:
-            loaded = trimesh.load_scene(file, path.suffix[1:].lower(), resolver=beside)
+        with _complaints(folder.missing), path.open("rb") as file:
+            loaded = trimesh.load_scene(file, path.suffix[1:].lower(), resolver=folder)
     except Exception as error:  # readers of damaged files raise nearly anything
         raise FileFormatError(
             f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})"
         ) from error
-    if missing := list(dict.fromkeys(beside.missing)):
+    if missing := list(dict.fromkeys(folder.missing)):
         more = f", and {len(missing) - 3} more" if len(missing) > 3 else ""
         warnings.warn(
             f"{path}: what it names could not be read, and surfaces go without: {'; '.join(missing[:3])}{more}. "
@@ -69,7 +69,7 @@ def _check_accessors(path: Path) -> None:
         )
 
 
-class Beside(Mapping[str, bytes]):
+class MeshFolder(Mapping[str, bytes]):
     """What a mesh names (materials, textures, buffers), by name: regular files in its folder, and in folders there."""
 
     def __init__(self, folder: Path) -> None:

@@ -38,7 +38,7 @@ from sphericalvision.recipes.evaluation.methods import (
     make_method,
     photographs_of,
 )
-from sphericalvision.recipes.evaluation.strips import StripErrors, table_beside_published
+from sphericalvision.recipes.evaluation.strips import StripErrors, table_with_published
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 
 __all__ = ["EvaluateKeys", "Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
@@ -105,7 +105,7 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     as_used = bool(search or config.masks or preparation != AS_IT_IS)
     compared = config.baselines or config.methods
     more = ["sphere" if compared else "depth", *(["fisheye"] if as_used else [])]
-    data.serve(net, *more, depth_level=config.model.level - 2)
+    data.bind_network(net, *more, depth_level=config.model.level - 2)
     if as_used and not (isinstance(data, DepthDataModule) and data.view.images):
         raise ArgumentError(
             f"data: the group preparation, masks and model.min_depth=auto or scene want the images of the cameras (the "
@@ -140,7 +140,7 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
     level, scale = config.model.level - 2, Scale(net.num_hypotheses, net.min_depth)
     if config.baselines:
         methods += baselines(net, config.model.level, data)
-    methods += [_beside(word, config.model.level, scale, net) for word in config.methods]
+    methods += [_compared_method(word, config.model.level, scale, net) for word in config.methods]
     check_names(methods)
     if len(methods) > 1 and (evaluation.as_used or config.min_confidence > 0):
         print(
@@ -161,16 +161,16 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
         mean_errors_by_method(records),
     )
     if published:
-        beside = table_beside_published(records, published)
-        beside.print()
-        beside.save(folder / "published", ".md", ".csv")
+        comparison = table_with_published(records, published)
+        comparison.print()
+        comparison.save(folder / "published", ".md", ".csv")
     for sentence in data.left_out():
         print(f"Warning: {sentence}")
     print(f"Saved in {folder}")
     return table
 
 
-def _beside(word: str, level: int, scale: Scale, net: DepthNetwork) -> Method:
+def _compared_method(word: str, level: int, scale: Scale, net: DepthNetwork) -> Method:
     """A method that is compared with a network, on the same images on the icosphere.
 
     Raises:

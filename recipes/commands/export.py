@@ -97,7 +97,7 @@ def programs(program: RigProgram, images: Tensor, config: ExportConfig, folder: 
     written = []
     start = time.process_time()
 
-    def told(path: Path, what: str) -> None:
+    def record(path: Path, what: str) -> None:
         written.append(path)
         size, seconds = path.stat().st_size / 1e6, time.process_time() - start
         say(f"{path.name}: {size:.1f} MB, {seconds:.0f} s of processor time, {what}")
@@ -106,16 +106,16 @@ def programs(program: RigProgram, images: Tensor, config: ExportConfig, folder: 
     exported = export_program(program, path if "pt2" in config.formats else None, config.batch)
     operations = sum(node.op == "call_function" for node in exported.graph.nodes)
     if "pt2" in config.formats:
-        told(path, f"{operations} operations of torch")
+        record(path, f"{operations} operations of torch")
         written.append(path.with_suffix(".json"))
     if "compiled" in config.formats:
         start = time.process_time()
-        told(compile_program(exported, folder / "depth.compiled.pt2"), "g++ beside it")
+        record(compile_program(exported, folder / "depth.compiled.pt2"), "g++ beside it")
     if "onnx" in config.formats:
         start = time.process_time()
         path = export_onnx(exported, folder / "depth.onnx")
         difference = onnx_difference(path, program, images)
-        told(path, f"opset {OPSET}; onnxruntime differs by {difference:.1e} 1/m in inverse depth at most")
+        record(path, f"opset {OPSET}; onnxruntime differs by {difference:.1e} 1/m in inverse depth at most")
     return written
 
 

@@ -109,7 +109,7 @@ def instantiate_run(config: DictConfig, folder: Path) -> Run:
     module: TrainingModule = build(config.task, "task", net=net, **parts)
     check_optimization(module)
     data: SampleDataModule = build(config.data, "data")
-    data.serve(net)
+    data.bind_network(net)
     loggers = build_all(config, "logger")
     callbacks = build_all(config, "callbacks")
     if not loggers:  # Lightning refuses a callback that has nowhere to write
@@ -219,7 +219,7 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
     for sentence in data.left_out():
         print(f"Warning: {sentence}")
     if trainer.is_global_zero:
-        module.conclude(data, values, config.init_weights, folder)
+        module.write_report(data, values, config.init_weights, folder)
         print(f"\nResults are in {folder}")
         print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")
         if data.has_truth and best.with_suffix(".safetensors").is_file():

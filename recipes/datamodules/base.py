@@ -134,7 +134,7 @@ class SampleDataModule(pl.LightningDataModule):
         """Samples of "train", "val" or "test", on the icosphere; augmented in "train". Every subclass implements it."""
         raise NotImplementedError(f"{type(self).__name__}.dataset")
 
-    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
+    def bind_network(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples that suit a network, with ``more`` entries; what the configuration says stays.
 
         Depth at vertices is on the network's grid unless ``depth_level`` says otherwise.

@@ -183,7 +183,7 @@ class CaptureDataModule(PreparedSamples):
         middle = min(self.held_out_every // 2, len(self.names) - 1)
         return self.names[middle :: self.held_out_every]
 
-    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
+    def bind_network(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples on the network's icospheres.
 
         Raises:
@@ -198,7 +198,9 @@ class CaptureDataModule(PreparedSamples):
         if self.labelled:
             return
         if self.net is None:
-            raise ArgumentError("data: a network teaches what is in a capture; call serve(net) before setup")
+            raise ArgumentError(
+                "data: a network teaches what is in a capture; call bind_network(net) before setup"
+            )
         photographs = {}
         for frame in track(
             self.source.frames(Selection(), lambda name: name in self.names),
@@ -208,7 +210,7 @@ class CaptureDataModule(PreparedSamples):
         ):
             if frame.images is None:
                 raise frame.error  # type: ignore[misc]
-            photographs[frame.name] = _kept(as_photographs(frame.images, self.source.rig))
+            photographs[frame.name] = _encoded(as_photographs(frame.images, self.source.rig))
         first = photographs[self.names[0]]
         rig = self.source.rig.resized({name: tuple(image.shape[-2:]) for name, image in first.items()})
         if self.capture.masks == AUTO:
@@ -217,7 +219,7 @@ class CaptureDataModule(PreparedSamples):
         self.rig = rig.scaled(self.net.min_depth / self.near)
         labeller = PseudoLabeller(self.net, self.rig)
         for name in track(self.names, "asking network and sweep", console=console):
-            images = _kept(self.preparation.images(self.rig, _floats(photographs[name])))
+            images = _encoded(self.preparation.images(self.rig, _floats(photographs[name])))
             self.labelled[name] = LabelledFrame(name, images, labeller(_floats(images)))
         self.grey = float(all(_is_grey(images) for images in photographs.values()))
 
@@ -335,7 +337,7 @@ class CaptureSamples(Dataset[Sample]):
         }
 
 
-def _kept(images: dict[str, Tensor]) -> dict[str, Tensor]:
+def _encoded(images: dict[str, Tensor]) -> dict[str, Tensor]:
     """Images as bytes, averaged down where they are larger than needed."""
     encoded = {}
     for name, image in images.items():

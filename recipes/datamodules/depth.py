@@ -28,7 +28,7 @@ class DepthDataModule(SampleDataModule):
         self.min_depth = NATURAL_MIN_DEPTH
         self.view = view_with(self.entries or ("sphere",), SampleView(5, 3, True, self.usual_panorama))
 
-    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
+    def bind_network(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples that suit a network, with ``more`` entries; entries that the configuration names stay."""
         self.min_depth = net.min_depth
         self.view = view_of(net, self.entries or (), more, depth_level, self.usual_panorama)

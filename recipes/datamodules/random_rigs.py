@@ -85,7 +85,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     made_before = ("val",)
     net: ClassVar[DepthNetwork | None] = None
 
-    def serve(self, net: Any, *more: str, depth_level: int | None = None) -> None:
+    def bind_network(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples on the network's icospheres, and keep what it computes of them before anything trained.
 
         Raises:
@@ -96,7 +96,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
             raise ArgumentError(
                 f"model.min_depth: random rigs are in scenes of natural size, for 0.55 m, got {net.min_depth}"
             )
-        super().serve(net, depth_level=depth_level)
+        super().bind_network(net, depth_level=depth_level)
         self.net = net  # type: ignore[misc]
 
     def plain(self, split: str) -> Dataset[Sample]:

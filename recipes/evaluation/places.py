@@ -113,7 +113,7 @@ class PlaceErrors:
                 panorama, truth.panorama, truth.panorama_counts & panorama_valid, solid_angles
             ),
             "metres": {key: metres[key] for key in ("AbsRel", "d<1.25")},
-            "kept": _kept(
+            "kept": _errors_of_surest(
                 fine[:, coarse],
                 answer.confidence_at(self.directions)[:, coarse],
                 truth.index[coarse],
@@ -137,7 +137,7 @@ def _errors(index: Tensor, truth: Tensor, mask: Tensor, weights: Tensor | None =
     return depth_index_error(index, truth[None], SCALE.num_hypotheses, mask, weights)
 
 
-def _kept(index: Tensor, confidence: Tensor, truth: Tensor, mask: Tensor) -> dict[str, Tensor]:
+def _errors_of_surest(index: Tensor, confidence: Tensor, truth: Tensor, mask: Tensor) -> dict[str, Tensor]:
     if not mask.any() or float(confidence[mask].std()) < 1e-6:
         return {}
     error = (index - truth).abs() * (100 / SCALE.num_hypotheses)

@@ -20,7 +20,7 @@ from sphericalvision.recipes.evaluation.tables import Cell, Table
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import inverse_depth_from_index
 
-__all__ = ["StripErrors", "depth_beside", "table_beside_published"]
+__all__ = ["StripErrors", "depth_off_center", "table_with_published"]
 
 MOST = 256.0
 """Metres that maps of depth can hold; estimates beyond count as this."""
@@ -51,7 +51,7 @@ class StripErrors(VertexErrors):
         measured = (depth > 0) | (augmented > 0)
         for frame, pixels in enumerate(measured):
             offset = (rig.positions[frame, 0] - rig.center[frame]).to(depth)
-            estimate[frame, pixels] = depth_beside(
+            estimate[frame, pixels] = depth_off_center(
                 answer, frame, grid.directions[pixels], offset, self.scale
             ).to(depth)
         pairs = {"depth": (estimate, depth)}
@@ -62,7 +62,7 @@ class StripErrors(VertexErrors):
         return errors
 
 
-def depth_beside(answer: Answer, frame: int, rays: Tensor, offset: Tensor, scale: Scale) -> Tensor:
+def depth_off_center(answer: Answer, frame: int, rays: Tensor, offset: Tensor, scale: Scale) -> Tensor:
     """Depth ``(V,)`` along rays from a place beside the rig's centre: where they meet the estimated surface.
 
     Args:
@@ -84,9 +84,7 @@ def depth_beside(answer: Answer, frame: int, rays: Tensor, offset: Tensor, scale
     return depth
 
 
-def table_beside_published(
-    records: Mapping[str, Record], published: Mapping[str, tuple[float, ...]]
-) -> Table:
+def table_with_published(records: Mapping[str, Record], published: Mapping[str, tuple[float, ...]]) -> Table:
     """What was measured, and below what was published of others."""
 
     def cell(value: float | None) -> Cell | None:

@@ -53,7 +53,9 @@ class AdaptModule(DepthModule):
         self.log("val/photo-consistency", sum(self.shares) / max(len(self.shares), 1), prog_bar=True)
         self.shares.clear()
 
-    def conclude(self, data: Any, values: dict[str, float], init_weights: str | None, folder: Path) -> None:
+    def write_report(
+        self, data: Any, values: dict[str, float], init_weights: str | None, folder: Path
+    ) -> None:
         """Compare with the start, and write the weights to use.
 
         Args:

@@ -68,7 +68,9 @@ class TrainingModule(pl.LightningModule):
         """Start from the parameters of another network; a subclass says which suit."""
         raise NotImplementedError(f"{type(self).__name__}.initialize, which init_weights=... needs")
 
-    def conclude(self, data: Any, values: dict[str, float], init_weights: str | None, folder: Path) -> None:
+    def write_report(
+        self, data: Any, values: dict[str, float], init_weights: str | None, folder: Path
+    ) -> None:
         """Say and write what there is to, once the best checkpoint is loaded and validated; most have nothing.
 
         Args:

@@ -144,14 +144,14 @@ def stored_network(path: Path) -> dict[str, Any]:
         FileFormatError: the file is no checkpoint of this command.
     """
 
-    def found(content: dict[str, Any]) -> dict[str, Any]:
+    def network_of(content: dict[str, Any]) -> dict[str, Any]:
         if lacking := [key for key in STATE if key not in content]:
             raise KeyError(f"it lacks {', '.join(lacking)}")
         if not all(value.isfinite().all() for value in content["state_dict"].values()):
             raise ValueError("its weights are infinite or not numbers")
         return {"architecture": content["architecture"], **content["network_hyperparameters"]}
 
-    return read_checkpoint("resume", path, "a checkpoint of sphericalvision-train", found)
+    return read_checkpoint("resume", path, "a checkpoint of sphericalvision-train", network_of)
 
 
 def changed_settings(folder: Path, config: DictConfig, leave: Sequence[str] = NO_SETTINGS) -> list[str]:

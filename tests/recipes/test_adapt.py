@@ -81,7 +81,7 @@ def test_frames_are_divided_and_taught_by_the_network_itself(tmp_path: Path, wei
         rendered=0.0,
     )
     net = load_weights(weights)
-    data.serve(net)
+    data.bind_network(net)
     data.setup("fit")
     assert data.names == ["00000", "00001", "00002", "00003"]
     assert data.held_out == ["00001", "00003"]
@@ -107,7 +107,7 @@ def test_rendered_scenes_stand_in_a_share_of_the_time(tmp_path: Path, weights: P
     write_knocked_capture(tmp_path / "c", degrees=0.0)
     words = {"calibration": f"{tmp_path}/c/rig.yaml", "min_depth": 1.1, "rendered": 1.0}
     data = CaptureDataModule(images=f"{tmp_path}/c", world=REHEARSAL, **words)  # type: ignore[arg-type]
-    data.serve(load_weights(weights))
+    data.bind_network(load_weights(weights))
     data.setup("fit")
     torch.manual_seed(0)
     sample = data.dataset("train")[0]

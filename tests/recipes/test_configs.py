@@ -53,7 +53,7 @@ def test_every_experiment_makes_its_network_and_its_first_sample(experiment: str
         words = ("data.cache_dir=null", "data.samples_per_pixel=1", size)
     config = train_config(f"experiment={experiment}", *words)
     net, data = build(config.model), build(config.data)
-    data.serve(net)
+    data.bind_network(net)
     batch = collate_samples([data.dataset("train")[0]])
     images, seen = images_of(batch, net)
     assert seen is not None

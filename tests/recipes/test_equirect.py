@@ -72,7 +72,7 @@ def fisheye_scenes(*words: str) -> SceneDataModule:
     tiny = [word for word in TINY_SCENES if "batch_size" not in word]
     config = composed("train", "data=fisheye_scenes", "data.cache_dir=null", *tiny, *words)
     data: SceneDataModule = build(config.data)
-    data.serve(build(config.model))
+    data.bind_network(build(config.model))
     return data
 
 

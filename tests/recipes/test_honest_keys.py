@@ -200,7 +200,7 @@ def test_every_key_of_data_is_looked_at_or_refused(
 
     monkeypatch.setattr(kind, "__getattribute__", seen)
     data = build(config.data)
-    data.serve(build(config.model))
+    data.bind_network(build(config.model))
     data.prepare_data()
     for split in ("train", "val", "test"):
         _ = data.dataset(split)[0]

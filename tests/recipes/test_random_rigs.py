@@ -27,7 +27,7 @@ def test_clues_are_kept_for_networks_of_other_widths(tmp_path: Path) -> None:
         data = RandomRigDataModule(
             world=RANDOM_RIGS, image_size=(32, 32), num_train=1, cache_dir=str(tmp_path)
         )
-        data.serve(net)
+        data.bind_network(net)
         assert data.plain("train")[0]["fixed"]
         folders.append(sorted(path.name for path in tmp_path.rglob("fixed-*")))
     assert len(folders[0]) == 1

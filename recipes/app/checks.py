@@ -49,8 +49,8 @@ WORDS = {
 def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
     """The values of a config as a dataclass of pydantic, or as a ``TypedDict``.
 
-    What is nested takes its keys from the table of its name; a dataclass also from beside the others, where there is no
-    such table: ``start=3`` is what ``capture.start`` will be.
+    What is nested takes its keys from the table of its name; a dataclass also from the table around it, where there is
+    no such name: ``start=3`` is what ``capture.start`` will be.
 
     Args:
         kind: the dataclass or ``TypedDict``.
@@ -94,7 +94,7 @@ def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
 
 
 def flat(config: Any) -> dict[str, Any]:
-    """Key -> value of a dataclass of keys; what ``typed`` took from beside the others is beside them again."""
+    """Key -> value of a dataclass of keys; nested keys that ``typed`` took from the top level are there again."""
     values: dict[str, Any] = {}
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)

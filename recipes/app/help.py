@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``--help``: every key of a command with its value and the comment that stands beside it in the YAML files."""
+"""``--help``: every key of a command with its value and its comment in the YAML files."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def print_help(config_name: str, overrides: list[str]) -> None:
 
 
 class Key(NamedTuple):
-    """One key of a file: its dotted name, its value as written, and the comment beside it."""
+    """One key of a file: its dotted name, its value as written, and its comment."""
 
     name: str
     value: str
@@ -105,7 +105,7 @@ class _Sources:
     Args:
         config_name: of the command.
         overrides: of the command line.
-        search_path: where configs are, beside the places that Hydra knows from its start.
+        search_path: where configs are, in addition to those that Hydra knows from its start.
     """
 
     def __init__(self, config_name: str, overrides: list[str], search_path: Sequence[str]) -> None:
@@ -130,7 +130,7 @@ class _Sources:
         return ""
 
     def comments(self, name: str, package: str) -> dict[str, str]:
-        """Key -> the comment beside it, of a file and of those it inherits from."""
+        """Key -> its comment, of a file and of those it inherits from."""
         text = self.text(name)
         comments: dict[str, str] = {}
         group = name.rpartition("/")[0]

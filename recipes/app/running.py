@@ -129,7 +129,7 @@ def import_torch() -> None:
 
 
 def do_work(command: Command, own_files: Path | None, config: DictConfig) -> Any:
-    """Import the Python files beside the user's own configs, let the command work, and tell mistakes plainly."""
+    """Import the Python files next to the user's own configs, let the command work, and tell mistakes plainly."""
     with plain_errors():
         import_torch()
         if own_files is not None:

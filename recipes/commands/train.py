@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Train a network: what ``sphericalvision-train`` does.
 
-Everything goes to one folder: the resolved config, checkpoints with the weights beside them, metrics (CSV and
+Everything goes to one folder: the resolved config, checkpoints and their weights, metrics (CSV and
 TensorBoard), depth panels and the final table.
 """
 
@@ -241,6 +241,6 @@ def logged_values(trainer: pl.Trainer, module: TrainingModule, split: str) -> di
 
 
 def report(title: str, stem: Path, trainer: pl.Trainer, values: dict[str, float]) -> None:
-    """Print the best checkpoint's metrics and save them beside the run."""
+    """Print the best checkpoint's metrics and save them in the run's folder."""
     if trainer.is_global_zero:
         save_errors(stem, title, {f"step {trainer.global_step}, best checkpoint": values})

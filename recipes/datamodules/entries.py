@@ -36,7 +36,7 @@ def view_of(
     Args:
         net: that takes them.
         entries: names of ``Entries`` in place of what the network takes.
-        more: names beside what it takes.
+        more: names in addition to what it takes.
         depth_level: of the depth at vertices, where that is not on the network's own grid.
         panorama: (height, width) of depth, where the network is not on panoramas.
     """

@@ -29,7 +29,7 @@ __all__ = ["RandomRigDataModule"]
 
 
 class WithFixedInputs(Dataset[Sample]):
-    """Samples with what a network computes of them before anything that is trained, kept beside them.
+    """Samples, and what a network computes of them before anything that is trained.
 
     Args:
         scenes: the samples.

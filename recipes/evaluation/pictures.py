@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of estimates beside the truth, the same for every comparison."""
+"""Pictures of estimates and the truth, the same for every comparison."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Record:
     """Errors of one method, frame by frame, and the estimates of the frames that are drawn.
 
     Args:
-        path: of the JSON, estimates lie beside it as ``.npz``; nothing is kept without one.
+        path: of the JSON; estimates are in an ``.npz`` of the same name; nothing is kept without one.
         key: whatever the errors depend on; what was measured under another one, or is damaged, is forgotten.
 
     Attributes:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The metrics of Helvipad beside its published table: errors along the rays of the camera that has the truth."""
+"""The metrics of Helvipad, and its published table: errors along the rays of the camera that has the truth."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ class StripErrors(VertexErrors):
 
 
 def depth_off_center(answer: Answer, frame: int, rays: Tensor, offset: Tensor, scale: Scale) -> Tensor:
-    """Depth ``(V,)`` along rays from a place beside the rig's centre: where they meet the estimated surface.
+    """Depth ``(V,)`` along rays from a place off the rig's centre: where they meet the estimated surface.
 
     Args:
         answer: estimates around the centre.
         frame: of the batch.
         rays: ``(V, 3)``.
-        offset: ``(3,)`` of their origin from the centre, small beside the depths.
+        offset: ``(3,)`` of their origin from the centre, small compared with the depths.
         scale: of the estimate.
     """
     alone = Answer(answer.net, type(answer.estimate)(*(v[frame : frame + 1] for v in answer.estimate)))

@@ -94,7 +94,7 @@ class Table(NamedTuple):
         return "\n".join([*lines, *(["", self.title] if self.title else []), ""])
 
     def csv(self) -> str:
-        """Numbers with six digits; standard deviations have a column beside that of their means."""
+        """Numbers with six digits; standard deviations have a column next to that of their means."""
         means = [any(isinstance(row[k], Cell) for row in self.rows) for k in range(len(self.columns))]
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")

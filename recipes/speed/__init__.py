@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed, measured beside a plain way to do the same."""
+"""Speed, compared with a plain way to do the same."""
 
 from sphericalvision.recipes.app.command import Command
 

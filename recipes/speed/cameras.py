@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera models beside other libraries: kornia and OpenCV, and ds-msp and py360convert where they are installed."""
+"""Camera models and those of other libraries: kornia, OpenCV, and ds-msp and py360convert where they are installed."""
 
 from __future__ import annotations
 

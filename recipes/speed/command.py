@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measure speed: ``sphericalvision-speed groups=[network]``.
 
-Every figure stands beside another way to do the same work, run in turns with it; ratios are what counts.
+Every figure is compared with another way to do the same work, run in turns with it; ratios are what counts.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ GROUPS = {
     "fps": "predict",
     "presets": "predict",
 }
-"""Group -> the module beside this one that has a function of its name, of the configuration and the device; that
+"""Group -> the module of this folder that has a function of its name, of the configuration and the device; that
 yields the comparisons, each made when its turn comes."""
 
 

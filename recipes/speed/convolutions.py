@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Convolutions on the sphere beside the planar convolution of as many samples, forward and backward."""
+"""Convolutions on the sphere compared with the planar convolution of as many samples, forward and backward."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks against the readable formulas of the same numbers: stage by stage, in training, and beside each other."""
+"""Networks against the readable formulas of the same numbers: stage by stage, in training, and with each other."""
 
 from __future__ import annotations
 

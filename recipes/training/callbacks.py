@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens beside training: pictures of the validation set, progress, and regular checkpoints."""
+"""What happens during training: pictures of the validation set, progress, and regular checkpoints."""
 
 from __future__ import annotations
 

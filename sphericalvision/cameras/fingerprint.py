@@ -14,12 +14,12 @@ from sphericalvision.cameras.rig import CameraRig
 __all__ = ["rig_fingerprint", "rounded_text"]
 
 
-def rig_fingerprint(rig: CameraRig, beside: object = "", digits: int = 5) -> str:
+def rig_fingerprint(rig: CameraRig, extra: object = "", digits: int = 5) -> str:
     """Sixteen characters for the poses, cameras and masks of a rig; names of cameras play no part.
 
     Args:
         rig: single, or a batch.
-        beside: whatever else shall tell fingerprints apart, by its ``repr``.
+        extra: whatever else shall tell fingerprints apart, by its ``repr``.
         digits: significant digits of numbers; rigs that differ in later ones only have the same fingerprint.
 
     Examples:
@@ -29,7 +29,7 @@ def rig_fingerprint(rig: CameraRig, beside: object = "", digits: int = 5) -> str
         >>> rig_fingerprint(ring_rig(4)) == rig_fingerprint(ring_rig(4).rotated(tilt=0.1))
         False
     """
-    digest = sha256(repr(beside).encode())
+    digest = sha256(repr(extra).encode())
     digest.update(rounded_text(rig.world_from_camera, digits))
     for name, camera in rig.cameras.items():
         options = [getattr(camera, option) for option in camera.option_names]

@@ -133,6 +133,6 @@ def _near_arcs(unit: Tensor, arcs: Tensor, angle: float) -> Tensor:
     inside = (unit @ torch.linalg.cross(normal, first).T >= 0) & (
         unit @ torch.linalg.cross(last, normal).T >= 0
     )
-    beside = inside & (height.abs() <= math.sin(angle) + 1e-9)
+    along = inside & (height.abs() <= math.sin(angle) + 1e-9)
     ends = unit @ arcs.flatten(0, 1).T >= math.cos(angle) - 1e-9
-    return beside.any(-1) | ends.any(-1)
+    return along.any(-1) | ends.any(-1)

@@ -218,7 +218,7 @@ class DepthNetwork(RemembersArguments):
         rig: CameraRig | Any,
         seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
     ) -> dict[str, Shaped[Tensor, "B ..."]]:
-        """Return what is computed of images before anything that is trained, to be kept beside them; most have nothing.
+        """Return what is computed of images before anything that is trained, to be stored with them; most have nothing.
 
         Values are on icospheres, their last dimension; turns by 72 degrees must turn them as they turn the images.
         """

@@ -226,7 +226,7 @@ class RandomFaults:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> RandomFaults:
-        """Make them of plain values, as a file holds them: the amounts beside ``disturbed`` and ``grey``.
+        """Make them of plain values, as a file holds them: the amounts, ``disturbed`` and ``grey``.
 
         Raises:
             ArgumentError: names that are unknown or missing, or values that do not fit.

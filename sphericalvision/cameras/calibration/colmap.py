@@ -111,19 +111,19 @@ def contents(path: Path, options: Options) -> Contents:
         raise FileFormatError(
             f"{path}: holds poses of rigs; read the folder, rigs{path.suffix} or images{path.suffix}"
         )
-    beside = {name: path.with_name(f"{name}{path.suffix}") for name in _PARTS}
-    file = path if part == "cameras" else check_file(beside["cameras"], f"the cameras of {path.name}")
+    paths = {name: path.with_name(f"{name}{path.suffix}") for name in _PARTS}
+    file = path if part == "cameras" else check_file(paths["cameras"], f"the cameras of {path.name}")
     cameras = _cameras(file, options)
     if part == "cameras" and options.rig:
-        rigs = rigs_in(beside["rigs"]) if beside["rigs"].is_file() else []
+        rigs = rigs_in(paths["rigs"]) if paths["rigs"].is_file() else []
         if any(rig.sensors for rig in rigs):
             part = "rigs"
-        elif beside["images"].is_file():
+        elif paths["images"].is_file():
             part = "images"
     if part == "rigs":
-        return _of_rigs(rigs_in(beside["rigs"]), cameras, beside["rigs"], options)
+        return _of_rigs(rigs_in(paths["rigs"]), cameras, paths["rigs"], options)
     if part == "images":
-        return _of_images(images_in(beside["images"]), cameras, beside["images"], options)
+        return _of_images(images_in(paths["images"]), cameras, paths["images"], options)
     return Contents(cameras)
 
 

@@ -217,7 +217,7 @@ def write_json(path: Path, content: Any) -> None:
 def from_xml(element: ElementTree.Element, path: Path) -> Any:
     """The text of an element, or its attributes and children as keys; of several children of a name a list.
 
-    Beside attributes, text has the key ``text``. Names are without their namespaces.
+    Where there are attributes, text has the key ``text``. Names are without their namespaces.
     """
     pairs: list[tuple[str, Any]] = [(_bare(name), value) for name, value in element.attrib.items()]
     children: dict[str, list[Any]] = {}

@@ -185,7 +185,7 @@ def _write_ocam_files(folder: Path, layout: Release, rig: CameraRig) -> None:
 
 
 def _description(root: Path, layout: Release, min_depth: float) -> dict[str, Any]:
-    """What config.yaml says beside the cameras."""
+    """What config.yaml holds in addition to the cameras."""
     dataset: dict[str, Any] = {"img_fmt": "cam%d/%05d.png"}
     frames = _frames_in(root, layout)
     if frames:

@@ -110,9 +110,9 @@ def cube_border_ids(row: Tensor, column: Tensor, size: int) -> tuple[Tensor, Ten
     # Pixel centres are odd numbers from 1 - size to size - 1, the surface of the cube is at size.
     row, column = 2 * row + 1 - size, 2 * column + 1 - size
     corner = (row.abs() > size) & (column.abs() > size)
-    beside = _fold(torch.where(corner, row.clamp(1 - size, size - 1), row), column, size)
+    sideways = _fold(torch.where(corner, row.clamp(1 - size, size - 1), row), column, size)
     below = _fold(row, torch.where(corner, column.clamp(1 - size, size - 1), column), size)
-    return beside, below
+    return sideways, below
 
 
 def _fold(row: Tensor, column: Tensor, size: int) -> Tensor:

@@ -167,14 +167,14 @@ def _lattice(tangents: Tensor, size: int) -> Tensor:
         return (outward > limit) & (along.abs() <= limit), beyond, (along + 1) * (size / 2) - 0.5
 
     u, v = ((tangents + 1) * (size / 2) - 0.5).unbind(-1)
-    beside, u_beside, v_beside = strip(x, y)
+    sideways, u_sideways, v_sideways = strip(x, y)
     below, v_below, u_below = strip(y, x)
-    corner = (x.abs() > limit) & (y.abs() > limit) & ~beside & ~below
+    corner = (x.abs() > limit) & (y.abs() > limit) & ~sideways & ~below
     a, b = _corner_shares(x.abs(), y.abs(), limit)
     u_corner = torch.where(x < 0, -a, size - 1 + a)
     v_corner = torch.where(y < 0, -b, size - 1 + b)
-    u = torch.where(corner, u_corner, torch.where(beside, u_beside, torch.where(below, u_below, u)))
-    v = torch.where(corner, v_corner, torch.where(beside, v_beside, torch.where(below, v_below, v)))
+    u = torch.where(corner, u_corner, torch.where(sideways, u_sideways, torch.where(below, u_below, u)))
+    v = torch.where(corner, v_corner, torch.where(sideways, v_sideways, torch.where(below, v_below, v)))
     return torch.stack((u, v), -1)
 
 

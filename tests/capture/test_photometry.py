@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, PinholeCamera, ring_rig
 from sphericalvision.capture import calibrate_photometry
+from sphericalvision.capture.preparation.photometry import Photometer, _held
 from sphericalvision.capture.preparation.preparation import Compensator, differs
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.scenes import make_scene, render_rig
@@ -181,3 +183,47 @@ def test_mistakes_are_told(rig: CameraRig) -> None:
         calibrate_photometry(rig, images, depth=-1)
     with pytest.raises(ShapeError, match=r"images\['cam3'\]: this camera's images are 48 x 48"):
         calibrate_photometry(rig, {**images, "cam3": torch.zeros(3, 8, 8)})
+
+
+def test_normal_equations_are_those_of_all_rows_and_the_spread_is_the_jackknifes() -> None:
+    """Row by row, in numpy: each of which says how two cameras differ at a point; eight rounds of Cauchy's weights."""
+    rig = ring_rig(2, image_size=(48, 48))
+    generator = torch.Generator().manual_seed(0)
+    images = {
+        name: (image[:1] + 0.1 * torch.rand(1, 48, 48, generator=generator)).clamp(0, 1)
+        for name, image in render_rig(make_scene("room", seed=1), rig).items()
+    }
+    photometer = Photometer(rig, depth=2.0)
+    points, estimate = photometer._points, photometer.estimate(images)
+    frames = [images[name][None] * photometer._inside[name] for name in rig.names]
+    values = torch.stack([look(frame)[0, 0] for look, frame in zip(points.lookups, frames, strict=True)])
+    values = (values / points.share.clamp(min=0.5)).double().numpy()
+    used = points.usable.all(0).numpy() & (values > 0.04).all(0) & (values < 0.97).all(0)
+    basis = points.rows[0, 0].numpy()  # of the cameras 2 and 1: 1, minus and plus their falloffs
+    rows = np.stack((-basis[:, 0], basis[:, 0], *basis[:, 3:].T, *basis[:, 1:3].T), 1)[used]
+    difference = np.log(values[1] / values[0])[used]
+    part = np.repeat(np.arange(12), len(used) // 12)[used]
+    like = torch.zeros((), dtype=torch.float64)
+    hold = _held(2, 1, like).numpy() * len(rows) / 6
+    found, scale = np.zeros(6), 0.3
+    for _ in range(8):
+        weights = 1 / (1 + ((difference - rows @ found) / scale) ** 2)
+        normal, right = rows.T * weights @ rows + hold * weights.mean(), rows.T @ (weights * difference)
+        found = np.linalg.solve(normal, right)
+        scale = max(0.01, 1.4826 * np.quantile(abs(difference - rows @ found), 0.5, method="lower"))
+    np.testing.assert_allclose(estimate.exposure[:, 0], found[:2], atol=1e-5)
+    np.testing.assert_allclose(estimate.falloff.flatten(), found[2:], atol=1e-5)
+    assert estimate.residual.item() == pytest.approx(scale, rel=1e-5)
+
+    def ends(answer: np.ndarray) -> np.ndarray:
+        return np.exp(np.concatenate((answer[:2], answer[:2] - answer[2:].reshape(2, 2).sum(1))))
+
+    without = []
+    for each in np.unique(part):
+        here = part == each
+        less = normal - rows[here].T * weights[here] @ rows[here]
+        without.append(ends(np.linalg.solve(less, right - rows[here].T @ (weights * difference)[here])))
+    # Two cameras differ from their mean by as much: which of them is taken is a matter of rounding.
+    spreads = np.sqrt((len(without) - 1) * np.var(without, 0))
+    assert min(abs(estimate.spread.item() / spreads - 1)) < 1e-4
+    assert estimate.strength.item() == pytest.approx(abs(ends(found) - 1).max(), rel=1e-5)

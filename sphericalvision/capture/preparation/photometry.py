@@ -254,16 +254,16 @@ class Photometer:
             small[name].reshape(-1, *small[name].shape[-3:]) * inside for name, inside in self._inside.items()
         ]
         exposure, falloff, valid, residual = self._points.compared(frames)
-        strength = (_at_ends(exposure, falloff) - 1).abs().flatten(1)
+        ends = _at_ends(exposure, falloff).flatten(1)
         # The jackknife: how strength differs without one part of the sphere each, of those that tell anything.
-        place = strength[0].argmax()
-        others = strength[1:].index_select(1, place[None])[:, 0]
+        strength = (ends[0] - 1).abs()
+        others = ends[1:].index_select(1, strength.argmax()[None])[:, 0]
         number = valid.sum()
         mean = (others * valid).sum() / number.clamp(min=1)
         spread = (
             (number - 1).clamp(min=0) * ((others - mean).square() * valid).sum() / number.clamp(min=1)
         ).sqrt()
-        return LightEstimate(exposure[0], falloff[0], self._edge, residual, spread, strength[0].amax())
+        return LightEstimate(exposure[0], falloff[0], self._edge, residual, spread, strength.amax())
 
 
 class _Points:

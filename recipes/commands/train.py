@@ -193,6 +193,10 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
         check_resume(checkpoint, module)
         begin_logging(config, trainer)
         print_config(config, folder)
+        if checkpoint is not None and config.resume == "auto" and checkpoint.name != "last.ckpt":
+            print(
+                f"There is no {checkpoint.with_name('last.ckpt')}; goes on from {checkpoint.name} beside it"
+            )
         if changes:
             print(f"Goes on from {checkpoint} with other settings: {'; '.join(changes)}")
     # A capture is taught by the weights at the start, also to a run that goes on; Lightning loads those of the

@@ -94,18 +94,18 @@ STATE = ("state_dict", "optimizer_states", "lr_schedulers", "loops", "global_ste
 
 
 def resume_path(resume: str | None, folder: Path) -> Path | None:
-    """The checkpoint to resume from: ``auto`` is the folder's last one, if there is any.
+    """The checkpoint to resume from: ``auto`` is the folder's last one or, where there is none, its best.
 
     Raises:
         ArgumentError: ``folder`` holds a training that would be overwritten.
         MissingFileError: there is no such checkpoint.
     """
     last = folder / "checkpoints" / "last.ckpt"
+    names = [name for name in ("last.ckpt", "best.ckpt") if (last.parent / name).is_file()]
     if resume == "auto":
-        return last if last.is_file() else None
+        return last.with_name(names[0]) if names else None
     expected = "a Lightning checkpoint to resume from, such as checkpoints/last.ckpt"
     path = None if resume is None else check_file(resume, expected).absolute()
-    names = [name for name in ("last.ckpt", "best.ckpt") if (last.parent / name).is_file()]
     if names and is_first_process() and (path is None or path.parent != last.parent):
         raise ArgumentError(
             f"output: {folder} holds a training already (checkpoints/{names[0]}), which would be overwritten; go on "

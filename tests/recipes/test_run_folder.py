@@ -13,6 +13,7 @@ import torch
 from omegaconf import OmegaConf
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.recipes.training.depth_module import DepthModule
 from sphericalvision.recipes.training.run_folder import changed_settings, resume_path, run_folder
 from tests.recipes.tiny import Run
 
@@ -57,6 +58,47 @@ def test_what_a_folder_holds_decides_what_resume_may_be(tmp_path: Path) -> None:
         with pytest.raises(ArgumentError, match=r"holds a training already.*resume=auto"):
             resume_path(resume, run)
     assert resume_path(str(last), tmp_path / "new") == last
+    last.rename(last.with_name("best.ckpt"))
+    assert resume_path("auto", run) == last.with_name("best.ckpt")
+
+
+def test_last_is_written_at_each_validation_and_best_goes_on_without_it(
+    run: Run, tmp_path: Path, tiny_training: Words, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    """A run that was killed after a validation has both; with the last one gone, the best is gone on from."""
+    words = (
+        *tiny_training,
+        "logger=none",
+        "output=run",
+        "trainer.val_check_interval=2",
+        "trainer.max_steps=4",
+    )
+    step, checkpoints = DepthModule.training_step, tmp_path / "run/checkpoints"
+
+    def killed(self: DepthModule, batch: Any, batch_idx: int) -> torch.Tensor:
+        if self.global_step == 3:
+            raise RuntimeError("killed")
+        return step(self, batch, batch_idx)
+
+    monkeypatch.setattr(DepthModule, "training_step", killed)
+    with pytest.raises(RuntimeError, match="killed"):
+        run("train", *words)
+    monkeypatch.undo()
+    stored = [torch.load(checkpoints / name, weights_only=True) for name in ("last.ckpt", "best.ckpt")]
+    assert [content["global_step"] for content in stored] == [2, 2]
+    paths = [
+        state["best_model_path"]
+        for name, state in stored[0]["callbacks"].items()
+        if "'monitor': 'val" in name
+    ]
+    assert paths == [str(checkpoints / "best.ckpt")]
+    (checkpoints / "last.ckpt").unlink()
+    run("train", *words, "resume=auto")
+    assert "goes on from best.ckpt" in capsys.readouterr().out
+    resumed = torch.load(checkpoints / "last.ckpt", weights_only=True)["state_dict"]
+    run("train", *(word for word in words if word != "output=run"), "output=straight")
+    straight = torch.load(tmp_path / "straight/checkpoints/last.ckpt", weights_only=True)["state_dict"]
+    assert all(torch.equal(resumed[name], value) for name, value in straight.items())
 
 
 def test_a_finished_training_is_not_overwritten(

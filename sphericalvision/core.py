@@ -16,6 +16,8 @@ from reprlib import Repr
 from typing import Any, ParamSpec, TypeVar
 
 import torch
+from torch.utils._python_dispatch import _disable_current_modes
+from torch.utils._pytree import tree_leaves, tree_map_only
 
 __all__ = [
     "ArgumentError",
@@ -258,7 +260,7 @@ def check_file(path: str | Path, what: str) -> Path:
     return path
 
 
-KERNELS = ("auto", "plain", "reference", "require")
+KERNELS = ("auto", "plain", "graph", "reference", "require")
 _open_blocks: list[list[str]] = []
 """The ways of the open ``kernels`` blocks, each in a list of its own, by which it is told from its equals."""
 
@@ -271,6 +273,9 @@ def kernels(way: str) -> Iterator[None]:
         As outside of all blocks: by operators in C++ where they can be had, which are compiled beside the work.
     ``"plain"``
         By layers in torch alone, as ``"auto"`` does where there is no compiler.
+    ``"graph"``
+        By few large operators of torch, as ``"auto"`` does on a device that is not a CPU, in ``torch.compile`` and in
+        exported programs.
     ``"reference"``
         By the readable formulas alone, which are differentiable any number of times.
     ``"require"``
@@ -357,44 +362,89 @@ def full_precision(function: Callable[P, R]) -> Callable[P, R]:
     return exact
 
 
-_recordings: list[dict[Any, Any]] = []
-"""Tables of the open ``recording`` blocks."""
+def in_one_graph(device: torch.device) -> bool:
+    """Whether what runs on a device is to be one graph: few large operators, none of which waits for values.
 
+    So it is on anything but a CPU, which a host would have to feed otherwise; for who compiles or exports; and within
+    ``kernels("graph")``. On a CPU loops over samples and cameras pay, as what belongs together stays in its cache, and
+    so do steps that only look at what is left to be done.
 
-@contextmanager
-def recording() -> Iterator[None]:
-    """Compute everything inside as who records a program wants it: by few large operations.
-
-    Without loops over samples, cameras and rectangles, and with ``constant_table``s made once, which are constants of
-    what is recorded. Otherwise as ``reference_kernels``. For ``capture.export`` alone.
+    Examples:
+        >>> in_one_graph(torch.device("cpu")), in_one_graph(torch.device("cuda"))
+        (False, True)
     """
-    with kernels("reference"):
-        _recordings.append({})
-        try:
-            yield
-        finally:
-            _recordings.pop()
+    way = way_of_kernels()
+    return way == "graph" or (way != "reference" and (device.type != "cpu" or torch.compiler.is_compiling()))
 
 
-def is_recording() -> bool:
-    """Whether a ``recording`` block is open."""
-    return bool(_recordings)
+LARGEST_TABLE = 1 << 28
+"""Bytes up to which a table is kept: at level 9 of an icosphere nearly all are smaller."""
 
 
 def constant_table(table: Callable[P, R]) -> Callable[P, R]:
-    """Make a function of hashable arguments return within a ``recording`` block what it returned there before.
+    """Make a function of hashable arguments keep what it returns, tensors that nobody may write to.
 
-    Outside of one it is called each time: tables are large, and quickly made. Inside, a first pass computes them, and
-    they are constants to who records the second one.
+    Compilers and exported programs take it for a constant, and a device is not asked twice.
     """
+    made: dict[Any, tuple[R]] = {}
+
+    def kept(*args: P.args, **kwargs: P.kwargs) -> tuple[R]:
+        key = (
+            tuple((type(arg), arg) for arg in (*args, *kwargs.values())),
+            tuple(kwargs),
+            torch.get_default_dtype(),
+            torch.get_default_device(),
+        )
+        try:
+            if key in made:
+                return made[key]
+        except TypeError:  # a list, say, which the function refuses
+            return (table(*args, **kwargs),)
+        if torch._C._are_functorch_transforms_active():  # inside of which tensors do not outlive them
+            return (table(*args, **kwargs),)
+        # Real tensors, of use where gradients are wanted, whoever records or counts operators just now. They are made
+        # on the CPU and moved once: a device that has no values cannot count, and others would be waited for.
+        device = next((arg for arg in (*args, *kwargs.values()) if isinstance(arg, torch.device)), None)
+        cpu = torch.device("cpu")
+        with _disable_current_modes(), torch.inference_mode(False), torch.no_grad():
+            on_cpu: Any = [cpu if arg is device else arg for arg in args] if device else args
+            named: Any = {k: cpu if arg is device else arg for k, arg in kwargs.items()} if device else kwargs
+            result = table(*on_cpu, **named)
+            if device is not None:
+                result = tree_map_only(torch.Tensor, lambda tensor: tensor.to(device), result)
+        tensors = [leaf for leaf in tree_leaves(result) if isinstance(leaf, torch.Tensor)]
+        for tensor in tensors:
+            # As `torch._dynamo.mark_static`, whose import takes seconds: what has another size at each level is not
+            # what compilers should take for something that changes.
+            tensor.__dict__.update(
+                _dynamo_static_indices=set(range(tensor.ndim)), _has_dynamo_dim_marking=True
+            )
+        if sum(tensor.nbytes for tensor in tensors) <= LARGEST_TABLE:
+            made[key] = (result,)
+        return (result,)
+
+    @torch.compiler.assume_constant_result
+    def for_now(*args: P.args, **kwargs: P.kwargs) -> tuple[R]:
+        result = kept(*args, **kwargs)
+        fakes = torch._C._get_dispatch_mode(torch._C._TorchDispatchModeKey.FAKE)
+        if (
+            fakes is not None and not fakes.allow_non_fake_inputs
+        ):  # shapes alone, without real tensors among them
+            return tree_map_only(torch.Tensor, fakes.from_tensor, result)  # type: ignore[no-any-return]
+        return result
 
     @wraps(table)
-    def kept(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not _recordings:
-            return table(*args, **kwargs)
-        key = table, args, tuple(kwargs.items())
-        if key not in _recordings[-1]:
-            _recordings[-1][key] = table(*args, **kwargs)
-        return _recordings[-1][key]  # type: ignore[no-any-return]
+    def constant(*args: P.args, **kwargs: P.kwargs) -> R:
+        return for_now(*args, **kwargs)[0]  # compilers give tensors alone one name, where each wants its own
 
-    return kept
+    return constant
+
+
+def copied(table: Callable[P, torch.Tensor]) -> Callable[P, torch.Tensor]:
+    """Make a function return a copy, to be written to, of a tensor that is kept."""
+
+    @wraps(table)
+    def copy(*args: P.args, **kwargs: P.kwargs) -> torch.Tensor:
+        return table(*args, **kwargs).clone()
+
+    return copy

@@ -21,7 +21,7 @@ from torch.utils import _pytree
 
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.capture.result import positive
-from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, recording
+from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, kernels
 from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import signed
@@ -269,8 +269,7 @@ def export_program(
     if program.tables == "inputs":
         tables = rig_tables(program)
         inputs, shapes = (*inputs, tables), (*shapes, dict.fromkeys(tables))
-    with quiet(), recording():
-        program(*inputs)  # makes the tables of icospheres, which are constants then
+    with quiet(), kernels("graph"):
         traced: Any = torch.export.export(program, inputs, dynamic_shapes=shapes, strict=False).module()
         folded = with_constants_folded(traced, *inputs)
         exported = torch.export.export(folded, inputs, dynamic_shapes=shapes, strict=False)

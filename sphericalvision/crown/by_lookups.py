@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Crowns and hexagonal convolutions by a few large lookups: for programs that are recorded (``core.recording``)."""
+"""Crowns and hexagonal convolutions by few large lookups: the way of devices and compilers (``core.in_one_graph``)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def fold_by_lookups(
     col: Float[Tensor, "B 5 C *N long short"], row: Float[Tensor, "B 5 C *N short long"]
 ) -> Float[Tensor, "B C *N V"]:
     """Return the mean of each vertex over all its places, as ``from_crown`` does."""
-    places = torch.cat((col.flatten(-2), row.flatten(-2)), 1).movedim(1, -2).flatten(-2)
+    places = torch.cat([rectangles.flatten(-2).movedim(1, -2) for rectangles in (col, row)], -2).flatten(-2)
     return mean_by_id(places, _fold_tables(level_of_rectangles(col), col.device))
 
 
@@ -51,18 +51,16 @@ def hex_conv_by_lookups(
         rings: taps of the five neighbours and of the gap at the north pole, A, B and the south pole.
     """
     around, taps = _tap_tables(level_from_num_vertices(values.shape[-1]), stride, rings, values.device)
-    rows = values.mT
-    gaps = rows.index_select(1, around.flatten()).unflatten(1, tuple(around.shape)).mean(2)
-    found = torch.cat((rows, gaps), 1).index_select(1, taps.flatten())
-    found = found.reshape(values.shape[0], taps.shape[0], 7 * values.shape[1])
-    return F.linear(found, weight.mT.flatten(1), bias).mT
+    gaps = values.index_select(-1, around).unflatten(-1, (12, 5)).mean(-1)
+    # Seven values a vertex in a row: a convolution that goes on by seven needs no other order of the weights.
+    return F.conv1d(torch.cat((values, gaps), -1).index_select(-1, taps), weight, bias, stride=7)
 
 
 @constant_table
 def _tap_tables(
     level: int, stride: int, rings: Rings, device: torch.device
-) -> tuple[Int[Tensor, "12 5"], Int[Tensor, "V_out 7"]]:
-    """Neighbours of the twelve special vertices; and what each tap of a vertex reads, V + s for the mean of these."""
+) -> tuple[Int[Tensor, " rings_times_5"], Int[Tensor, " V_out_times_7"]]:
+    """Five neighbours of the twelve special vertices; and what seven taps of each vertex read, V + s for a mean."""
     number, n = num_icosphere_vertices(level), 2**level
     charts, special = hex_pad(torch.arange(number, dtype=torch.float64, device=device)[None, None])
     charts, special = charts[0, :, 0].long(), special[0, 0].long()
@@ -80,4 +78,5 @@ def _tap_tables(
             (*neighbors, center * 0 + number + vertex)
         )
         taps[center, 6] = center
-    return special[:, :5], taps if stride == 1 else taps[coarse_vertex_ids(level, device)]
+    taps = taps if stride == 1 else taps[coarse_vertex_ids(level, device)]
+    return special[:, :5].flatten(), taps.flatten()

@@ -9,10 +9,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_channels, check_dtype, check_tensor
+from sphericalvision.core import (
+    ArgumentError,
+    ShapeError,
+    check_channels,
+    check_dtype,
+    check_tensor,
+    in_one_graph,
+)
 from sphericalvision.crown.fast import convolve_rectangles, convolve_vertices
 from sphericalvision.crown.layout import Crown, check_crown, to_crown
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, planar_kernels
 
 __all__ = ["CrownConv2d", "CrownConv3d", "convolve_crown", "crown_conv2d", "crown_conv3d"]
 
@@ -107,8 +114,12 @@ def convolve_crown(
         if pair is not None:
             return Crown(*pair)
         crown = to_crown(crown)
-    col = convolve_rectangles(crown.col, weight, COL_TAPS, bias, stride, relu=relu)
-    return Crown(col, convolve_rectangles(crown.row, weight, ROW_TAPS, bias, stride, relu=relu))
+    kernels = planar_kernels(weight) if in_one_graph(crown.col.device) else (None, None)
+    col, row = (
+        convolve_rectangles(rectangles, weight, taps, bias, stride, relu=relu, kernel=kernel)
+        for rectangles, taps, kernel in zip(crown, (COL_TAPS, ROW_TAPS), kernels, strict=True)
+    )
+    return Crown(col, row)
 
 
 class _CrownConv(nn.Module):

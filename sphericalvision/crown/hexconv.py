@@ -45,15 +45,16 @@ from sphericalvision.core import (
     check_choice,
     check_dtype,
     check_tensor,
-    is_recording,
+    constant_table,
+    in_one_graph,
 )
-from sphericalvision.crown.by_lookups import hex_conv_by_lookups
+from sphericalvision.crown.by_lookups import Rings, hex_conv_by_lookups
 from sphericalvision.crown.fast import convolve_rectangles
 from sphericalvision.crown.hexpad import fill_charts, hex_pad
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.taps import COL_TAPS
-from sphericalvision.icosphere import icosphere_vertices
-from sphericalvision.icosphere.topology import vertex_at
+from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
+from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
 
 __all__ = ["HexConv2d", "HexConv3d", "hex_conv2d", "hex_conv3d", "north_fraction"]
 
@@ -62,7 +63,6 @@ ORIENTATIONS = ("chart", "north")
 # Taps of the five neighbours in the order of ``ring_ids``, then the tap of the gap, at north pole, A, B, south pole.
 CHART_RINGS = ((2, 3, 4, 5, 0, 1), (1, 2, 3, 4, 5, 0), (3, 4, 5, 0, 1, 2), (5, 0, 1, 2, 3, 4))
 NORTH_RINGS = ((2, 3, 4, 0, 1, 5), (0, 1, 3, 4, 5, 2), (2, 3, 4, 0, 1, 5), (4, 0, 1, 2, 3, 5))
-NEXT_TAP = (5, 0, 1, 2, 3, 4, 6)  # a kernel turned on by one neighbour
 
 
 def north_fraction(
@@ -147,12 +147,19 @@ def hex_conv2d(
         torch.Size([1, 8, 42])
     """
     _check_conv(values, weight, 2, stride, north)
-    if is_recording() and north is None:
-        return hex_conv_by_lookups(values, weight, bias, stride, CHART_RINGS)
+    if in_one_graph(values.device):
+        if north is None:
+            return hex_conv_by_lookups(values, weight, bias, stride, CHART_RINGS)
+        both = hex_conv_by_lookups(values, *_two_orientations(weight, bias), stride, NORTH_RINGS)
+        fraction = north.to(values)
+        if stride == 2:
+            fraction = fraction[coarse_vertex_ids(level_from_num_vertices(len(north)), north.device)]
+        along, next_one = both.chunk(2, 1)
+        return torch.lerp(along, next_one, fraction)
     charts, rings = hex_pad(values)
     own = _oriented(charts, weight, bias, stride, _own_fraction(north, values, stride))
     # The twelve vertices of valence five: what each tap reads of their rings, then one product with all taps.
-    special = torch.einsum("bivj,vjt->bvit", rings, _taps_of_rings(rings, north)).flatten(2)
+    special = torch.einsum("bivj,vjt->bvit", rings, _ring_weights(rings, north)).flatten(2)
     special = (special @ weight.flatten(1).T).mT
     return fill_charts(own, special if bias is None else special + bias[:, None])
 
@@ -190,7 +197,7 @@ def hex_conv3d(
     charts, rings = hex_pad(values)
     own = _oriented(charts, weight, bias, stride, _own_fraction(north, values, stride))
     windows = _repeat_ends(rings).unfold(2, 3, 1)  # three hypotheses for each, a view
-    special = torch.einsum("binvjd,vjt->bnvidt", windows, _taps_of_rings(rings, north)).flatten(3)
+    special = torch.einsum("binvjd,vjt->bnvidt", windows, _ring_weights(rings, north)).flatten(3)
     special = (special @ weight.flatten(1).T).permute(0, 3, 1, 2)
     return fill_charts(own, special if bias is None else special + bias[:, None, None])
 
@@ -207,14 +214,30 @@ def _oriented(
     charts = charts[..., stride - 1 :, :]  # a coarser chart begins at the second row of the finer one
     if fraction is None:  # taps follow the chart
         return convolve_rectangles(charts, weight, COL_TAPS, bias, stride, border=True)
-    by_depth = weight.unflatten(-1, (-1, 7))
-    # North lies between two neighbours: one convolution has the kernel as it is, with tap 5 on the one before, the
-    # other has it turned on by one neighbour, and each vertex goes its own fraction from one to the other.
-    turned = by_depth.index_select(-1, torch.tensor(NEXT_TAP, device=weight.device)).flatten(2)
-    kernels, biases = torch.cat((weight, turned)), None if bias is None else bias.repeat(2)
+    kernels, biases = _two_orientations(weight, bias)
     both = convolve_rectangles(charts, kernels, COL_TAPS, biases, stride, border=True)
     along, next_one = both.chunk(2, 2)
     return torch.lerp(along, next_one, fraction)
+
+
+def _two_orientations(weight: Tensor, bias: Tensor | None) -> tuple[Tensor, Tensor | None]:
+    """Kernels of two convolutions, for north lies between two neighbours.
+
+    One has the kernel as it is, with tap 5 on the neighbour before, the other has it turned on by one neighbour, and
+    each vertex goes its own fraction from one to the other.
+    """
+    turned = turned_on(weight.unflatten(-1, (-1, 7))).flatten(2)
+    return torch.cat((weight, turned)), None if bias is None else bias.repeat(2)
+
+
+def turned_on(kernels: Float[Tensor, "*filters 7"]) -> Float[Tensor, "*filters 7"]:
+    """Turn kernels ``(*, 7)`` on by one neighbour.
+
+    Examples:
+        >>> turned_on(torch.arange(7))
+        tensor([5, 0, 1, 2, 3, 4, 6])
+    """
+    return torch.cat((kernels[..., :6].roll(1, -1), kernels[..., 6:]), -1)
 
 
 def _own_fraction(north: Tensor | None, values: Tensor, stride: int) -> Tensor | None:
@@ -226,14 +249,19 @@ def _own_fraction(north: Tensor | None, values: Tensor, stride: int) -> Tensor |
     return charts[..., stride - 1 :: stride, ::stride]
 
 
-def _taps_of_rings(like: Tensor, north: Tensor | None) -> Tensor:
+def _ring_weights(like: Tensor, north: Tensor | None) -> Tensor:
+    return _taps_of_rings(CHART_RINGS if north is None else NORTH_RINGS, like.dtype, like.device)
+
+
+@constant_table
+def _taps_of_rings(rings: Rings, dtype: torch.dtype, device: torch.device) -> Tensor:
     """What each tap of the twelve special vertices reads of their rings, ``(12, 6, 7)``.
 
     Values are brought to the taps, not weights to the rings, which are many more.
     """
-    pole_north, a, b, pole_south = CHART_RINGS if north is None else NORTH_RINGS
-    taps = torch.tensor((pole_north, *(a, b) * 5, pole_south), device=like.device)
-    of_tap = torch.eye(7, dtype=like.dtype, device=like.device)
+    pole_north, a, b, pole_south = rings
+    taps = torch.tensor((pole_north, *(a, b) * 5, pole_south), device=device)
+    of_tap = torch.eye(7, dtype=dtype, device=device)
     neighbors = of_tap[taps[:, :5]] + of_tap[taps[:, 5:]] / 5  # each has its share of the mean in the gap
     return torch.cat((neighbors, of_tap[6].expand(12, 1, 7)), 1)
 

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError
-from sphericalvision.crown.hexconv import NEXT_TAP, hex_conv2d, north_fraction
+from sphericalvision.crown.hexconv import hex_conv2d, north_fraction, turned_on
 
 __all__ = ["HexGroupConv2d", "HexLiftConv2d", "hex_group_conv2d", "hex_lift_conv2d"]
 
@@ -95,10 +95,9 @@ def hex_group_conv2d(
 
 def _turns(weight: Tensor) -> list[Tensor]:
     """Kernels ``(*, 7)`` turned by 0 to 5 neighbours."""
-    following = torch.tensor(NEXT_TAP, device=weight.device)
     turned = [weight]
     for _ in range(ORIENTATIONS - 1):
-        turned.append(turned[-1].index_select(-1, following))
+        turned.append(turned_on(turned[-1]))
     return turned
 
 

@@ -20,6 +20,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sphericalvision.core import constant_table
 from sphericalvision.crown.places import check_values, own_charts
 from sphericalvision.crown.unfolding import empty_as, fill_north_and_east, fold_north_and_east
 from sphericalvision.icosphere import level_from_num_vertices
@@ -195,8 +196,7 @@ def _pad(values: Tensor) -> tuple[Tensor, Tensor]:
     padded[..., n + 1 :, 0] = east[..., : n + 1]
     padded[..., -1, 1:-1] = east[..., n:]
 
-    ids = torch.tensor(ring_ids(level), device=values.device)
-    return padded, values.index_select(-1, ids.flatten()).unflatten(-1, (12, 6))
+    return padded, values.index_select(-1, _ring_table(level, values.device)).unflatten(-1, (12, 6))
 
 
 def _unpad(padded: Tensor, rings: Tensor) -> Tensor:
@@ -207,8 +207,14 @@ def _unpad(padded: Tensor, rings: Tensor) -> Tensor:
     charts[..., 0, :] += padded[..., 1 : n + 1, 0].roll(-1, 1)
     charts[..., : n + 1, -1] += padded[..., n + 1 :, 0].roll(-1, 1)
     charts[..., n:, -1] += padded[..., -1, 1:-1].roll(-1, 1)
-    ids = torch.tensor(ring_ids(n.bit_length() - 1), device=padded.device)
-    return values.index_add_(-1, ids.flatten(), rings.flatten(-2))
+    ids = _ring_table(n.bit_length() - 1, padded.device)
+    return values.index_add_(-1, ids, rings.flatten(-2))
+
+
+@constant_table
+def _ring_table(level: int, device: torch.device) -> Tensor:
+    """``ring_ids`` in one row."""
+    return torch.tensor(ring_ids(level), device=device).flatten()
 
 
 def _fill(charts: Tensor, special: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentTypeError, ShapeError, is_recording
+from sphericalvision.core import ArgumentTypeError, ShapeError, in_one_graph
 from sphericalvision.crown.by_lookups import fold_by_lookups
 from sphericalvision.crown.places import (
     check_values,
@@ -105,7 +105,7 @@ def to_crown(values: Num[Tensor, "B C *N V"]) -> Crown:
                 [ 2., 11.]])
     """
     check_values(values)
-    return Crown(*(unfold(values) if slices_pay() else values_at_places(values)))
+    return Crown(*(unfold(values) if slices_pay(values) else values_at_places(values)))
 
 
 def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
@@ -123,9 +123,9 @@ def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
         True
     """
     check_crown(crown)
-    if is_recording():
+    if in_one_graph(crown.col.device):
         return fold_by_lookups(*crown)
-    if slices_pay():
+    if slices_pay(crown.col):
         return mean_over_places(*crown)
     return sum_over_places(*crown) / places_per_vertex(crown.level, crown.col)
 

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ShapeError, check_choice, check_dtype
+from sphericalvision.core import ShapeError, check_choice, check_dtype, in_one_graph
 from sphericalvision.crown.fast import normalize
 from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu
 
@@ -39,15 +39,16 @@ class _CrownBatchNorm(_BatchNorm):
         pair = None if self.is_affine else normalize(*crown, self, self.per_sample, relu)
         if pair is not None:
             return Crown(*pair)
-        normalized = self._plainly(crown)
-        return crown_relu(normalized) if relu else normalized
+        return self._plainly(crown, relu)
 
-    def _plainly(self, crown: Crown) -> Crown:
+    def _plainly(self, crown: Crown, relu: bool) -> Crown:
         if self.is_affine:
-            return crown_map(lambda r: self._layer(r.flatten(0, 1).flatten(-2)).view(r.shape), crown)
+            normalized = crown_map(lambda r: self._layer(r.flatten(0, 1).flatten(-2)).view(r.shape), crown)
+            return crown_relu(normalized) if relu else normalized
         # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
         col, row = (rectangles.flatten(0, 1).flatten(-2) for rectangles in crown)
         both = self._layer(torch.cat((col, row)))
+        both = both.relu() if relu else both
         col, row = both.chunk(2)  # unlike unbind, its gradient keeps the channels innermost in memory
         return Crown(col.view(crown.col.shape), row.view(crown.row.shape))
 
@@ -119,14 +120,23 @@ class _CrownInstanceNorm(_CrownBatchNorm):
     def __init__(self, num_features: int, eps: float = 1e-5) -> None:
         super().__init__(num_features, eps, track_running_stats=False)
 
-    def _plainly(self, crown: Crown) -> Crown:
+    def _plainly(self, crown: Crown, relu: bool) -> Crown:
         # Channels of all samples side by side are the channels of one batch, of ten rectangles.
         batch = crown.col.shape[0]  # not `len`, which would make it a constant of an exported program
         if not batch:
             return crown
+        if in_one_graph(crown.col.device):  # a group for each channel
+            together = torch.cat([rectangles.transpose(1, 2).flatten(-2) for rectangles in crown], 2)
+            normalized = F.group_norm(together, self.num_features, self.weight, self.bias, self.eps)
+            normalized = normalized.relu() if relu else normalized
+            col, row = normalized.transpose(1, 2).split(5, 1)
+            return Crown(
+                *(x.unflatten(-1, like.shape[-2:]) for x, like in zip((col, row), crown, strict=True))
+            )
         together = torch.cat([rectangles.flatten(-2) for rectangles in crown], 1).transpose(0, 1)
         weight, bias = (None if x is None else x.repeat(batch) for x in (self.weight, self.bias))
         normalized = F.batch_norm(together.flatten(1, 2), None, None, weight, bias, True, eps=self.eps)
+        normalized = normalized.relu() if relu else normalized
         col, row = normalized.unflatten(1, (batch, -1)).transpose(0, 1).split(5, 1)
         return Crown(col.reshape(crown.col.shape), row.reshape(crown.row.shape))
 

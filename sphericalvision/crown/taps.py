@@ -12,7 +12,18 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["COL_TAPS", "ROW_TAPS", "Taps", "convolve", "neighbor_taps", "planar_kernel", "repeat_border"]
+from sphericalvision.core import constant_table
+
+__all__ = [
+    "COL_TAPS",
+    "ROW_TAPS",
+    "Taps",
+    "convolve",
+    "neighbor_taps",
+    "planar_kernel",
+    "planar_kernels",
+    "repeat_border",
+]
 
 Taps = tuple[tuple[int, ...], ...]
 
@@ -23,8 +34,27 @@ ROW_TAPS: Taps = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
 
 def planar_kernel(weight: Float[Tensor, "*filters 7"], taps: Taps) -> Float[Tensor, "*filters 3 3"]:
     """Arrange seven taps ``(*, 7)`` as a planar kernel ``(*, 3, 3)``."""
-    index = torch.tensor(taps, device=weight.device).flatten()
-    return F.pad(weight, (0, 1)).index_select(-1, index).unflatten(-1, (3, 3))
+    by_tap = F.pad(weight, (0, 1)).unbind(-1)
+    return torch.stack([by_tap[tap] for row in taps for tap in row], -1).unflatten(-1, (3, 3))
+
+
+def planar_kernels(
+    weight: Float[Tensor, "C_out C_in 7"] | Float[Tensor, "C_out C_in 21"],
+) -> Float[Tensor, "2 C_out C_in *depth 3 3"]:
+    """Arrange the weight of a convolution for col and for row rectangles, by two operators."""
+    weight = F.pad(weight if weight.shape[-1] == 7 else weight.unflatten(-1, (3, 7)), (0, 1))
+    both = _planar_taps((*COL_TAPS, *ROW_TAPS), weight.device)
+    index = both.view(2, *(1,) * (weight.ndim - 1), 9)
+    return (
+        weight.expand(2, *weight.shape)
+        .gather(-1, index.expand(2, *weight.shape[:-1], 9))
+        .unflatten(-1, (3, 3))
+    )
+
+
+@constant_table
+def _planar_taps(taps: Taps, device: torch.device) -> Tensor:
+    return torch.tensor(taps, device=device).flatten()
 
 
 def neighbor_taps(taps: Taps) -> list[int]:
@@ -39,6 +69,7 @@ def convolve(
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
     border: bool = False,
+    kernel: Float[Tensor, "C_out C_in *depth 3 3"] | None = None,
 ) -> Float[Tensor, "B C_out *N h_out w_out"]:
     """Convolve rectangles of one kind, continued by their own border values, in plain torch.
 
@@ -49,14 +80,17 @@ def convolve(
         bias: ``(out,)``.
         stride: in the plane; along N it is 1.
         border: whether the images have a border of one more place all around; hypotheses never have one.
+        kernel: the weight as a planar kernel, where that is made already.
     """
+    if kernel is None:
+        kernel = planar_kernel(weight if images.ndim == 4 else weight.unflatten(-1, (3, 7)), taps)
     if not border:
         images = repeat_border(images)
     elif images.ndim == 5:
         images = torch.cat((images[:, :, :1], images, images[:, :, -1:]), 2)
     if images.ndim == 4:
-        return F.conv2d(images, planar_kernel(weight, taps), bias, stride)
-    return F.conv3d(images, planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias, (1, stride, stride))
+        return F.conv2d(images, kernel, bias, stride)
+    return F.conv3d(images, kernel, bias, (1, stride, stride))
 
 
 def repeat_border(images: Float[Tensor, "B C *N h w"]) -> Float[Tensor, "B C *N_padded h+2 w+2"]:

@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
+from sphericalvision.core import in_one_graph
 from sphericalvision.crown.fast import settled_way
 from sphericalvision.crown.places import own_charts
 from sphericalvision.icosphere import level_from_num_vertices
@@ -33,14 +34,14 @@ __all__ = [
 ]
 
 
-def slices_pay() -> bool:
-    """Whether crowns are made by slices.
+def slices_pay(values: Num[Tensor, " ..."]) -> bool:
+    """Whether crowns are made by slices: on a CPU.
 
-    Not for the reference, for compilers, which are slow at many slices, or inside the transforms of ``torch.func``,
-    which take functions apart that torch knows.
+    Not for the reference, or inside the transforms of ``torch.func``, which take functions apart that torch knows.
     """
-    transformed = torch._C._are_functorch_transforms_active()
-    return not (settled_way() == "reference" or torch.compiler.is_compiling() or transformed)
+    if in_one_graph(values.device) or torch._C._are_functorch_transforms_active():
+        return False
+    return values.device.type == "cpu" and settled_way() != "reference"
 
 
 class Unfold(torch.autograd.Function):

@@ -16,18 +16,16 @@ class MeansById(NamedTuple):
     """Where the places of each id are, for ids most of which have equally many places.
 
     Attributes:
-        places: ``(size, k)``, k the most frequent number of places.
-        shares: ``(size, k)`` of each in the mean.
-        more: ``(E, m)`` places of the E ids that have more than k.
-        more_shares: ``(E, m)``.
-        order: ``(size,)`` where each id is found among the means of both.
+        places: ``(size, k)``, k the most frequent number of places; of other ids any places.
+        more: ``(E, m)`` places of the E ids that have another number, m at most.
+        more_shares: ``(E, m)`` of each in the mean.
+        others: ``(E,)`` these ids.
     """
 
     places: Int[Tensor, "size k"]
-    shares: Float[Tensor, "size k"]
     more: Int[Tensor, "E m"]
     more_shares: Float[Tensor, "E m"]
-    order: Int[Tensor, " size"]
+    others: Int[Tensor, " E"]
 
 
 def means_by_id(ids: Int[Tensor, " P"], size: int) -> MeansById:
@@ -50,10 +48,8 @@ def means_by_id(ids: Int[Tensor, " P"], size: int) -> MeansById:
         return places, present / counts[of, None]
 
     every = torch.arange(size, device=ids.device)
-    crowded = (counts > usual).nonzero()[:, 0]
-    order = every.clone()
-    order[crowded] = size + torch.arange(len(crowded), device=ids.device)
-    return MeansById(*table(every, usual), *table(crowded, most), order)
+    others = (counts != usual).nonzero()[:, 0]
+    return MeansById(table(every, usual)[0], *table(others, most), others)
 
 
 def mean_by_id(values: Float[Tensor, "*batch P"], tables: MeansById) -> Float[Tensor, "*batch size"]:
@@ -64,12 +60,12 @@ def mean_by_id(values: Float[Tensor, "*batch P"], tables: MeansById) -> Float[Te
         tensor([3., 4.])
     """
 
-    def means(places: Tensor, shares: Tensor) -> Tensor:
-        found = values.index_select(-1, places.flatten()).unflatten(-1, tuple(places.shape))
-        return (found * shares.to(values.dtype)).sum(-1)
-
-    usual = means(tables.places, tables.shares)
+    usual = _look_up(values, tables.places).mean(-1)
     if not len(tables.more):
         return usual
-    both = torch.cat((usual, means(tables.more, tables.more_shares)), -1)
-    return both.index_select(-1, tables.order)
+    more = (_look_up(values, tables.more) * tables.more_shares.to(values.dtype)).sum(-1)
+    return usual.index_copy(-1, tables.others, more)
+
+
+def _look_up(values: Tensor, places: Tensor) -> Tensor:
+    return values.index_select(-1, places.flatten()).unflatten(-1, tuple(places.shape))

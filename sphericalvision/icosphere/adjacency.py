@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.core import constant_table
+from sphericalvision.core import constant_table, copied
 from sphericalvision.icosphere.topology import chart_vertex_ids, icosphere_faces, num_icosphere_vertices
 
 __all__ = [
@@ -38,6 +38,7 @@ def icosphere_edges(level: int, device: torch.device | str | None = None) -> Int
     return torch.stack((start[..., None].expand_as(ends), ends), -1).reshape(-1, 2)
 
 
+@copied
 @constant_table
 def icosphere_neighbors(level: int, device: torch.device | str | None = None) -> Int[Tensor, "V 6"]:
     """Return the neighbours of every vertex, counter-clockwise seen from outside, ``(V, 6)``.

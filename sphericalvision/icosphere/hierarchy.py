@@ -7,12 +7,13 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, constant_table
+from sphericalvision.core import ArgumentError, constant_table, copied
 from sphericalvision.icosphere.topology import check_level, vertex_at
 
 __all__ = ["icosphere_face_children", "icosphere_face_parents", "icosphere_vertex_parents"]
 
 
+@copied
 @constant_table
 def icosphere_vertex_parents(level: int, device: torch.device | str | None = None) -> Int[Tensor, "V 2"]:
     """Return the two vertices of the next coarser level whose edge each vertex halves, ``(V, 2)``.

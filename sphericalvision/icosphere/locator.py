@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_last_dim, is_recording, uses_reference_kernels
+from sphericalvision.core import ArgumentError, check_last_dim, in_one_graph, uses_reference_kernels
 from sphericalvision.geometry.directions import moderate_lengths
 from sphericalvision.icosphere.descent import barycentric_weights, convex, descend
 from sphericalvision.icosphere.fast.triangle_table import (
@@ -40,15 +40,13 @@ def chunk_size(device: torch.device) -> int:
         >>> chunk_size(torch.device("cpu")) >= 1 << 17
         True
     """
+    on_cpu = device.type == "cpu" and not in_one_graph(device)
     # torch gives a thread at least 32768 numbers.
-    return max(CHUNK, torch.get_num_threads() << 15) if device.type == "cpu" else CHUNK_ON_DEVICE
+    return max(CHUNK, torch.get_num_threads() << 15) if on_cpu else CHUNK_ON_DEVICE
 
 
 def fast_wing_open() -> bool:
     """Whether triangles may be found by tables here and now.
-
-    Tables are kept between calls, which an exported program cannot do, and how many steps rays take depends on the
-    rays, whose values it does not know.
 
     Examples:
         >>> from sphericalvision.core import reference_kernels
@@ -56,7 +54,7 @@ def fast_wing_open() -> bool:
         ...     fast_wing_open()
         False
     """
-    return is_recording() or not (uses_reference_kernels() or torch.compiler.is_exporting())
+    return not uses_reference_kernels()
 
 
 class TriangleLocator:
@@ -93,22 +91,22 @@ class TriangleLocator:
         self._table = triangle_table(level, dtype, device) if fast_wing_open() else None
         self.faces = icosphere_faces(level, device) if self._table is None else self._table.ids
 
-    @torch.no_grad()
     def find(self, rays: Float[Tensor, "3 m"]) -> tuple[Int[Tensor, " m"], Float[Tensor, "3 m"]]:
         """Return the numbers ``(m,)`` of the triangles that rays ``(3, m)`` pierce, and the weights ``(3, m)`` there.
 
         A ray of zero length or with a NaN gets some triangle and NaN weights. Weights have no gradients; those of
         ``weights`` have.
         """
-        if self._table is None:
-            unit = F.normalize(rays.T, dim=-1)
-            found = descend(unit, self.level)
-            return found.numbers(self.level), barycentric_weights(unit, found.corners).T
-        if is_recording():
-            return find_in_few_steps(rays, self._table)
-        triangles, shares = find_triangles(rays, self._table)
-        shares = shares.clamp_(min=0)
-        return triangles, shares.div_(shares.sum(0))
+        with torch.no_grad():
+            if self._table is None:
+                unit = F.normalize(rays.T, dim=-1)
+                found = descend(unit, self.level)
+                return found.numbers(self.level), barycentric_weights(unit, found.corners).T
+            if in_one_graph(rays.device):
+                return find_in_few_steps(rays, self._table)
+            triangles, shares = find_triangles(rays, self._table)
+            shares = shares.clamp_(min=0)
+            return triangles, shares.div_(shares.sum(0))
 
     def weights(self, rays: Float[Tensor, "3 m"], triangles: Int[Tensor, " m"]) -> Float[Tensor, "3 m"]:
         """Return the weights ``(3, m)`` of the corners of triangles ``(m,)``, differentiable in the rays ``(3, m)``."""

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, constant_table
+from sphericalvision.core import ArgumentError, constant_table, copied
 from sphericalvision.icosphere.topology import check_level
 
 __all__ = ["icosahedron_rectangles", "icosphere_vertices"]
@@ -43,6 +43,7 @@ def icosahedron_rectangles(
     )
 
 
+@copied
 @constant_table
 def icosphere_vertices(
     level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None

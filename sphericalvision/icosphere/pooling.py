@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, constant_table
 from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
@@ -107,7 +107,12 @@ def icosphere_upsample(values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*bat
     """
     check_tensor("values", values, "(*, V)")
     level = level_from_num_vertices(values.shape[-1])
-    return _mean_of_parents(values, icosphere_vertex_parents(level + 1, values.device))
+    return _mean_of_parents(values, _parents(level, values.device))
+
+
+@constant_table
+def _parents(level: int, device: torch.device) -> Tensor:
+    return icosphere_vertex_parents(level + 1, device)
 
 
 class IcosphereUpsample(nn.Module):

@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_type, constant_table
+from sphericalvision.core import ArgumentError, ShapeError, check_type, constant_table, copied
 
 __all__ = [
     "MAX_LEVEL",
@@ -122,6 +122,7 @@ def chart_vertex_ids(level: int, device: torch.device | str | None = None) -> In
     return vertex_at(chart, row, torch.arange(n + 1, device=device), level)
 
 
+@copied
 @constant_table
 def icosphere_faces(level: int, device: torch.device | str | None = None) -> Int[Tensor, "F 3"]:
     """Return the ``(20 * 4**level, 3)`` triangles, counter-clockwise seen from outside.
@@ -141,6 +142,7 @@ def icosphere_faces(level: int, device: torch.device | str | None = None) -> Int
     return torch.stack((upper, lower), -2).reshape(-1, 3)
 
 
+@copied
 @constant_table
 def coarse_vertex_ids(level: int, device: torch.device | str | None = None) -> Int[Tensor, " V"]:
     """Return, for each vertex of the next coarser icosphere, its id in the icosphere of this level.

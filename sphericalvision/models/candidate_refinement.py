@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from sphericalvision.core import constant_table
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import (
     icosphere_neighbors,
@@ -138,13 +139,12 @@ def candidates_of(fused: FusedLogits) -> Candidates:
     best, second = two_modes(logits)
     level = level_from_num_vertices(logits.shape[-1])
     one, other = icosphere_vertex_parents(level + 1, logits.device).unbind(1)
-    ring = icosphere_neighbors(level, logits.device)
-    ring = torch.where(ring < 0, torch.arange(len(ring), device=ring.device)[:, None], ring)
-    around = best[:, ring]
+    around = best[:, _ring_around(level, logits.device)]
     near, far = torch.maximum(best, around.amax(-1)), torch.minimum(best, around.amin(-1))
+    ours, theirs = best[:, one], best[:, other]
     index = torch.stack(
         (
-            (best[:, one] + best[:, other]) / 2,
+            (ours + theirs) / 2,
             torch.maximum(near[:, one], near[:, other]),
             torch.minimum(far[:, one], far[:, other]),
             second[:, one],
@@ -159,11 +159,18 @@ def candidates_of(fused: FusedLogits) -> Candidates:
             probability.flatten(1).gather(1, (places + parent).flatten(1)).view_as(index)
             for parent in (one, other)
         ]
-        step = (best[:, one] - best[:, other]).abs()
+        step = (ours - theirs).abs()
         tried = torch.arange(logits.shape[1], device=logits.device)[:, None] / 2
         spread = (probability * (tried - best[:, None]).abs()).sum(1)
         spread = (spread[:, one] + spread[:, other]) / 2
     return Candidates(index, (likely[0] + likely[1]) / 2, step, spread)
+
+
+@constant_table
+def _ring_around(level: int, device: torch.device) -> Tensor:
+    """Neighbours of each vertex, and itself where there are five."""
+    ring = icosphere_neighbors(level, device)
+    return torch.where(ring < 0, torch.arange(len(ring), device=device)[:, None], ring)
 
 
 def with_sky(weights: Mapping[str, Tensor], prefix: str = "") -> dict[str, Tensor]:

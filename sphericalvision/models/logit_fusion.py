@@ -160,10 +160,13 @@ def two_modes(logits: Float[Tensor, "B M V"]) -> tuple[Float[Tensor, "B V"], Flo
         [4.0, 10.0]
     """
     tried = torch.arange(logits.shape[1], device=logits.device)[:, None]
-    answers, left = [], logits.detach()
-    for _ in range(2):
-        around = (tried - left.max(1, keepdim=True).indices).abs() <= REACH  # argmax takes four times as long
-        weights = logits.where(around, -torch.inf).softmax(1)
-        answers.append((weights * tried).sum(1) / 2)
-        left = left.where(~around, -torch.inf)
-    return answers[0], answers[1]
+
+    def far_from_best(scores: Tensor) -> Tensor:
+        return (tried - scores.max(1, keepdim=True).indices).abs() > REACH  # argmax takes four times as long
+
+    def expected(far: Tensor) -> Tensor:
+        return (logits.masked_fill(far, -torch.inf).softmax(1) * tried).sum(1) / 2
+
+    scores = logits.detach()
+    far = far_from_best(scores)
+    return expected(far), expected(far_from_best(scores.masked_fill(~far, -torch.inf)))

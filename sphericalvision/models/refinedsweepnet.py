@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, constant_table
 from sphericalvision.icosphere import Icosphere, icosphere_upsample, icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.base import DepthNetwork
@@ -200,9 +200,9 @@ class RefinedSweepNet(DepthNetwork):
         fused = self.fuse(clues, images, seen, tables.offsets)
         index, confidence, sky, both = self.refine(fused, images, seen, tables.offsets)
         # Nothing there: as far as can be. What is there is not: an index of nearly 0 is a depth of kilometres.
-        index = index.clamp(min=FARTHEST).where(sky < 0, 0.0)
+        index = index.clamp(min=FARTHEST).masked_fill(sky >= 0, 0.0)
         scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
-        return DepthEstimate(index * scale, confidence.sigmoid().where(both, 0.0), both)
+        return DepthEstimate(index * scale, confidence.sigmoid().masked_fill(~both, 0.0), both)
 
     def clues(
         self,
@@ -221,8 +221,8 @@ class RefinedSweepNet(DepthNetwork):
         with torch.no_grad():
             evidence, cost = semi_global_costs(images, tables.sweep, seen)
         mean, best, cameras = evidence.unbind(1)
-        places = torch.linspace(0, cameras.shape[1] - 1, 4, device=images.device).round().long()
-        return cost - cost.amin(1, keepdim=True), best, mean[:, ::2], cameras[:, places]
+        places = _spread_over(cameras.shape[1], images.device)
+        return cost - cost.amin(1, keepdim=True), best, mean[:, ::2], cameras.index_select(1, places)
 
     def _prior(self, images: Tensor, tables: SweepTables, seen: Tensor) -> Tensor:
         """Scores ``(B, N, V)`` of the prior."""
@@ -339,6 +339,12 @@ class RefinedSweepNet(DepthNetwork):
             + 0.05 * (entropy * known).sum() / known.sum().clamp(min=1)
             + 0.1 * (doubt * valid).sum() / valid.sum().clamp(min=1)
         )
+
+
+@constant_table
+def _spread_over(number: int, device: torch.device) -> Tensor:
+    """Four of as many hypotheses, from the first to the last."""
+    return torch.linspace(0, number - 1, 4, device=device).round().long()
 
 
 def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:

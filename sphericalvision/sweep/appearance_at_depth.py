@@ -102,7 +102,7 @@ def _all_at_once(
     offset = offsets.permute(2, 0, 1)[..., None, None]
     rays = vertices[:, None, None, None] + offset * inverse_depths[:, None]  # (3, B, n, K, V)
     triangles, shares = locator.find(rays.flatten(1))
-    first_row = torch.arange(batch * cameras, device=rows.device) * number
+    first_row = torch.arange(0, batch * cameras * number, number, device=rows.device)
     bags = locator.faces.index_select(0, triangles).view(batch * cameras, inverse_depths.shape[1:].numel(), 3)
     bags = bags + first_row[:, None, None]
     values = weighted_rows(rows.reshape(-1, channels), bags.view(-1, 3), shares.T)

@@ -120,7 +120,7 @@ def _evidence(images: Tensor, known: Tensor, tables: SweepTables, level: int, no
     both = [seen[:, a] * seen[:, b] for a, b in _pairs(seen.shape[1])]
     count = torch.stack(both).sum(0)
     mean = torch.stack([c * weight for c, weight in zip(correlations, both, strict=True)]).sum(0)
-    ranked = [c.clamp(0, 1).where(b > 0, -1.0) for c, b in zip(correlations, both, strict=True)]
+    ranked = [c.clamp(0, 1).masked_fill(b == 0, -1.0) for c, b in zip(correlations, both, strict=True)]
     best = mean_of_better_half(ranked, count)
     evidence = torch.stack((mean / count.clamp(min=1), best, seen.sum(1)))
     return evidence.unflatten(-1, (-1, tables.ids.shape[-4])).permute(2, 0, 3, 1)
@@ -199,7 +199,7 @@ def mean_of_better_half(
     half = (count + 1).div(2, rounding_mode="floor")
     total = torch.zeros_like(ordered[0])
     for rank, value in enumerate(ordered[: (len(ordered) + 1) // 2]):
-        total = total + value.where(rank < half, 0.0)
+        total = total + value.masked_fill(half <= rank, 0.0)
     return total / half.clamp(min=1)
 
 

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -56,8 +54,7 @@ def ids_of_coarser_level(
     return ids
 
 
-@lru_cache(maxsize=16)
-@torch.inference_mode(False)  # what is kept must be usable where gradients are wanted
+@constant_table
 def _rings(level: int, coarser: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """Ids ``(V, 7)`` of a coarser level's vertices and their neighbours, and the share of each in the mean."""
     own = ids_of_coarser_level(level, coarser, device)[:, None]

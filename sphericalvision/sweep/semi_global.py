@@ -228,9 +228,9 @@ def semi_global_costs(
     # What two cameras do not see speaks neither for nor against: it costs as much as what they see on average.
     count = known.sum(1, keepdim=True)
     cost = 1 - best
-    average = torch.where(known, cost, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
-    cost = torch.where(known, cost, average.where(count > 0, 1.0))
-    winner = torch.where(known, cost, torch.inf).min(1).indices  # as argmin, which takes four times as long
+    average = cost.masked_fill(~known, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
+    cost = torch.where(known, cost, average.masked_fill(count == 0, 1.0))
+    winner = cost.masked_fill(~known, torch.inf).min(1).indices  # as argmin, which takes four times as long
     shown = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
     guide = _colors_at(images, shown, tables, winner)
     return SmoothedCosts(evidence, semi_global_smoothing(cost, small_penalty, large_penalty, guide, contrast))

@@ -3,20 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
+from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, constant_table, is_recording
+from sphericalvision.core import ArgumentError, ShapeError, constant_table, in_one_graph
 from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.lines import icosphere_lines
 
-__all__ = ["semi_global_smoothing", "smoothing_paths"]
+__all__ = ["SmoothingPaths", "semi_global_smoothing", "smoothing_paths"]
 
 
 def semi_global_smoothing(
@@ -74,88 +72,77 @@ def semi_global_smoothing(
         expected = f"({cost.shape[0]}, C, {cost.shape[2]})"
         raise ShapeError(f"guide: expected shape {expected}, got {tuple(guide.shape)}")
     planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
-    if is_recording():
-        along = [
-            _scanned(planes, guide, paths, first, small_penalty, large_penalty, contrast)
-            for paths, first in smoothing_paths(level, lead, cost.device)
-        ]
-        return mean_by_id(torch.cat(along, 2), _arrivals(level, lead, cost.device)).transpose(0, 1)
-    total, count = torch.zeros_like(planes), planes.new_zeros(planes.shape[-1])
-    for paths, first in smoothing_paths(level, lead, cost.device):
-        ids, shape = paths.flatten(), (*planes.shape[:2], *paths.shape)
-        steps = planes.index_select(2, ids).view(shape).unbind(2)
-        jumps = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
-        reached = [steps[0]]
-        for step in range(1, len(paths)):
-            reached.append(_extended(reached[-1], steps[step], small_penalty, jumps[step - 1]))
-        arrived = torch.stack(reached[first:], 2).flatten(2)
-        ids = paths[first:].flatten()
-        total = total.index_add(2, ids, arrived)
-        count.index_add_(0, ids, count.new_ones(len(ids)))
-    return (total / count).transpose(0, 1)
+    paths = smoothing_paths(level, lead, cost.device)
+    # A step more than there are, or planes lie multiples of 4096 bytes apart, where they take each other's cache lines.
+    apart = torch.cat((paths.ids, paths.ids[:1]))
+    *steps, _ = planes.index_select(2, apart.flatten()).unflatten(2, tuple(apart.shape)).unbind(2)
+    jumps = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
+    reached = [steps[0]]
+    for step, jump in zip(steps[1:], jumps, strict=True):
+        reached.append(_extended(reached[-1], step, small_penalty, jump))
+    results = reached[paths.first :]
+    if in_one_graph(cost.device):
+        return mean_by_id(torch.stack(results, 2).flatten(2), paths.arrivals).transpose(0, 1)
+    # On a CPU one result after the other costs a fraction of lookups in as many planes as there are hypotheses.
+    total = torch.zeros_like(planes)
+    for kind in paths.kinds:
+        arrived = torch.stack([result[..., kind] for result in results], 2).flatten(2)
+        total = total.index_add(2, paths.ids[paths.first :, kind].flatten(), arrived)
+    return (total / paths.counts.to(total)).transpose(0, 1)
 
 
-def _scanned(
-    planes: Tensor,
-    guide: Tensor | None,
-    paths: Tensor,
-    first: int,
-    small_penalty: float,
-    large_penalty: float,
-    contrast: float,
-) -> Tensor:
-    """Costs ``(N, B, P')`` along paths from step ``first`` on, by a loop that is one operation to who records it."""
-    from torch._higher_order_ops.scan import scan_op  # takes a second, and only who exports pays it
-
-    steps = planes.index_select(2, paths.flatten()).unflatten(2, tuple(paths.shape)).movedim(2, 0)
-    penalties = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
-    jumps = torch.stack([torch.as_tensor(jump, dtype=steps.dtype, device=steps.device) for jump in penalties])
-
-    def extend(reached: Tensor, cost: Tensor, jump: Tensor) -> tuple[Tensor, Tensor]:
-        reached = _extended(reached, cost, small_penalty, jump)
-        return in_order(reached), in_order(reached)
-
-    def in_order(values: Tensor) -> Tensor:
-        """A copy, in the one layout in memory that compilers ask of what goes round a loop."""
-        return values.clone(memory_format=torch.contiguous_format)
-
-    _, reached = scan_op(extend, [in_order(steps[0])], [in_order(steps[1:]), in_order(jumps)], ())
-    reached = torch.cat((steps[:1], reached))[first:]
-    return reached.movedim(0, 2).flatten(2)
-
-
-@constant_table
-def _arrivals(level: int, lead: float, device: torch.device) -> MeansById:
-    """Which of the costs along all paths are those of a vertex."""
-    ids = [paths[first:].flatten() for paths, first in smoothing_paths(level, lead, device)]
-    return means_by_id(torch.cat(ids), num_icosphere_vertices(level))
-
-
-def _extended(reached: Tensor, cost: Tensor, small_penalty: float, jump: Tensor | float) -> Tensor:
+def _extended(reached: Tensor, cost: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
     """Costs ``(N, B, P)`` of P paths extended by a vertex of costs ``(N, B, P)``."""
     best = reached.amin(0)
-    beside = F.pad(reached + small_penalty, (0, 0, 0, 0, 1, 1), value=torch.inf)
-    least = torch.minimum(torch.minimum(reached, best + jump), torch.minimum(beside[:-2], beside[2:]))
-    return cost + (least - best)
+    if in_one_graph(cost.device):  # the same but for rounding, by an operator less for each of many steps
+        return cost + _least(reached - best, small_penalty, jump)
+    return cost + (_least(reached, small_penalty, best + jump) - best)
+
+
+def _least(reached: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
+    """Least costs ``(N, B, P)`` of coming to a hypothesis from itself, from one beside it, or by a jump."""
+    # At the ends a hypothesis stands beside itself, which costs it no less.
+    ends = torch.cat((reached[:1], reached, reached[-1:]))
+    beside = torch.minimum(ends[:-2], ends[2:]) + small_penalty
+    return torch.minimum(torch.minimum(reached, jump), beside)
 
 
 def _jump_penalties(
-    guide: Tensor | None, paths: Tensor, small_penalty: float, large_penalty: float, contrast: float
-) -> Sequence[Tensor | float]:
-    """P2 of each step of paths ``(steps, P)``: a number, or ``(B, P)`` of a guide ``(B, C, V)``."""
+    guide: Tensor | None, paths: SmoothingPaths, small_penalty: float, large_penalty: float, contrast: float
+) -> tuple[Tensor, ...]:
+    """P2 of each step, ``(1, P)``, or ``(B, P)`` of a guide ``(B, C, V)``; 0 up to where a path begins."""
     if guide is None:
-        return [large_penalty] * (len(paths) - 1)
-    colors = guide.index_select(2, paths.flatten()).unflatten(2, paths.shape)
+        return (paths.begun * large_penalty).unsqueeze(1).unbind()
+    colors = guide.index_select(2, paths.ids.flatten()).unflatten(2, tuple(paths.ids.shape))
     change = (colors[:, :, 1:] - colors[:, :, :-1]).abs().mean(1)
-    return (large_penalty / (1 + change / contrast)).clamp(min=small_penalty).unbind(1)
+    penalty = (large_penalty / (1 + change / contrast)).clamp(min=small_penalty)
+    return (penalty * paths.begun.to(penalty)).unbind(1)
 
 
-@lru_cache(maxsize=8)
-@torch.inference_mode(False)  # what is kept must be usable where gradients are wanted
-def smoothing_paths(
-    level: int, lead: float = 1.0, device: torch.device | str | None = None
-) -> tuple[tuple[Int[Tensor, "steps P"], int], tuple[Int[Tensor, "steps_along_edges P_along_edges"], int]]:
-    """Return vertex ids along paths, step by step ``(steps, P)``, and the step from which their results count.
+class SmoothingPaths(NamedTuple):
+    """Vertices along P paths that are all as long.
+
+    Attributes:
+        ids: ``(steps, P)``; before its first vertex a path stays there.
+        begun: ``(steps - 1, P)`` 1 where a step leads on, 0 where a path is still to begin: without a penalty for any
+            change the cost so far is forgotten.
+        first: the step from which results count.
+        kinds: which paths are of loops, and which of edges.
+        counts: ``(V,)`` how many results a vertex has.
+        arrivals: which of the results are of a vertex.
+    """
+
+    ids: Int[Tensor, "steps P"]
+    begun: Float[Tensor, "steps_after_first P"]
+    first: int
+    kinds: tuple[slice, slice]
+    counts: Float[Tensor, " V"]
+    arrivals: MeansById
+
+
+@constant_table
+def smoothing_paths(level: int, lead: float, device: torch.device) -> SmoothingPaths:
+    """Return vertex ids along paths, step by step.
 
     Closed lines are cut into fifths where they cross certain edges of the icosahedron, which its rotations (72
     degrees about the vertical among them) take to one another; so they do with the paths.
@@ -168,5 +155,24 @@ def smoothing_paths(
     columns = torch.arange(-ahead, size, device=device)[:, None] + torch.arange(5, device=device) * size
     # Backwards, a fifth starts at the same edge of the icosahedron.
     both = torch.cat((loops[:, columns % (5 * size)], loops[:, -columns % (5 * size)]))
-    ends = torch.cat((edges, edges.flip(1)))
-    return (both.transpose(0, 1).flatten(1), ahead), (ends.T.contiguous(), 1)
+    kinds = both.transpose(0, 1).flatten(1), torch.cat((edges, edges.flip(1))).T
+    length = max(map(len, kinds))
+    waits = [length - len(ids) for ids in kinds]
+    ids = torch.cat(
+        [torch.cat((ids[:1].expand(wait, -1), ids)) for ids, wait in zip(kinds, waits, strict=True)], 1
+    )
+    step = torch.arange(length - 1, device=device)[:, None]
+    begun = torch.cat(
+        [(step >= wait).expand(-1, ids.shape[1]) for ids, wait in zip(kinds, waits, strict=True)], 1
+    )
+    first = length - size
+    ends, along_loops = ids[first:].flatten(), kinds[0].shape[1]
+    number = num_icosphere_vertices(level)
+    return SmoothingPaths(
+        ids,
+        begun.to(torch.float32),
+        first,
+        (slice(along_loops), slice(along_loops, None)),
+        ends.bincount(minlength=number).to(torch.float32),
+        means_by_id(ends, number),
+    )

@@ -112,7 +112,7 @@ def _look_up(features: Tensor, tables: SweepTables) -> Tensor:
             f"rig: expected one rig for each of {batch} samples or a shared one, got {len(ids)} rigs"
         )
     rows = features.transpose(2, 3).reshape(-1, channels)
-    first_row = torch.arange(batch * num_cameras, device=ids.device).mul(num_vertices)
+    first_row = torch.arange(0, batch * num_cameras * num_vertices, num_vertices, device=ids.device)
     bags = (ids + first_row.view(batch, 1, 1, num_cameras, 1)).reshape(-1, 3)
     weights = weights.to(features.dtype).expand(batch, *weights.shape[-4:]).reshape(-1, 3)
     values = weighted_rows(rows, bags, weights)

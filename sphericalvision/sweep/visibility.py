@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_tensor, is_recording
+from sphericalvision.core import ShapeError, check_tensor, in_one_graph
 from sphericalvision.icosphere import icosphere_vertices
 
 if TYPE_CHECKING:
@@ -51,6 +51,6 @@ def check_seen(
 def one_at_a_time(values: Tensor) -> bool:
     """Whether samples are computed one after the other, so that what belongs together stays in the cache of a CPU.
 
-    Other devices and recorded programs want few large operations.
+    Other devices and compilers want few large operations.
     """
-    return values.device.type == "cpu" and not is_recording() and len(values) > 0
+    return not in_one_graph(values.device) and values.device.type == "cpu" and len(values) > 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is recorded gives the numbers of the others."""
+"""Few large operators give the numbers of the others."""
 
 from __future__ import annotations
 
@@ -9,40 +9,63 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import is_recording, recording, uses_reference_kernels
+from sphericalvision.core import constant_table, copied, in_one_graph, kernels
 from sphericalvision.crown import Crown, CrownBatchNorm3d, CrownBlock3d, from_crown, hex_conv2d
+from sphericalvision.crown.hexconv import north_fraction
 from sphericalvision.crown.norm import crown_norm
 from sphericalvision.icosphere import icosphere_vertices
 
 
 def compare(function: Callable[[], Tensor]) -> None:
     expected = function()
-    with recording():
+    with kernels("graph"):
         found = function()
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
 
 
-def test_blocks_open_and_close() -> None:
-    with recording():
-        assert is_recording()
-        assert uses_reference_kernels()
-        with recording():
-            inner = icosphere_vertices(1)
-            assert icosphere_vertices(1) is inner
-        assert icosphere_vertices(1) is not inner
-    assert not is_recording()
-    assert not uses_reference_kernels()
+def test_where_few_large_operators_are() -> None:
+    cpu, other = torch.device("cpu"), torch.device("meta")
+    assert [in_one_graph(device) for device in (cpu, other)] == [False, True]
+    with kernels("graph"):
+        assert in_one_graph(cpu)
+    with kernels("reference"):
+        assert not in_one_graph(other)
+
+
+def test_tables_are_made_once_and_stay_what_they_are() -> None:
+    calls = []
+
+    def table(size: int, device: torch.device | None = None) -> Tensor:
+        calls.append(size)
+        return torch.arange(float(size), device=device)
+
+    constant = constant_table(table)
+    with torch.inference_mode():
+        first = constant(3)
+    assert constant(3) is first
+    assert not first.is_inference()  # of use where gradients are wanted
+    assert constant(3, torch.device("meta")).is_meta
+    with pytest.raises(TypeError):
+        constant([3])  # type: ignore[arg-type]
+    assert calls == [3, 3, [3]]
+    copied(constant)(3).zero_()
+    assert constant(3).sum() == 3
+    vertices = icosphere_vertices(1)
+    vertices.zero_()
+    assert icosphere_vertices(1).any()
 
 
 @pytest.mark.parametrize("level", [0, 1, 3])
 @pytest.mark.parametrize("stride", [1, 2])
 @pytest.mark.parametrize("bias", [True, False])
-def test_hexagonal_convolutions(level: int, stride: int, bias: bool) -> None:
+@pytest.mark.parametrize("oriented", [True, False])
+def test_hexagonal_convolutions(level: int, stride: int, bias: bool, oriented: bool) -> None:
     if stride > 1 and level == 0:
         return
     torch.manual_seed(0)
     values, weight = torch.randn(2, 3, 10 * 4**level + 2), torch.randn(5, 3, 7)
-    compare(lambda: hex_conv2d(values, weight, torch.arange(5.0) if bias else None, stride))
+    north = north_fraction(level) if oriented else None
+    compare(lambda: hex_conv2d(values, weight, torch.arange(5.0) if bias else None, stride, north))
 
 
 def random_crown(level: int, *middle: int) -> Crown:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import recording, reference_kernels
+from sphericalvision.core import kernels, reference_kernels
 from sphericalvision.icosphere import Icosphere, TriangleLocator, locate
 
 DTYPES = [torch.float32, torch.float64]
@@ -95,10 +95,10 @@ def test_ray_meets_the_plane_of_a_true_face(level: int, dtype: torch.dtype) -> N
 @pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("level", range(9))
 def test_weights_are_convex(level: int, count: int) -> None:
-    """Not negative, and one in sum: by the way down, by tables, and as recorded; on edges and vertices too."""
+    """Not negative, and one in sum: by the way down, by tables, and in few steps; on edges and vertices too."""
     ico = Icosphere(min(level, 5), dtype=torch.float64)
     directions = torch.cat((random_directions(count), special_directions(ico))).float()
-    ways = [reference_kernels(), nullcontext(), recording()]
+    ways = [reference_kernels(), nullcontext(), kernels("graph")]
     few = directions[torch.randperm(len(directions), generator=torch.Generator().manual_seed(1))[:20_000]]
     for way, some in zip(ways, (few, directions, few), strict=True):
         with way:

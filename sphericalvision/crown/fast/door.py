@@ -56,6 +56,7 @@ def convolve_rectangles(
     stride: int = 1,
     border: bool = False,
     relu: bool = False,
+    kernel: Float[Tensor, "O C *depth 3 3"] | None = None,
 ) -> Float[Tensor, "B 5 O *N h w"]:
     """Convolve rectangles, or charts that have a ``border``, of one kind; arguments as for ``taps.convolve``.
 
@@ -67,6 +68,7 @@ def convolve_rectangles(
         stride: 1 or 2.
         border: whether there is one more place all around.
         relu: whether results are rectified.
+        kernel: the weight as a planar kernel, where that is made already.
     """
     # Operators rectify where nobody differentiates: a derivative would have to keep their results.
     keeps = torch.is_grad_enabled()
@@ -78,9 +80,9 @@ def convolve_rectangles(
     images = rectangles.flatten(0, 1)
     if keeps and images.requires_grad and forgets(images):
         # A border that is copied around is not kept: who reads that which is copied keeps it anyway.
-        result = checkpoint(convolve, images, weight, taps, bias, stride, border, use_reentrant=False)
+        result = checkpoint(convolve, images, weight, taps, bias, stride, border, kernel, use_reentrant=False)
     else:
-        result = convolve(images, weight, taps, bias, stride, border)
+        result = convolve(images, weight, taps, bias, stride, border, kernel)
     if relu:
         result = result.relu() if keeps else result.relu_()
     return result.unflatten(0, (-1, 5))

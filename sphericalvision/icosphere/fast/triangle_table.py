@@ -46,7 +46,8 @@ class TriangleTable(NamedTuple):
     resolution: int
 
 
-@lru_cache(maxsize=4)
+@constant_table
+@lru_cache(maxsize=4)  # where they are too large to be kept for ever
 def triangle_table(level: int, dtype: torch.dtype, device: torch.device) -> TriangleTable:
     """Return the table of a level; matrices are exact in float64 and kept in ``dtype``.
 
@@ -114,7 +115,8 @@ def find_in_few_steps(
     x, y, z = rays
     half = table.resolution / 2
     scale = half / rays.abs().sum(0)
-    row, column = ((across * scale + half).int().clamp(0, table.resolution - 1) for across in (x + z, x - z))
+    across = torch.stack((x + z, x - z)) * scale + half
+    row, column = across.int().clamp(0, table.resolution - 1)
     triangles = table.cells.index_select(
         0, ((y < 0).int() * table.resolution + row) * table.resolution + column
     )
@@ -125,7 +127,7 @@ def find_in_few_steps(
         shares = (matrices.index_select(0, triangles).view(-1, 3, 3) * columns).sum(1)
         if step < FEW_STEPS:
             least, corner = shares.min(1)
-            beyond = table.neighbors.index_select(0, triangles * 3 + corner.int())
+            beyond = table.neighbors.index_select(0, triangles * 3 + corner)
             triangles = beyond.where(least < -slack * shares.sum(1), triangles)
     return triangles, convex(shares, 1).T
 

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A forward pass through tables is one graph of few operators, none of which waits for the host, wherever it runs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from sphericalvision.cameras import ring_rig
+from sphericalvision.core import kernels
+from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, pretrained
+from tests.laws.network_laws import NETWORKS, inputs
+
+WAITS = ("aten.nonzero", "aten._local_scalar_dense", "aten.item", "aten.unique", "aten.masked_select")
+FROM_NUMBERS = ("aten.lift_fresh", "aten.scalar_tensor")
+NO_LAUNCH = ("aten._unsafe_view", "aten.empty", "aten.new_empty")
+"""Memory alone, or another view of it."""
+
+
+class Operators(TorchDispatchMode):
+    """Counts what a device would be asked for, what it would be waited for, and tensors made of numbers of Python."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.launches, self.waits, self.from_numbers = 0, Counter[str](), Counter[str]()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = str(func)
+        self.launches += not (func.is_view or name.startswith(NO_LAUNCH))
+        self.waits[name] += name.startswith(WAITS)
+        self.from_numbers[name] += name.startswith(FROM_NUMBERS)
+        return func(*args, **(kwargs or {}))
+
+
+def sample(net: DepthNetwork, batch: int = 1) -> tuple[torch.Tensor, Any]:
+    """Images and tables of a rig for a network."""
+    rig = ring_rig(net.num_cameras if not net.any_cameras else 4, image_size=(32, 32))
+    if net.images == "sphere":
+        shape: tuple[int, ...] = (3, num_icosphere_vertices(net.level))
+    else:
+        shape = (net.image_channels[0], 32, 32)
+    images = torch.rand(batch, len(rig), *shape, generator=torch.Generator().manual_seed(0))
+    return images * 2 - 1, net.tables(rig)
+
+
+SHIPPED: dict[str, tuple[Callable[[], DepthNetwork], int]] = {
+    "refinedsweepnet": (pretrained, 1900),
+    "refinedsweepnet-fast": (lambda: pretrained("refinedsweepnet-fast"), 1650),
+    "icosweepnet-small": (lambda: pretrained("icosweepnet-small"), 550),
+    "the paper's": (lambda: IcoSweepNet(4, 32, feature_channels=4), 700),
+    "omnimvs": (lambda: OmniMVS(8, feature_channels=2, output_size=(16, 64)), 200),
+}
+"""Network, and operators without views that a forward pass asks for at most: the same at any level, but for the
+sweep's smoothing, and for any width."""
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+@torch.inference_mode()
+def test_a_forward_pass_is_few_operators_without_a_word_to_the_host(
+    name: str, record_property: Callable[[str, object], None]
+) -> None:
+    make, most = SHIPPED[name]
+    net = make().eval()
+    images, tables = sample(net)
+    expected = net(images, tables)
+    with kernels("graph"):
+        index = net(images, tables)  # makes the tables of icospheres, once
+        with Operators() as counted:
+            net(images, tables)
+    print(f"{name}: {counted.launches} operators a forward pass")  # the table of operators: pytest -s
+    record_property("operators", counted.launches)
+    assert counted.launches <= most
+    assert not +counted.waits
+    assert not +counted.from_numbers
+    # Where a vertex is undecided between two surfaces rounding decides.
+    assert (index - expected).abs().mean() < 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["icosweepnet", "refinedsweepnet", "omnimvs", "romnistereo"])
+def test_it_compiles_as_one_graph(name: str) -> None:
+    torch.compiler.reset()
+    net = NETWORKS[name].net()
+    images, rig = inputs(net, 2)
+    tables = net.tables(rig)
+    with torch.no_grad():
+        compiled = torch.compile(net, fullgraph=True, backend="aot_eager")(images, tables)
+        torch.testing.assert_close(compiled, net(images, tables), rtol=1e-4, atol=1e-4)

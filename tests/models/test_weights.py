@@ -318,3 +318,37 @@ def test_steps_that_do_not_fit_their_tensor_are_refused(tmp_path: Path) -> None:
         load_weights(path)
     with pytest.raises(ArgumentError, match=r"bits: .*12"):
         save_weights(load_weights(save_weights(IcoSweepNet(3, 4), path)), path, bits=12)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("bits", [32, 16, 8])
+@pytest.mark.parametrize("value", [1e5, 6.6e4, 3e38, 1e-30])
+def test_what_is_written_can_be_read(tmp_path: Path, bits: Literal[32, 16, 8], value: float) -> None:
+    """Numbers that half precision does not hold stay in single precision."""
+    net = IcoSweepNet(3, 4, feature_channels=32)
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.view(-1)[0] = value
+    again = load_weights(save_weights(net, tmp_path / "net.safetensors", bits))
+    for name, parameter in again.named_parameters():
+        found = parameter.view(-1)[0].item()
+        assert found == pytest.approx(value, rel=2e-3, abs=1e-7), name
+
+
+@pytest.mark.parametrize("bits", [32, 8])
+def test_names_of_steps_are_no_trap(tmp_path: Path, bits: Literal[32, 8]) -> None:
+    """Steps of steps, and steps of what is not there."""
+
+    def chain(_: dict[str, str], stored: dict[str, Tensor]) -> None:
+        name = next(name for name, tensor in stored.items() if tensor.dim() > 1)
+        steps = torch.ones(len(stored[name]), *[1] * (stored[name].dim() - 1))
+        stored |= {name + ".step": steps, name + ".step.step": steps.clone()}
+
+    def orphan(_: dict[str, str], stored: dict[str, Tensor]) -> None:
+        stored["nothing.step"] = torch.ones(3)
+
+    for change in (chain, orphan):
+        path = save_weights(
+            IcoSweepNet(3, 4, feature_channels=32), tmp_path / f"{change.__name__}.safetensors", bits
+        )
+        with pytest.raises(FileFormatError, match="step"):
+            load_weights(rewritten(path, change))

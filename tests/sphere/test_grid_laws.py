@@ -14,6 +14,7 @@ from sphericalvision import sphere
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import (
+    Cubemap,
     Equirectangular,
     Healpix,
     Resample,
@@ -322,3 +323,29 @@ def test_conservative_resampling_takes_masks_and_gradients() -> None:
     )
     assert (masked[0, :4] - 1).abs().max() < 1e-12
     assert not resample_mask(ico, panorama, mode="conservative", mask=mask)[-3:].any()
+
+
+COARSE: dict[str, SphereGrid] = {
+    **{f"equirectangular {h} x {w}": Equirectangular(h, w, DOUBLE) for h, w in ((1, 2), (4, 8), (7, 5), (9, 17))},
+    "equirectangular 12 x 24": Equirectangular(12, 24, DOUBLE),
+    **{f"cubemap {size}": Cubemap(size, dtype=DOUBLE) for size in (1, 2, 5)},
+    **{f"healpix {nside}": Healpix(nside, dtype=DOUBLE) for nside in (1, 3)},
+    **{f"icosphere {level}": Icosphere(level, dtype=DOUBLE) for level in (0, 1)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("source", COARSE)
+@pytest.mark.parametrize("target", COARSE)
+def test_conservative_resampling_of_few_cells(source: str, target: str) -> None:
+    """Whatever the sizes, integrals stay, constants stay, and the grids' own areas do."""
+    ours, theirs = COARSE[source], COARSE[target]
+    values = torch.rand(1, *ours.shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(0))
+    areas = ours.solid_angles.clone(), theirs.solid_angles.clone()
+    found = resample(torch.cat((values, torch.ones_like(values))), ours, theirs, mode="conservative")
+    total = areas[1].sum() / areas[0].sum()
+    assert (found[0] * areas[1]).sum().item() == pytest.approx(
+        (values * areas[0]).sum().item() * total, rel=1e-7
+    )
+    torch.testing.assert_close(found[1], torch.ones(theirs.shape, dtype=DOUBLE), rtol=0, atol=1e-7)
+    assert torch.equal(ours.solid_angles, areas[0])
+    assert torch.equal(theirs.solid_angles, areas[1])

@@ -379,4 +379,4 @@ def _path(pattern: str, label: str, frame: str) -> str:
 
 def _natural(text: str) -> list[tuple[int, str]]:
     """Sorting key that puts frame 9 before frame 10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", text)]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]

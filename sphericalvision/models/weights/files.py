@@ -43,7 +43,8 @@ def save_weights(net: DepthNetwork, path: str | Path, bits: Literal[32, 16, 8] =
         bits: of each number in tensors of 20,000 and more. 16, half precision, nearly halves the file, and what the
             network answers may change in the last digits. With 8 they are multiples of a step of each output's own,
             within half a step, and tensors of 2,000 numbers and more are in half precision: about a quarter of the
-            file. All are read as float32 again.
+            file. Tensors with numbers that half precision does not hold stay as they are. All are read as float32
+            again.
 
     Raises:
         ArgumentError: if the file's name does not end in ``.safetensors``, ``bits`` is another number, or the network
@@ -81,12 +82,20 @@ def _with_bits(name: str, tensor: Tensor, bits: int) -> Iterator[tuple[str, Tens
         yield name, (tensor / step).round().to(torch.int8)
         yield name + STEP, step
     else:
-        yield name, tensor.half() if size >= (LARGE if bits == 16 else MEDIUM) and bits < 32 else tensor
+        half = size >= (LARGE if bits == 16 else MEDIUM) and bits < 32
+        fits = half and bool(tensor.abs().amax() <= torch.finfo(torch.half).max)  # else it would be infinite
+        yield name, tensor.half() if fits else tensor
 
 
 def _as_float32(stored: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
     """Tensors of a file as a network has them."""
-    steps = {name: stored.pop(name + STEP) for name in list(stored) if name + STEP in stored}
+    steps = {
+        name: stored.pop(name + STEP) for name in list(stored) if name + STEP in stored and name in stored
+    }
+    if orphans := [name for name in steps if name not in stored]:
+        raise FileFormatError(
+            f"{path}: '{orphans[0]}' is a step, and has a step of its own; the file is damaged"
+        )
     for name, step in steps.items():
         if step.shape != _steps_shape(stored[name]):
             raise FileFormatError(

@@ -28,6 +28,9 @@ __all__ = ["Overlaps", "overlaps"]
 _PER_WIDTH = 4  # samples along a side of a cell, for each width of the other grid's cells
 _TOLERANCE = 3e-13
 _STEPS = 5000
+_TURNS = 300
+_FINENESS = (1, 4, 16)  # more samples are tried where overlaps were missed
+_MOST_SAMPLES = 2**24
 _LARGEST_GAP = 1e-4  # between the total solid angles of two grids, relative
 
 
@@ -94,26 +97,34 @@ def overlaps(
             f"target: mode 'conservative' needs cells that do not overlap, those of {type(target).__name__} do; take "
             "mode 'area'"
         )
-    areas[1] *= totals[0] / totals[1]
+    areas[1] = areas[1] * (totals[0] / totals[1])  # not in place: they may be the grid's own
     turn = torch.eye(3, dtype=torch.float64, device=device) if rotation is None else rotation.double()
-    ahead = _counted(target, source, turn, areas[0])
-    back = _counted(source, target, turn.T, areas[1])
-    count = len(areas[1])
-    pairs = torch.cat((ahead[0] * count + ahead[1], back[1] * count + back[0]))
-    pairs, place = pairs.unique(return_inverse=True)
-    size = torch.zeros_like(pairs, dtype=torch.float64)
-    size.index_add_(0, place, torch.cat((ahead[2], back[2])) / 2)
-    targets, sources = torch.div(pairs, count, rounding_mode="floor"), pairs % count
-    size = _balanced(targets, sources, size, *areas)
-    return Overlaps(targets, sources, size / areas[0][targets], len(areas[0]), len(tuple(source.shape)))
+    for fineness in _FINENESS:
+        ahead = _counted(target, source, turn, areas[0], fineness)
+        back = _counted(source, target, turn.T, areas[1], fineness)
+        count = len(areas[1])
+        pairs = torch.cat((ahead[0] * count + ahead[1], back[1] * count + back[0]))
+        pairs, place = pairs.unique(return_inverse=True)
+        size = torch.zeros_like(pairs, dtype=torch.float64)
+        size.index_add_(0, place, torch.cat((ahead[2], back[2])) / 2)
+        targets, sources = torch.div(pairs, count, rounding_mode="floor"), pairs % count
+        balanced = _balanced(targets, sources, size, *areas)
+        if balanced is not None:
+            weights = balanced / areas[0][targets]
+            return Overlaps(targets, sources, weights, len(areas[0]), len(tuple(source.shape)))
+    raise ArgumentError(
+        "source, target: the cells of one grid overlap each other or leave gaps, so that no weights keep integrals; "
+        "take mode 'area'"
+    )
 
 
 def _counted(
-    grid: SphereGrid, other: SphereGrid, turn: Tensor, areas: Tensor
+    grid: SphereGrid, other: SphereGrid, turn: Tensor, areas: Tensor, fineness: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Cells of a grid, the other's cells in which their samples lie, and what each sample stands for."""
     ratio = float(cell_widths(grid).max() / cell_widths(other).min().clamp_min(1e-9))
     samples = max(2, math.ceil(_PER_WIDTH * min(ratio, 64.0)))
+    samples = max(samples, min(fineness * samples, math.isqrt(_MOST_SAMPLES // len(areas))))
     cells = cell_samples(grid, samples, torch.float64, turn.device)
     found = other.nearest(cells.directions @ turn)  # the transpose, on rows
     own = torch.arange(len(areas), device=turn.device)[:, None].expand_as(found)
@@ -122,8 +133,8 @@ def _counted(
 
 def _balanced(
     targets: Tensor, sources: Tensor, size: Tensor, target_areas: Tensor, source_areas: Tensor
-) -> Tensor:
-    """Overlaps (m,) changed by factors 1 + λ + μ so that they sum to the areas, by conjugate gradients."""
+) -> Tensor | None:
+    """Overlaps (m,) changed so that they sum to the areas and stay positive, or None where such were not found."""
     split = len(target_areas)
     areas = torch.cat((target_areas, source_areas))
 
@@ -132,23 +143,30 @@ def _balanced(
         total = torch.zeros_like(areas).index_add_(0, targets, values)
         return total.index_add_(0, sources + split, values)
 
-    diagonal = sums(size).clamp_min(torch.finfo(areas.dtype).tiny)
-    factors, missing = torch.zeros_like(areas), areas - sums(size)
-    scaled = missing / diagonal
-    step, length = scaled, missing @ scaled
-    for _ in range(_STEPS):
-        if bool((missing.abs() <= _TOLERANCE * areas).all()):
-            break
-        change = sums(size * (step[targets] + step[sources + split]))
-        along = length / (step @ change)
-        factors = factors + along * step
-        missing = missing - along * change
+    def changed() -> Tensor | None:
+        """The overlaps times factors 1 + λ + μ, by conjugate gradients."""
+        diagonal = sums(size).clamp_min(torch.finfo(areas.dtype).tiny)
+        factors, missing = torch.zeros_like(areas), areas - sums(size)
         scaled = missing / diagonal
-        step, length = scaled + (missing @ scaled) / length * step, missing @ scaled
-    factor = 1 + factors[targets] + factors[sources + split]
-    if not bool((factor > 0).all()):
-        raise ArgumentError(
-            "source, target: the cells of one grid overlap each other or leave gaps, so that no weights keep "
-            "integrals; take mode 'area'"
-        )
-    return size * factor
+        step, length = scaled, missing @ scaled
+        for _ in range(_STEPS):
+            if bool((missing.abs() <= _TOLERANCE * areas).all()):
+                break
+            change = sums(size * (step[targets] + step[sources + split]))
+            along = length / (step @ change)
+            factors = factors + along * step
+            missing = missing - along * change
+            scaled = missing / diagonal
+            step, length = scaled + (missing @ scaled) / length * step, missing @ scaled
+        result = size * (1 + factors[targets] + factors[sources + split])
+        fits = (areas - sums(result)).abs() <= 1e4 * _TOLERANCE * areas
+        return result if bool((result > 0).all()) and bool(fits.all()) else None
+
+    if (result := changed()) is not None:
+        return result
+    # Of few and large cells sums of factors may be negative. Products, of targets and of sources in turns, never are,
+    # and come close enough that the sums are positive.
+    for _ in range(_TURNS):
+        size = size * (areas / sums(size))[targets]
+        size = size * (areas / sums(size))[sources + split]
+    return changed()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import wraps
 from pathlib import Path
 from reprlib import Repr
@@ -261,8 +261,17 @@ def check_file(path: str | Path, what: str) -> Path:
 
 
 KERNELS = ("auto", "plain", "graph", "reference", "require")
-_open_blocks: list[list[str]] = []
-"""The ways of the open ``kernels`` blocks, each in a list of its own, by which it is told from its equals."""
+
+
+class _Block:
+    """An open ``kernels`` block, equal to itself alone."""
+
+    def __init__(self, way: str) -> None:
+        self.way = way
+
+
+_open_blocks: list[_Block] = []
+"""Of all threads. It is appended to and removed from, which are one step each: none is lost, and none stays."""
 
 
 @contextmanager
@@ -298,12 +307,12 @@ def kernels(way: str) -> Iterator[None]:
         'plain'
     """
     check_choice("kernels", way, KERNELS)
-    block = [way]
+    block = _Block(way)
     _open_blocks.append(block)
     try:
         yield
     finally:
-        _open_blocks[:] = [other for other in _open_blocks if other is not block]
+        _open_blocks.remove(block)
 
 
 def reference_kernels() -> AbstractContextManager[None]:
@@ -321,8 +330,8 @@ def reference_kernels() -> AbstractContextManager[None]:
 
 def way_of_kernels() -> str:
     """Return the way of ``kernels`` that is in force."""
-    if _open_blocks:
-        return _open_blocks[-1][0]
+    with suppress(IndexError):  # there is none, or another thread has just closed the last one
+        return _open_blocks[-1].way
     way = os.environ.get("SPHERICALVISION_KERNELS") or "auto"
     check_choice("SPHERICALVISION_KERNELS", way, KERNELS)
     return way

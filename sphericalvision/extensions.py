@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import pkgutil
+import warnings
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -49,6 +50,7 @@ class Registry(Generic[Thing]):
         self.group, self.folder = group, folder
         self.things: dict[str, Thing] = {}
         """Those that were imported so far."""
+        self._broken: set[str] = set()
 
     def add(self, name: str, thing: Thing) -> None:
         """Make a thing known by its name.
@@ -90,8 +92,15 @@ class Registry(Generic[Thing]):
         return tuple(sorted({*self.things, *entry_points(group=self.group).names}))
 
     def all(self) -> list[Thing]:
-        """All things in the order of their names."""
-        things = (self.find(name) for name in self.names())
+        """All things in the order of their names; a warning, once, names those of packages that are broken."""
+        things = []
+        for name in self.names():
+            try:
+                things.append(self.find(name))
+            except ArgumentError as error:
+                if name not in self._broken:
+                    self._broken.add(name)
+                    warnings.warn(f"{error}; all else goes on without it", stacklevel=2)
         return [thing for thing in things if thing is not None]
 
     def name_of(self, thing: Thing) -> str | None:
@@ -117,11 +126,11 @@ class Registry(Generic[Thing]):
     def _follow(self, point: EntryPoint) -> Thing:
         try:
             thing: Thing = point.load()
-        except (ImportError, AttributeError) as error:
+        except Exception as error:  # whatever a module of somebody else does when it is imported
             package = point.dist.name if point.dist else point.module
             raise ArgumentError(
                 f"{self.argument}: {point.name!r} is {point.value} of the package {package}, which cannot be "
-                f"imported: {error}"
+                f"imported: {type(error).__name__}: {error}; repair or uninstall it"
             ) from error
         try:
             self.add(point.name, thing)

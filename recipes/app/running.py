@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.resources import files
 from pathlib import Path
@@ -159,7 +160,18 @@ def search_path_of_plugins(config_name: str, words: list[str]) -> list[str]:
 
     It takes the place of the search path in the command's own file, so that has a part in it.
     """
-    packages = sorted(f"pkg://{point.value}" for point in entry_points(group="sphericalvision.conf"))
+    packages = []
+    for point in sorted(entry_points(group="sphericalvision.conf")):
+        try:
+            import_module(point.value)
+        except Exception as error:  # whatever a module of somebody else does when it is imported
+            warnings.warn(
+                f"{point.value}: configs of an installed package, which cannot be imported "
+                f"({type(error).__name__}: {error}); all else goes on without them",
+                stacklevel=2,
+            )
+        else:
+            packages.append(f"pkg://{point.value}")
     if not packages or any(word.startswith("hydra.searchpath=") for word in words):
         return []
     text = (files("sphericalvision.conf") / f"{config_name}.yaml").read_text()

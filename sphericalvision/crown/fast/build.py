@@ -25,6 +25,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import IO
 
 import torch
 
@@ -41,6 +42,11 @@ PATIENCE = 20.0
 Nobody knows how long a process will go on. Who waits until it has worked for as long as compiling takes never wastes
 more than that, and short commands never compile: the rule of those who rent skis until they have paid for a pair.
 """
+
+BANNER = 5.0
+"""Seconds within which a compiler says what it is; the first convolution waits for it."""
+COMPILING = 600.0
+"""Seconds after which a compiler is taken for one that hangs."""
 
 # What the processor has, as torch names it. Nothing else is asked for, so that machines may share a folder.
 _INSTRUCTIONS = {
@@ -61,6 +67,7 @@ class _State:
     compiling: threading.Thread | None = None
     lock = threading.Lock()
     processes: list[subprocess.Popen[str]] = []  # noqa: RUF012
+    lock_file: IO[str] | None = None
 
 
 def operators_ready(way: str) -> bool:
@@ -181,12 +188,12 @@ def _compiler() -> tuple[str, str]:
             f"the C++ operators need a C++ compiler, such as g++; {command} was not found (CXX names another)"
         )
     try:
-        said = subprocess.run([found, "--version"], capture_output=True, text=True, timeout=60)
+        said = subprocess.run([found, "--version"], capture_output=True, timeout=BANNER)
     except (OSError, subprocess.SubprocessError) as error:
         raise MissingCompilerError(
             f"the C++ compiler {found} does not run: {error} (CXX names another)"
         ) from error
-    return found, said.stdout
+    return found, said.stdout.decode(errors="replace")  # in whatever encoding the user has
 
 
 def _flags() -> list[str]:
@@ -229,11 +236,18 @@ def _is_whole(library: Path) -> bool:
 def _alone(folder: Path) -> Iterator[None]:
     """One process at a time compiles; others wait and find what it made."""
     with (folder / "lock").open("w") as lock:
-        if sys.platform != "win32":
-            import fcntl
+        if sys.platform == "win32":
+            yield
+            return
+        import fcntl
 
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _State.lock_file = lock
+        try:
+            yield
+        finally:
+            _State.lock_file = None
+            fcntl.flock(lock, fcntl.LOCK_UN)  # a child that was forked meanwhile has the file open, too
 
 
 def _compile(library: Path, before: list[str]) -> None:
@@ -267,15 +281,33 @@ def _run_all(commands: Iterator[list[str]] | list[list[str]]) -> None:
         RuntimeError: with what matters of the output of one that fails.
     """
     _State.processes = [
-        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace"
+        )
         for command in commands
     ]
-    outputs = [process.communicate()[1] for process in _State.processes]
+    try:
+        outputs = [process.communicate(timeout=COMPILING)[1] for process in _State.processes]
+    except subprocess.TimeoutExpired as error:
+        _stop_compiling()
+        raise RuntimeError(f"{error.args[0]!r:.100} did not end within {COMPILING:.0f} s") from None
     for process, output in zip(_State.processes, outputs, strict=True):
         if process.returncode:
             lines = output.splitlines() or [f"{process.args!r} ended with {process.returncode}"]
             raise RuntimeError(next((line for line in lines if "error" in line), lines[0])[:300])
     _State.processes = []
+
+
+def _begin_anew() -> None:
+    """In a child that was forked while a thread compiled: the thread, its lock and its compilers are the parent's."""
+    _State.lock, _State.compiling, _State.processes = threading.Lock(), None, []
+    if _State.lock_file is not None:  # or the child would wait for itself
+        _State.lock_file.close()
+        _State.lock_file = None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_begin_anew)
 
 
 @atexit.register

@@ -21,7 +21,7 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import choose_device, console
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Positive, Size, Text
 from sphericalvision.recipes.speed.measuring import Measurement, measure, prepare_operators
-from sphericalvision.recipes.speed.tables import comparison_table, machine, save_measurements
+from sphericalvision.recipes.speed.speed_tables import comparison_table, machine, save_measurements
 
 __all__ = ["GROUPS", "SpeedKeys", "measure_speed"]
 

@@ -22,7 +22,7 @@ from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import Record, values_of, write_json
 from sphericalvision.recipes.evaluation.tables import Row, Table, save_report, summarize
 from sphericalvision.recipes.study.models import StudyModel, scale_of
-from sphericalvision.recipes.study.tables import Result, study_tables
+from sphericalvision.recipes.study.study_tables import Result, study_tables
 from sphericalvision.recipes.study.training import Training
 from sphericalvision.recipes.study.views import View
 from sphericalvision.sphere.intake import unsigned

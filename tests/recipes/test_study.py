@@ -35,7 +35,7 @@ from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table, save_report
 from sphericalvision.recipes.study.models import study_models
 from sphericalvision.recipes.study.report import angle_plot, panel_sheet
-from sphericalvision.recipes.study.tables import study_tables
+from sphericalvision.recipes.study.study_tables import study_tables
 from sphericalvision.recipes.study.training import training_config, training_words
 from sphericalvision.recipes.study.views import View, view_frames
 from tests.recipes.tiny import Run, composed

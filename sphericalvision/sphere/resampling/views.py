@@ -22,8 +22,8 @@ from sphericalvision.geometry.directions import holds
 from sphericalvision.sphere.grids.base import SphereGrid, check_values
 from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
 from sphericalvision.sphere.grids.tangent import TangentImages
+from sphericalvision.sphere.resampling.resample_tables import resample_tables
 from sphericalvision.sphere.resampling.supersampling import cell_widths, grid_shape, pixel_solid_angles
-from sphericalvision.sphere.resampling.tables import resample_tables
 
 __all__ = ["Merged", "Views", "views"]
 
